@@ -1,0 +1,22 @@
+//! From [`crate::segment::label::Region`] to [`Candidate`].
+
+use serde::{Deserialize, Serialize};
+
+use crate::coords::PixelPoint;
+
+/// A region that may be a mark.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Candidate {
+    /// Sub-pixel centre.
+    pub centre: PixelPoint,
+    /// Covariance of the centre in px²: xx, xy, yy. `None` when unknown (a list from elsewhere).
+    pub covariance_px2: Option<[f64; 3]>,
+    /// Log-likelihood ratio of "mark" against "background"; higher is better. `None` when unknown.
+    pub score: Option<f64>,
+    /// Pixels of paint.
+    pub area_px: Option<f64>,
+    /// Bounding box side lengths, px.
+    pub size_px: Option<[f64; 2]>,
+    /// Height of the elevation model at the centre, metres, when a list brings it.
+    pub elevation_m: Option<f64>,
+}

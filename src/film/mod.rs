@@ -1,0 +1,1 @@
+//! Scanned film: fiducial marks and the inner orientation.

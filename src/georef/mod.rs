@@ -1,0 +1,1 @@
+//! Writing what was solved so that other programs understand it.

@@ -1,0 +1,32 @@
+//! Georeferences rasters that do not fit in memory, without a click.
+//!
+//! Surveyors paint marks on the ground, fly a drone and get an orthophoto. This crate finds the marks, works out
+//! which surveyed point each of them is, solves the orientation and writes it with a statement of its accuracy, or says
+//! why it will not. The flow is one chain of types, and each arrow is one function:
+//!
+//! ```text
+//! TileGrid → Tile → Block → Mask → TileRegions → Region → Candidate → Match → Transform → outputs
+//! ```
+//!
+//! Only [`raster`] and the rooms that read and write lists ([`gcp`], [`georef`], [`report`]) touch files; everything
+//! between takes values and returns values. The pixel convention is that of GDAL: x to the right, y down, `(0, 0)` at
+//! the outer corner of the first pixel (`docs/coordinates.md`).
+#![deny(unsafe_code)]
+
+pub mod candidate;
+pub mod coords;
+pub mod error;
+pub mod film;
+pub mod gcp;
+pub mod georef;
+pub mod matching;
+pub mod merge;
+pub mod pipeline;
+pub mod raster;
+pub mod report;
+pub mod segment;
+pub mod solve;
+pub mod synth;
+pub mod window;
+
+pub use error::{Error, Result};

@@ -1,0 +1,5 @@
+//! Parse, run, exit code.
+
+fn main() -> anyhow::Result<()> {
+    anyhow::bail!("being built")
+}

@@ -1,0 +1,1 @@
+//! Working out which candidate is which GCP, from the pattern alone.

@@ -1,0 +1,1 @@
+//! Joining regions that straddle tile edges.

@@ -1,0 +1,1 @@
+//! Threads, channels and the memory budget: the only wiring.

@@ -1,0 +1,233 @@
+//! Opening rasters and reading windows of them. This is the only room, with the writers at the other end, that touches
+//! raster files.
+//!
+//! A [`RasterSource`] hands out [`Block`]s: the pixels of a window as a list of [`Piece`]s, one for each file block (or
+//! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
+//! so that nothing is copied on the way to the segmenter.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::coords::GeoTransform;
+use crate::error::Result;
+use crate::window::Window;
+
+/// Which decoder to use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReaderChoice {
+    /// Native where it can, GDAL for everything else.
+    #[default]
+    Auto,
+    Native,
+    Gdal,
+}
+
+/// How samples are stored once decoded. Wider or other types (float, complex) are not images to us: elevation models go
+/// through [`crate::raster`]'s GDAL reader as `f64`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SampleType {
+    U8,
+    U16,
+}
+
+impl SampleType {
+    pub fn bytes(self) -> usize {
+        match self {
+            SampleType::U8 => 1,
+            SampleType::U16 => 2,
+        }
+    }
+}
+
+/// How the file lays its blocks out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlockLayout {
+    /// Rectangles; edge blocks may be padded in the file, never in what we hand out.
+    Tiles { width: u64, height: u64 },
+    /// Full-width strips of that many rows.
+    Strips { rows: u64 },
+}
+
+/// What a raster is, as far as the stages need to know.
+#[derive(Clone, Debug)]
+pub struct RasterInfo {
+    pub path: PathBuf,
+    pub width: u64,
+    pub height: u64,
+    /// Bands in the file, alpha included.
+    pub bands: usize,
+    pub sample: SampleType,
+    /// Indices of red, green and blue; one grey band three times.
+    pub rgb: [usize; 3],
+    /// Index of the alpha band.
+    pub alpha: Option<usize>,
+    /// A pixel whose colour bands all have this value holds nothing.
+    pub nodata: Option<f64>,
+    /// The value of full white: 255, 65535, or what MaxSampleValue or NBITS say.
+    pub white: u16,
+    pub layout: BlockLayout,
+    /// Number of blocks in the file, of the bands that are read.
+    pub blocks: u64,
+    /// Bytes of one decoded unit of reading; the memory plan counts with it.
+    pub chunk_bytes: u64,
+    /// The source can only be read from the top down without reading again (PNG, JPEG, one-strip files).
+    pub sequential: bool,
+    /// "native" or "gdal", with the driver's name and compression for the log.
+    pub reader: &'static str,
+    pub description: String,
+    /// An existing georeference, in GDAL's convention (pixel corner), whatever the file's.
+    pub geotransform: Option<GeoTransform>,
+    /// WKT of an existing CRS.
+    pub crs_wkt: Option<String>,
+    /// Size of a pixel on the ground from the resolution tags, where they can mean that.
+    pub resolution_m_per_px: Option<f64>,
+}
+
+impl RasterInfo {
+    pub fn bounds(&self) -> Window {
+        Window::whole(self.width, self.height)
+    }
+    pub fn pixels(&self) -> u64 {
+        self.width * self.height
+    }
+}
+
+/// Samples of a piece, native byte order.
+#[derive(Clone, Copy, Debug)]
+pub enum Samples<'a> {
+    U8(&'a [u8]),
+    U16(&'a [u16]),
+}
+
+/// One row of pixels (or part of it), as the segmenter takes it. Sample `b` of pixel `i` is at
+/// `i * pixel_stride + b`.
+#[derive(Clone, Copy, Debug)]
+pub struct PixelRow<'a> {
+    pub samples: Samples<'a>,
+    /// Samples from one pixel to the next.
+    pub pixel_stride: usize,
+    /// Number of pixels.
+    pub len: usize,
+}
+
+/// Where the samples of a piece lie.
+#[derive(Clone, Debug)]
+pub enum PieceData {
+    U8(Arc<PooledBytes>),
+    U16(Arc<Vec<u16>>),
+    /// A window of the mapped file, with the offset of the first sample. Bytes only.
+    Mapped(Arc<memmap2::Mmap>, usize),
+}
+
+/// A decoded buffer that goes back to its pool when the last user drops it.
+#[derive(Debug)]
+pub struct PooledBytes {
+    pub bytes: Vec<u8>,
+    pub home: Option<crossbeam_channel::Sender<Vec<u8>>>,
+}
+
+impl Drop for PooledBytes {
+    fn drop(&mut self) {
+        if let Some(home) = self.home.take() {
+            // A full or closed pool just lets the buffer go.
+            let _ = home.try_send(std::mem::take(&mut self.bytes));
+        }
+    }
+}
+
+/// Pixels of a rectangle, row-major and band-interleaved, all from one file block or group of strips.
+#[derive(Clone, Debug)]
+pub struct Piece {
+    pub window: Window,
+    pub data: PieceData,
+    /// Index of the sample of the window's first pixel in `data` (the data may hold a larger rectangle).
+    pub offset: usize,
+    /// Samples from one row to the next.
+    pub row_stride: usize,
+    /// Samples from one pixel to the next.
+    pub pixel_stride: usize,
+    /// No pixel here holds anything (sparse block, nodata, zero alpha): not decoded, `data` is empty.
+    pub empty: bool,
+}
+
+impl Piece {
+    /// Part of a row: `len` pixels from column `x` of row `y`, image coordinates, which must lie in the window.
+    pub fn row(&self, x: u64, y: u64, len: u64) -> PixelRow<'_> {
+        debug_assert!(!self.empty && self.window.contains_window(&Window::new(x, y, len, 1)));
+        let first = self.offset
+            + (y - self.window.y) as usize * self.row_stride
+            + (x - self.window.x) as usize * self.pixel_stride;
+        let count =
+            (len as usize).saturating_sub(1) * self.pixel_stride + self.pixel_stride.min(self.samples_left(first));
+        let samples = match &self.data {
+            PieceData::U8(buffer) => Samples::U8(&buffer.bytes[first..first + count]),
+            PieceData::U16(buffer) => Samples::U16(&buffer[first..first + count]),
+            PieceData::Mapped(map, start) => Samples::U8(&map[start + first..start + first + count]),
+        };
+        PixelRow { samples, pixel_stride: self.pixel_stride, len: len as usize }
+    }
+
+    fn samples_left(&self, first: usize) -> usize {
+        match &self.data {
+            PieceData::U8(buffer) => buffer.bytes.len() - first,
+            PieceData::U16(buffer) => buffer.len() - first,
+            PieceData::Mapped(map, start) => map.len() - start - first,
+        }
+    }
+}
+
+/// The pixels of a window: pieces that cover it exactly, in row-major order, none overlapping.
+#[derive(Clone, Debug)]
+pub struct Block {
+    pub window: Window,
+    pub pieces: Vec<Piece>,
+}
+
+/// A small window copied together: RGB(A) as read, row-major, for everything that looks at one mark at a time.
+#[derive(Clone, Debug)]
+pub struct Patch {
+    pub window: Window,
+    /// Three samples a pixel, red, green, blue, scaled by nothing.
+    pub rgb: Vec<[u16; 3]>,
+    /// False where the pixel holds nothing (nodata, zero alpha, mask).
+    pub valid: Vec<bool>,
+    /// The value of full white.
+    pub white: u16,
+}
+
+/// How much was read, for the report and the tests of "each file block is decoded once".
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReadStats {
+    pub blocks_decoded: u64,
+    pub blocks_skipped: u64,
+    pub bytes_read: u64,
+}
+
+/// A raster that can be read in windows by several threads at once.
+pub trait RasterSource: Send + Sync {
+    fn info(&self) -> &RasterInfo;
+
+    /// The pixels of `window`, which must lie inside the raster.
+    ///
+    /// # Errors
+    /// When the file cannot be read or a block in it is broken; the message names the block.
+    fn read(&self, window: Window) -> Result<Block>;
+
+    /// The system may fetch the bytes of `window` now; a later read will want them.
+    fn prefetch(&self, _window: Window) {}
+
+    /// Everything read so far.
+    fn stats(&self) -> ReadStats;
+}
+
+/// Opens `path` with the reader that fits.
+///
+/// `cache_bytes` bounds what the source may keep of decoded blocks between reads; `page` is the directory to read (0 is
+/// the first full-resolution image).
+///
+/// # Errors
+/// When the file is missing, broken, or of a kind that no reader takes; the message says what exactly.
+pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) -> Result<Arc<dyn RasterSource>> {
+    let _ = (choice, page, cache_bytes);
+    Err(crate::Error::unsupported(path, "readers are being built", "wait"))
+}
