@@ -5,6 +5,9 @@
 //! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
 //! so that nothing is copied on the way to the segmenter.
 
+pub mod memory;
+pub mod patch;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -1,1 +1,0 @@
-//! Threads, channels and the memory budget: the only wiring.

@@ -1,0 +1,9 @@
+//! Threads, channels and the memory budget: the only wiring.
+//!
+//! [`plan`] works out what fits before anything is read, [`scan`] runs the stages from tiles to candidates.
+
+pub mod plan;
+pub mod scan;
+
+pub use plan::{PlanOptions, ScanPlan, peak_resident_bytes, plan};
+pub use scan::{Detector, NoProgress, Progress, ScanOutcome, ScanTimings, scan};

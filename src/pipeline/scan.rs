@@ -1,0 +1,306 @@
+//! Tiles in, candidates out: `Tile → Block → Mask → TileRegions → Region → Candidate`.
+//!
+//! Workers take tiles from a bounded channel, each does one tile at a time from reading to labelling, and the calling
+//! thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
+//! there; those that straddle tiles are examined after the scan through small windows of their own. Either way the
+//! examination sees the same pixels, so that no candidate depends on the tiling.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::candidate::Candidate;
+use crate::error::{Error, Result};
+use crate::merge::RegionMerger;
+use crate::pipeline::plan::ScanPlan;
+use crate::raster::{Block, Patch, RasterInfo, RasterSource, ReadStats};
+use crate::segment::label::{Labeller, Region, TileRegions};
+use crate::segment::mask::Mask;
+use crate::window::{Tile, Window};
+
+/// More marks than this are no marks; also what bounds memory on a picture of confetti.
+pub const MAX_CANDIDATES: usize = 1_000_000;
+/// Windows of straddling marks examined together.
+const EXAMINE_BATCH: usize = 64;
+
+/// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
+pub trait Detector: Sync {
+    /// Pixels around a core that [`Detector::segment`] must see to be right inside it.
+    fn halo_px(&self) -> u64;
+    /// Block → Mask: sets the foreground bits of the mask, which is background and of the block's window.
+    fn segment(&self, block: &Block, mask: &mut Mask);
+    /// Whether a complete region may be a mark, from its integers alone.
+    fn gate(&self, region: &Region) -> bool;
+    /// Pixels around a region's bounds that [`Detector::examine`] wants to see.
+    fn patch_margin_px(&self) -> u64;
+    /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
+    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+}
+
+/// Hears how far the scan has come; called from several threads.
+pub trait Progress: Sync {
+    fn scanned(&self, pixels: u64);
+}
+
+/// Nobody listens.
+pub struct NoProgress;
+
+impl Progress for NoProgress {
+    fn scanned(&self, _pixels: u64) {}
+}
+
+/// What the scan found.
+#[derive(Clone, Debug)]
+pub struct ScanOutcome {
+    /// In raster order of the regions' first pixels.
+    pub candidates: Vec<Candidate>,
+    /// Regions that passed the gates, candidates or not.
+    pub regions_examined: u64,
+    /// Reading of the scan alone.
+    pub scan_reads: ReadStats,
+    /// Reading again for marks that straddle tiles.
+    pub window_reads: ReadStats,
+    pub timings: ScanTimings,
+}
+
+/// Wall-clock seconds.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct ScanTimings {
+    pub scan_s: f64,
+    pub examine_s: f64,
+}
+
+/// What a worker sends on for one tile.
+struct TileOutput {
+    id: u64,
+    /// Examined here: identity and what became of it.
+    examined: Vec<((u64, u64), Option<Candidate>)>,
+    /// Complete, but their surroundings reach beyond the tile.
+    straddling: Vec<Region>,
+    /// Only what is open at the faces is left in it.
+    open: TileRegions,
+}
+
+/// Scans the raster as planned.
+///
+/// # Errors
+/// The first read error of any worker, or [`Error::Limit`] when there are more than [`MAX_CANDIDATES`] candidates.
+pub fn scan(
+    source: &dyn RasterSource,
+    plan: &ScanPlan,
+    detector: &dyn Detector,
+    progress: &dyn Progress,
+) -> Result<ScanOutcome> {
+    let started = Instant::now();
+    let before = source.stats();
+    let collected = scan_tiles(source, plan, detector, progress)?;
+    let scan_time = started.elapsed();
+    let scanned = source.stats();
+    let mut examined = collected.examined;
+    let mut straddling = collected.straddling;
+    let examine_started = Instant::now();
+    straddling.sort_by_key(|region| region.first);
+    for batch in straddling.chunks(EXAMINE_BATCH) {
+        examined.extend(examine_windows(source, detector, batch)?);
+    }
+    examined.sort_by_key(|(first, _)| *first);
+    let regions_examined = examined.len() as u64;
+    let after = source.stats();
+    Ok(ScanOutcome {
+        candidates: examined.into_iter().filter_map(|(_, candidate)| candidate).collect(),
+        regions_examined,
+        scan_reads: difference(scanned, before),
+        window_reads: difference(after, scanned),
+        timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
+    })
+}
+
+fn seconds(duration: Duration) -> f64 {
+    duration.as_secs_f64()
+}
+
+fn difference(after: ReadStats, before: ReadStats) -> ReadStats {
+    ReadStats {
+        blocks_decoded: after.blocks_decoded - before.blocks_decoded,
+        blocks_skipped: after.blocks_skipped - before.blocks_skipped,
+        bytes_read: after.bytes_read - before.bytes_read,
+    }
+}
+
+#[derive(Default)]
+struct Collected {
+    examined: Vec<((u64, u64), Option<Candidate>)>,
+    straddling: Vec<Region>,
+}
+
+impl Collected {
+    fn len(&self) -> usize {
+        self.examined.len() + self.straddling.len()
+    }
+}
+
+fn scan_tiles(
+    source: &dyn RasterSource,
+    plan: &ScanPlan,
+    detector: &dyn Detector,
+    progress: &dyn Progress,
+) -> Result<Collected> {
+    let stop = AtomicBool::new(false);
+    let in_order = Mutex::new(());
+    let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
+    let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
+    std::thread::scope(|scope| {
+        let stop = &stop;
+        spawn_named(scope, "tiler".into(), move || {
+            for tile in plan.grid.iter() {
+                source.prefetch(tile.read);
+                if stop.load(Ordering::Relaxed) || tile_sender.send(tile).is_err() {
+                    return;
+                }
+            }
+        });
+        for index in 0..plan.workers {
+            let worker = Worker { source, plan, detector, progress, in_order: &in_order };
+            let (tiles, outputs) = (tiles.clone(), output_sender.clone());
+            spawn_named(scope, format!("worker {index}"), move || worker.run(&tiles, &outputs, stop));
+        }
+        drop((tiles, output_sender));
+        let result = collect(plan, detector, &outputs);
+        // On an error the workers and the tiler must not wait for us for ever.
+        stop.store(true, Ordering::Relaxed);
+        while outputs.recv().is_ok() {}
+        result
+    })
+}
+
+fn spawn_named<'scope>(
+    scope: &'scope std::thread::Scope<'scope, '_>,
+    name: String,
+    work: impl FnOnce() + Send + 'scope,
+) {
+    std::thread::Builder::new()
+        .name(name)
+        .spawn_scoped(scope, work)
+        .expect("the system can start a handful of threads");
+}
+
+fn collect(
+    plan: &ScanPlan,
+    detector: &dyn Detector,
+    outputs: &crossbeam_channel::Receiver<Result<TileOutput>>,
+) -> Result<Collected> {
+    let mut merger = RegionMerger::new(plan.grid);
+    let mut collected = Collected::default();
+    for output in outputs {
+        let output = output?;
+        collected.examined.extend(output.examined);
+        collected.straddling.extend(output.straddling);
+        let straddling = &mut collected.straddling;
+        merger.feed(output.id, output.open, &mut |region| {
+            if detector.gate(&region) {
+                straddling.push(region);
+            }
+        });
+        if collected.len() > MAX_CANDIDATES {
+            return Err(Error::Limit {
+                what: "the image is full of regions that look like marks".into(),
+                needed: collected.len() as u64,
+                allowed: MAX_CANDIDATES as u64,
+                remedy: "use a stricter profile (--profile) or the size of the marks".into(),
+            });
+        }
+    }
+    merger.finalize();
+    Ok(collected)
+}
+
+struct Worker<'a> {
+    source: &'a dyn RasterSource,
+    plan: &'a ScanPlan,
+    detector: &'a dyn Detector,
+    progress: &'a dyn Progress,
+    /// Held from taking a tile until it is read, when the source can only be read from the top down.
+    in_order: &'a Mutex<()>,
+}
+
+impl Worker<'_> {
+    fn run(
+        &self,
+        tiles: &crossbeam_channel::Receiver<Tile>,
+        outputs: &crossbeam_channel::Sender<Result<TileOutput>>,
+        stop: &AtomicBool,
+    ) {
+        let mut mask = Mask::new(Window::new(0, 0, 0, 0));
+        let mut labeller = Labeller::new();
+        while !stop.load(Ordering::Relaxed) {
+            let Some((tile, block)) = self.next_block(tiles) else { return };
+            let output = block.map(|block| {
+                let output = self.process(&tile, &block, &mut mask, &mut labeller);
+                self.progress.scanned(tile.core.area());
+                output
+            });
+            if outputs.send(output).is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Tile → Block.
+    fn next_block(&self, tiles: &crossbeam_channel::Receiver<Tile>) -> Option<(Tile, Result<Block>)> {
+        let _turn = self
+            .source
+            .info()
+            .sequential
+            .then(|| self.in_order.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+        let tile = tiles.recv().ok()?;
+        Some((tile, self.source.read(tile.read)))
+    }
+
+    /// Block → Mask → TileRegions, and what can be examined at once.
+    fn process(&self, tile: &Tile, block: &Block, mask: &mut Mask, labeller: &mut Labeller) -> TileOutput {
+        let info = self.source.info();
+        mask.reset(block.window);
+        self.detector.segment(block, mask);
+        let mut regions = labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region));
+        let mut output =
+            TileOutput { id: tile.id, examined: Vec::new(), straddling: Vec::new(), open: TileRegions::default() };
+        for region in std::mem::take(&mut regions.finished) {
+            let window = patch_window(&region, self.detector, info);
+            if block.window.contains_window(&window) {
+                let patch = block.patch(window, info);
+                output.examined.push((region.first, self.detector.examine(&region, &patch)));
+            } else {
+                output.straddling.push(region);
+            }
+        }
+        output.open = regions;
+        debug_assert!(self.plan.grid.bounds() == info.bounds());
+        output
+    }
+}
+
+fn patch_window(region: &Region, detector: &dyn Detector, info: &RasterInfo) -> Window {
+    region.bounds.grown(detector.patch_margin_px(), &info.bounds())
+}
+
+/// Region → Candidate through windows of their own.
+fn examine_windows(
+    source: &dyn RasterSource,
+    detector: &dyn Detector,
+    regions: &[Region],
+) -> Result<Vec<((u64, u64), Option<Candidate>)>> {
+    let info = source.info();
+    let examine = |region: &Region| {
+        let window = patch_window(region, detector, info);
+        let patch = source.read(window)?.patch(window, info);
+        Ok((region.first, detector.examine(region, &patch)))
+    };
+    if info.sequential {
+        // One pass from the top down: in parallel the reader would have to go back and forth.
+        return regions.iter().map(examine).collect();
+    }
+    regions.par_iter().map(examine).collect()
+}
