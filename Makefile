@@ -1,0 +1,55 @@
+# make demo          installs what is missing, builds, makes a sample and runs the main job on it
+# make test          everything needed to pass the whole test suite
+# make check         what CI runs: formatting, lints, documentation, tests
+# make bench         stage by stage and against other programs (minutes)
+# make check-large   the checks that take minutes or gigabytes
+SHELL := /bin/bash
+CARGO ?= cargo
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+PACKAGES := libgdal-dev gdal-bin pkg-config gcc g++ time
+MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q '^install ok installed' || echo $$p; done)
+DEMO := demo
+
+.PHONY: all deps build demo test check lint doc bench check-large clean
+
+all: build
+
+deps:
+	@missing="$(MISSING)"; if [ -n "$$missing" ]; then \
+	  echo "Will install with apt-get: $$missing"; \
+	  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; \
+	else echo "Nothing to install: $(PACKAGES) are there."; fi
+
+build: deps
+	$(CARGO) build --release
+
+demo: build
+	@rm -rf $(DEMO) && mkdir -p $(DEMO)
+	target/release/autoref-stream synth $(DEMO)/e6.tif --random-gcps 14 --visible 11 --size 6000,4500 --gsd 0.03 --rotate 12 \
+	  --seed 6 --write-gcps $(DEMO)/e6.geojson
+	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 1024
+	gdalinfo $(DEMO)/e6.tif | sed -n '/Size is/p;/GeoTransform/,/^Metadata/p' | head -6
+
+test: deps
+	$(CARGO) test --quiet -- --format=terse
+	$(CARGO) test --quiet --lib --features force-scalar segment -- --format=terse
+
+lint: deps
+	$(CARGO) fmt --check
+	$(CARGO) clippy --all-targets -- -D warnings
+
+doc: deps
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps
+
+check: lint doc test
+
+bench: build
+	$(CARGO) bench
+	benches/compare.sh
+
+check-large: build
+	AUTOREF_LARGE=1 $(CARGO) test --release -- --nocapture
+
+clean:
+	$(CARGO) clean
+	rm -rf $(DEMO)
