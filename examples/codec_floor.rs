@@ -93,7 +93,8 @@ fn decode_all(path: &str, blocks: &Blocks, next: &AtomicUsize) -> anyhow::Result
                     let mut stream = blocks.jpeg_tables.clone().unwrap_or_else(|| vec![0xff, 0xd8, 0xff, 0xd9]);
                     stream.truncate(stream.len() - 2);
                     stream.extend_from_slice(&raw[2..]);
-                    let mut jpeg = zune_jpeg::JpegDecoder::new(zune_jpeg::zune_core::bytestream::ZCursor::new(&stream[..]));
+                    let mut jpeg =
+                        zune_jpeg::JpegDecoder::new(zune_jpeg::zune_core::bytestream::ZCursor::new(&stream[..]));
                     out = jpeg.decode().map_err(|e| anyhow::anyhow!("{e:?}"))?;
                     out.len()
                 }

@@ -23,6 +23,7 @@ pub mod matching;
 pub mod merge;
 pub mod pipeline;
 pub mod raster;
+pub mod rematch;
 pub mod report;
 pub mod segment;
 pub mod solve;

@@ -37,6 +37,9 @@ impl Detector for RedPaint {
     fn patch_margin_px(&self) -> u64 {
         7
     }
+    fn largest_mark_px(&self) -> u64 {
+        60
+    }
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         // Depends on every pixel of the patch, so that a patch cut differently shows.
         let ring: f64 = patch.rgb.iter().enumerate().map(|(i, p)| (i % 31) as f64 * f64::from(p[1])).sum();

@@ -1,1 +1,2 @@
 //! Writing what was solved so that other programs understand it.
+pub mod candidate_list;

@@ -36,6 +36,8 @@ pub trait Detector: Sync {
     fn gate(&self, region: &Region) -> bool;
     /// Pixels around a region's bounds that [`Detector::examine`] wants to see.
     fn patch_margin_px(&self) -> u64;
+    /// The longest side a mark may have.
+    fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
 }

@@ -1,0 +1,158 @@
+//! Lists of candidates as files: what `detect` writes and `solve` reads.
+//!
+//! CSV columns: `x,y` (pixels, (0, 0) the outer corner of the first pixel), then `score`, `cov_xx,cov_xy,cov_yy` (px²),
+//! `area` (px), `width,height` (px), `elevation` (m). Only `x` and `y` are required when reading; the order is free.
+//! Numbers are written in the shortest form that reads back to the same value, so that two lists are equal when their
+//! bytes are.
+
+use std::io::Write;
+use std::path::Path;
+
+use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
+use crate::error::{Error, Result};
+
+const COLUMNS: [&str; 10] = ["x", "y", "score", "cov_xx", "cov_xy", "cov_yy", "area", "width", "height", "elevation"];
+
+/// Writes the list as CSV.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_csv(candidates: &[Candidate], mut out: impl Write) -> std::io::Result<()> {
+    writeln!(out, "{}", COLUMNS.join(","))?;
+    for candidate in candidates {
+        let fields = fields(candidate).map(|value| value.map_or(String::new(), |v| v.to_string()));
+        writeln!(out, "{}", fields.join(","))?;
+    }
+    Ok(())
+}
+
+fn fields(candidate: &Candidate) -> [Option<f64>; 10] {
+    let covariance = |i: usize| candidate.covariance_px2.map(|c| c[i]);
+    let size = |i: usize| candidate.size_px.map(|s| s[i]);
+    [
+        Some(candidate.centre.x),
+        Some(candidate.centre.y),
+        candidate.score,
+        covariance(0),
+        covariance(1),
+        covariance(2),
+        candidate.area_px,
+        size(0),
+        size(1),
+        candidate.elevation_m,
+    ]
+}
+
+/// Writes the list as GeoJSON points in pixel space: y is negated so that the picture is not upside down in a viewer;
+/// the properties hold x and y as they are.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::Result<()> {
+    let features: Vec<serde_json::Value> = candidates
+        .iter()
+        .map(|candidate| {
+            let properties: serde_json::Map<String, serde_json::Value> = COLUMNS
+                .iter()
+                .zip(fields(candidate))
+                .filter_map(|(name, value)| Some(((*name).to_string(), value?.into())))
+                .collect();
+            serde_json::json!({
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": [candidate.centre.x, -candidate.centre.y]},
+                "properties": properties,
+            })
+        })
+        .collect();
+    let collection = serde_json::json!({"type": "FeatureCollection", "features": features});
+    serde_json::to_writer(&mut out, &collection)?;
+    writeln!(out)
+}
+
+/// Reads a CSV list.
+///
+/// # Errors
+/// When the file cannot be read, lacks `x` or `y`, or has a value that is no number; the message names the row.
+pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .comment(Some(b'#'))
+        .from_path(path)
+        .map_err(|e| csv_error(path, &e))?;
+    let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
+    let column = |name: &str| headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
+    let places = COLUMNS.map(column);
+    for (name, place) in COLUMNS.iter().zip(places).take(2) {
+        if place.is_none() {
+            return Err(Error::format(path, "row 1", format!("no column `{name}`; a candidate list needs x and y")));
+        }
+    }
+    let mut candidates = Vec::new();
+    for (index, record) in reader.records().enumerate() {
+        let record = record.map_err(|e| csv_error(path, &e))?;
+        let row = index + 2;
+        let mut values = [None; 10];
+        for ((value, place), name) in values.iter_mut().zip(places).zip(COLUMNS) {
+            let Some(text) = place.and_then(|i| record.get(i)).filter(|text| !text.is_empty()) else { continue };
+            let number = text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+                Error::format(path, format!("row {row}"), format!("`{text}` in column `{name}` is not a number"))
+            })?;
+            *value = Some(number);
+        }
+        let [x, y, score, xx, xy, yy, area_px, width, height, elevation_m] = values;
+        let (Some(x), Some(y)) = (x, y) else {
+            return Err(Error::format(path, format!("row {row}"), "x or y is empty"));
+        };
+        candidates.push(Candidate {
+            centre: PixelPoint { x, y },
+            covariance_px2: xx.zip(yy).map(|(xx, yy)| [xx, xy.unwrap_or(0.0), yy]),
+            score,
+            area_px,
+            size_px: width.zip(height).map(|(w, h)| [w, h]),
+            elevation_m,
+        });
+    }
+    Ok(candidates)
+}
+
+fn csv_error(path: &Path, error: &csv::Error) -> Error {
+    match error.kind() {
+        csv::ErrorKind::Io(e) => Error::io(path, "read", std::io::Error::new(e.kind(), e.to_string())),
+        _ => {
+            let row = error.position().map_or(1, csv::Position::line);
+            Error::format(path, format!("row {row}"), error.to_string())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Candidate {
+        Candidate {
+            centre: PixelPoint { x: 12.345678901234, y: 0.1 + 0.2 },
+            covariance_px2: Some([1e-4, -2.5e-5, 3e-4]),
+            score: Some(17.25),
+            area_px: Some(96.0),
+            size_px: None,
+            elevation_m: None,
+        }
+    }
+
+    #[test]
+    fn csv_reads_back_to_the_same_bits() {
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        write_csv(&[example()], file.as_file()).expect("writable");
+        assert_eq!(read_csv(file.path()).expect("our own list"), vec![example()]);
+    }
+
+    #[test]
+    fn a_bad_number_names_its_row_and_column() {
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        std::fs::write(file.path(), "y,x\n1,2\n3,four\n").expect("writable");
+        let message = read_csv(file.path()).expect_err("`four` is no number").to_string();
+        assert!(message.contains("row 3") && message.contains("`four`") && message.contains("`x`"), "{message}");
+    }
+}
