@@ -5,6 +5,7 @@
 //! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
 //! so that nothing is copied on the way to the segmenter.
 
+pub mod gdal;
 pub mod memory;
 pub mod patch;
 
@@ -231,6 +232,27 @@ pub trait RasterSource: Send + Sync {
 /// # Errors
 /// When the file is missing, broken, or of a kind that no reader takes; the message says what exactly.
 pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) -> Result<Arc<dyn RasterSource>> {
-    let _ = (choice, page, cache_bytes);
-    Err(crate::Error::unsupported(path, "readers are being built", "wait"))
+    check_exists(path)?;
+    match choice {
+        ReaderChoice::Gdal | ReaderChoice::Auto => Ok(Arc::new(gdal::GdalSource::open(path, page, cache_bytes)?)),
+        ReaderChoice::Native => Err(crate::Error::unsupported(path, "native reading", "use --reader gdal")),
+    }
+}
+
+/// Missing files, directories and empty files get our own words; names that only GDAL understands are left to it.
+fn check_exists(path: &Path) -> Result<()> {
+    let name = path.to_string_lossy();
+    if name.starts_with("/vsi")
+        || name.split(':').next().is_some_and(|scheme| scheme.len() > 1 && name.len() > scheme.len())
+    {
+        return Ok(());
+    }
+    let metadata = std::fs::metadata(path).map_err(|e| crate::Error::io(path, "open", e))?;
+    if metadata.is_dir() {
+        return Err(crate::Error::unsupported(path, "it is a directory", "name the raster file in it"));
+    }
+    if metadata.len() == 0 {
+        return Err(crate::Error::format(path, "byte 0", "the file is empty"));
+    }
+    Ok(())
 }
