@@ -1,1 +1,5 @@
-//! From matches to a transform, with residuals.
+//! From matches to a transform, with residuals: [`similarity`] in the plane.
+
+pub mod similarity;
+
+pub use similarity::{Pair, PairResult, Similarity, Solution, Unsolvable, solve};

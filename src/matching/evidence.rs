@@ -1,0 +1,121 @@
+//! How likely is it that a pattern is an accident?
+//!
+//! The a-contrario reasoning of A. Desolneux, L. Moisan and J.-M. Morel, "Meaningful alignments", 2000, and of L. Moisan and
+//! B. Stival, "A probabilistic criterion to detect rigid point matches between two images", 2004: under the background
+//! model the candidates are a Poisson field of their own local density, without any relation to the GCPs. A hypothesis is
+//! an ordered pair of candidates laid on a pair of GCPs; it predicts where all other GCPs must be, each with a tolerance
+//! that grows with its distance from the pair. The number of false alarms is
+//!
+//! NFA = (hypotheses possible) · (tolerance levels) · P[at least as many of the predicted GCPs are hit by chance],
+//!
+//! the probability a Poisson-binomial tail over the GCPs inside the image. By the union bound the expected number of
+//! hypotheses with NFA ≤ ε in a field without the pattern is at most ε. Since the hypotheses are pairs, not fits, no freedom
+//! is spent that is not counted; a pattern is given the smallest NFA of its own pairs. Where we differ: heterogeneous
+//! probabilities (tolerance and density differ from GCP to GCP), and a level set of tolerances instead of the k-th residual.
+
+use crate::coords::{MapPoint, PixelPoint};
+use crate::matching::field::Field;
+use crate::solve::Similarity;
+
+/// Tolerance levels tried, pixels: 1 to 11.3 by √2.
+pub const LEVELS_PX: [f64; 8] = [1.0, 1.4142, 2.0, 2.8284, 4.0, 5.6569, 8.0, 11.3137];
+
+/// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² + |w|²)
+/// with w the complex position of `p` along the pair.
+pub fn spread_from_pair(a: MapPoint, b: MapPoint, p: MapPoint) -> f64 {
+    let (ux, uy) = (b.easting - a.easting, b.northing - a.northing);
+    let (vx, vy) = (p.easting - a.easting, p.northing - a.northing);
+    let square = ux * ux + uy * uy;
+    let (w_re, w_im) = ((vx * ux + vy * uy) / square, (vy * ux - vx * uy) / square);
+    (1.0 + (1.0 - w_re).powi(2) + w_im * w_im + w_re * w_re + w_im * w_im).sqrt()
+}
+
+/// log₁₀ of P[at least `hits` successes] of independent trials of the given probabilities.
+pub fn log10_tail(probabilities: &[f64], hits: usize) -> f64 {
+    if hits == 0 {
+        return 0.0;
+    }
+    if hits > probabilities.len() {
+        return f64::NEG_INFINITY;
+    }
+    // state[j]: probability of j successes so far, the last one "hits or more". Products of a few dozen probabilities
+    // stay far above the smallest double.
+    let mut state = vec![0.0; hits + 1];
+    state[0] = 1.0;
+    for &p in probabilities {
+        state[hits] += state[hits - 1] * p;
+        for j in (1..hits).rev() {
+            state[j] = state[j] * (1.0 - p) + state[j - 1] * p;
+        }
+        state[0] *= 1.0 - p;
+    }
+    state[hits].max(f64::MIN_POSITIVE).log10()
+}
+
+/// What one hypothesis, tested as a pair, is worth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairEvidence {
+    pub log10_false_alarms: f64,
+    pub hits: usize,
+    pub gcps_in_image: usize,
+}
+
+/// Tests the exact hypothesis that takes `pixels` to the GCPs `a` and `b`, at one tolerance level.
+pub fn pair_evidence(
+    field: &Field,
+    gcps: &[MapPoint],
+    (a, b): (usize, usize),
+    pixels: [PixelPoint; 2],
+    level_px: f64,
+    log10_tests: f64,
+) -> Option<PairEvidence> {
+    let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
+    let mut probabilities = Vec::with_capacity(gcps.len());
+    let mut hit: Vec<usize> = Vec::new();
+    for (k, gcp) in gcps.iter().enumerate() {
+        if k == a || k == b {
+            continue;
+        }
+        let predicted = similarity.invert(*gcp);
+        if !field.contains(predicted) {
+            continue;
+        }
+        let radius = level_px * spread_from_pair(gcps[a], gcps[b], *gcp);
+        let density = field.density_near(predicted);
+        probabilities.push(-(-density * std::f64::consts::PI * radius * radius).exp_m1());
+        // One candidate is evidence for one GCP only.
+        if let Some((candidate, _)) = field.nearest(predicted, radius)
+            && !hit.contains(&candidate)
+        {
+            hit.push(candidate);
+        }
+    }
+    let tail = log10_tail(&probabilities, hit.len());
+    let levels = (LEVELS_PX.len() as f64).log10();
+    Some(PairEvidence {
+        log10_false_alarms: log10_tests + levels + tail,
+        hits: hit.len() + 2,
+        gcps_in_image: probabilities.len() + 2,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tail_of_equal_probabilities_is_binomial() {
+        // P[X ≥ 2], X ~ B(4, 0.1) = 0.0523.
+        assert!((log10_tail(&[0.1; 4], 2) - 0.0523f64.log10()).abs() < 1e-12);
+        assert_eq!(log10_tail(&[0.5; 3], 0), 0.0);
+        assert_eq!(log10_tail(&[0.5; 3], 4), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn predictions_between_the_pair_are_the_surest() {
+        let at = |e: f64, n: f64| MapPoint { easting: e, northing: n };
+        let middle = spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(5.0, 0.0));
+        assert!((middle - 1.5f64.sqrt()).abs() < 1e-12);
+        assert!(spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(0.0, 100.0)) > 14.0);
+    }
+}

@@ -1,0 +1,107 @@
+//! What several test files share.
+#![allow(dead_code)] // each test file uses its own part
+
+use std::path::PathBuf;
+
+use autoref_stream::candidate::Candidate;
+use autoref_stream::coords::PixelPoint;
+use autoref_stream::gcp::Gcp;
+
+/// A path under the real data beside the repository, or `None` (with a message) when it is absent.
+pub fn data(relative: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(relative);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("skipped: {} is absent", path.display());
+    None
+}
+
+/// Whether the checks that take minutes were asked for.
+pub fn large() -> bool {
+    std::env::var_os("AUTOREF_LARGE").is_some()
+}
+
+/// Rows of a CSV with a header, as maps from column to text.
+pub fn rows(relative: &str) -> Option<Vec<std::collections::HashMap<String, String>>> {
+    let mut reader = csv::Reader::from_path(data(relative)?).expect("the thesis tables are readable");
+    Some(reader.deserialize().map(|row| row.expect("the thesis tables are well formed")).collect())
+}
+
+fn number(row: &std::collections::HashMap<String, String>, column: &str) -> f64 {
+    row[column].trim().parse().expect("the thesis tables hold numbers")
+}
+
+/// GCPs of a thesis table.
+pub fn thesis_gcps(relative: &str) -> Option<Vec<Gcp>> {
+    Some(
+        rows(relative)?
+            .iter()
+            .map(|row| Gcp {
+                height: Some(number(row, "height")),
+                ..Gcp::control(&row["name"], number(row, "easting"), number(row, "northing"))
+            })
+            .collect(),
+    )
+}
+
+/// Candidates of a thesis table: its pixels count from 1 at the centre of the first pixel.
+pub fn thesis_candidates(relative: &str) -> Option<Vec<Candidate>> {
+    Some(
+        rows(relative)?
+            .iter()
+            .map(|row| Candidate {
+                elevation_m: Some(number(row, "elevation")),
+                ..bare_candidate(number(row, "x") - 0.5, number(row, "y") - 0.5)
+            })
+            .collect(),
+    )
+}
+
+/// A candidate of which only the place is known.
+pub fn bare_candidate(x: f64, y: f64) -> Candidate {
+    Candidate {
+        centre: PixelPoint { x, y },
+        covariance_px2: None,
+        score: None,
+        area_px: None,
+        size_px: None,
+        elevation_m: None,
+    }
+}
+
+/// Random numbers that are the same everywhere (splitmix64).
+pub struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Random(seed)
+    }
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+    /// Uniform in [low, high).
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (self.bits() >> 11) as f64 / (1u64 << 53) as f64 * (high - low)
+    }
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.bits() % n as u64) as usize
+    }
+    /// Standard normal (Box–Muller).
+    pub fn normal(&mut self) -> f64 {
+        let (u, v) = (self.uniform(f64::MIN_POSITIVE, 1.0), self.uniform(0.0, 1.0));
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    }
+    /// A random order of 0..n.
+    pub fn order(&mut self, n: usize) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..n).collect();
+        for i in (1..n).rev() {
+            order.swap(i, self.below(i + 1));
+        }
+        order
+    }
+}
