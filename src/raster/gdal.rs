@@ -66,8 +66,12 @@ impl GdalName {
     fn error(&self, error: gdal::errors::GdalError) -> Error {
         use gdal::errors::GdalError;
         match error {
-            GdalError::CplError { msg, .. } if !msg.is_empty() => Error::gdal(&self.path, msg),
-            GdalError::NullPointer { msg, .. } if !msg.is_empty() => Error::gdal(&self.path, msg),
+            GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => {
+                // GDAL often begins with the name that we print already.
+                let name = self.path.display().to_string();
+                let said = msg.strip_prefix(&format!("{name}: ")).or(msg.strip_prefix(&format!("{name}, ")));
+                Error::gdal(&self.path, said.unwrap_or(&msg))
+            }
             GdalError::NullPointer { .. } => Error::gdal(&self.path, "no driver recognises this file"),
             other => Error::gdal(&self.path, other),
         }
@@ -144,6 +148,11 @@ impl GdalDecoder {
         let meaning = meaning(&name.path, &dataset)?;
         let driver = dataset.driver().short_name();
         let compression = dataset.metadata_item("COMPRESSION", "IMAGE_STRUCTURE");
+        if compression.as_deref() == Some("OJPEG") {
+            // Measured: what libtiff gives for such a file depends on the order in which its strips are read.
+            let remedy = format!("convert it: gdal_translate {} converted.tif", super::open::quoted(&name.path));
+            return Err(Error::unsupported(&name.path, "old-style JPEG in TIFF (compression 6)", remedy));
+        }
         let (bw, bh) = first.block_size();
         let block = ((bw as u64).clamp(1, width), (bh as u64).clamp(1, height));
         let pixel_bytes = (meaning.samples() * sample.bytes()) as u64;
@@ -353,8 +362,7 @@ fn meaning(path: &Path, dataset: &Dataset) -> Result<Meaning> {
     let find = |colour: Colour| colours.iter().position(|c| *c == colour);
     for (colour, name) in [(Colour::CyanBand, "CMYK"), (Colour::HueBand, "HLS"), (Colour::YCbCrSpaceYBand, "YCbCr")] {
         if find(colour).is_some() {
-            let remedy =
-                format!("convert it to RGB: gdalwarp or ImageMagick can, {} cannot be used as it is", path.display());
+            let remedy = "convert it to RGB first (ImageMagick: convert in.tif -colorspace sRGB out.tif)";
             return Err(Error::unsupported(path, format!("{name} bands"), remedy));
         }
     }

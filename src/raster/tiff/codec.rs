@@ -8,11 +8,12 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::layout::{Codec, Layout};
+use super::lzw;
 
 struct Workers {
     deflate: libdeflater::Decompressor,
     zstd: Option<zstd::bulk::Decompressor<'static>>,
-    lzw: weezl::decode::Decoder,
+    lzw: lzw::Decoder,
     /// Tables and data of a JPEG block, joined.
     jpeg: Vec<u8>,
 }
@@ -21,7 +22,7 @@ thread_local! {
     static WORKERS: RefCell<Workers> = RefCell::new(Workers {
         deflate: libdeflater::Decompressor::new(),
         zstd: None,
-        lzw: weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8),
+        lzw: lzw::Decoder::new(),
         jpeg: Vec::new(),
     });
 }
@@ -39,7 +40,7 @@ pub fn decompress(layout: &Layout, data: &[u8], rows: u64, out: &mut [u8]) -> Re
             Ok(())
         }
         Codec::PackBits => unpack_bits(data, out),
-        Codec::Lzw => lzw(&mut workers.lzw, data, out),
+        Codec::Lzw => lzw_block(&mut workers.lzw, data, out),
         Codec::Deflate => deflate(&mut workers.deflate, data, out),
         Codec::Zstd => zstd_block(&mut workers.zstd, data, out),
         Codec::Jpeg => jpeg(layout, &mut workers.jpeg, data, rows, out),
@@ -79,24 +80,14 @@ fn unpack_bits(mut data: &[u8], out: &mut [u8]) -> Result<(), String> {
     Ok(())
 }
 
-fn lzw(decoder: &mut weezl::decode::Decoder, data: &[u8], out: &mut [u8]) -> Result<(), String> {
+fn lzw_block(decoder: &mut lzw::Decoder, data: &[u8], out: &mut [u8]) -> Result<(), String> {
     if data.len() >= 2 && data[0] == 0 && data[1] & 1 == 1 {
         return Err("it is LZW of the old kind (before TIFF 5.0)".into());
     }
-    decoder.reset();
-    let (mut read, mut written) = (0, 0);
-    while written < out.len() {
-        let result = decoder.decode_bytes(&data[read..], &mut out[written..]);
-        read += result.consumed_in;
-        written += result.consumed_out;
-        match result.status {
-            Ok(weezl::LzwStatus::Ok) if result.consumed_in + result.consumed_out > 0 => {}
-            Ok(_) => break,
-            Err(_) if written == out.len() => break,
-            Err(error) => return Err(format!("LZW: {error}")),
-        }
+    match decoder.decode(data, out)? {
+        length if length < out.len() => Err(short(length, out)),
+        _ => Ok(()),
     }
-    if written < out.len() { Err(short(written, out)) } else { Ok(()) }
 }
 
 fn deflate(decoder: &mut libdeflater::Decompressor, data: &[u8], out: &mut [u8]) -> Result<(), String> {

@@ -39,6 +39,7 @@ pub struct TiffDecoder {
     planes: Vec<usize>,
     pool: BufferPool,
     fill: u16,
+    kernel: predictor::Kernel,
 }
 
 impl TiffDecoder {
@@ -103,7 +104,17 @@ impl TiffDecoder {
         }
         let fill = info.fill_value();
         let pool = BufferPool::new((cache_bytes / 4 / chunk_bytes.max(1)).clamp(2, 64) as usize);
-        Ok(TiffDecoder { file: all.file.clone(), order: all.order, layout, info, grid, planes, pool, fill })
+        Ok(TiffDecoder {
+            file: all.file.clone(),
+            order: all.order,
+            layout,
+            info,
+            grid,
+            planes,
+            pool,
+            fill,
+            kernel: predictor::Kernel::best(),
+        })
     }
 
     fn samples(&self) -> usize {
@@ -152,7 +163,7 @@ impl TiffDecoder {
         if !held {
             out.fill(self.fill as u8);
         } else if self.layout.predictor {
-            predictor::undo_u8(out, self.layout.block_row_bytes() as usize, self.layout.block_samples());
+            predictor::undo_u8(self.kernel, out, self.layout.block_row_bytes() as usize, self.layout.block_samples());
         }
         Ok(held)
     }
@@ -218,7 +229,8 @@ impl TiffDecoder {
                 self.assemble(chunk, counters, &mut any, &mut out, |raw, predictor, row, samples| {
                     row.copy_from_slice(raw);
                     if predictor {
-                        predictor::undo_u8(row, row.len().max(1), samples);
+                        let row_bytes = row.len();
+                        predictor::undo_u8(self.kernel, row, row_bytes, samples);
                     }
                 })?;
                 PieceData::U8(self.pool.share(out))
@@ -227,7 +239,10 @@ impl TiffDecoder {
                 let mut out = vec![0; count];
                 let big = self.order == ByteOrder::Big;
                 self.assemble(chunk, counters, &mut any, &mut out, |raw, predictor, row, samples| {
-                    predictor::words(raw, row, big, predictor.then_some(samples));
+                    predictor::words(raw, row, big);
+                    if predictor {
+                        predictor::undo_u16(self.kernel, row, samples);
+                    }
                 })?;
                 PieceData::U16(out.into())
             }

@@ -4,6 +4,7 @@ mod codec;
 pub mod container;
 mod decoder;
 mod layout;
+mod lzw;
 mod predictor;
 
 pub use container::{Directories, is_tiff};
