@@ -1,325 +1,435 @@
-//! Every raster that the native reader does not take, through GDAL.
+//! Everything that GDAL opens, as a [`super::RasterSource`].
 //!
-//! A dataset handle serves one thread at a time, so each concurrent read borrows one from a pool. GDAL's own block cache
-//! is bounded by what the plan allows and does the work of the native reader's cache. Palettes are expanded to colours;
-//! a mask beside the bands is presented as an alpha sample.
+//! GDAL's datasets may move between threads but not be shared by them, so each read takes one from a pool, and a new one
+//! is opened when the pool is empty. Formats that can only be read from the top down have one dataset behind a lock.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, Once};
+use std::sync::{Mutex, Once, PoisonError};
 
-use gdal::raster::{ColorInterpretation, GdalDataType, GdalType};
-use gdal::{Dataset, Metadata};
+use gdal::raster::{ColorInterpretation, GdalDataType, GdalType, RasterBand};
+use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
+use super::cache::Chunk;
+use super::chunked::{ChunkDecoder, ChunkedSource, Counters, group_blocks};
+use super::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
-use crate::raster::{
-    Block, BlockLayout, Piece, PieceData, PooledBytes, RasterInfo, RasterSource, ReadStats, SampleType,
-};
-use crate::window::Window;
+use crate::window::{TileGrid, Window};
 
-/// Formats that GDAL decodes from the top down only: going back means starting again.
-const FORWARD_ONLY: [&str; 5] = ["JPEG", "PNG", "GIF", "WEBP", "BIGGIF"];
+/// The GDAL reader.
+pub type GdalSource = ChunkedSource<GdalDecoder>;
 
-/// Quiets GDAL's own printing: what it says goes to the log, and what matters comes back as errors.
-pub fn init() {
+/// Prepares GDAL once for the whole process: messages go to the log instead of stderr, and GDAL's own block cache is
+/// bounded by `cache_bytes`. Later calls change nothing.
+pub fn initialise_gdal(cache_bytes: u64) {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        gdal::config::set_error_handler(|class, code, message| {
-            tracing::debug!(target: "gdal", ?class, code, "{message}");
+        gdal::config::set_error_handler(|kind, number, message| {
+            tracing::debug!(target: "gdal", ?kind, number, "{message}");
         });
-        // One reader thread is one thread: our workers are the parallelism.
-        let _ = gdal::config::set_config_option("GDAL_NUM_THREADS", "1");
+        // Below 100000 GDAL would read the number as megabytes. Blocks are cached by us: GDAL needs only what one read of
+        // several bands meets again.
+        let bytes = (cache_bytes / 4).clamp(4 << 20, 64 << 20);
+        if std::env::var_os("GDAL_CACHEMAX").is_none() {
+            gdal::config::set_config_option("GDAL_CACHEMAX", &bytes.to_string())
+                .expect("neither key nor value holds a zero byte");
+        }
     });
 }
 
-/// Where the samples we hand out come from.
+/// What GDAL is asked to open: a path or one of its own names (`/vsicurl/…`, `GTIFF_DIR:2:a.tif`).
 #[derive(Clone, Debug)]
-enum Channels {
-    /// 1-based band numbers.
-    Bands(Vec<usize>),
-    /// The palette of band 1.
-    Palette(Arc<Vec<[u8; 4]>>),
+pub(super) struct GdalName {
+    /// For messages.
+    pub path: PathBuf,
+    pub name: PathBuf,
 }
 
-/// A raster opened with GDAL.
-pub struct GdalSource {
-    info: RasterInfo,
-    channels: Channels,
-    /// The dataset's mask becomes one more sample.
+impl GdalName {
+    pub fn new(path: &Path, page: usize) -> Self {
+        let name = match page {
+            0 => path.to_path_buf(),
+            page => PathBuf::from(format!("GTIFF_DIR:{}:{}", page + 1, path.display())),
+        };
+        GdalName { path: path.to_path_buf(), name }
+    }
+
+    pub fn open(&self) -> Result<Dataset> {
+        let flags = GdalOpenFlags::GDAL_OF_READONLY
+            | GdalOpenFlags::GDAL_OF_RASTER
+            | GdalOpenFlags::GDAL_OF_INTERNAL
+            | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
+        let options = DatasetOptions { open_flags: flags, ..Default::default() };
+        Dataset::open_ex(&self.name, options).map_err(|e| self.error(e))
+    }
+
+    fn error(&self, error: gdal::errors::GdalError) -> Error {
+        use gdal::errors::GdalError;
+        match error {
+            GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => {
+                // GDAL often begins with the name that we print already.
+                let name = self.path.display().to_string();
+                let said = msg.strip_prefix(&format!("{name}: ")).or(msg.strip_prefix(&format!("{name}, ")));
+                Error::gdal(&self.path, said.unwrap_or(&msg))
+            }
+            GdalError::NullPointer { .. } => Error::gdal(&self.path, "no driver recognises this file"),
+            other => Error::gdal(&self.path, other),
+        }
+    }
+}
+
+/// What the pixels of a dataset mean.
+#[derive(Clone, Debug)]
+struct Meaning {
+    /// Numbers (from 1) of the bands to read, in the order in which they are interleaved.
+    bands: Vec<usize>,
+    rgb: [usize; 3],
+    alpha: Option<usize>,
+    /// One band of indices into these colours (with alpha).
+    palette: Option<Vec<[u8; 4]>>,
+    /// The mask band becomes one more sample.
     mask: bool,
-    idle: Mutex<Vec<Dataset>>,
-    bytes_read: AtomicU64,
-    blocks_decoded: AtomicU64,
+    nodata: Option<f64>,
 }
 
-impl GdalSource {
-    /// Opens `path`, which may be one of GDAL's virtual names (`/vsicurl/…`, a subdataset).
-    ///
-    /// # Errors
-    /// When GDAL cannot open it, or its samples are no 8- or 16-bit unsigned numbers.
-    pub fn open(path: &Path, page: usize, cache_bytes: u64) -> Result<Self> {
-        init();
-        let _ = gdal::config::set_config_option("GDAL_CACHEMAX", &format!("{}", (cache_bytes >> 20).max(4)));
-        let name = paged_name(path, page);
-        let dataset = Dataset::open(&name).map_err(|e| Error::gdal(path, e))?;
-        let (info, channels, mask) = describe(path, &dataset)?;
-        Ok(GdalSource {
-            info,
-            channels,
-            mask,
-            idle: Mutex::new(vec![dataset]),
-            bytes_read: AtomicU64::new(0),
-            blocks_decoded: AtomicU64::new(0),
+impl Meaning {
+    /// Samples of a pixel as handed out.
+    fn samples(&self) -> usize {
+        match &self.palette {
+            Some(_) => 4,
+            None => self.bands.len() + usize::from(self.mask),
+        }
+    }
+}
+
+/// The part of the GDAL reader that knows GDAL.
+pub struct GdalDecoder {
+    name: GdalName,
+    info: RasterInfo,
+    meaning: Meaning,
+    grid: TileGrid,
+    /// GDAL's blocks in one of our chunks, across and down.
+    group: (u64, u64),
+    block: (u64, u64),
+    pool: BufferPool,
+    idle: Mutex<Vec<Dataset>>,
+}
+
+/// Opens `path` with GDAL. `page` counts TIFF directories from 0.
+///
+/// # Errors
+/// When GDAL cannot open it, or its samples are not 8- or 16-bit unsigned images, or one of its blocks is larger than
+/// `cache_bytes`.
+pub(super) fn open_gdal(path: &Path, page: usize, cache_bytes: u64) -> Result<GdalSource> {
+    initialise_gdal(cache_bytes);
+    let mut name = GdalName::new(path, page);
+    let mut dataset = name.open()?;
+    if dataset.raster_count() == 0 {
+        let Some(first) = dataset.metadata_item("SUBDATASET_1_NAME", "SUBDATASETS") else {
+            return Err(Error::unsupported(path, "GDAL opens it, but it holds no raster", "give an image file"));
+        };
+        name.name = PathBuf::from(first);
+        dataset = name.open()?;
+    }
+    let decoder = GdalDecoder::new(name, dataset, cache_bytes)?;
+    Ok(ChunkedSource::new(decoder, cache_bytes))
+}
+
+/// Drivers that decode only forward.
+const SEQUENTIAL_DRIVERS: [&str; 5] = ["JPEG", "PNG", "GIF", "BIGGIF", "WEBP"];
+
+impl GdalDecoder {
+    fn new(name: GdalName, dataset: Dataset, cache_bytes: u64) -> Result<Self> {
+        let gdal = |e| name.error(e);
+        let (width, height) = dataset.raster_size();
+        let (width, height) = (width as u64, height as u64);
+        let first = dataset.rasterband(1).map_err(gdal)?;
+        let sample = sample_type(&name.path, &dataset)?;
+        let meaning = meaning(&name.path, &dataset)?;
+        let driver = dataset.driver().short_name();
+        let compression = dataset.metadata_item("COMPRESSION", "IMAGE_STRUCTURE");
+        if compression.as_deref() == Some("OJPEG") {
+            // Measured: what libtiff gives for such a file depends on the order in which its strips are read.
+            let remedy = format!("convert it: gdal_translate {} converted.tif", super::open::quoted(&name.path));
+            return Err(Error::unsupported(&name.path, "old-style JPEG in TIFF (compression 6)", remedy));
+        }
+        let (bw, bh) = first.block_size();
+        let block = ((bw as u64).clamp(1, width), (bh as u64).clamp(1, height));
+        let pixel_bytes = (meaning.samples() * sample.bytes()) as u64;
+        let block_bytes = (block.0 * block.1).saturating_mul(pixel_bytes);
+        if block_bytes > cache_bytes {
+            return Err(Error::Limit {
+                what: format!("{}: one block of {} x {} pixels", name.path.display(), block.0, block.1),
+                needed: block_bytes,
+                allowed: cache_bytes,
+                remedy: super::open::retile_remedy(&name.path),
+            });
+        }
+        let strips = block.0 == width;
+        let group = group_blocks(block, (width, height), pixel_bytes);
+        let grid = TileGrid::new(width, height, block.0 * group.0, block.1 * group.1, 0);
+        let chunk_bytes = grid.tile_width() * grid.tile_height() * pixel_bytes;
+        let facts = Facts::of(&dataset);
+        let info = RasterInfo {
+            path: name.path.clone(),
+            width,
+            height,
+            bands: dataset.raster_count(),
+            sample,
+            rgb: meaning.rgb,
+            alpha: meaning.alpha,
+            nodata: meaning.nodata,
+            white: white(&dataset, &first, sample),
+            layout: match strips {
+                true => BlockLayout::Strips { rows: block.1 },
+                false => BlockLayout::Tiles { width: block.0, height: block.1 },
+            },
+            blocks: width.div_ceil(block.0) * height.div_ceil(block.1),
+            chunk_bytes,
+            sequential: SEQUENTIAL_DRIVERS.contains(&driver.as_str()),
+            reader: "gdal",
+            description: match compression {
+                Some(compression) => format!("{driver}, {compression}"),
+                None => driver,
+            },
+            geotransform: facts.geotransform,
+            crs_wkt: facts.crs_wkt,
+            resolution_m_per_px: facts.resolution_m_per_px,
+        };
+        drop(first);
+        let pool = BufferPool::new((cache_bytes / 4 / chunk_bytes.max(1)).clamp(2, 64) as usize);
+        Ok(GdalDecoder { name, info, meaning, grid, group, block, pool, idle: Mutex::new(vec![dataset]) })
+    }
+
+    /// Runs `job` with a dataset that no other thread has.
+    fn with_dataset<R>(&self, job: impl FnOnce(&Dataset) -> Result<R>) -> Result<R> {
+        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.info.sequential {
+            // The lock is kept: a second dataset would decode everything again from the top.
+            let dataset = match idle.pop() {
+                Some(dataset) => dataset,
+                None => self.name.open()?,
+            };
+            let result = job(&dataset);
+            idle.push(dataset);
+            return result;
+        }
+        let dataset = idle.pop();
+        drop(idle);
+        let dataset = match dataset {
+            Some(dataset) => dataset,
+            None => self.name.open()?,
+        };
+        let result = job(&dataset);
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(dataset);
+        result
+    }
+
+    fn read_band<T: Copy + Default + GdalType>(
+        &self,
+        band: &RasterBand,
+        window: Window,
+        plane: &mut [T],
+        place: &str,
+    ) -> Result<()> {
+        let size = (window.width as usize, window.height as usize);
+        band.read_into_slice((window.x as isize, window.y as isize), size, size, plane, None).map_err(|e| {
+            match self.name.error(e) {
+                Error::Gdal { path, what } => Error::gdal(path, format!("{place}, {}: {what}", at(window))),
+                other => other,
+            }
         })
     }
 
-    fn borrow_dataset(&self) -> Result<Dataset> {
-        let idle = self.idle.lock().unwrap_or_else(std::sync::PoisonError::into_inner).pop();
-        match idle {
-            Some(dataset) => Ok(dataset),
-            None => Dataset::open(&self.info.path).map_err(|e| Error::gdal(&self.info.path, e)),
+    /// All samples of `window`, interleaved into `out`, which has `samples` of them a pixel.
+    fn read_samples<T>(&self, dataset: &Dataset, window: Window, out: &mut [T], opaque: T) -> Result<()>
+    where
+        T: Copy + Default + GdalType + PartialEq,
+    {
+        let samples = self.meaning.samples();
+        let gdal = |e| self.name.error(e);
+        if samples == 1 {
+            let band = dataset.rasterband(self.meaning.bands[0]).map_err(gdal)?;
+            return self.read_band(&band, window, out, "band 1");
         }
+        let mut plane = vec![T::default(); window.area() as usize];
+        for (index, &number) in self.meaning.bands.iter().enumerate() {
+            let band = dataset.rasterband(number).map_err(gdal)?;
+            self.read_band(&band, window, &mut plane, &format!("band {number}"))?;
+            for (pixel, &value) in out.chunks_exact_mut(samples).zip(&plane) {
+                pixel[index] = value;
+            }
+        }
+        if self.meaning.mask {
+            let mut mask = vec![0u8; window.area() as usize];
+            let band = dataset.rasterband(1).map_err(gdal)?;
+            let band = band.open_mask_band().map_err(gdal)?;
+            self.read_band(&band, window, &mut mask, "mask")?;
+            for (pixel, &value) in out.chunks_exact_mut(samples).zip(&mask) {
+                pixel[samples - 1] = if value == 0 { T::default() } else { opaque };
+            }
+        }
+        Ok(())
     }
 
-    fn samples_per_pixel(&self) -> usize {
-        let colours = match &self.channels {
-            Channels::Bands(bands) => bands.len(),
-            Channels::Palette(_) => 4,
-        };
-        colours + usize::from(self.mask)
-    }
-
-    /// Band by band into an interleaved buffer.
-    fn read_interleaved<T: Copy + Default + GdalType + From<u8>>(
-        &self,
-        window: Window,
-        out: &mut Vec<T>,
-    ) -> Result<()> {
-        let dataset = self.borrow_dataset()?;
-        let stride = self.samples_per_pixel();
-        let pixels = window.area() as usize;
-        out.clear();
-        out.resize(pixels * stride, T::default());
-        let mut plane = vec![T::default(); pixels];
-        let result = (|| -> gdal::errors::Result<()> {
-            let mut position = 0;
-            match &self.channels {
-                Channels::Bands(bands) => {
-                    for &band in bands {
-                        read_plane(&dataset.rasterband(band)?, window, &mut plane)?;
-                        spread(&plane, out, position, stride);
-                        position += 1;
-                    }
-                }
-                Channels::Palette(palette) => {
-                    let mut indices = vec![0u8; pixels];
-                    read_plane(&dataset.rasterband(1)?, window, &mut indices)?;
-                    for (pixel, &index) in out.chunks_exact_mut(stride).zip(&indices) {
-                        let colour = palette.get(usize::from(index)).copied().unwrap_or([0; 4]);
-                        pixel.iter_mut().zip(colour).for_each(|(to, from)| *to = T::from(from));
-                    }
-                    position = 4;
-                }
-            }
-            if self.mask {
-                read_plane(&dataset.rasterband(1)?.open_mask_band()?, window, &mut plane)?;
-                spread(&plane, out, position, stride);
-            }
-            Ok(())
-        })();
-        result.map_err(|e| {
-            let place = format!("window {}×{} at {}, {}", window.width, window.height, window.x, window.y);
-            Error::gdal(&self.info.path, format!("{place}: {e}"))
-        })?;
-        self.idle.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(dataset);
+    fn read_palette(&self, dataset: &Dataset, window: Window, palette: &[[u8; 4]], out: &mut [u8]) -> Result<()> {
+        let mut indices = vec![0u16; window.area() as usize];
+        let band = dataset.rasterband(1).map_err(|e| self.name.error(e))?;
+        self.read_band(&band, window, &mut indices, "band 1")?;
+        for (pixel, &index) in out.chunks_exact_mut(4).zip(&indices) {
+            // Indices beyond the table are black and hold nothing.
+            pixel.copy_from_slice(palette.get(usize::from(index)).unwrap_or(&[0; 4]));
+        }
         Ok(())
     }
 }
 
-fn read_plane<T: Copy + GdalType>(
-    band: &gdal::raster::RasterBand<'_>,
-    window: Window,
-    plane: &mut [T],
-) -> gdal::errors::Result<()> {
-    let size = (window.width as usize, window.height as usize);
-    band.read_into_slice((window.x as isize, window.y as isize), size, size, plane, None)
+fn at(window: Window) -> String {
+    format!("rows {}..{}, columns {}..{}", window.y, window.bottom(), window.x, window.right())
 }
 
-fn spread<T: Copy>(plane: &[T], out: &mut [T], position: usize, stride: usize) {
-    for (pixel, &value) in out.chunks_exact_mut(stride).zip(plane) {
-        pixel[position] = value;
-    }
-}
-
-impl RasterSource for GdalSource {
+impl ChunkDecoder for GdalDecoder {
     fn info(&self) -> &RasterInfo {
         &self.info
     }
 
-    fn read(&self, window: Window) -> Result<Block> {
-        debug_assert!(self.info.bounds().contains_window(&window));
-        let stride = self.samples_per_pixel();
-        let data = match self.info.sample {
-            SampleType::U8 => {
-                let mut bytes = Vec::new();
-                self.read_interleaved(window, &mut bytes)?;
-                PieceData::U8(Arc::new(PooledBytes { bytes, home: None }))
-            }
-            SampleType::U16 => {
-                let mut samples = Vec::new();
-                self.read_interleaved(window, &mut samples)?;
-                PieceData::U16(Arc::new(samples))
-            }
-        };
-        let bytes = window.area() * (stride * self.info.sample.bytes()) as u64;
-        self.bytes_read.fetch_add(bytes, Ordering::Relaxed);
-        self.blocks_decoded.fetch_add(blocks_met(&self.info, window), Ordering::Relaxed);
-        let piece = Piece {
-            window,
-            data,
-            offset: 0,
-            row_stride: window.width as usize * stride,
-            pixel_stride: stride,
-            empty: false,
-        };
-        Ok(Block { window, pieces: vec![piece] })
+    fn grid(&self) -> &TileGrid {
+        &self.grid
     }
 
-    fn stats(&self) -> ReadStats {
-        ReadStats {
-            blocks_decoded: self.blocks_decoded.load(Ordering::Relaxed),
-            blocks_skipped: 0,
-            bytes_read: self.bytes_read.load(Ordering::Relaxed),
+    fn decode(&self, id: u64, counters: &Counters) -> Result<Chunk> {
+        let window = self.grid.tile(id).core;
+        let samples = self.meaning.samples();
+        let count = window.area() as usize * samples;
+        let data = self.with_dataset(|dataset| match (&self.meaning.palette, self.info.sample) {
+            (Some(palette), _) => {
+                let mut out = self.pool.take(count);
+                self.read_palette(dataset, window, palette, &mut out)?;
+                Ok(PieceData::U8(self.pool.share(out)))
+            }
+            (None, SampleType::U8) => {
+                let mut out = self.pool.take(count);
+                self.read_samples(dataset, window, &mut out, u8::MAX)?;
+                Ok(PieceData::U8(self.pool.share(out)))
+            }
+            (None, SampleType::U16) => {
+                let mut out = vec![0u16; count];
+                self.read_samples(dataset, window, &mut out, u16::MAX)?;
+                Ok(PieceData::U16(out.into()))
+            }
+        })?;
+        let blocks = window.width.div_ceil(self.block.0) * window.height.div_ceil(self.block.1);
+        debug_assert!(blocks <= self.group.0 * self.group.1);
+        let bytes = (count * self.info.sample.bytes()) as u64;
+        // GDAL does not say how many bytes of the file it took.
+        counters.add(blocks, 0, 0);
+        let row_stride = window.width as usize * samples;
+        Ok(Chunk { data: Some(data), offset: 0, row_stride, pixel_stride: samples, bytes })
+    }
+}
+
+fn sample_type(path: &Path, dataset: &Dataset) -> Result<SampleType> {
+    let mut sample = SampleType::U8;
+    for number in 1..=dataset.raster_count() {
+        let band = dataset.rasterband(number).map_err(|e| Error::gdal(path, e))?;
+        match band.band_type() {
+            GdalDataType::UInt8 => {}
+            GdalDataType::UInt16 => sample = SampleType::U16,
+            other => {
+                let what = format!("samples of type {} (band {number}) as an image", other.name());
+                let remedy =
+                    format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", super::open::quoted(path));
+                return Err(Error::unsupported(path, what, remedy));
+            }
+        }
+        if band.metadata_item("PIXELTYPE", "IMAGE_STRUCTURE").as_deref() == Some("SIGNEDBYTE") {
+            let remedy =
+                format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", super::open::quoted(path));
+            return Err(Error::unsupported(path, "samples of type Int8 as an image", remedy));
         }
     }
+    Ok(sample)
 }
 
-/// Blocks that a window meets: what GDAL would decode if its cache held nothing.
-fn blocks_met(info: &RasterInfo, window: Window) -> u64 {
-    let (width, height) = match info.layout {
-        BlockLayout::Tiles { width, height } => (width, height),
-        BlockLayout::Strips { rows } => (info.width, rows),
-    };
-    let along = |start: u64, end: u64, size: u64| end.div_ceil(size.max(1)) - start / size.max(1);
-    along(window.x, window.right(), width) * along(window.y, window.bottom(), height)
-}
-
-fn paged_name(path: &Path, page: usize) -> PathBuf {
-    if page == 0 { path.to_path_buf() } else { PathBuf::from(format!("GTIFF_DIR:{}:{}", page + 1, path.display())) }
-}
-
-fn describe(path: &Path, dataset: &Dataset) -> Result<(RasterInfo, Channels, bool)> {
-    let gdal_error = |e| Error::gdal(path, e);
-    let (width, height) = dataset.raster_size();
+fn meaning(path: &Path, dataset: &Dataset) -> Result<Meaning> {
+    use ColorInterpretation as Colour;
+    let gdal = |e| Error::gdal(path, e);
     let count = dataset.raster_count();
-    if count == 0 || width == 0 || height == 0 {
-        return Err(Error::unsupported(
-            path,
-            "GDAL finds no raster bands in it (a container or a vector file)",
-            "name one of its subdatasets (gdalinfo lists them)",
-        ));
+    let mut colours = Vec::with_capacity(count);
+    for number in 1..=count {
+        colours.push(dataset.rasterband(number).map_err(gdal)?.color_interpretation());
     }
-    let first = dataset.rasterband(1).map_err(gdal_error)?;
-    let sample = sample_type(path, first.band_type())?;
-    let palette = first.color_table().filter(|_| count == 1 && sample == SampleType::U8).map(|table| {
-        (0..table.entry_count())
-            .map(|i| table.entry_as_rgb(i).map_or([0; 4], |e| [e.r as u8, e.g as u8, e.b as u8, e.a as u8]))
-            .collect::<Vec<_>>()
-    });
-    let (channels, rgb, mut alpha) = match palette {
-        Some(palette) => (Channels::Palette(Arc::new(palette)), [0, 1, 2], Some(3)),
-        None => choose_bands(path, dataset, count)?,
-    };
-    let mask_flags = first.mask_flags().map_err(gdal_error)?;
-    let mask = alpha.is_none() && mask_flags.is_per_dataset() && !mask_flags.is_alpha() && !mask_flags.is_all_valid();
-    let colours = match &channels {
-        Channels::Bands(bands) => bands.len(),
-        Channels::Palette(_) => 4,
-    };
-    if mask {
-        alpha = Some(colours);
-    }
-    let (block_width, block_height) = first.block_size();
-    let layout = if block_width >= width {
-        BlockLayout::Strips { rows: block_height.max(1) as u64 }
-    } else {
-        BlockLayout::Tiles { width: block_width as u64, height: block_height as u64 }
-    };
-    let bits = first.metadata_item("NBITS", "IMAGE_STRUCTURE").and_then(|text| text.parse::<u32>().ok());
-    let driver = dataset.driver().short_name();
-    let compression = dataset.metadata_item("COMPRESSION", "IMAGE_STRUCTURE");
-    let samples = colours + usize::from(mask);
-    let info = RasterInfo {
-        path: path.to_path_buf(),
-        width: width as u64,
-        height: height as u64,
-        bands: samples,
-        sample,
-        rgb,
-        alpha,
-        nodata: first.no_data_value(),
-        white: white_level(sample, bits),
-        layout,
-        blocks: (width.div_ceil(block_width.max(1)) * height.div_ceil(block_height.max(1))) as u64,
-        chunk_bytes: (block_width * block_height * samples * sample.bytes()) as u64,
-        sequential: FORWARD_ONLY.contains(&driver.as_str()),
-        reader: "gdal",
-        description: format!("{driver}{}", compression.map_or(String::new(), |c| format!(", {c}"))),
-        geotransform: dataset.geo_transform().ok().map(GeoTransform).filter(|t| t.scale() > 0.0),
-        crs_wkt: Some(dataset.projection()).filter(|wkt| !wkt.is_empty()),
-        resolution_m_per_px: None,
-    };
-    Ok((info, channels, mask))
-}
-
-fn white_level(sample: SampleType, bits: Option<u32>) -> u16 {
-    match (sample, bits) {
-        (SampleType::U8, _) => 255,
-        (SampleType::U16, Some(bits @ 9..=15)) => (1 << bits) - 1,
-        (SampleType::U16, _) => u16::MAX,
-    }
-}
-
-fn sample_type(path: &Path, data_type: GdalDataType) -> Result<SampleType> {
-    match data_type {
-        GdalDataType::UInt8 => Ok(SampleType::U8),
-        GdalDataType::UInt16 => Ok(SampleType::U16),
-        other => Err(Error::unsupported(
-            path,
-            format!("samples of type {other}; images are 8- or 16-bit unsigned"),
-            format!("convert it: gdal_translate -ot Byte -scale {} image.tif", path.display()),
-        )),
-    }
-}
-
-/// Red, green, blue and alpha by their names; else the first three bands; else grey.
-type Chosen = (Channels, [usize; 3], Option<usize>);
-
-fn choose_bands(path: &Path, dataset: &Dataset, count: usize) -> Result<Chosen> {
-    let mut named = [None; 4];
-    let first_type = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?.band_type();
-    for index in 1..=count {
-        let band = dataset.rasterband(index).map_err(|e| Error::gdal(path, e))?;
-        let slot = match band.color_interpretation() {
-            ColorInterpretation::RedBand => 0,
-            ColorInterpretation::GreenBand => 1,
-            ColorInterpretation::BlueBand => 2,
-            ColorInterpretation::AlphaBand => 3,
-            _ => continue,
-        };
-        if band.band_type() == first_type {
-            named[slot].get_or_insert(index);
+    let find = |colour: Colour| colours.iter().position(|c| *c == colour);
+    for (colour, name) in [(Colour::CyanBand, "CMYK"), (Colour::HueBand, "HLS"), (Colour::YCbCrSpaceYBand, "YCbCr")] {
+        if find(colour).is_some() {
+            let remedy = "convert it to RGB first (ImageMagick: convert in.tif -colorspace sRGB out.tif)";
+            return Err(Error::unsupported(path, format!("{name} bands"), remedy));
         }
     }
-    let (mut bands, rgb) = match named {
-        [Some(r), Some(g), Some(b), _] => (vec![r, g, b], [0, 1, 2]),
-        _ if count >= 3 && named[3].is_none_or(|alpha| alpha > 3) => (vec![1, 2, 3], [0, 1, 2]),
-        _ => (vec![1], [0; 3]),
+    let first = dataset.rasterband(1).map_err(gdal)?;
+    let flags = first.mask_flags().map_err(gdal)?;
+    let nodata = first.no_data_value();
+    if let (Colour::PaletteIndex, Some(table)) = (&colours[0], first.color_table()) {
+        let mut palette = Vec::with_capacity(table.entry_count());
+        for index in 0..table.entry_count() {
+            let entry = table.entry_as_rgb(index);
+            let mut colour = entry.map_or([0; 4], |e| [e.r, e.g, e.b, e.a].map(|v| v.clamp(0, 255) as u8));
+            if nodata == Some(index as f64) {
+                colour[3] = 0;
+            }
+            palette.push(colour);
+        }
+        let rgb = [0, 1, 2];
+        return Ok(Meaning { bands: vec![1], rgb, alpha: Some(3), palette: Some(palette), mask: false, nodata: None });
+    }
+    let alpha = find(Colour::AlphaBand);
+    let coloured = match (find(Colour::RedBand), find(Colour::GreenBand), find(Colour::BlueBand)) {
+        (Some(red), Some(green), Some(blue)) => vec![red, green, blue],
+        _ if count - usize::from(alpha.is_some()) >= 3 => (0..count).filter(|&b| Some(b) != alpha).take(3).collect(),
+        _ => vec![(0..count).find(|&b| Some(b) != alpha).unwrap_or(0)],
     };
-    let alpha = named[3].map(|band| {
-        bands.push(band);
-        bands.len() - 1
-    });
-    Ok((Channels::Bands(bands), rgb, alpha))
+    let rgb = if coloured.len() == 3 { [0, 1, 2] } else { [0; 3] };
+    let mask = alpha.is_none() && flags.is_per_dataset() && !flags.is_all_valid() && !flags.is_nodata();
+    let next = coloured.len();
+    let bands = coloured.iter().chain(&alpha).map(|b| b + 1).collect();
+    let alpha = (alpha.is_some() || mask).then_some(next);
+    Ok(Meaning { bands, rgb, alpha, palette: None, mask, nodata })
+}
+
+/// The value of full white: see [`super::open::white_of`].
+fn white(dataset: &Dataset, band: &RasterBand, sample: SampleType) -> u16 {
+    let bits = band.metadata_item("NBITS", "IMAGE_STRUCTURE").and_then(|v| v.parse().ok());
+    let maximum = dataset.metadata_item("TIFFTAG_MAXSAMPLEVALUE", "").and_then(|v| v.parse().ok());
+    if matches!(band.color_interpretation(), ColorInterpretation::PaletteIndex) {
+        return 255;
+    }
+    super::open::white_of(sample, bits, maximum)
+}
+
+/// What GDAL knows about a file beside its pixels, side files (`.aux.xml`, world files) included.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Facts {
+    pub geotransform: Option<GeoTransform>,
+    pub crs_wkt: Option<String>,
+    pub resolution_m_per_px: Option<f64>,
+    pub nodata: Option<f64>,
+}
+
+impl Facts {
+    pub fn of(dataset: &Dataset) -> Self {
+        // GDAL answers with an error when there is none.
+        let geotransform = dataset.geo_transform().ok().map(GeoTransform);
+        let crs_wkt = Some(dataset.projection()).filter(|wkt| !wkt.is_empty());
+        let number = |key: &str| dataset.metadata_item(key, "")?.split_whitespace().next()?.parse::<f64>().ok();
+        let unit = match number("TIFFTAG_RESOLUTIONUNIT") {
+            Some(2.0) => Some(0.0254),
+            Some(3.0) => Some(0.01),
+            _ => None,
+        };
+        let per_unit = number("TIFFTAG_XRESOLUTION").filter(|&r| r > 0.0 && number("TIFFTAG_YRESOLUTION") == Some(r));
+        // Scanners and cameras write dots per inch of paper or screen: only values that can be ground count.
+        let resolution_m_per_px = unit.zip(per_unit).map(|(u, r)| u / r).filter(|gsd| (0.001..100.0).contains(gsd));
+        let nodata = dataset.rasterband(1).ok().and_then(|band| band.no_data_value());
+        Facts { geotransform, crs_wkt, resolution_m_per_px, nodata }
+    }
 }

@@ -5,11 +5,23 @@
 //! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
 //! so that nothing is copied on the way to the segmenter.
 
-pub mod gdal;
+mod cache;
+mod chunked;
+mod elevation;
+mod gdal;
 pub mod memory;
-pub mod patch;
+mod open;
+mod patch;
+mod pool;
+pub mod tiff;
 
-use std::path::{Path, PathBuf};
+pub use elevation::ElevationModel;
+pub use gdal::{GdalSource, initialise_gdal};
+pub use open::open;
+pub use patch::read_patch;
+pub use pool::BufferPool;
+
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::coords::GeoTransform;
@@ -61,9 +73,10 @@ pub struct RasterInfo {
     /// Bands in the file, alpha included.
     pub bands: usize,
     pub sample: SampleType,
-    /// Indices of red, green and blue; one grey band three times.
+    /// Where red, green and blue are among the samples of a pixel as handed out; one grey band three times. (Of planar
+    /// files only the bands that are needed are read, so this need not be the number of the band in the file.)
     pub rgb: [usize; 3],
-    /// Index of the alpha band.
+    /// Where the alpha (or mask) sample is, likewise.
     pub alpha: Option<usize>,
     /// A pixel whose colour bands all have this value holds nothing.
     pub nodata: Option<f64>,
@@ -93,6 +106,26 @@ impl RasterInfo {
     }
     pub fn pixels(&self) -> u64 {
         self.width * self.height
+    }
+
+    /// The nodata value as a sample, when a sample can have it.
+    pub fn nodata_sample(&self) -> Option<u16> {
+        let largest = match self.sample {
+            SampleType::U8 => 255.0,
+            SampleType::U16 => 65_535.0,
+        };
+        self.nodata.filter(|value| value.fract() == 0.0 && (0.0..=largest).contains(value)).map(|value| value as u16)
+    }
+
+    /// What pixels read as where the file holds no block: the nodata value, clamped to the sample type, or zero. This is
+    /// what GDAL gives.
+    pub fn fill_value(&self) -> u16 {
+        let largest = match self.sample {
+            SampleType::U8 => 255.0,
+            SampleType::U16 => 65_535.0,
+        };
+        // Not-a-number becomes zero.
+        self.nodata.map_or(0, |value| value.round().clamp(0.0, largest) as u16)
     }
 }
 
@@ -124,7 +157,7 @@ pub enum PieceData {
 }
 
 /// A decoded buffer that goes back to its pool when the last user drops it.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct PooledBytes {
     pub bytes: Vec<u8>,
     pub home: Option<crossbeam_channel::Sender<Vec<u8>>>,
@@ -220,39 +253,10 @@ pub trait RasterSource: Send + Sync {
     /// The system may fetch the bytes of `window` now; a later read will want them.
     fn prefetch(&self, _window: Window) {}
 
+    /// The pixels of `window` will not be wanted again: what is kept of them may go, from our cache and from the
+    /// system's.
+    fn release(&self, _window: Window) {}
+
     /// Everything read so far.
     fn stats(&self) -> ReadStats;
-}
-
-/// Opens `path` with the reader that fits.
-///
-/// `cache_bytes` bounds what the source may keep of decoded blocks between reads; `page` is the directory to read (0 is
-/// the first full-resolution image).
-///
-/// # Errors
-/// When the file is missing, broken, or of a kind that no reader takes; the message says what exactly.
-pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) -> Result<Arc<dyn RasterSource>> {
-    check_exists(path)?;
-    match choice {
-        ReaderChoice::Gdal | ReaderChoice::Auto => Ok(Arc::new(gdal::GdalSource::open(path, page, cache_bytes)?)),
-        ReaderChoice::Native => Err(crate::Error::unsupported(path, "native reading", "use --reader gdal")),
-    }
-}
-
-/// Missing files, directories and empty files get our own words; names that only GDAL understands are left to it.
-fn check_exists(path: &Path) -> Result<()> {
-    let name = path.to_string_lossy();
-    if name.starts_with("/vsi")
-        || name.split(':').next().is_some_and(|scheme| scheme.len() > 1 && name.len() > scheme.len())
-    {
-        return Ok(());
-    }
-    let metadata = std::fs::metadata(path).map_err(|e| crate::Error::io(path, "open", e))?;
-    if metadata.is_dir() {
-        return Err(crate::Error::unsupported(path, "it is a directory", "name the raster file in it"));
-    }
-    if metadata.len() == 0 {
-        return Err(crate::Error::format(path, "byte 0", "the file is empty"));
-    }
-    Ok(())
 }

@@ -1,40 +1,44 @@
-//! Small windows copied together, for everything that looks at one mark at a time.
+//! Copying a small window together.
 
-use crate::raster::{Block, Patch, RasterInfo, Samples};
+use super::{Block, Patch, RasterInfo, RasterSource, Samples};
+use crate::error::Result;
 use crate::window::Window;
 
+/// Reads `window` and copies it together.
+///
+/// # Errors
+/// Those of [`RasterSource::read`].
+pub fn read_patch(source: &dyn RasterSource, window: Window) -> Result<Patch> {
+    Ok(source.read(window)?.to_patch(source.info()))
+}
+
 impl Block {
-    /// Copies the pixels of `window`, which must lie in the block: red, green and blue as `info` names them, and
-    /// whether the pixel holds anything (nodata in all colour bands or zero alpha mean no).
+    /// The pixels in one array, red, green, blue as the file has them. Pixels without content (zero alpha, all colour
+    /// bands at the nodata value) are marked as such and keep their values.
+    pub fn to_patch(&self, info: &RasterInfo) -> Patch {
+        self.patch(self.window, info)
+    }
+
+    /// The same of a part of the block; `window` must lie in it.
     pub fn patch(&self, window: Window, info: &RasterInfo) -> Patch {
         debug_assert!(self.window.contains_window(&window));
-        let mut patch = Patch {
-            window,
-            rgb: vec![[0; 3]; window.area() as usize],
-            valid: vec![false; window.area() as usize],
-            white: info.white,
-        };
-        for piece in &self.pieces {
+        let fill = info.fill_value();
+        let (width, count) = (window.width as usize, window.area() as usize);
+        let mut patch = Patch { window, rgb: vec![[fill; 3]; count], valid: vec![false; count], white: info.white };
+        for piece in self.pieces.iter().filter(|piece| !piece.empty) {
             let part = piece.window.intersect(&window);
+            let (x, len) = (part.x, part.width);
             if part.is_empty() {
                 continue;
             }
             for y in part.y..part.bottom() {
-                let start = ((y - window.y) * window.width + (part.x - window.x)) as usize;
-                let (rgb, valid) = (&mut patch.rgb[start..], &mut patch.valid[start..]);
-                if piece.empty {
-                    empty_row(info, &mut rgb[..part.width as usize], &mut valid[..part.width as usize]);
-                    continue;
-                }
-                let row = piece.row(part.x, y, part.width);
-                for i in 0..row.len {
-                    let at = i * row.pixel_stride;
-                    let sample = |band: usize| match row.samples {
-                        Samples::U8(samples) => u16::from(samples[at + band]),
-                        Samples::U16(samples) => samples[at + band],
-                    };
-                    rgb[i] = info.rgb.map(sample);
-                    valid[i] = holds_something(info, rgb[i], info.alpha.map(sample));
+                let first = (y - window.y) as usize * width + (x - window.x) as usize;
+                let row = piece.row(x, y, len);
+                let range = first..first + len as usize;
+                let (rgb, valid) = (&mut patch.rgb[range.clone()], &mut patch.valid[range]);
+                match row.samples {
+                    Samples::U8(samples) => copy_row(samples, row.pixel_stride, info, rgb, valid),
+                    Samples::U16(samples) => copy_row(samples, row.pixel_stride, info, rgb, valid),
                 }
             }
         }
@@ -42,14 +46,18 @@ impl Block {
     }
 }
 
-/// Whether a pixel of these samples is more than nodata or full transparency.
-pub fn holds_something(info: &RasterInfo, rgb: [u16; 3], alpha: Option<u16>) -> bool {
-    alpha != Some(0) && info.nodata.is_none_or(|nodata| rgb.iter().any(|&v| f64::from(v) != nodata))
-}
-
-/// What a block that is absent from the file reads as: the nodata value, or zero.
-fn empty_row(info: &RasterInfo, rgb: &mut [[u16; 3]], valid: &mut [bool]) {
-    let value = info.nodata.filter(|v| (0.0..=65535.0).contains(v)).map_or(0, |v| v as u16);
-    rgb.fill([value; 3]);
-    valid.fill(holds_something(info, [value; 3], info.alpha.map(|_| 0)));
+fn copy_row<T: Copy + Into<u16>>(
+    samples: &[T],
+    stride: usize,
+    info: &RasterInfo,
+    rgb: &mut [[u16; 3]],
+    valid: &mut [bool],
+) {
+    let nodata = info.nodata_sample();
+    for (i, (rgb, valid)) in rgb.iter_mut().zip(valid).enumerate() {
+        let pixel = &samples[i * stride..];
+        *rgb = info.rgb.map(|band| pixel[band].into());
+        let transparent = info.alpha.is_some_and(|band| pixel[band].into() == 0);
+        *valid = !transparent && nodata.is_none_or(|value| *rgb != [value; 3]);
+    }
 }

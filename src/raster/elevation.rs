@@ -1,0 +1,144 @@
+//! Elevation models: any raster as `f64`, read in windows.
+
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use gdal::Dataset;
+
+use super::gdal::{Facts, GdalName, initialise_gdal};
+use crate::coords::{GeoTransform, MapPoint, PixelPoint};
+use crate::error::{Error, Result};
+use crate::window::Window;
+
+/// A raster of heights (band 1 of any type), sampled by position.
+pub struct ElevationModel {
+    name: GdalName,
+    dataset: Mutex<Dataset>,
+    width: u64,
+    height: u64,
+    facts: Facts,
+}
+
+impl ElevationModel {
+    /// Opens band 1 of `path`, any format and type that GDAL reads.
+    ///
+    /// # Errors
+    /// When GDAL cannot open it or it holds no raster.
+    pub fn open(path: &Path) -> Result<Self> {
+        initialise_gdal(32 << 20);
+        if !path.starts_with("/vsi") && path.is_dir() {
+            return Err(Error::format(path, "path", "is a directory, not an elevation model"));
+        }
+        let name = GdalName::new(path, 0);
+        let dataset = name.open()?;
+        if dataset.raster_count() == 0 {
+            return Err(Error::unsupported(path, "it holds no raster", "give an elevation raster"));
+        }
+        let (width, height) = dataset.raster_size();
+        let facts = Facts::of(&dataset);
+        Ok(ElevationModel { name, dataset: Mutex::new(dataset), width: width as u64, height: height as u64, facts })
+    }
+
+    /// Size in pixels.
+    pub fn size(&self) -> (u64, u64) {
+        (self.width, self.height)
+    }
+
+    pub fn geotransform(&self) -> Option<GeoTransform> {
+        self.facts.geotransform
+    }
+
+    /// WKT of its CRS.
+    pub fn crs_wkt(&self) -> Option<&str> {
+        self.facts.crs_wkt.as_deref()
+    }
+
+    /// Heights of `window`, row-major; pixels without a height (nodata, not finite) are NaN.
+    ///
+    /// # Errors
+    /// When the window does not lie in the raster or cannot be read.
+    pub fn read_f64_window(&self, window: Window) -> Result<Vec<f64>> {
+        if window.is_empty() || !Window::whole(self.width, self.height).contains_window(&window) {
+            return Err(Error::usage(
+                format!("{}: window {window:?} does not lie in the raster", self.name.path.display()),
+                format!("ask for pixels within {} x {}", self.width, self.height),
+            ));
+        }
+        let mut heights = vec![0.0; window.area() as usize];
+        let size = (window.width as usize, window.height as usize);
+        let dataset = self.dataset.lock().unwrap_or_else(PoisonError::into_inner);
+        let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.name.path, e))?;
+        band.read_into_slice((window.x as isize, window.y as isize), size, size, &mut heights, None)
+            .map_err(|e| Error::gdal(&self.name.path, e))?;
+        drop(dataset);
+        for height in &mut heights {
+            // A float32 file keeps its nodata value rounded to float32.
+            let nodata = self.facts.nodata.is_some_and(|n| *height == n || *height == f64::from(n as f32));
+            if nodata || !height.is_finite() {
+                *height = f64::NAN;
+            }
+        }
+        Ok(heights)
+    }
+
+    /// The height at a position of the model's own pixels, bilinear between pixel centres. Within the outer half pixel the
+    /// nearest centres count; `None` outside the raster and where one of the pixels used has no height.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn at_pixel(&self, p: PixelPoint) -> Result<Option<f64>> {
+        let inside = p.x >= 0.0 && p.y >= 0.0 && p.x <= self.width as f64 && p.y <= self.height as f64;
+        if !inside {
+            return Ok(None);
+        }
+        let (x0, x1, fx) = neighbours(p.x, self.width);
+        let (y0, y1, fy) = neighbours(p.y, self.height);
+        let window = Window::new(x0, y0, x1 - x0 + 1, y1 - y0 + 1);
+        let heights = self.read_f64_window(window)?;
+        let value = |x: u64, y: u64| heights[((y - y0) * window.width + x - x0) as usize];
+        // A neighbour of weight zero does not count, so that its lack of a height does no harm.
+        let mix = |a: f64, b: f64, f: f64| match f {
+            0.0 => a,
+            _ => a + (b - a) * f,
+        };
+        let upper = mix(value(x0, y0), value(x1, y0), fx);
+        let height = match fy {
+            0.0 => upper,
+            _ => mix(upper, mix(value(x0, y1), value(x1, y1), fx), fy),
+        };
+        Ok(Some(height).filter(|h| h.is_finite()))
+    }
+
+    /// The height at a map position in the model's CRS. `None` outside, and when the model has no georeference.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn at_map(&self, m: MapPoint) -> Result<Option<f64>> {
+        match self.facts.geotransform.and_then(|g| g.invert(m)) {
+            Some(p) => self.at_pixel(p),
+            None => Ok(None),
+        }
+    }
+}
+
+/// The two pixels whose centres lie around `position`, and how far it is from the first to the second (0..1).
+fn neighbours(position: f64, size: u64) -> (u64, u64, f64) {
+    let from_centre = (position - 0.5).clamp(0.0, (size - 1) as f64);
+    let first = from_centre.floor();
+    let second = (first as u64 + 1).min(size - 1);
+    (first as u64, second, from_centre - first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn centres_are_hit_and_the_border_is_clamped() {
+        assert_eq!(neighbours(0.5, 4), (0, 1, 0.0));
+        assert_eq!(neighbours(0.0, 4), (0, 1, 0.0));
+        assert_eq!(neighbours(1.25, 4), (0, 1, 0.75));
+        assert_eq!(neighbours(4.0, 4), (3, 3, 0.0));
+        assert_eq!(neighbours(0.7, 1), (0, 0, 0.0));
+    }
+}

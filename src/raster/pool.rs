@@ -1,0 +1,68 @@
+//! Buffers that are used again: a decoded block costs no allocation once the first ones have come back.
+
+use std::sync::Arc;
+
+use super::PooledBytes;
+
+/// A bounded store of idle byte buffers, shared by all threads.
+#[derive(Clone, Debug)]
+pub struct BufferPool {
+    give: crossbeam_channel::Sender<Vec<u8>>,
+    take: crossbeam_channel::Receiver<Vec<u8>>,
+}
+
+impl BufferPool {
+    /// Keeps at most `idle` buffers; more are let go.
+    pub fn new(idle: usize) -> Self {
+        let (give, take) = crossbeam_channel::bounded(idle);
+        BufferPool { give, take }
+    }
+
+    /// A buffer of `len` bytes with any content.
+    pub fn take(&self, len: usize) -> Vec<u8> {
+        match self.take.try_recv() {
+            // Growing a smaller buffer would copy its old content: a fresh one is cheaper.
+            Ok(mut buffer) if buffer.capacity() >= len => {
+                buffer.resize(len, 0);
+                buffer
+            }
+            _ => vec![0; len],
+        }
+    }
+
+    /// Gives a buffer back at once.
+    pub fn put(&self, buffer: Vec<u8>) {
+        // A full pool just lets the buffer go.
+        let _ = self.give.try_send(buffer);
+    }
+
+    /// Shares a filled buffer; it comes back when the last user drops it.
+    pub fn share(&self, bytes: Vec<u8>) -> Arc<PooledBytes> {
+        Arc::new(PooledBytes { bytes, home: Some(self.give.clone()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dropped_buffer_is_taken_again() {
+        let pool = BufferPool::new(2);
+        let shared = pool.share(vec![7; 100]);
+        let place = shared.bytes.as_ptr();
+        drop(shared);
+        let again = pool.take(60);
+        assert_eq!(again.as_ptr(), place);
+        assert_eq!(again.len(), 60);
+    }
+
+    #[test]
+    fn a_full_pool_lets_buffers_go() {
+        let pool = BufferPool::new(1);
+        pool.put(vec![1; 8]);
+        pool.put(vec![2; 8]);
+        assert_eq!(pool.take(8), vec![1; 8]);
+        assert_eq!(pool.take(8), vec![0; 8]);
+    }
+}

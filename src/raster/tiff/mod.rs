@@ -1,0 +1,11 @@
+//! The native TIFF and BigTIFF reader: a thin layer over the codecs.
+
+mod codec;
+pub mod container;
+mod decoder;
+mod layout;
+mod lzw;
+mod predictor;
+
+pub use container::{Directories, is_tiff};
+pub use decoder::{TiffDecoder, open};
