@@ -1,5 +1,12 @@
 //! Reading lists of ground control points.
 
+mod csv_list;
+mod geojson;
+mod kof;
+mod read;
+
+pub use read::{GcpList, GcpOptions, read};
+
 use serde::{Deserialize, Serialize};
 
 use crate::coords::MapPoint;

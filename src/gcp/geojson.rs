@@ -1,0 +1,76 @@
+//! GCPs as GeoJSON: Point features, 2-D or 3-D, with or without the `crs` member of the 2008 format.
+//!
+//! RFC 7946 (H. Butler et al., "The GeoJSON Format", 2016) says longitude, latitude; many survey programs write projected
+//! coordinates all the same, so that is decided by the values.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::error::{Error, Result};
+use crate::gcp::read::{RawList, RawPoint};
+use crate::gcp::{Gcp, GcpRole};
+use crate::georef::crs::Crs;
+
+pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
+    let document: Value = serde_json::from_str(text).map_err(|e| {
+        Error::format(path, format!("line {}, column {}", e.line(), e.column()), format!("it is not valid JSON: {e}"))
+    })?;
+    let features: Vec<&Value> = match document["type"].as_str() {
+        Some("FeatureCollection") => document["features"]
+            .as_array()
+            .ok_or_else(|| Error::format(path, "`features`", "a FeatureCollection needs a list of features"))?
+            .iter()
+            .collect(),
+        Some("Feature") => vec![&document],
+        other => {
+            return Err(Error::format(
+                path,
+                "`type`",
+                format!("expected a FeatureCollection of points, found {}", other.unwrap_or("no type")),
+            ));
+        }
+    };
+    let points = features.iter().enumerate().map(|(i, f)| point(path, i, f)).collect::<Result<Vec<_>>>()?;
+    let crs = match &document["crs"]["properties"]["name"] {
+        Value::String(name) => Some(Crs::parse(name)?),
+        _ => None,
+    };
+    Ok(RawList { points, crs, may_be_degrees: true, notes: Vec::new() })
+}
+
+fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
+    let place = format!("feature {}", index + 1);
+    let properties = &feature["properties"];
+    let name = [&properties["name"], &properties["id"], &properties["Name"], &feature["id"]]
+        .into_iter()
+        .find_map(|value| match value {
+            Value::String(text) if !text.trim().is_empty() => Some(text.trim().to_string()),
+            Value::Number(number) => Some(number.to_string()),
+            _ => None,
+        })
+        .unwrap_or_else(|| (index + 1).to_string());
+    if feature["geometry"]["type"].as_str() != Some("Point") {
+        let found = feature["geometry"]["type"].as_str().unwrap_or("no geometry");
+        return Err(Error::format(path, place, format!("point `{name}` must be a Point, it is {found}")));
+    }
+    let coordinates: Vec<f64> = feature["geometry"]["coordinates"]
+        .as_array()
+        .map(|values| values.iter().filter_map(Value::as_f64).collect())
+        .unwrap_or_default();
+    if !(2..=4).contains(&coordinates.len()) {
+        return Err(Error::format(path, place, format!("point `{name}` needs two or three numbers as coordinates")));
+    }
+    let number = |key: &str| properties[key].as_f64();
+    let check = properties["role"].as_str() == Some("check") || properties["check"].as_bool() == Some(true);
+    let gcp = Gcp {
+        name,
+        easting: coordinates[0],
+        northing: coordinates[1],
+        height: coordinates.get(2).copied().or_else(|| number("height")),
+        sigma_m: number("sigma_m"),
+        sigma_height_m: number("sigma_height_m"),
+        role: if check { GcpRole::Check } else { GcpRole::Control },
+    };
+    Ok(RawPoint { gcp, place })
+}
