@@ -1,4 +1,6 @@
 //! From pixels to regions: colour test, filters, connected components.
 
+pub mod classify;
+pub mod kernels;
 pub mod label;
 pub mod mask;

@@ -1,8 +1,17 @@
-//! From [`crate::segment::label::Region`] to [`Candidate`].
+//! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then a second look at the pixels of
+//! what is left.
+
+pub mod examine;
+pub mod fit;
+pub mod gates;
+pub mod patch;
 
 use serde::{Deserialize, Serialize};
 
 use crate::coords::PixelPoint;
+
+pub use examine::{examine, patch_margin_px};
+pub use gates::Gates;
 
 /// A region that may be a mark.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

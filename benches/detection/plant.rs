@@ -1,0 +1,196 @@
+//! Marks planted into real photographs, with centres known to a thousandth of a pixel.
+
+use autoref_stream::profile::colour::{linear_from_srgb, srgb_from_linear};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+
+/// An 8-bit RGB picture.
+#[derive(Clone)]
+pub struct Picture {
+    pub width: usize,
+    pub height: usize,
+    pub rgb: Vec<[u8; 3]>,
+}
+
+impl Picture {
+    pub fn crop(&self, x: usize, y: usize, width: usize, height: usize) -> Picture {
+        let (width, height) = (width.min(self.width - x), height.min(self.height - y));
+        let rows =
+            (y..y + height).flat_map(|v| self.rgb[v * self.width + x..v * self.width + x + width].iter().copied());
+        Picture { width, height, rgb: rows.collect() }
+    }
+
+    /// Through a JPEG of that quality, chroma halved both ways as cameras do.
+    pub fn through_jpeg(&self, quality: u8) -> Picture {
+        let bytes: Vec<u8> = self.rgb.iter().flatten().copied().collect();
+        let mut file = Vec::new();
+        let mut encoder = Encoder::new(&mut file, quality);
+        encoder.set_sampling_factor(SamplingFactor::F_2_2);
+        encoder
+            .encode(&bytes, self.width as u16, self.height as u16, ColorType::Rgb)
+            .expect("a picture in memory encodes");
+        let decoded = zune_jpeg::JpegDecoder::new(zune_jpeg::zune_core::bytestream::ZCursor::new(&file))
+            .decode()
+            .expect("just encoded");
+        let rgb = decoded.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+        Picture { width: self.width, height: self.height, rgb }
+    }
+}
+
+/// A small generator with a fixed seed (xorshift, G. Marsaglia, 2003).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn unit(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+    pub fn gauss(&mut self) -> f64 {
+        (-2.0 * self.unit().max(1e-300).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
+    }
+}
+
+/// One set of conditions.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    pub label: String,
+    pub side_px: f64,
+    pub blur_px: f64,
+    /// `None` is any angle.
+    pub angle_deg: Option<f64>,
+    /// Largest share of ground shining through; each mark draws its own below it.
+    pub fading: f64,
+    /// Light inside the shadow that covers the mark and its surroundings; 1 is none.
+    pub light: f64,
+    /// Share of the mark hidden under ground from one side.
+    pub cover: f64,
+    pub quality: u8,
+    pub paint: [u8; 3],
+    pub disc: bool,
+    /// Mix in linear light, as optics do, instead of in sRGB, as image editors do.
+    pub linear: bool,
+    pub noise: f64,
+}
+
+impl Cell {
+    pub fn base() -> Cell {
+        Cell {
+            label: "base".into(),
+            side_px: 10.0,
+            blur_px: 0.9,
+            angle_deg: None,
+            fading: 0.2,
+            light: 1.0,
+            cover: 0.0,
+            quality: 90,
+            paint: [255, 110, 20],
+            disc: false,
+            linear: false,
+            noise: 1.5,
+        }
+    }
+}
+
+const FINE: usize = 5;
+
+/// Share of paint in each pixel of a window `size` pixels wide, for a mark centred at (cx, cy) in it.
+fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f64) -> Vec<f64> {
+    let n = size * FINE;
+    let (sin, cos) = angle.sin_cos();
+    let half = cell.side_px / 2.0;
+    let (csin, ccos) = cover_angle.sin_cos();
+    // Side of the half plane that hides the wanted share of a square or, nearly, a disc.
+    let edge = half - cell.cover * cell.side_px;
+    let mut fine: Vec<f32> = (0..n * n)
+        .map(|i| {
+            let (x, y) = (((i % n) as f64 + 0.5) / FINE as f64 - cx, ((i / n) as f64 + 0.5) / FINE as f64 - cy);
+            let (u, v) = (cos * x + sin * y, cos * y - sin * x);
+            let inside = if cell.disc { u * u + v * v <= half * half } else { u.abs() <= half && v.abs() <= half };
+            let hidden = cell.cover > 0.0 && ccos * u + csin * v > edge;
+            f32::from(u8::from(inside && !hidden))
+        })
+        .collect();
+    let sigma = cell.blur_px * FINE as f64;
+    let reach = (3.5 * sigma).ceil() as i64;
+    let kernel: Vec<f32> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp() as f32).collect();
+    let total: f32 = kernel.iter().sum();
+    for pass in 0..2 {
+        let (step, other) = if pass == 0 { (1, n) } else { (n, 1) };
+        let mut out = vec![0f32; n * n];
+        for line in 0..n {
+            for i in 0..n {
+                let first = (i as i64 - reach).max(0) as usize;
+                let last = (i + reach as usize).min(n - 1);
+                let mut sum = 0.0;
+                for j in first..=last {
+                    sum += fine[line * other + j * step] * kernel[(j as i64 - i as i64 + reach) as usize];
+                }
+                out[line * other + i * step] = sum / total;
+            }
+        }
+        fine = out;
+    }
+    (0..size * size)
+        .map(|i| {
+            let (x, y) = (i % size * FINE, i / size * FINE);
+            let sum: f32 = (0..FINE * FINE).map(|k| fine[(y + k / FINE) * n + x + k % FINE]).sum();
+            f64::from(sum) / (FINE * FINE) as f64
+        })
+        .collect()
+}
+
+/// Plants one mark in each square of a grid and returns the true centres (pixel corners at whole numbers).
+pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Vec<(f64, f64)>) {
+    let size = (cell.side_px * 1.5 + 8.0 * cell.blur_px).ceil() as usize + 4;
+    let pitch = size + 28;
+    let mut out = ground.clone();
+    let mut truth = Vec::new();
+    for gy in (8..ground.height.saturating_sub(pitch)).step_by(pitch) {
+        for gx in (8..ground.width.saturating_sub(pitch)).step_by(pitch) {
+            let x0 = gx + (random.unit() * 14.0) as usize;
+            let y0 = gy + (random.unit() * 14.0) as usize;
+            let middle = size as f64 / 2.0;
+            let (cx, cy) = (middle + random.unit() - 0.5, middle + random.unit() - 0.5);
+            let turn = cell.angle_deg.map_or(random.unit() * std::f64::consts::TAU, f64::to_radians);
+            let side = (random.unit() * 4.0).floor() * std::f64::consts::FRAC_PI_2;
+            let share = shares(cell, size, cx, cy, turn, side);
+            let fading = cell.fading * random.unit();
+            // The shadow reaches well beyond the window that the detector looks at.
+            if cell.light < 1.0 {
+                for (y, x) in (0..pitch).flat_map(|y| (0..pitch).map(move |x| (gy + y, gx + x))) {
+                    out.rgb[y * out.width + x] = dim(out.rgb[y * out.width + x], cell.light);
+                }
+            }
+            let paint = dim(cell.paint, cell.light);
+            for i in 0..size * size {
+                let at = (y0 + i / size) * out.width + x0 + i % size;
+                let a = share[i] * (1.0 - fading);
+                if share[i] < 1e-4 {
+                    continue;
+                }
+                for c in 0..3 {
+                    let (g, p) = (f64::from(out.rgb[at][c]) / 255.0, f64::from(paint[c]) / 255.0);
+                    let mixed = if cell.linear {
+                        srgb_from_linear((1.0 - a) * linear_from_srgb(g) + a * linear_from_srgb(p))
+                    } else {
+                        (1.0 - a) * g + a * p
+                    };
+                    let noise = cell.noise * random.gauss() * share[i];
+                    out.rgb[at][c] = (mixed * 255.0 + noise).round().clamp(0.0, 255.0) as u8;
+                }
+            }
+            truth.push((x0 as f64 + cx, y0 as f64 + cy));
+        }
+    }
+    (out.through_jpeg(cell.quality), truth)
+}
+
+/// Less light, and bluer: the sky lights a shadow.
+fn dim(c: [u8; 3], light: f64) -> [u8; 3] {
+    let tint = [1.0 - 0.1 * (1.0 - light), 1.0, 1.0 + 0.12 * (1.0 - light)];
+    std::array::from_fn(|i| {
+        let v = linear_from_srgb(f64::from(c[i]) / 255.0) * light * tint[i];
+        (srgb_from_linear(v.min(1.0)) * 255.0).round().clamp(0.0, 255.0) as u8
+    })
+}

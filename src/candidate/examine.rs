@@ -1,0 +1,210 @@
+//! The second look: the pixels around a region decide whether it is a mark, and where exactly its centre lies.
+//!
+//! Colour alone cannot tell a faded mark from a roof tile, but a mark differs from the ground right beside it. The ground is
+//! measured in a ring; the direction in colour space that separates paint from that ground best (R. A. Fisher, "The use of
+//! multiple measurements in taxonomic problems", 1936) turns the patch into a picture of the share of paint in each pixel,
+//! in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]). The answer depends on
+//! nothing but the patch, so no tiling can change it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::Candidate;
+use super::fit::{Fit, Form, Priors, Sample, fit};
+use super::gates::{Gates, centroid};
+use super::patch::{Ground, Scene, ground};
+use crate::coords::PixelPoint;
+use crate::profile::{CentreMode, Filters, Profile, Shape};
+use crate::raster::Patch;
+use crate::segment::classify::Classifier;
+use crate::segment::label::Region;
+
+/// The ring of ground starts this far outside the region, beyond the blurred border, ...
+const RING_FROM_PX: u8 = 4;
+/// ... and ends here.
+const RING_TO_PX: u8 = 9;
+/// The fit sees this far outside the region.
+const FIT_REACH_PX: u8 = 4;
+/// And this far inside: deeper pixels of a large mark say nothing about its place.
+const FIT_DEPTH_PX: u8 = 6;
+
+/// How far a patch must reach beyond a region's bounds.
+pub fn patch_margin_px(_profile: &Profile) -> u64 {
+    u64::from(RING_TO_PX) + 1
+}
+
+/// What the second look measured; [`score`] turns it into one number.
+#[derive(Clone, Debug)]
+pub struct Evidence {
+    /// Mahalanobis distance of the paint from the ground beside it.
+    pub contrast: f64,
+    /// Relative squared colour distance of the mark's plateau from the profile: 1 is the profile's limit.
+    pub colour: f64,
+    pub fit: Option<Fit>,
+    /// Share of the ring that looks like the paint (projected share of paint above one half).
+    pub ring_paint: f64,
+    pub area_px: f64,
+    pub centre: (f64, f64),
+    pub covariance_px2: [f64; 3],
+}
+
+/// Measures the candidate in `patch`, which should reach [`patch_margin_px`] beyond the region's bounds (less at the
+/// image's edge), and keeps it when it looks like a mark of the profile.
+pub fn examine(
+    region: &Region,
+    patch: &Patch,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<Candidate> {
+    let evidence = measure(region, patch, classifier, profile)?;
+    let score = score(&evidence, profile, gates);
+    if !(score >= profile.examine.min_score) {
+        return None;
+    }
+    Some(Candidate {
+        centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },
+        covariance_px2: Some(evidence.covariance_px2),
+        score: Some(score),
+        area_px: Some(evidence.area_px),
+        size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
+        elevation_m: None,
+    })
+}
+
+/// The measurements behind [`examine`]; `None` when the region's paint is not in the patch.
+pub fn measure(region: &Region, patch: &Patch, classifier: &Classifier, profile: &Profile) -> Option<Evidence> {
+    let scene = Scene::new(region, patch, classifier, profile.filters == Filters::default())?;
+    let colours: Vec<Vector3<f64>> = (0..scene.own.len())
+        .filter(|&i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX))
+        .map(|i| scene.colour(i))
+        .collect();
+    let ground = ground(&colours).or_else(|| {
+        // Crowded or cut off: whatever is near and not paint.
+        let near: Vec<_> = (0..scene.own.len())
+            .filter(|&i| patch.valid[i] && scene.outside_px[i] >= 2 && !scene.other[i])
+            .map(|i| scene.colour(i))
+            .collect();
+        self::ground(&near)
+    });
+    let plateau = plateau(&scene);
+    let byte = [plateau[0], plateau[1], plateau[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
+    let limit2 = profile.colour.limit * profile.colour.limit;
+    let colour = classifier.reference().nearest2(byte) / limit2;
+    let area_px = region.area as f64;
+    let (cx, cy) = centroid(region);
+    // An unfitted region's centroid is as uncertain as its outline: each of about 4·√area border pixels moves by ±½.
+    let loose = 0.25f64.max(area_px * 0.004);
+    let mut evidence = Evidence {
+        contrast: 0.0,
+        colour,
+        fit: None,
+        ring_paint: 0.0,
+        area_px,
+        centre: (cx, cy),
+        covariance_px2: [loose, 0.0, loose],
+    };
+    let Some(ground) = ground else { return Some(evidence) };
+    let (shares, contrast) = paint_shares(&scene, &ground, plateau);
+    evidence.contrast = contrast;
+    let ring: Vec<usize> = (0..shares.len())
+        .filter(|&i| patch.valid[i] && (RING_FROM_PX..=RING_TO_PX).contains(&scene.outside_px[i]))
+        .collect();
+    evidence.ring_paint = ring.iter().filter(|&&i| shares[i] > 0.5).count() as f64 / ring.len().max(1) as f64;
+    if profile.examine.centre != CentreMode::Fit {
+        return Some(evidence);
+    }
+    if let Some(best) = best_fit(&scene, &shares, profile.shape, 1.0 / contrast.max(1.0)) {
+        let origin = (patch.window.x as f64, patch.window.y as f64);
+        evidence.centre = (origin.0 + best.x, origin.1 + best.y);
+        evidence.covariance_px2 = inflate(&best);
+        evidence.fit = Some(best);
+    }
+    Some(evidence)
+}
+
+/// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
+fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
+    let deepest = (0..scene.own.len()).map(|i| scene.inside_px[i]).max().unwrap_or(0);
+    let from = deepest.min(3).max(1);
+    // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
+    let core: Vec<Vector3<f64>> =
+        (0..scene.own.len()).filter(|&i| scene.inside_px[i] >= from).map(|i| scene.colour(i)).collect();
+    let middle: [f64; 3] = std::array::from_fn(|c| super::patch::median(core.iter().map(|v| v[c]).collect()));
+    Vector3::from(middle)
+}
+
+/// Share of paint in each pixel (0 on the mean ground, 1 on the plateau) along Fisher's direction, and the Mahalanobis
+/// distance between the two.
+fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (Vec<f64>, f64) {
+    // Sensor noise and JPEG: 3 levels, so that flat ground does not make the direction arbitrary.
+    let noise = ground.covariance + Matrix3::identity() * 9.0;
+    let step = plateau - ground.mean;
+    let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
+    let direction = inverse * step;
+    let contrast2 = direction.dot(&step).max(1e-9);
+    let shares = (0..scene.own.len()).map(|i| direction.dot(&(scene.colour(i) - ground.mean)) / contrast2).collect();
+    (shares, contrast2.sqrt())
+}
+
+fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64) -> Option<Fit> {
+    let mut samples = Vec::new();
+    let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
+    for i in 0..shares.len() {
+        let near = scene.outside_px[i] <= FIT_REACH_PX && scene.inside_px[i] <= FIT_DEPTH_PX;
+        let (x, y) = ((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
+        if !scene.patch.valid[i] || scene.other_px[i] <= 2 && !scene.own[i] {
+            continue;
+        }
+        if near {
+            samples.push(Sample { x, y, share: shares[i] });
+        }
+        if scene.outside_px[i] <= 2 {
+            let s = shares[i].clamp(0.0, 1.0);
+            sum += s;
+            sx += s * x;
+            sy += s * y;
+        }
+    }
+    if sum < 1.0 {
+        return None;
+    }
+    let start = (sx / sum, sy / sum);
+    let side = sum.sqrt();
+    let aspect = if matches!(shape, Shape::Any | Shape::Square | Shape::Disc) { 0.1 } else { 0.4 };
+    let priors =
+        Priors { aspect, blur: 0.4, blur_px: 1.0, height: 0.3, slope: 0.02, ground_sd: ground_sd.clamp(0.01, 0.5) };
+    let rectangle = || {
+        // A square's angle repeats after a quarter turn; two starts are enough for the descent to find it.
+        [0.0, std::f64::consts::FRAC_PI_4]
+            .into_iter()
+            .filter_map(|angle| fit(Form::Rectangle, &samples, start, side, angle, priors))
+            .min_by(|a, b| a.rms.total_cmp(&b.rms))
+    };
+    let disc = || fit(Form::Disc, &samples, start, side * 1.128, 0.0, priors);
+    match shape {
+        Shape::Square => rectangle(),
+        Shape::Disc => disc(),
+        _ => [rectangle(), disc()].into_iter().flatten().min_by(|a, b| a.rms.total_cmp(&b.rms)),
+    }
+}
+
+/// The fit's covariance with what it cannot see: a floor for the model itself, and more when part of the mark is hidden.
+fn inflate(fit: &Fit) -> [f64; 3] {
+    const FLOOR_PX2: f64 = 0.01 * 0.01;
+    let side = fit.sides_px[0].min(fit.sides_px[1]);
+    let hidden = (fit.hidden - 0.02).max(0.0) * side * 0.25;
+    let extra = FLOOR_PX2 + hidden * hidden;
+    let [xx, xy, yy] = fit.covariance_px2;
+    [xx + extra, xy, yy + extra]
+}
+
+/// Log-likelihood ratio of "mark" against "something else of this colour".
+pub fn score(evidence: &Evidence, _profile: &Profile, gates: &Gates) -> f64 {
+    let Some(fit) = &evidence.fit else { return 0.0 };
+    let (low, high) = gates.mark_side_px();
+    let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
+    if side < 0.6 * low || side > 1.3 * high {
+        return -10.0;
+    }
+    evidence.contrast.ln() - 10.0 * fit.rms
+}

@@ -1,0 +1,452 @@
+//! What a mark looks like: colour, size, shape, and the limits of every gate. A profile is a small TOML file; the shipped
+//! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
+
+pub mod colour;
+pub mod mixing;
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use colour::{Cloud, Metric, Space};
+
+/// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    pub name: String,
+    #[serde(default)]
+    pub description: String,
+    pub colour: ColourModel,
+    pub size: Size,
+    #[serde(default)]
+    pub shape: Shape,
+    #[serde(default)]
+    pub gates: GateLimits,
+    #[serde(default)]
+    pub filters: Filters,
+    #[serde(default)]
+    pub examine: Examine,
+    /// What the profile was learned from, when it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub learned: Option<Learned>,
+}
+
+/// Clouds of colours in one space; a pixel is paint when it is within `limit` of any cloud.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColourModel {
+    #[serde(default)]
+    pub space: Space,
+    #[serde(default)]
+    pub metric: Metric,
+    /// Largest distance, in standard deviations (Euclidean: in units of the space).
+    pub limit: f64,
+    /// Colour box in sRGB 0..=1 that a pixel must be in first: lowest and highest red, green, blue.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rough_box: Option<RoughBox>,
+    /// A second distance that must hold too: the prototype's rough distance in RGB before the fine one in L\*a\*b\*.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rough: Option<RoughDistance>,
+    pub clouds: Vec<CloudSpec>,
+}
+
+/// Mean and covariance of a colour cloud in the model's space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CloudSpec {
+    pub mean: [f64; 3],
+    pub covariance: [[f64; 3]; 3],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoughBox {
+    pub low: [f64; 3],
+    pub high: [f64; 3],
+}
+
+/// Distance test in a space and metric of its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoughDistance {
+    pub space: Space,
+    pub metric: Metric,
+    pub limit: f64,
+    pub mean: [f64; 3],
+    pub covariance: [[f64; 3]; 3],
+}
+
+/// Side (or diameter) of a mark; in pixels, in metres (then the ground sample distance must be known), or both: metres win
+/// where the ground sample distance is known.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Size {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_px: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_px: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_m: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_m: Option<f64>,
+}
+
+/// What the paint was laid out as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shape {
+    /// Square or disc, whichever fits better.
+    #[default]
+    Any,
+    Square,
+    Disc,
+    /// Two crossed bars: the centre is the weighted centroid.
+    Cross,
+    /// Two-coloured target found by shape, not colour: quarters of a square, or two opposite quarters of a disc.
+    Checker,
+}
+
+/// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GateLimits {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_area_px: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_area_px: Option<u64>,
+    /// Shorter side of the bounding box; 2 removes lines of 1 × n pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_side_px: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_side_px: Option<u64>,
+    /// Of the ellipse with the region's second moments, 0 (circle) to 1 (line).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_eccentricity: Option<f64>,
+    /// Area over area of the bounding box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_tightness: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_tightness: Option<f64>,
+    /// Area over crack length of the outline, pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_area_per_perimeter_px: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_area_per_perimeter_px: Option<f64>,
+    /// Area over area of the convex hull; needs pixels, so it is tested in the second look.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_solidity: Option<f64>,
+}
+
+/// Filters of the mask before regions are made. Each adds its border to the halo.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Filters {
+    /// 3 × 3 median (majority) of the mask.
+    pub median: bool,
+    /// Radius of the disc that closes gaps; 0 is none.
+    pub closing_radius_px: u32,
+    /// Radius of the disc that opens (removes specks and bridges); 0 is none.
+    pub opening_radius_px: u32,
+    /// Fill holes of regions no larger than the largest mark.
+    pub fill_holes: bool,
+}
+
+/// How the centre of a candidate is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CentreMode {
+    /// Fit of the blurred shape; falls back to weighted moments.
+    #[default]
+    Fit,
+    /// Mean of the region's pixels.
+    Centroid,
+    /// Pixel of the largest colour probability (mean of ties).
+    Probability,
+    /// Pixel nearest in colour (mean of ties).
+    Distance,
+}
+
+/// What to do with candidates nearer to each other than a limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TooClose {
+    #[default]
+    Off,
+    /// All of them go.
+    Remove,
+    /// The one nearest to their mean stays.
+    Average,
+    /// The one with the best score stays.
+    Probable,
+}
+
+/// Order of the list of candidates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ordering {
+    /// By first pixel in raster order.
+    #[default]
+    Raster,
+    Score,
+    /// By closeness of area over squared side to the expected shape's.
+    Closeness,
+}
+
+/// Kernel density of the paint's colour per axis of L\*a\*b\*, as the prototype used it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Density {
+    /// Sample values per axis (L, a, b), a few hundred quantiles each.
+    pub samples: [Vec<f64>; 3],
+    /// Standard deviation of the Gaussian kernel per axis.
+    pub bandwidth: [f64; 3],
+    /// A candidate whose best pixel is less likely goes.
+    pub min_probability: f64,
+    /// A candidate with at least this share of its bounding box at probability 0 goes.
+    pub max_zero_share: f64,
+}
+
+/// The second look at a candidate's own pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Examine {
+    pub centre: CentreMode,
+    /// Smallest log-likelihood ratio kept. −∞ (`-inf`) keeps all.
+    pub min_score: f64,
+    /// Most regions of paint in the window around the candidate, itself included.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_clutter: Option<u32>,
+    /// Largest standard deviation of the paint's samples (0..=1, all bands together).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_spread: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub density: Option<Density>,
+    pub too_close: TooClose,
+    pub min_distance_px: f64,
+    pub order: Ordering,
+}
+
+impl Default for Examine {
+    fn default() -> Self {
+        Examine {
+            centre: CentreMode::Fit,
+            min_score: 0.0,
+            max_clutter: None,
+            max_spread: None,
+            density: None,
+            too_close: TooClose::Off,
+            min_distance_px: 0.0,
+            order: Ordering::Raster,
+        }
+    }
+}
+
+/// Statistics of a learned profile, for people; nothing depends on them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Learned {
+    pub marks: u64,
+    pub pixels: u64,
+    pub mean_srgb: [f64; 3],
+    pub side_px_min: f64,
+    pub side_px_median: f64,
+    pub side_px_max: f64,
+    pub eccentricity_max: f64,
+    pub tightness_min: f64,
+    /// Distance, in the profile's own units, of the 1st percentile of the background around the marks.
+    pub background_distance_p01: f64,
+    /// Share of the background around the marks that the profile takes for paint.
+    pub background_share: f64,
+}
+
+macro_rules! builtins {
+    ($($name:literal),* $(,)?) => {
+        const BUILTIN: &[(&str, &str)] = &[$(($name, include_str!(concat!("builtin/", $name, ".toml")))),*];
+    };
+}
+builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "checker", "lerkendal-2016", "autoref-2016",);
+
+impl Profile {
+    /// Names of the shipped profiles, the default first.
+    pub fn names() -> Vec<&'static str> {
+        BUILTIN.iter().map(|(name, _)| *name).collect()
+    }
+
+    /// A shipped profile.
+    pub fn builtin(name: &str) -> Option<Profile> {
+        let (_, text) = BUILTIN.iter().find(|(n, _)| *n == name)?;
+        Some(toml::from_str(text).expect("a test parses every shipped profile"))
+    }
+
+    /// A shipped profile by its name, or one read from a TOML file.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when it is neither, [`Error::Format`] when the file is not a profile.
+    pub fn load(name_or_path: &str) -> Result<Profile> {
+        if let Some(profile) = Profile::builtin(name_or_path) {
+            return Ok(profile);
+        }
+        let path = Path::new(name_or_path);
+        if !path.exists() {
+            return Err(Error::usage(
+                format!("no profile and no file is called \"{name_or_path}\""),
+                format!("shipped profiles are {}", Profile::names().join(", ")),
+            ));
+        }
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read the profile", e))?;
+        Profile::parse(&text).map_err(|(place, what)| Error::format(path, place, what))
+    }
+
+    /// Parses and validates; on failure the place in the text and what is wrong there.
+    pub fn parse(text: &str) -> std::result::Result<Profile, (String, String)> {
+        let profile: Profile = toml::from_str(text).map_err(|e| {
+            let place = e.span().map_or("profile".to_owned(), |span| {
+                format!("line {}", 1 + text[..span.start.min(text.len())].matches('\n').count())
+            });
+            (place, e.message().split_whitespace().collect::<Vec<_>>().join(" "))
+        })?;
+        profile.check().map_err(|(place, what)| (place.to_owned(), what))?;
+        Ok(profile)
+    }
+
+    /// The profile as a TOML file.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("every field of a profile has a TOML form")
+    }
+
+    /// Everything that makes a profile usable: finite numbers, positive definite covariances, sizes in order.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] naming the field.
+    pub fn validate(&self) -> Result<()> {
+        self.check().map_err(|(place, what)| {
+            Error::usage(format!("profile \"{}\": {place}: {what}", self.name), "correct the profile")
+        })
+    }
+
+    fn check(&self) -> std::result::Result<(), (&'static str, String)> {
+        let colour = &self.colour;
+        if !(colour.limit.is_finite() && colour.limit > 0.0) {
+            return Err(("colour.limit", format!("{} is not a positive number", colour.limit)));
+        }
+        if colour.clouds.is_empty() {
+            return Err(("colour.clouds", "at least one colour cloud is needed".into()));
+        }
+        self.clouds().map_err(|index| {
+            ("colour.clouds", format!("the covariance of cloud {index} is singular or not positive definite"))
+        })?;
+        if let Some(rough) = &colour.rough {
+            let fine = rough.limit.is_finite() && rough.limit > 0.0;
+            if !fine || Cloud::new(rough.mean, rough.covariance, rough.metric).is_none() {
+                return Err(("colour.rough", "the limit must be positive, the covariance positive definite".into()));
+            }
+        }
+        if let Some(b) = &colour.rough_box
+            && !(0..3).all(|i| b.low[i].is_finite() && b.high[i].is_finite() && b.low[i] <= b.high[i])
+        {
+            return Err(("colour.rough_box", "each low must be finite and at most its high".into()));
+        }
+        let size = &self.size;
+        for (place, low, high) in [("size.max_px", size.min_px, size.max_px), ("size.max_m", size.min_m, size.max_m)] {
+            if [low, high].into_iter().flatten().any(|v| !(v.is_finite() && v > 0.0)) {
+                return Err((place, "sizes must be positive numbers".into()));
+            }
+            if let (Some(low), Some(high)) = (low, high)
+                && low > high
+            {
+                return Err((place, format!("the smallest size {low} is above the largest {high}")));
+            }
+        }
+        if size.max_px.is_none() && size.max_m.is_none() {
+            return Err(("size", "max_px or max_m is needed".into()));
+        }
+        if size.max_px.is_some_and(|v| v > 4096.0) {
+            return Err(("size.max_px", "marks above 4096 px are not supported".into()));
+        }
+        if self.filters.closing_radius_px > 64 || self.filters.opening_radius_px > 64 {
+            return Err(("filters", "radii above 64 px are not supported".into()));
+        }
+        if self.examine.min_score.is_nan() || !(self.examine.min_distance_px >= 0.0) {
+            return Err(("examine", "min_score and min_distance_px must be numbers, the latter not negative".into()));
+        }
+        if let Some(d) = &self.examine.density {
+            let filled = d.samples.iter().all(|s| !s.is_empty() && s.iter().all(|v| v.is_finite()));
+            if !filled || !d.bandwidth.iter().all(|b| b.is_finite() && *b > 0.0) {
+                return Err(("examine.density", "needs samples and a positive bandwidth on each axis".into()));
+            }
+        }
+        Ok(())
+    }
+
+    /// The clouds ready for use; on failure the index of the singular one.
+    pub(crate) fn clouds(&self) -> std::result::Result<Vec<Cloud>, usize> {
+        let metric = self.colour.metric;
+        self.colour
+            .clouds
+            .iter()
+            .enumerate()
+            .map(|(i, spec)| Cloud::new(spec.mean, spec.covariance, metric).ok_or(i))
+            .collect()
+    }
+
+    /// Smallest and largest side of a mark in pixels.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the profile gives metres only and `gsd_m` is unknown.
+    pub fn side_range_px(&self, gsd_m: Option<f64>) -> Result<(f64, f64)> {
+        let size = &self.size;
+        let gsd_m = gsd_m.filter(|g| g.is_finite() && *g > 0.0);
+        let pick = |metres: Option<f64>, px: Option<f64>| match (metres, gsd_m) {
+            (Some(m), Some(g)) => Some(m / g),
+            _ => px,
+        };
+        let high = pick(size.max_m, size.max_px).ok_or_else(|| {
+            Error::usage(
+                format!("profile \"{}\" gives the size in metres, and the size of a pixel is not known", self.name),
+                "give the ground sample distance, or size.max_px in the profile",
+            )
+        })?;
+        let low = pick(size.min_m, size.min_px).unwrap_or(1.0).min(high);
+        Ok((low, high))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_profile_is_valid_and_survives_a_round_trip() {
+        for name in Profile::names() {
+            let profile = Profile::builtin(name).expect("names lists what is there");
+            assert_eq!(profile.name, name);
+            profile.validate().expect(name);
+            assert_eq!(Profile::parse(&profile.to_toml()).expect(name), profile);
+        }
+        assert_eq!(Profile::names()[0], "orange");
+    }
+
+    #[test]
+    fn bad_profiles_name_place_and_reason() {
+        let good = Profile::builtin("orange").expect("shipped");
+        let cases: [(&str, fn(&mut Profile)); 5] = [
+            ("colour.limit", |p| p.colour.limit = -1.0),
+            ("colour.clouds", |p| p.colour.clouds[0].covariance = [[1.0; 3]; 3]),
+            ("colour.clouds", |p| p.colour.clouds.clear()),
+            ("size.max_px", |p| p.size.min_px = Some(1e3)),
+            ("size", |p| p.size.max_px = None),
+        ];
+        for (place, spoil) in cases {
+            let mut bad = good.clone();
+            spoil(&mut bad);
+            let message = bad.validate().expect_err(place).to_string();
+            assert!(message.contains(place), "{message}");
+            assert!(!message.contains('\n'));
+        }
+        let (place, what) = Profile::parse("name = \"x\"\nbogus = 3\n").expect_err("unknown field");
+        assert!(place == "line 2" || what.contains("bogus"), "{place}: {what}");
+        assert!(Profile::load("no-such-profile").expect_err("missing").to_string().contains("orange"));
+    }
+}

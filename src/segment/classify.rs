@@ -1,0 +1,277 @@
+//! Which pixels are paint: exactly, and at memory speed.
+//!
+//! The decision on an 8-bit colour depends on three bytes, so it is a table of 2²⁴ bits (2 MiB), computed once per profile
+//! with the scalar reference [`PaintTest`], and only where an interval bound says that anything can be accepted. A row first
+//! goes through a vectorised test of the accepted colours' bounds (see [`kernels`]), which drops nearly all pixels of an
+//! ordinary image, and what is left is looked up. 16-bit samples are scaled to 8 bits by `(255·v + white/2) / white`, never
+//! by a tile's own statistics, so that the answer does not depend on the tiling.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::profile::Profile;
+use crate::profile::colour::{Cloud, Space, lab_f, lab_from_f, lab_from_srgb, linear_from_srgb, xyz_from_linear};
+use crate::raster::{PixelRow, SampleType, Samples};
+use crate::segment::kernels::{self, Bounds};
+
+/// The scalar reference: is this colour paint, and how far is it from it?
+#[derive(Clone, Debug)]
+pub struct PaintTest {
+    space: Space,
+    limit2: f64,
+    clouds: Vec<Cloud>,
+    rough: Option<(Space, f64, Cloud)>,
+    low: [u8; 3],
+    high: [u8; 3],
+}
+
+impl PaintTest {
+    /// # Errors
+    /// [`Error::Usage`] when the profile is not valid.
+    pub fn new(profile: &Profile) -> Result<PaintTest> {
+        profile.validate()?;
+        let model = &profile.colour;
+        let clouds = profile.clouds().map_err(|i| {
+            Error::usage(format!("profile \"{}\": colour cloud {i} is singular", profile.name), "correct the profile")
+        })?;
+        let rough = model
+            .rough
+            .as_ref()
+            .and_then(|r| Some((r.space, r.limit * r.limit, Cloud::new(r.mean, r.covariance, r.metric)?)));
+        let byte = |v: f64| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+        let (low, high) = model.rough_box.map_or(([0; 3], [255; 3]), |b| (b.low.map(byte), b.high.map(byte)));
+        Ok(PaintTest { space: model.space, limit2: model.limit * model.limit, clouds, rough, low, high })
+    }
+
+    /// Squared distance, over the squared limit, of an 8-bit sRGB colour from the nearest cloud: paint is at most 1.
+    /// Infinite where a rough test already says no.
+    pub fn relative_distance2(&self, colour: [u8; 3]) -> f64 {
+        if (0..3).any(|i| !(self.low[i]..=self.high[i]).contains(&colour[i])) {
+            return f64::INFINITY;
+        }
+        let unit = colour.map(|v| f64::from(v) / 255.0);
+        if let Some((space, limit2, cloud)) = &self.rough
+            && cloud.distance2(&space.convert(unit)) > *limit2
+        {
+            return f64::INFINITY;
+        }
+        self.nearest2(unit) / self.limit2
+    }
+
+    /// Squared distance of an sRGB colour in 0..=1 from the nearest cloud, in the metric's own units.
+    pub fn nearest2(&self, unit: [f64; 3]) -> f64 {
+        let at = self.space.convert(unit);
+        self.clouds.iter().map(|c| c.distance2(&at)).fold(f64::INFINITY, f64::min)
+    }
+
+    pub fn is_paint(&self, colour: [u8; 3]) -> bool {
+        self.relative_distance2(colour) <= 1.0
+    }
+
+    /// Can any colour of the cube `low..=high` be paint? A bound: never false when one can.
+    fn cube_may_hold_paint(&self, low: [u8; 3], high: [u8; 3]) -> bool {
+        if (0..3).any(|i| high[i] < self.low[i] || low[i] > self.high[i]) {
+            return false;
+        }
+        let (lo, hi) = match self.space {
+            Space::Rgb => (low.map(|v| f64::from(v) / 255.0), high.map(|v| f64::from(v) / 255.0)),
+            Space::Lab => {
+                // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it. A hair of
+                // slack covers a cube root that is not exactly monotone.
+                let f = |c: [u8; 3]| xyz_from_linear(c.map(|v| linear_from_srgb(f64::from(v) / 255.0))).map(lab_f);
+                let (f0, f1) = (f(low), f(high));
+                let slack = 1e-9;
+                let least = lab_from_f([f0[0], f0[1], f1[2]]);
+                let most = lab_from_f([f1[0], f1[1], f0[2]]);
+                (
+                    [least[0] - slack, 500.0 * (f0[0] - f1[1]) - slack, 200.0 * (f0[1] - f1[2]) - slack],
+                    [most[0] + slack, 500.0 * (f1[0] - f0[1]) + slack, 200.0 * (f1[1] - f0[2]) + slack],
+                )
+            }
+        };
+        let limit = self.limit2.sqrt();
+        self.clouds.iter().any(|cloud| {
+            (0..3).all(|i| {
+                let reach = cloud.reach[i] * limit * (1.0 + 1e-9);
+                hi[i] >= cloud.mean[i] - reach && lo[i] <= cloud.mean[i] + reach
+            })
+        })
+    }
+}
+
+/// One bit for each 8-bit colour, red most significant.
+struct ColourTable {
+    words: Vec<u64>,
+    bounds: Bounds,
+}
+
+impl ColourTable {
+    const SLAB_WORDS: usize = 16 * 65_536 / 64;
+
+    fn new(test: &PaintTest) -> ColourTable {
+        let mut words = vec![0u64; (1 << 24) / 64];
+        // Sixteen reds at a time, so that slabs are disjoint slices.
+        let bounds = words
+            .par_chunks_mut(Self::SLAB_WORDS)
+            .enumerate()
+            .map(|(slab, words)| fill_slab(test, slab, words))
+            .reduce(|| Bounds::NOTHING, |a, b| a.union(&b));
+        ColourTable { words, bounds }
+    }
+
+    fn get(&self, c: [u8; 3]) -> bool {
+        let index = usize::from(c[0]) << 16 | usize::from(c[1]) << 8 | usize::from(c[2]);
+        self.words[index >> 6] >> (index & 63) & 1 == 1
+    }
+}
+
+/// The colours with red `16·slab .. 16·slab + 16`.
+fn fill_slab(test: &PaintTest, slab: usize, words: &mut [u64]) -> Bounds {
+    const SIDE: usize = 8;
+    let linear: Vec<f64> = (0..256).map(|v| linear_from_srgb(f64::from(v) / 255.0)).collect();
+    let mut bounds = Bounds::NOTHING;
+    let steps = || (0..256usize).step_by(SIDE);
+    for r0 in (0..16).step_by(SIDE) {
+        for (g0, b0) in steps().flat_map(|g| steps().map(move |b| (g, b))) {
+            let low = [(16 * slab + r0) as u8, g0 as u8, b0 as u8];
+            if !test.cube_may_hold_paint(low, low.map(|v| v + (SIDE - 1) as u8)) {
+                continue;
+            }
+            for (r, g, b) in (0..SIDE * SIDE * SIDE).map(|i| (r0 + i / 64, g0 + i / 8 % 8, b0 + i % 8)) {
+                let colour = [(16 * slab + r) as u8, g as u8, b as u8];
+                if table_bit(test, &linear, colour) {
+                    let index = r << 16 | g << 8 | b;
+                    words[index >> 6] |= 1 << (index & 63);
+                    bounds.admit(colour);
+                }
+            }
+        }
+    }
+    bounds
+}
+
+/// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
+fn table_bit(test: &PaintTest, linear: &[f64], colour: [u8; 3]) -> bool {
+    if test.space == Space::Rgb || test.rough.is_some() || test.low != [0; 3] || test.high != [255; 3] {
+        return test.is_paint(colour);
+    }
+    let lab = lab_from_f(xyz_from_linear(colour.map(|v| linear[usize::from(v)])).map(lab_f));
+    test.clouds.iter().map(|c| c.distance2(&lab)).fold(f64::INFINITY, f64::min) / test.limit2 <= 1.0
+}
+
+/// Decides for every pixel of a row whether it is paint. Cheap to clone; shared by all workers.
+#[derive(Clone)]
+pub struct Classifier {
+    table: Arc<ColourTable>,
+    test: Arc<PaintTest>,
+    sample: SampleType,
+    white: u16,
+    rgb: [usize; 3],
+    alpha: Option<usize>,
+    /// As an integer sample; `None` when no sample can equal it.
+    nodata: Option<u16>,
+}
+
+impl Classifier {
+    /// `rgb` and `alpha` are sample indices in a pixel (one grey band three times is fine); `white` is the sample value of
+    /// full white; a pixel whose colour samples all equal `nodata`, or whose alpha is 0, is background.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the profile is not valid or `white` is 0.
+    pub fn new(
+        profile: &Profile,
+        sample: SampleType,
+        white: u16,
+        rgb: [usize; 3],
+        alpha: Option<usize>,
+        nodata: Option<f64>,
+    ) -> Result<Classifier> {
+        if white == 0 {
+            return Err(Error::usage("the value of white is 0", "give the largest sample value with --white"));
+        }
+        let test = PaintTest::new(profile)?;
+        let table = ColourTable::new(&test);
+        let nodata = nodata.filter(|v| v.fract() == 0.0 && (0.0..=65_535.0).contains(v)).map(|v| v as u16);
+        Ok(Classifier { table: Arc::new(table), test: Arc::new(test), sample, white, rgb, alpha, nodata })
+    }
+
+    /// The scalar reference behind the table.
+    pub fn reference(&self) -> &PaintTest {
+        &self.test
+    }
+
+    /// The table's answer for an 8-bit colour.
+    pub fn is_paint(&self, colour: [u8; 3]) -> bool {
+        self.table.get(colour)
+    }
+
+    /// A sample on the 8-bit scale: `(255·v + white/2) / white`, at most 255; bytes with white 255 are themselves.
+    pub fn to_byte(&self, sample: u16) -> u8 {
+        scale(sample, self.white)
+    }
+
+    /// One bit a pixel: is it paint? `bits` has `ceil(row.len / 64)` words; all are overwritten, unused high bits are zero.
+    ///
+    /// # Panics
+    /// When `bits` or the row's samples are too short.
+    pub fn classify_row(&self, row: PixelRow<'_>, bits: &mut [u64]) {
+        let words = row.len.div_ceil(64);
+        let bits = &mut bits[..words];
+        match row.samples {
+            Samples::U8(samples) if self.white == 255 && self.sample == SampleType::U8 => {
+                kernels::prefilter(samples, row.pixel_stride, self.rgb, row.len, &self.table.bounds, bits);
+                self.refine(bits, |i| {
+                    let pixel = &samples[i * row.pixel_stride..];
+                    (self.rgb.map(|b| u16::from(pixel[b])), self.alpha.map(|a| u16::from(pixel[a])))
+                });
+            }
+            Samples::U8(samples) => self.classify_wide(row.len, bits, |i| {
+                let pixel = &samples[i * row.pixel_stride..];
+                (self.rgb.map(|b| u16::from(pixel[b])), self.alpha.map(|a| u16::from(pixel[a])))
+            }),
+            Samples::U16(samples) => self.classify_wide(row.len, bits, |i| {
+                let pixel = &samples[i * row.pixel_stride..];
+                (self.rgb.map(|b| pixel[b]), self.alpha.map(|a| pixel[a]))
+            }),
+        }
+    }
+
+    fn classify_wide(&self, len: usize, bits: &mut [u64], pixel: impl Fn(usize) -> ([u16; 3], Option<u16>)) {
+        for (word, first) in bits.iter_mut().zip((0..len).step_by(64)) {
+            *word = 0;
+            for i in first..(first + 64).min(len) {
+                let (colour, _) = pixel(i);
+                *word |= u64::from(self.table.bounds.passes(colour.map(|v| self.to_byte(v)))) << (i - first);
+            }
+        }
+        self.refine(bits, pixel);
+    }
+
+    /// Keeps the set bits whose pixel is paint by the table and holds something.
+    fn refine(&self, bits: &mut [u64], pixel: impl Fn(usize) -> ([u16; 3], Option<u16>)) {
+        for (w, word) in bits.iter_mut().enumerate() {
+            let mut left = *word;
+            while left != 0 {
+                let bit = left.trailing_zeros();
+                left &= left - 1;
+                let (colour, alpha) = pixel(w * 64 + bit as usize);
+                let holds_nothing = alpha == Some(0) || self.nodata.is_some_and(|n| colour == [n; 3]);
+                if holds_nothing || !self.table.get(colour.map(|v| self.to_byte(v))) {
+                    *word &= !(1 << bit);
+                }
+            }
+        }
+    }
+}
+
+fn scale(sample: u16, white: u16) -> u8 {
+    ((255 * u32::from(sample) + u32::from(white) / 2) / u32::from(white)).min(255) as u8
+}
+
+/// L\*a\*b\* of an 8-bit colour, for whoever measures distances to what a classifier took.
+pub fn lab_of(colour: [u8; 3]) -> [f64; 3] {
+    let lab = lab_from_srgb(colour.map(|v| f64::from(v) / 255.0));
+    [lab[0], lab[1], lab[2]]
+}

@@ -1,0 +1,124 @@
+//! The colour prefilter: which pixels of a row may be paint, at memory speed. [`scalar`] is the reference, [`x86_64`] its
+//! AVX2 twin; both answer the same bits, and tests compare them at every length and offset.
+#![allow(unsafe_code)]
+
+pub mod scalar;
+#[cfg(target_arch = "x86_64")]
+pub mod x86_64;
+
+/// Bounds on one pixel's samples and on their differences. A pixel passes when every sample lies in `low..=high` and each
+/// saturating difference in its own range. Everything the exact table accepts passes (see `Classifier`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    pub low: [u8; 3],
+    pub high: [u8; 3],
+    /// Of `max(0, r − g)`, `max(0, g − b)`, `max(0, b − r)`.
+    pub fall_low: [u8; 3],
+    pub fall_high: [u8; 3],
+    /// Of `max(0, g − r)`, `max(0, b − g)`, `max(0, r − b)`.
+    pub rise_low: [u8; 3],
+    pub rise_high: [u8; 3],
+}
+
+impl Bounds {
+    /// Bounds that nothing passes; the start of a union.
+    pub const NOTHING: Bounds = Bounds {
+        low: [255; 3],
+        high: [0; 3],
+        fall_low: [255; 3],
+        fall_high: [0; 3],
+        rise_low: [255; 3],
+        rise_high: [0; 3],
+    };
+
+    /// Widens the bounds until `colour` passes.
+    pub fn admit(&mut self, colour: [u8; 3]) {
+        for i in 0..3 {
+            let fall = colour[i].saturating_sub(colour[(i + 1) % 3]);
+            let rise = colour[(i + 1) % 3].saturating_sub(colour[i]);
+            self.low[i] = self.low[i].min(colour[i]);
+            self.high[i] = self.high[i].max(colour[i]);
+            self.fall_low[i] = self.fall_low[i].min(fall);
+            self.fall_high[i] = self.fall_high[i].max(fall);
+            self.rise_low[i] = self.rise_low[i].min(rise);
+            self.rise_high[i] = self.rise_high[i].max(rise);
+        }
+    }
+
+    /// The smallest bounds that hold both.
+    pub fn union(&self, other: &Bounds) -> Bounds {
+        let low = |a: [u8; 3], b: [u8; 3]| [a[0].min(b[0]), a[1].min(b[1]), a[2].min(b[2])];
+        let high = |a: [u8; 3], b: [u8; 3]| [a[0].max(b[0]), a[1].max(b[1]), a[2].max(b[2])];
+        Bounds {
+            low: low(self.low, other.low),
+            high: high(self.high, other.high),
+            fall_low: low(self.fall_low, other.fall_low),
+            fall_high: high(self.fall_high, other.fall_high),
+            rise_low: low(self.rise_low, other.rise_low),
+            rise_high: high(self.rise_high, other.rise_high),
+        }
+    }
+
+    pub fn passes(&self, colour: [u8; 3]) -> bool {
+        (0..3).all(|i| {
+            let fall = colour[i].saturating_sub(colour[(i + 1) % 3]);
+            let rise = colour[(i + 1) % 3].saturating_sub(colour[i]);
+            (self.low[i]..=self.high[i]).contains(&colour[i])
+                && (self.fall_low[i]..=self.fall_high[i]).contains(&fall)
+                && (self.rise_low[i]..=self.rise_high[i]).contains(&rise)
+        })
+    }
+}
+
+/// Writes one bit a pixel: does it pass? Every word of `bits` is overwritten, unused high bits are zero.
+///
+/// `rgb` are the sample indices in a pixel. Uses AVX2 where the machine has it, the pixels are 3 or 4 samples wide and the
+/// feature `force-scalar` is off.
+pub fn prefilter(samples: &[u8], stride: usize, rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
+    #[cfg(target_arch = "x86_64")]
+    if !cfg!(feature = "force-scalar") && matches!(stride, 3 | 4) && is_x86_feature_detected!("avx2") {
+        // SAFETY: the machine has AVX2, as just asked.
+        unsafe { x86_64::prefilter(samples, stride, rgb, len, bounds, bits) };
+        return;
+    }
+    scalar::prefilter(samples, stride, rgb, 0..len, bounds, bits);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(len: usize, seed: u64) -> Vec<u8> {
+        let mut state = seed | 1;
+        let mut next = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 32) as u8
+        };
+        (0..len).map(|_| next()).collect()
+    }
+
+    #[test]
+    fn the_kernels_agree_at_every_length_offset_and_order() {
+        let mut bounds = Bounds::NOTHING;
+        for colour in [[200, 90, 30], [255, 200, 120], [90, 40, 10]] {
+            bounds.admit(colour);
+        }
+        for stride in [3usize, 4, 5, 1] {
+            for rgb in [[0, 1, 2], [2, 1, 0], [1, 2, 0]] {
+                let rgb = if stride == 1 { [0; 3] } else { rgb };
+                for len in (0..70).chain([127, 128, 129, 200, 515]) {
+                    for offset in [0usize, 1, 2, 7] {
+                        let data = noise(offset + len * stride, (len * 31 + offset * 7 + stride) as u64);
+                        let words = len.div_ceil(64);
+                        let (mut fast, mut slow) = (vec![u64::MAX; words], vec![u64::MAX; words]);
+                        prefilter(&data[offset..], stride, rgb, len, &bounds, &mut fast);
+                        scalar::prefilter(&data[offset..], stride, rgb, 0..len, &bounds, &mut slow);
+                        assert_eq!(fast, slow, "stride {stride} len {len} offset {offset}");
+                    }
+                }
+            }
+        }
+    }
+}
