@@ -9,6 +9,7 @@
 mod gcps;
 mod landscape;
 mod mark;
+mod objects;
 mod paint;
 mod photo;
 mod plan;

@@ -294,7 +294,15 @@ impl Mosaic {
         let total = *self.shares.last().expect("a store holds at least one photograph");
         let pick = cell_hash(h, brick, course) % total;
         let photo = self.shares.partition_point(|&s| s <= pick);
-        self.store.read_mirrored(photo, x + (h & 0xfffff) as i64, y + (h >> 20 & 0xfffff) as i64, out)
+        let p = self.store.photos[photo];
+        // Where a photograph is larger than a brick and its seam, the brick shows a piece without a mirror in it.
+        let left = brick * self.brick.0 - (cell_hash(self.seed, i64::MIN, course) % self.brick.0 as u64) as i64;
+        let within = |size: u64, brick: i64, h: u64| {
+            let room = size as i64 - brick - SEAM_PX;
+            (h % if room > 0 { room as u64 } else { 2 * size }) as i64
+        };
+        let (ox, oy) = (within(p.width, self.brick.0, h & 0xfffff), within(p.height, self.brick.1, h >> 20 & 0xfffff));
+        self.store.read_mirrored(photo, x - left + ox, y - course * self.brick.1 + oy, out)
     }
 }
 
