@@ -1,0 +1,147 @@
+//! The result of a run as JSON: everything that was asked, seen, solved and written. `docs/formats.md` documents it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::candidate::Candidate;
+use crate::coords::GeoTransform;
+use crate::matching::{Effort, Pattern};
+use crate::solve::Solution;
+
+/// Version of the layout; it grows when a field changes its meaning.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// "solved" or "refused".
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    Solved,
+    Refused,
+}
+
+/// The document. Absent values are `null`; no number is ever NaN or infinite.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunResult {
+    pub schema_version: u32,
+    pub program: String,
+    pub status: Status,
+    /// Why it was refused, in plain words.
+    pub reason: Option<String>,
+    /// What would help.
+    pub advice: Vec<String>,
+    pub image: Option<ImageInfo>,
+    pub gcp_file: String,
+    pub options: serde_json::Value,
+    /// GDAL's six numbers; pixel corners.
+    pub geotransform: Option<GeoTransform>,
+    /// "EPSG:n", WKT, or null for local coordinates.
+    pub crs: Option<String>,
+    /// √(mean(dE² + dN²)), unweighted, metres.
+    pub rmse_m: Option<f64>,
+    pub rmse_e_m: Option<f64>,
+    pub rmse_n_m: Option<f64>,
+    pub rmse_px: Option<f64>,
+    pub scale_m_per_px: Option<f64>,
+    /// Anticlockwise from east.
+    pub rotation_deg: Option<f64>,
+    pub gcps_listed: usize,
+    /// GCPs that the transform puts inside the image.
+    pub gcps_in_image: Option<usize>,
+    pub candidates_found: usize,
+    /// Patterns as good as this that chance alone would produce; see `log10_false_alarms` when it is too small for a double.
+    pub false_alarms: Option<f64>,
+    pub log10_false_alarms: Option<f64>,
+    pub matches: Vec<MatchRow>,
+    pub check_points: Vec<MatchRow>,
+    /// GCPs inside the image of which no mark was found.
+    pub not_found: Vec<String>,
+    /// GCPs that lie outside the image.
+    pub outside: Vec<String>,
+    pub solution: Option<Solution>,
+    pub runner_up: Option<Pattern>,
+    /// The best partial pattern of a refused run.
+    pub best_pattern: Option<Pattern>,
+    pub search: Option<Effort>,
+    pub prior_georeference: Option<PriorGeoreference>,
+    pub warnings: Vec<String>,
+    pub candidates: Vec<Candidate>,
+    pub files_written: Vec<String>,
+    pub reading: Option<Reading>,
+    pub memory_plan: Option<crate::pipeline::ScanPlan>,
+    pub timings: Timings,
+    pub peak_memory_bytes: Option<u64>,
+    pub elapsed_s: f64,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct ImageInfo {
+    pub path: String,
+    pub width: u64,
+    pub height: u64,
+    pub bands: usize,
+    pub reader: String,
+    pub description: String,
+}
+
+/// One GCP with the mark that is it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MatchRow {
+    pub gcp: String,
+    pub x: f64,
+    pub y: f64,
+    pub easting: f64,
+    pub northing: f64,
+    pub height: Option<f64>,
+    /// Surveyed − computed.
+    pub residual_e_m: f64,
+    pub residual_n_m: f64,
+    pub residual_px: f64,
+    pub covariance_px2: Option<[f64; 3]>,
+    pub score: Option<f64>,
+    /// "scan" or "rematch": which look gave the centre.
+    pub found_by: String,
+    pub leave_one_out_m: Option<f64>,
+    pub redundancy: Option<f64>,
+    pub detectable_blunder_m: Option<f64>,
+    pub outlier: bool,
+}
+
+/// A georeference that the image already had.
+#[derive(Clone, Debug, Serialize)]
+pub struct PriorGeoreference {
+    pub geotransform: GeoTransform,
+    pub crs: Option<String>,
+    /// How far the new georeference moves the image's centre, metres; null when the CRSs differ.
+    pub moved_m: Option<f64>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Reading {
+    pub blocks_in_file: u64,
+    /// Decoded during the scan.
+    pub blocks_decoded: u64,
+    pub blocks_skipped: u64,
+    pub bytes_read: u64,
+    /// Decoded for windows of their own: marks that straddle tiles, and the second look.
+    pub window_blocks_decoded: u64,
+    pub window_bytes_read: u64,
+}
+
+/// Wall-clock seconds of the stages.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Timings {
+    pub open_s: f64,
+    pub scan_s: f64,
+    pub examine_s: f64,
+    pub match_s: f64,
+    pub rematch_s: f64,
+    pub write_s: f64,
+}
+
+impl RunResult {
+    /// The document as text.
+    pub fn to_json(&self) -> String {
+        let mut text = serde_json::to_string_pretty(self).expect("no map keys but strings, no failing serialiser");
+        text.push('\n');
+        text
+    }
+}

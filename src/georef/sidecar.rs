@@ -1,0 +1,151 @@
+//! The georeference beside the image: world file, `.aux.xml`, and a VRT that refers to it.
+//!
+//! A world file speaks of pixel centres and knows no CRS; GDAL ignores it beside a GeoTIFF that has a georeference. The
+//! `.aux.xml` (GDAL's persistent auxiliary metadata) has transform and CRS, and comes before what is in the file.
+
+use std::path::{Path, PathBuf};
+
+use gdal::spatial_ref::{AxisMappingStrategy, SpatialRef};
+use quick_xml::events::{BytesText, Event};
+use quick_xml::{Reader, Writer};
+
+use crate::coords::GeoTransform;
+use crate::error::{Error, Result};
+use crate::georef::crs::Crs;
+
+/// `e6.tif` → `e6.tfw`: first and last letter of the extension and a w, as GDAL and ArcGIS look for it.
+pub fn world_file_path(image: &Path) -> PathBuf {
+    let extension = image.extension().map(|e| e.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut letters = extension.chars();
+    match (letters.next(), letters.next_back()) {
+        (Some(first), Some(last)) => image.with_extension(format!("{first}{last}w")),
+        (Some(first), None) => image.with_extension(format!("{first}w")),
+        _ => image.with_extension("wld"),
+    }
+}
+
+/// `e6.tif` → `e6.tif.aux.xml`.
+pub fn aux_path(image: &Path) -> PathBuf {
+    let mut name = image.as_os_str().to_owned();
+    name.push(".aux.xml");
+    PathBuf::from(name)
+}
+
+/// Six lines: the four rates, then the map position of the **centre** of the first pixel.
+pub fn world_file(transform: &GeoTransform) -> String {
+    let g = transform.0;
+    let centre = (g[0] + (g[1] + g[2]) / 2.0, g[3] + (g[4] + g[5]) / 2.0);
+    // The shortest decimal that reads back to the same number.
+    format!("{}\n{}\n{}\n{}\n{}\n{}\n", g[1], g[4], g[2], g[5], centre.0, centre.1)
+}
+
+/// The `.aux.xml`. What an existing one holds besides CRS, transform and GCPs (statistics, histograms) is kept.
+///
+/// # Errors
+/// When `existing` is no XML.
+pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&Path, &str)>) -> Result<String> {
+    let mut kept = String::new();
+    if let Some((path, text)) = existing {
+        kept = other_elements(text).map_err(|e| Error::format(path, "the XML", e))?;
+    }
+    let mut out = String::from("<PAMDataset>\n");
+    if let Some(crs) = crs {
+        let wkt = quick_xml::escape::escape(crs.wkt());
+        out.push_str(&format!("  <SRS dataAxisToSRSAxisMapping=\"{}\">{wkt}</SRS>\n", axis_mapping(crs)));
+    }
+    let numbers = transform.0.map(|v| format!("{v:.17e}")).join(", ");
+    out.push_str(&format!("  <GeoTransform>{numbers}</GeoTransform>\n"));
+    out.push_str(&kept);
+    out.push_str("</PAMDataset>\n");
+    Ok(out)
+}
+
+/// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
+fn axis_mapping(crs: &Crs) -> &'static str {
+    let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {
+        reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
+        let key = if crs.is_geographic() { "GEOGCS" } else { "PROJCS" };
+        reference.axis_orientation(key, 0).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_North)
+            && reference.axis_orientation(key, 1).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_East)
+    });
+    if north_first { "2,1" } else { "1,2" }
+}
+
+/// The children of the root but those that we write, as text.
+fn other_elements(text: &str) -> std::result::Result<String, String> {
+    let mut reader = Reader::from_str(text);
+    let mut writer = Writer::new(Vec::new());
+    let mut depth = 0;
+    let mut dropping = false;
+    loop {
+        let event = reader.read_event().map_err(|e| e.to_string())?;
+        match &event {
+            Event::Start(start) => {
+                depth += 1;
+                dropping |= depth == 2 && ours(start.name().as_ref());
+            }
+            Event::Empty(start) if depth == 1 && ours(start.name().as_ref()) => continue,
+            Event::Eof if depth == 0 => break,
+            Event::Eof => return Err("it ends in the middle".into()),
+            _ => {}
+        }
+        let inside = depth >= 2 || (depth == 1 && matches!(event, Event::Empty(_)));
+        let end = matches!(event, Event::End(_));
+        if inside && !dropping {
+            writer.write_event(event).map_err(|e| e.to_string())?;
+        }
+        if end {
+            if depth == 2 && !dropping {
+                writer.write_event(Event::Text(BytesText::new("\n"))).map_err(|e| e.to_string())?;
+            }
+            dropping &= depth != 2;
+            depth -= 1;
+        }
+    }
+    String::from_utf8(writer.into_inner()).map_err(|e| e.to_string())
+}
+
+fn ours(name: &str) -> bool {
+    matches!(name, "SRS" | "GeoTransform" | "GCPList")
+}
+
+/// Writes a VRT that refers to the image and has the transform and CRS.
+///
+/// # Errors
+/// When GDAL cannot open the image or write the VRT.
+pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
+    let error = |e| Error::gdal(vrt, e);
+    let image = std::fs::canonicalize(image).map_err(|e| Error::io(image, "resolve", e))?;
+    let source = gdal::Dataset::open(&image).map_err(error)?;
+    let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
+    let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
+    copy.set_geo_transform(&transform.0).map_err(error)?;
+    if let Some(crs) = crs {
+        copy.set_projection(crs.wkt()).map_err(error)?;
+    }
+    copy.close().map_err(error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_follow_the_extension() {
+        let world = |name: &str| world_file_path(Path::new(name)).display().to_string();
+        assert_eq!(world("a/e6.tif"), "a/e6.tfw");
+        assert_eq!(world("e6.jpeg"), "e6.jgw");
+        assert_eq!(world("e6.TIF"), "e6.TFw");
+        assert_eq!(world("e6"), "e6.wld");
+        assert_eq!(aux_path(Path::new("e6.tif")), Path::new("e6.tif.aux.xml"));
+    }
+
+    #[test]
+    fn what_is_not_ours_stays_in_the_aux_file() {
+        let old = "<PAMDataset>\n  <SRS>old</SRS>\n  <PAMRasterBand band=\"1\">\n    <Metadata><MDI key=\"STATISTICS_MEAN\">7</MDI></Metadata>\n  </PAMRasterBand>\n</PAMDataset>";
+        let new = aux_xml(&GeoTransform([1.0, 2.0, 0.0, 3.0, 0.0, -2.0]), None, Some((Path::new("a"), old)))
+            .expect("well-formed");
+        assert!(new.contains("STATISTICS_MEAN") && !new.contains("old"), "{new}");
+        assert!(aux_xml(&GeoTransform([0.0; 6]), None, Some((Path::new("a"), "<PAM"))).is_err());
+    }
+}

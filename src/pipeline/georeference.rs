@@ -1,0 +1,210 @@
+//! From an image and a list of GCPs to a solved orientation: scan, match, solve, look again, solve again.
+
+use std::time::Instant;
+
+use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
+use crate::error::Result;
+use crate::gcp::{Gcp, GcpRole};
+use crate::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, Solved};
+use crate::pipeline::{Detector, Progress, ScanOutcome, ScanPlan, scan};
+use crate::raster::RasterSource;
+use crate::rematch::{Expected, SecondLook, rematch};
+use crate::solve::{Pair, Solution, solve};
+
+/// Everything a run needs; the parts are values or hold no state that changes.
+pub struct Job<'a> {
+    pub source: &'a dyn RasterSource,
+    pub plan: &'a ScanPlan,
+    pub detector: &'a dyn Detector,
+    /// For the second look: may take less for granted.
+    pub second_look: &'a dyn Detector,
+    pub gcps: &'a [Gcp],
+    pub matcher: &'a dyn Matcher,
+    pub priors: &'a Priors,
+    pub progress: &'a dyn Progress,
+}
+
+/// What came of it.
+#[derive(Clone, Debug)]
+pub struct Run {
+    pub scan: ScanOutcome,
+    pub outcome: Outcome,
+    pub match_s: f64,
+    pub rematch_s: f64,
+}
+
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    Solved(Box<Orientation>),
+    Refused(Box<Evidence>),
+}
+
+/// Which look gave a mark's centre.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FoundBy {
+    Scan,
+    Rematch,
+}
+
+/// A GCP and the mark that is it.
+#[derive(Clone, Debug)]
+pub struct FoundMark {
+    /// Index in the list of GCPs.
+    pub gcp: usize,
+    pub mark: Candidate,
+    pub found_by: FoundBy,
+}
+
+/// A solved orientation.
+#[derive(Clone, Debug)]
+pub struct Orientation {
+    /// The match that was believed.
+    pub evidence: Solved,
+    pub solution: Solution,
+    /// Control points of the fit, in order of the list and of `solution.pairs`.
+    pub marks: Vec<FoundMark>,
+    /// Check points that were found; they took no part in the fit.
+    pub check_marks: Vec<FoundMark>,
+    /// Inside the image, but no mark was found.
+    pub not_found: Vec<usize>,
+    pub outside: Vec<usize>,
+}
+
+/// Runs the job.
+///
+/// # Errors
+/// When the raster cannot be read. Not to find a solution is an [`Outcome`], not an error.
+pub fn georeference(job: &Job<'_>) -> Result<Run> {
+    let scan = scan(job.source, job.plan, job.detector, job.progress)?;
+    let started = Instant::now();
+    let outcome = job.matcher.find(&scan.candidates, job.gcps, job.priors);
+    let match_s = started.elapsed().as_secs_f64();
+    let started = Instant::now();
+    let outcome = match outcome {
+        MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
+        MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| {
+            rematch(job.source, job.second_look, &scan.candidates, expected)
+        })?,
+    };
+    Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
+}
+
+/// The same from a list of candidates, without an image to look at again.
+///
+/// # Errors
+/// None at present; the signature is that of looking at an image.
+pub fn solve_candidates(
+    candidates: &[Candidate],
+    gcps: &[Gcp],
+    matcher: &dyn Matcher,
+    priors: &Priors,
+) -> Result<Outcome> {
+    match matcher.find(candidates, gcps, priors) {
+        MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
+        MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected| {
+            let inside = |p: PixelPoint| {
+                priors.image_size_px.is_none_or(|(w, h)| p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h)
+            };
+            Ok(expected
+                .iter()
+                .map(|e| match nearest(candidates, e) {
+                    Some(candidate) => SecondLook::Kept { candidate },
+                    None if inside(e.position) => SecondLook::NotFound,
+                    None => SecondLook::Outside,
+                })
+                .collect())
+        }),
+    }
+}
+
+fn nearest(candidates: &[Candidate], expected: &Expected) -> Option<usize> {
+    let distance = |c: &Candidate| (c.centre.x - expected.position.x).hypot(c.centre.y - expected.position.y);
+    (0..candidates.len())
+        .filter(|&i| distance(&candidates[i]) <= expected.radius_px)
+        .min_by(|&a, &b| distance(&candidates[a]).total_cmp(&distance(&candidates[b])))
+}
+
+fn orient(
+    gcps: &[Gcp],
+    candidates: &[Candidate],
+    evidence: Solved,
+    look: impl Fn(&[Expected]) -> Result<Vec<SecondLook>>,
+) -> Result<Outcome> {
+    let first: Vec<FoundMark> = evidence
+        .pattern
+        .pairs
+        .iter()
+        .map(|&(candidate, gcp)| FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
+        .collect();
+    let Ok(solution) = solve(&pairs(gcps, &first)) else {
+        return Ok(Outcome::Refused(Box::new(degenerate(evidence))));
+    };
+    let expected: Vec<Expected> = (0..gcps.len())
+        .filter(|gcp| !first.iter().any(|mark| mark.gcp == *gcp))
+        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern))
+        .collect();
+    let answers = look(&expected)?;
+    let mut taken: Vec<usize> = evidence.pattern.pairs.iter().map(|pair| pair.0).collect();
+    let (mut marks, mut check_marks) = (first, Vec::new());
+    let (mut not_found, mut outside) = (Vec::new(), Vec::new());
+    for (expected, answer) in expected.iter().zip(answers) {
+        let gcp = expected.gcp;
+        let found = match answer {
+            // One mark is one GCP.
+            SecondLook::Kept { candidate } if taken.contains(&candidate) => None,
+            SecondLook::Kept { candidate } => {
+                taken.push(candidate);
+                Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
+            }
+            SecondLook::Found(mark) => Some(FoundMark { gcp, mark: *mark, found_by: FoundBy::Rematch }),
+            SecondLook::NotFound => None,
+            SecondLook::Outside => {
+                outside.push(gcp);
+                continue;
+            }
+        };
+        match found {
+            Some(mark) if gcps[gcp].role == GcpRole::Check => check_marks.push(mark),
+            Some(mark) => marks.push(mark),
+            None => not_found.push(gcp),
+        }
+    }
+    marks.sort_by_key(|mark| mark.gcp);
+    match solve(&pairs(gcps, &marks)) {
+        Ok(solution) => {
+            Ok(Outcome::Solved(Box::new(Orientation { evidence, solution, marks, check_marks, not_found, outside })))
+        }
+        Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
+    }
+}
+
+fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
+    marks
+        .iter()
+        .map(|found| Pair {
+            pixel: found.mark.centre,
+            covariance_px2: found.mark.covariance_px2,
+            map: gcps[found.gcp].position(),
+            survey_sigma_m: gcps[found.gcp].sigma_m,
+        })
+        .collect()
+}
+
+/// Where a GCP must be, and how far off it may be: what the match's noise and the fit's uncertainty there allow.
+fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern) -> Expected {
+    let position = solution.similarity.invert(point.position());
+    let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;
+    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).clamp(2.0, 64.0);
+    Expected { gcp, position, radius_px }
+}
+
+fn degenerate(evidence: Solved) -> Evidence {
+    Evidence {
+        reason: "the matched points lie in one place: no orientation follows from them".into(),
+        advice: vec!["more points, farther apart".into()],
+        best: Some(evidence.pattern),
+        runner_up: evidence.runner_up,
+        effort: evidence.effort,
+    }
+}

@@ -1,0 +1,68 @@
+//! The detector of painted marks: profile, colour test, gates and examination under one name.
+
+use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
+use crate::error::Result;
+use crate::pipeline::Detector;
+use crate::profile::Profile;
+use crate::raster::{Block, Patch, RasterInfo};
+use crate::segment::classify::Classifier;
+use crate::segment::label::Region;
+use crate::segment::mask::Mask;
+
+/// Finds the marks of a profile in a raster.
+pub struct PaintDetector {
+    profile: Profile,
+    classifier: Classifier,
+    gates: Gates,
+}
+
+impl PaintDetector {
+    /// # Errors
+    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
+    pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
+        let gates = Gates::new(&profile, gsd_m)?;
+        let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
+        Ok(PaintDetector { profile, classifier, gates })
+    }
+
+    /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
+    pub fn relaxed(&self) -> Self {
+        let mut profile = self.profile.clone();
+        profile.examine.min_score = profile.examine.min_score.min(0.0) - 4.0;
+        PaintDetector { profile, classifier: self.classifier.clone(), gates: self.gates.clone() }
+    }
+}
+
+impl Detector for PaintDetector {
+    fn halo_px(&self) -> u64 {
+        0
+    }
+
+    fn segment(&self, block: &Block, mask: &mut Mask) {
+        let longest = block.pieces.iter().map(|piece| piece.window.width).max().unwrap_or(0);
+        let mut bits = vec![0u64; (longest as usize).div_ceil(64)];
+        for piece in block.pieces.iter().filter(|piece| !piece.empty) {
+            let (x, width) = (piece.window.x, piece.window.width);
+            for y in piece.window.y..piece.window.bottom() {
+                self.classifier.classify_row(piece.row(x, y, width), &mut bits);
+                mask.put_bits(x, y, width, &bits);
+            }
+        }
+    }
+
+    fn gate(&self, region: &Region) -> bool {
+        self.gates.region(region)
+    }
+
+    fn patch_margin_px(&self) -> u64 {
+        patch_margin_px(&self.profile)
+    }
+
+    fn largest_mark_px(&self) -> u64 {
+        self.gates.max_side_px()
+    }
+
+    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
+        examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    }
+}
