@@ -247,9 +247,11 @@ fn check_against_truth(path: &Path, kind: &Kind, seed: usize, what: &str) -> boo
             assert!(what.contains("LZW"), "{what}");
             return false;
         };
-        assert_eq!(samples.len(), kind.width * kind.height * kind.bands);
+        // Of five bands the crate gives the three that it has colours for.
+        let given = if kind.bands == 5 { 3 } else { kind.bands };
+        assert_eq!(samples.len(), kind.width * kind.height * given);
         for (i, &sample) in samples.iter().enumerate() {
-            let (pixel, band) = (i / kind.bands, i % kind.bands);
+            let (pixel, band) = (i / given, i % given);
             assert_eq!(sample, kind.sample(pixel % kind.width, pixel / kind.width, band), "tiff crate: {what}");
         }
     }

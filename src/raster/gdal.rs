@@ -196,7 +196,6 @@ impl GdalDecoder {
             crs_wkt: facts.crs_wkt,
             resolution_m_per_px: facts.resolution_m_per_px,
         };
-        drop(first);
         let pool = BufferPool::for_chunks(chunk_bytes);
         Ok(GdalDecoder { name, info, meaning, grid, group, block, pool, idle: Mutex::new(vec![dataset]) })
     }

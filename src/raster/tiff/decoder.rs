@@ -438,7 +438,7 @@ impl TiffDecoder {
             let rows = left.min(chunk.height - done);
             let to = &mut raw[done as usize * row_bytes..][..rows as usize * row_bytes];
             let (position, length) = self.layout.extent(strip);
-            if stream.row % self.layout.block_height == 0 {
+            if stream.row.is_multiple_of(self.layout.block_height) {
                 counters.add(u64::from(length > 0), u64::from(length == 0), length);
                 stream.strip = match length {
                     0 => None,

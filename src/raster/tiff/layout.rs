@@ -150,7 +150,7 @@ impl Layout {
         let rows = match self.blocks_down() {
             1 => wanted,
             // All strips but the last must be cut into equal ones.
-            _ => (1..=wanted).rev().find(|&rows| self.block_height % rows == 0).unwrap_or(1),
+            _ => (1..=wanted).rev().find(|&rows| self.block_height.is_multiple_of(rows)).unwrap_or(1),
         };
         let planes = if self.planar { self.samples as u64 } else { 1 };
         let (mut offsets, mut byte_counts) = (Vec::new(), Vec::new());
@@ -334,7 +334,7 @@ fn colours(all: &Directories, index: usize, samples: usize, codec: Codec, planar
                 4 => "transparency mask",
                 5 => "CMYK",
                 6 => "YCbCr",
-                8 | 9 | 10 => "Lab",
+                8..=10 => "Lab",
                 _ => "unknown",
             };
             return Err(unsupported(all, format!("photometric interpretation {other} ({name})")));
