@@ -234,24 +234,22 @@ fn check_against_truth(path: &Path, kind: &Kind, seed: usize, what: &str) -> boo
     assert_eq!(stats.blocks_decoded, source.info().blocks, "{what}: each block once");
     assert_eq!(stats.blocks_skipped, 0, "{what}");
     // GDAL's reader on a sample of them: its own variety is in GDAL.
-    if seed % 7 == 0 {
+    if seed.is_multiple_of(7) {
         let source = open(path, ReaderChoice::Gdal, 0, CACHE).unwrap_or_else(|e| panic!("{what}: {e}"));
         for window in some_windows(seed + 1, whole) {
             same(&read_patch(&*source, window).expect("GDAL reads its own"), &kind.truth(window), what);
         }
     }
-    // The tiff crate is built without ZSTD, and reads only the first of separate planes.
+    // The tiff crate is built without ZSTD, reads only the first of separate planes, and mixes up bands beyond the alpha.
     let has = |option: &str| kind.options.iter().any(|o| o == option);
-    if has("INTERLEAVE=PIXEL") && !has("COMPRESS=ZSTD") {
+    if has("INTERLEAVE=PIXEL") && !has("COMPRESS=ZSTD") && kind.bands < 5 {
         let Some(samples) = tiff_crate_samples(path) else {
             assert!(what.contains("LZW"), "{what}");
             return false;
         };
-        // Of five bands the crate gives the three that it has colours for.
-        let given = if kind.bands == 5 { 3 } else { kind.bands };
-        assert_eq!(samples.len(), kind.width * kind.height * given);
+        assert_eq!(samples.len(), kind.width * kind.height * kind.bands);
         for (i, &sample) in samples.iter().enumerate() {
-            let (pixel, band) = (i / given, i % given);
+            let (pixel, band) = (i / kind.bands, i % kind.bands);
             assert_eq!(sample, kind.sample(pixel % kind.width, pixel / kind.width, band), "tiff crate: {what}");
         }
     }

@@ -33,10 +33,10 @@ impl Kind {
             return self.nodata.map_or(0, |value| value as u16);
         }
         if band + 1 == self.bands && self.bands.is_multiple_of(2) {
-            return if (x / 16 + y / 8) % 5 == 0 { 0 } else { 255 };
+            return if (x / 16 + y / 8).is_multiple_of(5) { 0 } else { 255 };
         }
         let noise = (x * 7919 + y * 104_729 + band * 1_299_709) % 97 % 7;
-        let smooth = x + 2 * y + 40 * band + if x / 30 % 2 == 0 { noise } else { 0 };
+        let smooth = x + 2 * y + 40 * band + if (x / 30).is_multiple_of(2) { noise } else { 0 };
         if self.sixteen { (smooth * 131 % 65_536) as u16 } else { (smooth % 256) as u16 }
     }
 
