@@ -196,8 +196,7 @@ impl GdalDecoder {
             crs_wkt: facts.crs_wkt,
             resolution_m_per_px: facts.resolution_m_per_px,
         };
-        drop(first);
-        let pool = BufferPool::new((cache_bytes / 4 / chunk_bytes.max(1)).clamp(2, 64) as usize);
+        let pool = BufferPool::for_chunks(chunk_bytes);
         Ok(GdalDecoder { name, info, meaning, grid, group, block, pool, idle: Mutex::new(vec![dataset]) })
     }
 
@@ -416,6 +415,18 @@ pub(super) struct Facts {
 }
 
 impl Facts {
+    /// Of a directory of a file; one that GDAL cannot open has none.
+    pub fn of_file(path: &Path, directory: usize) -> Self {
+        initialise_gdal(0);
+        match GdalName::new(path, directory).open() {
+            Ok(dataset) => Facts::of(&dataset),
+            Err(error) => {
+                tracing::debug!("no georeference from GDAL: {error}");
+                Facts::default()
+            }
+        }
+    }
+
     pub fn of(dataset: &Dataset) -> Self {
         // GDAL answers with an error when there is none.
         let geotransform = dataset.geo_transform().ok().map(GeoTransform);

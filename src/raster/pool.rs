@@ -5,28 +5,40 @@ use std::sync::Arc;
 use super::PooledBytes;
 
 /// A bounded store of idle byte buffers, shared by all threads.
+///
+/// All buffers have room for the same number of bytes, so that there are never more of them than were in use at once.
 #[derive(Clone, Debug)]
 pub struct BufferPool {
+    buffer_bytes: usize,
     give: crossbeam_channel::Sender<Vec<u8>>,
     take: crossbeam_channel::Receiver<Vec<u8>>,
 }
 
 impl BufferPool {
-    /// Keeps at most `idle` buffers; more are let go.
-    pub fn new(idle: usize) -> Self {
+    /// Keeps at most `idle` buffers of `buffer_bytes`; more are let go.
+    pub fn new(idle: usize, buffer_bytes: usize) -> Self {
         let (give, take) = crossbeam_channel::bounded(idle);
-        BufferPool { give, take }
+        BufferPool { buffer_bytes, give, take }
+    }
+
+    /// For decoded chunks of `chunk_bytes`: as many as may be in use at once in any sensible plan.
+    pub(super) fn for_chunks(chunk_bytes: u64) -> Self {
+        Self::new(((1 << 30) / chunk_bytes.max(1)).clamp(4, 8192) as usize, chunk_bytes as usize)
     }
 
     /// A buffer of `len` bytes with any content.
     pub fn take(&self, len: usize) -> Vec<u8> {
         match self.take.try_recv() {
-            // Growing a smaller buffer would copy its old content: a fresh one is cheaper.
             Ok(mut buffer) if buffer.capacity() >= len => {
                 buffer.resize(len, 0);
                 buffer
             }
-            _ => vec![0; len],
+            _ => {
+                // Zeroed memory comes from the system untouched: nothing is written here.
+                let mut buffer = vec![0; len.max(self.buffer_bytes)];
+                buffer.truncate(len);
+                buffer
+            }
         }
     }
 
@@ -48,8 +60,8 @@ mod tests {
 
     #[test]
     fn a_dropped_buffer_is_taken_again() {
-        let pool = BufferPool::new(2);
-        let shared = pool.share(vec![7; 100]);
+        let pool = BufferPool::new(2, 100);
+        let shared = pool.share(pool.take(40));
         let place = shared.bytes.as_ptr();
         drop(shared);
         let again = pool.take(60);
@@ -59,7 +71,7 @@ mod tests {
 
     #[test]
     fn a_full_pool_lets_buffers_go() {
-        let pool = BufferPool::new(1);
+        let pool = BufferPool::new(1, 8);
         pool.put(vec![1; 8]);
         pool.put(vec![2; 8]);
         assert_eq!(pool.take(8), vec![1; 8]);

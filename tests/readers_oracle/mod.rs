@@ -1,5 +1,7 @@
 //! What GDAL itself says about a file, without any of our reading code.
 
+pub mod made;
+
 use std::path::Path;
 
 use autoref_stream::raster::Patch;

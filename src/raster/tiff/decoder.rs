@@ -1,16 +1,17 @@
 //! From chunks of the grid to blocks of the file.
 
 use std::cell::RefCell;
-use std::fs::File;
+use std::collections::VecDeque;
+use std::io::Read;
 use std::os::unix::fs::FileExt;
+use std::sync::{Mutex, PoisonError};
 
-use super::codec;
 use super::container::{ByteOrder, Directories};
 use super::layout::{Codec, Layout};
-use super::predictor;
+use super::{codec, mapping, predictor, stream};
 use crate::error::{Error, Result};
 use crate::raster::cache::Chunk;
-use crate::raster::chunked::{ChunkDecoder, ChunkedSource, Counters, group_blocks};
+use crate::raster::chunked::{ChunkDecoder, ChunkedSource, Counters, MIN_CHUNK_BYTES, group_blocks};
 use crate::raster::gdal::Facts;
 use crate::raster::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::window::{TileGrid, Window};
@@ -18,19 +19,37 @@ use crate::window::{TileGrid, Window};
 /// Reads image directory `index` of a file.
 ///
 /// # Errors
-/// [`Error::Unsupported`] when GDAL must do it, [`Error::Limit`] when one block is larger than `cache_bytes`.
+/// [`Error::Unsupported`] when GDAL must do it, [`Error::Limit`] when one block is larger than `cache_bytes` and cannot
+/// be decoded row by row.
 pub fn open(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
     Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes)?, cache_bytes))
 }
 
+/// Like [`open`], but uncompressed interleaved 8-bit blocks are mapped instead of read into buffers.
+///
+/// # Errors
+/// Those of [`open`].
+pub fn open_mapped(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
+    let mut decoder = TiffDecoder::new(all, index, cache_bytes)?;
+    decoder.mapped = true;
+    Ok(ChunkedSource::new(decoder, cache_bytes))
+}
+
+#[derive(Default)]
+struct Scratch {
+    /// Bytes as the file has them.
+    data: Vec<u8>,
+    /// A decoded block that is copied on.
+    block: Vec<u8>,
+}
+
 thread_local! {
-    /// Compressed bytes, and a decoded block that is copied on.
-    static SCRATCH: RefCell<(Vec<u8>, Vec<u8>)> = const { RefCell::new((Vec::new(), Vec::new())) };
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
 /// The part of the native reader that knows TIFF.
 pub struct TiffDecoder {
-    file: std::sync::Arc<File>,
+    file: std::sync::Arc<std::fs::File>,
     order: ByteOrder,
     layout: Layout,
     info: RasterInfo,
@@ -40,7 +59,27 @@ pub struct TiffDecoder {
     pool: BufferPool,
     fill: u16,
     kernel: predictor::Kernel,
+    mapped: bool,
+    /// Only for strips too large to be decoded whole.
+    stream: Option<Mutex<Stream>>,
+    /// The file is so large that its pages must not push everything else out of memory.
+    drop_behind: bool,
 }
+
+/// Where the row-by-row decoder stands.
+#[derive(Default)]
+struct Stream {
+    /// The chunk that comes next.
+    next: u64,
+    /// Row of the image that comes next.
+    row: u64,
+    strip: Option<Box<dyn Read + Send>>,
+    /// Chunks decoded on the way to one that was asked for earlier than they were.
+    recent: VecDeque<(u64, Chunk)>,
+}
+
+/// Chunks that a stream keeps for threads that come late.
+const RECENT_CHUNKS: usize = 8;
 
 impl TiffDecoder {
     fn new(all: &Directories, index: usize, cache_bytes: u64) -> Result<Self> {
@@ -52,31 +91,28 @@ impl TiffDecoder {
         let (planes, rgb, alpha) = bands_to_read(&layout);
         let pixel_bytes = (planes.len() * layout.sample.bytes()) as u64;
         let block = (layout.block_width, layout.block_height);
-        let group = group_blocks(block, (layout.width, layout.height), pixel_bytes);
         let (width, height) = (layout.width, layout.height);
-        let (mut chunk_width, mut chunk_height) = (block.0 * group.0, block.1 * group.1);
-        if group == (1, 1) && !layout.tiled {
-            chunk_width = chunk_width.min(width);
-            chunk_height = chunk_height.min(height);
+        let (across, down) = group_blocks(block, (width, height), pixel_bytes);
+        let (chunk_width, mut chunk_height) = (block.0 * across, block.1 * down);
+        let bytes_of = |rows: u64| chunk_width.saturating_mul(rows).saturating_mul(pixel_bytes);
+        // A strip that fills much of the cache is better decoded row by row.
+        let too_large = bytes_of(chunk_height) > cache_bytes / 4;
+        let streams = too_large && !layout.tiled && !layout.planar && stream::can_stream(layout.codec);
+        if streams {
+            chunk_height = (MIN_CHUNK_BYTES / bytes_of(1)).clamp(1, height);
         }
-        let chunk_bytes = chunk_width.saturating_mul(chunk_height).saturating_mul(pixel_bytes);
+        let chunk_bytes = bytes_of(chunk_height);
         if chunk_bytes > cache_bytes {
+            let (name, codec) = (all.path.display(), layout.codec.name());
             return Err(Error::Limit {
-                what: format!(
-                    "{}: one {} block of {} x {} pixels",
-                    all.path.display(),
-                    layout.codec.name(),
-                    block.0,
-                    block.1
-                ),
+                what: format!("{name}: one {codec} block of {} x {} pixels", block.0, block.1),
                 needed: chunk_bytes,
                 allowed: cache_bytes,
                 remedy: crate::raster::open::retile_remedy(&all.path),
             });
         }
-        let grid = TileGrid::new(width, height, chunk_width, chunk_height, 0);
-        let facts = facts(all, index);
-        let mut info = RasterInfo {
+        let facts = Facts::of_file(&all.path, index);
+        let info = RasterInfo {
             path: all.path.clone(),
             width,
             height,
@@ -84,7 +120,7 @@ impl TiffDecoder {
             sample: layout.sample,
             rgb,
             alpha,
-            nodata: layout.nodata.or(facts.nodata),
+            nodata: facts.nodata.or(layout.nodata),
             white: crate::raster::open::white_of(layout.sample, None, layout.max_sample_value),
             layout: match layout.tiled {
                 true => BlockLayout::Tiles { width: block.0, height: block.1 },
@@ -92,28 +128,26 @@ impl TiffDecoder {
             },
             blocks: layout.blocks_per_plane() * if layout.planar { planes.len() as u64 } else { 1 },
             chunk_bytes,
-            sequential: false,
+            sequential: streams,
             reader: "native",
             description: describe(all, &layout),
             geotransform: facts.geotransform,
             crs_wkt: facts.crs_wkt,
             resolution_m_per_px: facts.resolution_m_per_px,
         };
-        if info.nodata.is_some_and(f64::is_nan) {
-            info.nodata = None;
-        }
-        let fill = info.fill_value();
-        let pool = BufferPool::new((cache_bytes / 4 / chunk_bytes.max(1)).clamp(2, 64) as usize);
         Ok(TiffDecoder {
             file: all.file.clone(),
             order: all.order,
+            grid: TileGrid::new(width, height, chunk_width, chunk_height, 0),
+            planes,
+            pool: BufferPool::for_chunks(chunk_bytes),
+            fill: info.fill_value(),
+            kernel: predictor::Kernel::best(),
+            mapped: false,
+            stream: streams.then(Mutex::default),
+            drop_behind: all.len > mapping::memory_bytes() / 2,
             layout,
             info,
-            grid,
-            planes,
-            pool,
-            fill,
-            kernel: predictor::Kernel::best(),
         })
     }
 
@@ -131,6 +165,14 @@ impl TiffDecoder {
             .map_err(|e| Error::io(&self.info.path, format!("read {} bytes at {offset}", out.len()), e))
     }
 
+    /// Refuses a block whose bytes are far more than it can decode to: no codec here makes data much larger.
+    fn check_length(&self, block: u64, length: u64, decoded: usize) -> Result<()> {
+        if length > 2 * decoded as u64 + (1 << 20) {
+            return Err(self.broken(block, format!("{length} bytes in the file for {decoded} decoded ones")));
+        }
+        Ok(())
+    }
+
     /// Decodes one block into `out` (bytes in the file's order, predictor not undone). False when the file holds none.
     fn block(&self, block: u64, out: &mut [u8], counters: &Counters) -> Result<bool> {
         let (offset, length) = self.layout.extent(block);
@@ -143,29 +185,25 @@ impl TiffDecoder {
             self.pread(out, offset)?;
             return Ok(true);
         }
-        // No codec here makes data much larger than they were.
-        let largest = 2 * out.len() as u64 + (1 << 20);
-        if length > largest {
-            return Err(self.broken(block, format!("{length} bytes for {} decoded ones", out.len())));
-        }
-        let rows = out.len() as u64 / self.layout.block_row_bytes();
-        SCRATCH.with_borrow_mut(|(data, _)| {
-            data.resize(length as usize, 0);
-            self.pread(data, offset)?;
-            codec::decompress(&self.layout, data, rows, out).map_err(|what| self.broken(block, what))
+        self.check_length(block, length, out.len())?;
+        SCRATCH.with_borrow_mut(|scratch| {
+            scratch.data.resize(length as usize, 0);
+            self.pread(&mut scratch.data, offset)?;
+            self.decompress(block, &scratch.data, out)
         })?;
         Ok(true)
     }
 
-    /// A whole interleaved 8-bit block, ready for use.
-    fn block_u8(&self, block: u64, out: &mut [u8], counters: &Counters) -> Result<bool> {
-        let held = self.block(block, out, counters)?;
-        if !held {
-            out.fill(self.fill as u8);
-        } else if self.layout.predictor {
-            predictor::undo_u8(self.kernel, out, self.layout.block_row_bytes() as usize, self.layout.block_samples());
+    fn decompress(&self, block: u64, data: &[u8], out: &mut [u8]) -> Result<()> {
+        let rows = out.len() as u64 / self.layout.block_row_bytes();
+        codec::decompress(&self.layout, data, rows, out).map_err(|what| self.broken(block, what))
+    }
+
+    fn undo_predictor_u8(&self, bytes: &mut [u8]) {
+        if self.layout.predictor {
+            let row_bytes = self.layout.block_row_bytes() as usize;
+            predictor::undo_u8(self.kernel, bytes, row_bytes, self.layout.block_samples());
         }
-        Ok(held)
     }
 
     /// The blocks of one plane that make up a chunk: number and window within the image.
@@ -173,24 +211,74 @@ impl TiffDecoder {
         let (bw, bh) = (self.layout.block_width, self.layout.block_height);
         let rows = chunk.y / bh..chunk.bottom().div_ceil(bh);
         let columns = chunk.x / bw..chunk.right().div_ceil(bw);
-        let across = self.layout.blocks_across();
-        rows.flat_map(move |row| columns.clone().map(move |column| (row * across + column, row, column))).map(
-            move |(block, row, column)| {
-                (block, Window::new(column * bw, row * bh, bw, bh).intersect(&self.info.bounds()))
-            },
-        )
+        let (across, bounds) = (self.layout.blocks_across(), self.info.bounds());
+        rows.flat_map(move |row| columns.clone().map(move |column| (row, column))).map(move |(row, column)| {
+            (row * across + column, Window::new(column * bw, row * bh, bw, bh).intersect(&bounds))
+        })
     }
 
-    /// Interleaved 8-bit strips: they follow each other in memory as in the image.
+    /// Start and length in the file of all blocks of a chunk when they follow each other without a gap.
+    fn run_of(&self, chunk: Window) -> Option<(u64, u64)> {
+        let mut run: Option<(u64, u64)> = None;
+        for (block, _) in self.blocks_of(chunk) {
+            let (offset, length) = self.layout.extent(block);
+            run = match run {
+                _ if length == 0 => return None,
+                None => Some((offset, length)),
+                Some((start, so_far)) if start + so_far == offset => Some((start, so_far + length)),
+                Some(_) => return None,
+            };
+        }
+        run
+    }
+
+    /// Interleaved 8-bit strips: they follow each other in memory as in the image, and mostly in the file, so that one
+    /// request reads them all.
     fn strips_u8(&self, chunk: Window, counters: &Counters) -> Result<Chunk> {
         let row_bytes = self.layout.block_row_bytes() as usize;
         let mut out = self.pool.take(row_bytes * chunk.height as usize);
-        let mut any = false;
-        for (block, window) in self.blocks_of(chunk) {
+        let place = |window: Window| {
             let start = (window.y - chunk.y) as usize * row_bytes;
-            any |= self.block_u8(block, &mut out[start..start + window.height as usize * row_bytes], counters)?;
+            start..start + window.height as usize * row_bytes
+        };
+        let run = self.run_of(chunk).filter(|&(_, length)| length <= 2 * out.len() as u64 + (1 << 20));
+        let mut any = run.is_some();
+        match run {
+            Some((start, length)) if self.layout.codec == Codec::None => {
+                self.pread(&mut out, start)?;
+                counters.add(self.blocks_of(chunk).count() as u64, 0, length);
+            }
+            Some((start, length)) => SCRATCH.with_borrow_mut(|scratch| {
+                scratch.data.resize(length as usize, 0);
+                self.pread(&mut scratch.data, start)?;
+                for (block, window) in self.blocks_of(chunk) {
+                    let (offset, length) = self.layout.extent(block);
+                    let data = &scratch.data[(offset - start) as usize..][..length as usize];
+                    let to = &mut out[place(window)];
+                    self.decompress(block, data, to)?;
+                    self.undo_predictor_u8(to);
+                    counters.add(1, 0, length);
+                }
+                Ok(())
+            })?,
+            None => {
+                for (block, window) in self.blocks_of(chunk) {
+                    any |= self.block_u8(block, &mut out[place(window)], counters)?;
+                }
+            }
         }
         Ok(self.chunk_u8(out, any, row_bytes))
+    }
+
+    /// A whole interleaved 8-bit block, ready for use.
+    fn block_u8(&self, block: u64, out: &mut [u8], counters: &Counters) -> Result<bool> {
+        let held = self.block(block, out, counters)?;
+        if held {
+            self.undo_predictor_u8(out);
+        } else {
+            out.fill(self.fill as u8);
+        }
+        Ok(held)
     }
 
     /// One interleaved 8-bit tile, with its padding.
@@ -199,6 +287,21 @@ impl TiffDecoder {
         let mut out = self.pool.take(row_bytes * self.layout.block_height as usize);
         let any = self.block_u8(block, &mut out, counters)?;
         Ok(self.chunk_u8(out, any, row_bytes))
+    }
+
+    /// A view of the file, where the chunk's blocks lie in it as they are wanted.
+    fn view(&self, chunk: Window, counters: &Counters) -> Option<Result<Chunk>> {
+        if !self.mapped || self.layout.codec != Codec::None {
+            return None;
+        }
+        let (start, length) = self.run_of(chunk)?;
+        counters.add(self.blocks_of(chunk).count() as u64, 0, length);
+        let view = mapping::map(&self.file, start, length)
+            .map_err(|e| Error::io(&self.info.path, format!("map {length} bytes at {start}"), e));
+        Some(view.map(|map| {
+            let data = PieceData::Mapped(map, 0);
+            self.finish(data, true, self.layout.block_row_bytes() as usize, length)
+        }))
     }
 
     fn chunk_u8(&self, out: Vec<u8>, any: bool, row_stride: usize) -> Chunk {
@@ -210,76 +313,75 @@ impl TiffDecoder {
     /// A chunk without a block in the file is handed out as empty only where its pixels count as holding nothing; zeros
     /// that are valid pixels are given as such.
     fn finish(&self, data: PieceData, any: bool, row_stride: usize, bytes: u64) -> Chunk {
-        let hollow =
-            !any && (self.info.nodata_sample() == Some(self.fill) || (self.info.alpha.is_some() && self.fill == 0));
+        let transparent = self.info.alpha.is_some() && self.fill == 0;
+        let hollow = !any && (self.info.nodata_sample() == Some(self.fill) || transparent);
         let (data, bytes) = if hollow { (None, 0) } else { (Some(data), bytes) };
         Chunk { data, offset: 0, row_stride, pixel_stride: self.samples(), bytes }
     }
 
     /// Everything else: each block is decoded to scratch and its samples are put where they belong.
     fn assembled(&self, chunk: Window, counters: &Counters) -> Result<Chunk> {
-        let samples = self.samples();
-        let row_stride = chunk.width as usize * samples;
+        let row_stride = chunk.width as usize * self.samples();
         let count = row_stride * chunk.height as usize;
-        let mut any = false;
         let bytes = (count * self.layout.sample.bytes()) as u64;
-        let data = match self.layout.sample {
+        let (data, any) = match self.layout.sample {
             SampleType::U8 => {
                 let mut out = self.pool.take(count);
-                self.assemble(chunk, counters, &mut any, &mut out, |raw, predictor, row, samples| {
-                    row.copy_from_slice(raw);
-                    if predictor {
-                        let row_bytes = row.len();
-                        predictor::undo_u8(self.kernel, row, row_bytes, samples);
-                    }
-                })?;
-                PieceData::U8(self.pool.share(out))
+                let any = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u8(raw, row))?;
+                (PieceData::U8(self.pool.share(out)), any)
             }
             SampleType::U16 => {
                 let mut out = vec![0; count];
-                let big = self.order == ByteOrder::Big;
-                self.assemble(chunk, counters, &mut any, &mut out, |raw, predictor, row, samples| {
-                    predictor::words(raw, row, big);
-                    if predictor {
-                        predictor::undo_u16(self.kernel, row, samples);
-                    }
-                })?;
-                PieceData::U16(out.into())
+                let any = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u16(raw, row))?;
+                (PieceData::U16(out.into()), any)
             }
         };
         Ok(self.finish(data, any, row_stride, bytes))
     }
 
-    /// `convert` turns the bytes of a row into samples.
+    /// Samples of one decoded row of a block.
+    fn row_u8(&self, raw: &[u8], row: &mut [u8]) {
+        row.copy_from_slice(raw);
+        self.undo_predictor_u8(row);
+    }
+
+    fn row_u16(&self, raw: &[u8], row: &mut [u16]) {
+        predictor::words(raw, row, self.order == ByteOrder::Big);
+        if self.layout.predictor {
+            predictor::undo_u16(self.kernel, row, self.layout.block_samples());
+        }
+    }
+
+    /// `convert` turns the bytes of a row of a block into samples. Returns whether the file holds any of the blocks.
     fn assemble<T: Copy + Default + TryFrom<u16>>(
         &self,
         chunk: Window,
         counters: &Counters,
-        any: &mut bool,
         out: &mut [T],
-        convert: impl Fn(&[u8], bool, &mut [T], usize),
-    ) -> Result<()> {
+        convert: impl Fn(&[u8], &mut [T]),
+    ) -> Result<bool> {
         let (samples, stored) = (self.samples(), self.layout.block_samples());
-        let row_stride = chunk.width as usize * samples;
         let fill = T::try_from(self.fill).unwrap_or_default();
         let row_bytes = self.layout.block_row_bytes() as usize;
+        let row_stride = chunk.width as usize * samples;
         let mut line = vec![T::default(); self.layout.block_width as usize * stored];
+        let mut any = false;
+        // Taken out of the cell: decoding a block borrows the cell too.
+        let mut raw = SCRATCH.with_borrow_mut(|scratch| std::mem::take(&mut scratch.block));
         for plane in 0..if self.layout.planar { samples } else { 1 } {
             let first = if self.layout.planar { self.planes[plane] as u64 * self.layout.blocks_per_plane() } else { 0 };
             for (block, window) in self.blocks_of(chunk) {
                 let rows = self.layout.block_rows(window.y / self.layout.block_height) as usize;
-                let mut raw = SCRATCH.with_borrow_mut(|(_, raw)| std::mem::take(raw));
                 raw.resize(row_bytes * rows, 0);
                 let held = self.block(first + block, &mut raw, counters)?;
-                *any |= held;
+                any |= held;
+                line.fill(fill);
                 for y in 0..window.height as usize {
-                    let start =
-                        ((window.y - chunk.y) as usize + y) * row_stride + (window.x - chunk.x) as usize * samples;
+                    let row = (window.y - chunk.y) as usize + y;
+                    let start = row * row_stride + (window.x - chunk.x) as usize * samples;
                     let to = &mut out[start..start + window.width as usize * samples];
                     if held {
-                        convert(&raw[y * row_bytes..][..row_bytes], self.layout.predictor, &mut line, stored);
-                    } else {
-                        line.fill(fill);
+                        convert(&raw[y * row_bytes..][..row_bytes], &mut line);
                     }
                     if stored == samples {
                         to.copy_from_slice(&line[..to.len()]);
@@ -287,10 +389,115 @@ impl TiffDecoder {
                         to[plane..].iter_mut().step_by(samples).zip(&line).for_each(|(to, &from)| *to = from);
                     }
                 }
-                SCRATCH.with_borrow_mut(|(_, kept)| *kept = raw);
             }
         }
-        Ok(())
+        SCRATCH.with_borrow_mut(|scratch| scratch.block = raw);
+        Ok(any)
+    }
+
+    /// A chunk of a strip that is decoded row by row. One thread at a time; chunks passed on the way are kept for those
+    /// who come late, and going back further starts again from the top.
+    fn streamed(&self, id: u64, stream: &Mutex<Stream>, counters: &Counters) -> Result<Chunk> {
+        let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = stream.recent.iter().position(|(key, _)| *key == id) {
+            return Ok(stream.recent.remove(at).expect("it was just found").1);
+        }
+        if id < stream.next {
+            *stream = Stream::default();
+        }
+        loop {
+            let chunk = match self.next_chunk(&mut stream, counters) {
+                Ok(chunk) => chunk,
+                Err(error) => {
+                    // The position is unknown now.
+                    *stream = Stream::default();
+                    return Err(error);
+                }
+            };
+            let key = stream.next;
+            stream.next += 1;
+            if key == id {
+                return Ok(chunk);
+            }
+            if stream.recent.len() == RECENT_CHUNKS {
+                stream.recent.pop_front();
+            }
+            stream.recent.push_back((key, chunk));
+        }
+    }
+
+    fn next_chunk(&self, stream: &mut Stream, counters: &Counters) -> Result<Chunk> {
+        let chunk = self.grid.tile(stream.next).core;
+        let row_bytes = self.layout.block_row_bytes() as usize;
+        let row_stride = chunk.width as usize * self.samples();
+        let mut raw = self.pool.take(row_bytes * chunk.height as usize);
+        let (mut done, mut any) = (0, false);
+        while done < chunk.height {
+            let strip = stream.row / self.layout.block_height;
+            let left = (strip + 1) * self.layout.block_height - stream.row;
+            let rows = left.min(chunk.height - done);
+            let to = &mut raw[done as usize * row_bytes..][..rows as usize * row_bytes];
+            let (position, length) = self.layout.extent(strip);
+            if stream.row.is_multiple_of(self.layout.block_height) {
+                counters.add(u64::from(length > 0), u64::from(length == 0), length);
+                stream.strip = match length {
+                    0 => None,
+                    _ => Some(
+                        stream::open(self.layout.codec, &self.file, position, length)
+                            .map_err(|e| self.broken(strip, e.to_string()))?,
+                    ),
+                };
+            }
+            match &mut stream.strip {
+                None => to.fill(0),
+                Some(reader) => {
+                    let row = stream.row;
+                    reader.read_exact(to).map_err(|e| self.broken(strip, format!("near row {row}: {e}")))?;
+                    any = true;
+                }
+            }
+            stream.row += rows;
+            done += rows;
+        }
+        let bytes = raw.len() as u64;
+        if self.layout.sample == SampleType::U8 {
+            if any {
+                self.undo_predictor_u8(&mut raw);
+            } else {
+                raw.fill(self.fill as u8);
+            }
+            return Ok(self.chunk_u8(raw, any, row_stride));
+        }
+        let mut out = vec![self.fill; raw.len() / 2];
+        if any {
+            for (from, to) in raw.chunks_exact(row_bytes).zip(out.chunks_exact_mut(row_stride)) {
+                self.row_u16(from, to);
+            }
+        }
+        self.pool.put(raw);
+        Ok(self.finish(PieceData::U16(out.into()), any, row_stride, bytes))
+    }
+
+    /// Tells the system what will or will not be wanted of the blocks that lie in `window`, in runs as long as possible.
+    fn advise(&self, window: Window, whole_chunks: bool, advice: rustix::fs::Advice) {
+        let planes: Vec<usize> = if self.layout.planar { self.planes.clone() } else { vec![0] };
+        for plane in planes {
+            let first = plane as u64 * self.layout.blocks_per_plane();
+            let mut run = (0, 0);
+            for (block, part) in self.blocks_of(window) {
+                if whole_chunks && !window.contains_window(&part) {
+                    continue;
+                }
+                let (offset, length) = self.layout.extent(first + block);
+                if run.0 + run.1 == offset {
+                    run.1 += length;
+                    continue;
+                }
+                mapping::advise(&self.file, run, advice);
+                run = (offset, length);
+            }
+            mapping::advise(&self.file, run, advice);
+        }
     }
 }
 
@@ -304,14 +511,31 @@ impl ChunkDecoder for TiffDecoder {
     }
 
     fn decode(&self, id: u64, counters: &Counters) -> Result<Chunk> {
+        if let Some(stream) = &self.stream {
+            return self.streamed(id, stream, counters);
+        }
         let chunk = self.grid.tile(id).core;
         let simple = self.layout.sample == SampleType::U8 && !self.layout.planar;
-        let single =
-            (self.grid.tile_width(), self.grid.tile_height()) == (self.layout.block_width, self.layout.block_height);
+        let block = (self.layout.block_width, self.layout.block_height);
+        // A grid of one chunk clips its tile; what counts is whether one block fills the chunk.
+        let single = self.blocks_of(chunk).take(2).count() == 1;
         match (simple, self.layout.tiled) {
-            (true, false) => self.strips_u8(chunk, counters),
-            (true, true) if single => self.tile_u8(id, counters),
+            (true, false) => self.view(chunk, counters).unwrap_or_else(|| self.strips_u8(chunk, counters)),
+            (true, true) if single => {
+                let block = chunk.y / block.1 * self.layout.blocks_across() + chunk.x / block.0;
+                self.view(chunk, counters).unwrap_or_else(|| self.tile_u8(block, counters))
+            }
             _ => self.assembled(chunk, counters),
+        }
+    }
+
+    fn prefetch(&self, window: Window) {
+        self.advise(window, false, rustix::fs::Advice::WillNeed);
+    }
+
+    fn release(&self, window: Window) {
+        if self.drop_behind {
+            self.advise(window, true, rustix::fs::Advice::DontNeed);
         }
     }
 }
@@ -336,18 +560,6 @@ fn side_file(path: &std::path::Path, ending: &str) -> std::path::PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(ending);
     name.into()
-}
-
-/// Georeference and CRS as GDAL reads them, from the file and those beside it. A file that GDAL cannot open has none.
-fn facts(all: &Directories, index: usize) -> Facts {
-    crate::raster::initialise_gdal(0);
-    match crate::raster::gdal::GdalName::new(&all.path, index).open() {
-        Ok(dataset) => Facts::of(&dataset),
-        Err(error) => {
-            tracing::debug!("no georeference from GDAL: {error}");
-            Facts::default()
-        }
-    }
 }
 
 fn describe(all: &Directories, layout: &Layout) -> String {

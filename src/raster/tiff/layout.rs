@@ -56,6 +56,9 @@ pub struct Layout {
     pub jpeg_tables: Option<Vec<u8>>,
 }
 
+/// Size of the parts into which large uncompressed strips are cut.
+const PLAIN_STRIP_BYTES: u64 = 512 << 10;
+
 const THROUGH_GDAL: &str = "use --reader auto or gdal";
 
 impl Layout {
@@ -111,7 +114,7 @@ impl Layout {
             },
         };
         let jpeg_tables = all.raw(index, tag::JPEG_TABLES)?.map(|(_, tables)| tables);
-        let layout = Layout {
+        let mut layout = Layout {
             width,
             height,
             samples: samples as usize,
@@ -132,7 +135,35 @@ impl Layout {
             jpeg_tables,
         };
         layout.check(all, index)?;
+        layout.split_plain_strips();
         Ok(layout)
+    }
+
+    /// Uncompressed strips can be entered anywhere: large ones (often the whole image is one) become strips of about
+    /// [`PLAIN_STRIP_BYTES`], so that they are cached and shared out like any other.
+    fn split_plain_strips(&mut self) {
+        let row_bytes = self.block_row_bytes();
+        if self.codec != Codec::None || self.tiled || row_bytes * self.block_height <= 2 * PLAIN_STRIP_BYTES {
+            return;
+        }
+        let wanted = (PLAIN_STRIP_BYTES / row_bytes).max(1);
+        let rows = match self.blocks_down() {
+            1 => wanted,
+            // All strips but the last must be cut into equal ones.
+            _ => (1..=wanted).rev().find(|&rows| self.block_height.is_multiple_of(rows)).unwrap_or(1),
+        };
+        let planes = if self.planar { self.samples as u64 } else { 1 };
+        let (mut offsets, mut byte_counts) = (Vec::new(), Vec::new());
+        for block in 0..self.blocks_per_plane() * planes {
+            let (start, _) = self.extent(block);
+            let held = self.block_rows(block % self.blocks_down());
+            for row in (0..held).step_by(rows as usize) {
+                // A sparse strip stays sparse.
+                offsets.push(if start == 0 { 0 } else { start + row * row_bytes });
+                byte_counts.push(rows.min(held - row) * row_bytes);
+            }
+        }
+        (self.offsets, self.byte_counts, self.block_height) = (offsets, byte_counts, rows);
     }
 
     pub fn blocks_across(&self) -> u64 {
@@ -303,7 +334,7 @@ fn colours(all: &Directories, index: usize, samples: usize, codec: Codec, planar
                 4 => "transparency mask",
                 5 => "CMYK",
                 6 => "YCbCr",
-                8 | 9 | 10 => "Lab",
+                8..=10 => "Lab",
                 _ => "unknown",
             };
             return Err(unsupported(all, format!("photometric interpretation {other} ({name})")));

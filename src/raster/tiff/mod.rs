@@ -5,7 +5,9 @@ pub mod container;
 mod decoder;
 mod layout;
 mod lzw;
+mod mapping;
 mod predictor;
+mod stream;
 
 pub use container::{Directories, is_tiff};
-pub use decoder::{TiffDecoder, open};
+pub use decoder::{TiffDecoder, open, open_mapped};

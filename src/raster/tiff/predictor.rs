@@ -68,6 +68,11 @@ pub fn words(bytes: &[u8], out: &mut [u16], big_endian: bool) {
 mod x86 {
     use std::arch::x86_64::*;
 
+    /// For each byte of a register, which byte of the last whole pixel of the one before continues in it.
+    fn carry_from(step: usize, pixel: usize) -> [i8; 16] {
+        std::array::from_fn(|i| (step - pixel + i % pixel) as i8)
+    }
+
     /// One register's prefix sums: the shifts are in bytes, the adder is that of the sample type.
     macro_rules! prefix {
         ($add:ident, $x:expr, $($shift:literal)*) => {{
@@ -83,10 +88,7 @@ mod x86 {
         ($row:ident, $sample:ty, $add:ident, $pixel:literal, $step:literal, [$($shift:literal)*]) => {{
             let bytes = size_of_val($row);
             let base = $row.as_mut_ptr().cast::<u8>();
-            let mut carry_from = [0i8; 16];
-            for (i, from) in carry_from.iter_mut().enumerate() {
-                *from = ($step - $pixel + i % $pixel) as i8;
-            }
+            let carry_from = carry_from($step, $pixel);
             let mut at = 0;
             if bytes >= 16 {
                 // SAFETY: every load and store covers 16 bytes from `at`, and `at + 16 <= bytes`; the row is borrowed
