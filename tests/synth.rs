@@ -86,12 +86,10 @@ fn the_centroid_of_a_mark_is_its_stated_centre() {
             sx += alpha * ((i % 200) as f64 + 0.5);
             sy += alpha * ((i / 200) as f64 + 0.5);
         }
-        assert!(
-            (sx / sum - x).abs() < 1e-3 && (sy / sum - y).abs() < 1e-3,
-            "{shape:?} {size}: {}, {}",
-            sx / sum,
-            sy / sum
-        );
+        // Without blur the pixels at the edges hide where in them the edge runs: the sampled centroid itself is off.
+        let tolerance = if blur == 0.0 { 5e-3 } else { 1e-3 };
+        let (ex, ey) = (sx / sum - x, sy / sum - y);
+        assert!(ex.abs() < tolerance && ey.abs() < tolerance, "{shape:?} {size} {blur}: off by {ex}, {ey}");
         let truth = &scene.truth().gcps[0];
         assert_eq!((truth.x, truth.y, truth.visible), (x, y, true));
         let area = match shape {
@@ -194,6 +192,11 @@ fn files_hold_what_windows_show() {
         assert_eq!(Truth::read(&truth_path(&path)).expect("a truth file"), truth);
         let head = std::fs::read(&path).expect("bytes");
         let version = u16::from_le_bytes([head[2], head[3]]);
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
+        let again = in_folder(&folder, "again.tif");
+        alone.install(|| synth::write(&spec, &again)).expect("written");
+        assert!(std::fs::read(&again).expect("bytes") == head, "one thread writes another file: {:?}", spec.output);
+        std::fs::remove_file(&again).and(std::fs::remove_file(truth_path(&again))).expect("removed");
         assert_eq!(version == 43, spec.output.big_tiff == BigTiff::Always, "{:?}", spec.output);
     }
     let left: Vec<_> = std::fs::read_dir(folder.path()).expect("a folder").flatten().map(|e| e.file_name()).collect();
@@ -301,7 +304,7 @@ fn what_cannot_be_is_refused_before_any_work() {
     says(SynthSpec { visible: Visible::Random(15), ..busy() }, "15 visible");
     says(SynthSpec { visible: Visible::Named(vec!["X".into()]), ..busy() }, "\"X\"");
     says(SynthSpec { visible: Visible::Random(14), size_px: Some((200, 200)), ..busy() }, "fit into 200 x 200");
-    says(SynthSpec { gsd_m: 1e-9, size_px: None, ..busy() }, "mark");
+    says(SynthSpec { gsd_m: 1e-9, size_px: None, ..busy() }, "an image of");
     says(output(Output { layout: FileLayout::Tiles(100), ..Output::default() }), "multiple of 16");
     says(output(Output { layout: FileLayout::Strips(0), ..Output::default() }), "0 rows");
     says(output(Output { bits: 16, compression: Compression::Jpeg(80), ..Output::default() }), "JPEG");

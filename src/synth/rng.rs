@@ -84,7 +84,7 @@ impl NoiseTable {
             }
             values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
         }
-        NoiseTable { table: values, seed: mix(seed ^ 0x6e6f_6973_65) }
+        NoiseTable { table: values, seed: mix(seed ^ 0x6e6f_6973) }
     }
 
     /// Noise of the three bands at a pixel, in 1/256 of an 8-bit level.
