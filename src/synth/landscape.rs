@@ -77,7 +77,7 @@ impl Landscape {
             let mut parcel = self.parcel(i64::MIN, 0);
             for (i, pixel) in row.chunks_exact_mut(3).enumerate() {
                 let (u, v) = places[i];
-                let at = ((u / PARCEL_M.0).floor() as i64, (v / PARCEL_M.1).floor() as i64);
+                let at = (floor(u * (1.0 / PARCEL_M.0)), floor(v * (1.0 / PARCEL_M.1)));
                 if (parcel.column, parcel.row) != at {
                     parcel = self.parcel(at.0, at.1);
                 }
@@ -95,8 +95,8 @@ impl Landscape {
     fn octave(&self, index: u64, wave_px: f32, weight: f32, x: u64, y: u64, row: &mut [f32]) {
         let seed = mix(self.seed ^ index);
         let at = |i: i64, j: i64| (hash2(seed, i, j) >> 40) as f32 * (1.0 / 8_388_608.0) - 1.0;
-        let wave = f64::from(wave_px);
-        let ty = y as f64 / wave;
+        let per_px = 1.0 / f64::from(wave_px);
+        let ty = y as f64 * per_px;
         let j = ty.floor();
         let f = (ty - j) as f32;
         let sy = f * f * (3.0 - 2.0 * f);
@@ -104,10 +104,10 @@ impl Landscape {
             let (a, b) = (at(i, j as i64), at(i, j as i64 + 1));
             weight * (a + (b - a) * sy)
         };
-        let mut i = (x as f64 / wave).floor() as i64;
+        let mut i = (x as f64 * per_px).floor() as i64;
         let (mut left, mut right) = (lattice(i), lattice(i + 1));
         for (k, value) in row.iter_mut().enumerate() {
-            let t = (x + k as u64) as f64 / wave;
+            let t = (x + k as u64) as f64 * per_px;
             if t >= (i + 1) as f64 {
                 // Waves are longer than a pixel, so at most one lattice column is passed.
                 i += 1;
@@ -200,12 +200,23 @@ impl Landscape {
     }
 }
 
+/// Floor without the library call that the baseline instruction set makes of `f32::floor`.
+fn floor(t: f32) -> i64 {
+    let whole = t as i64;
+    whole - i64::from((whole as f32) > t)
+}
+
+/// The part of `t` above its floor.
+fn fraction(t: f32) -> f32 {
+    t - floor(t) as f32
+}
+
 impl Parcel {
     /// Colour of the bare ground at a place of the street grid. `fine` and `coarse` are noise, about ±1.
     fn ground(&self, u: f32, v: f32, fine: f32, coarse: f32) -> [f32; 3] {
         let to_line = |t: f32, period: f32| {
-            let r = t.rem_euclid(period);
-            r.min(period - r)
+            let r = fraction(t * (1.0 / period));
+            r.min(1.0 - r) * period
         };
         let (du, dv) = (to_line(u, PARCEL_M.0 * BLOCK as f32), to_line(v, PARCEL_M.1 * BLOCK as f32));
         let road = du.min(dv);
@@ -219,8 +230,8 @@ impl Parcel {
         };
         let stripes = |spacing: f32| {
             let t = (u * self.along.0 + v * self.along.1) / spacing;
-            // A triangle wave, softened: cheaper than a sine and as good.
-            4.0 * (t - t.floor() - 0.5).abs() - 1.0
+            // A triangle wave: cheaper than a sine and, under the noise, as good.
+            4.0 * (fraction(t) - 0.5).abs() - 1.0
         };
         match self.kind {
             Use::Garden if edge < 0.45 + 0.2 * coarse => shade([52.0, 74.0, 36.0], 20.0, 6.0, 0.5),
@@ -265,10 +276,10 @@ impl Parcel {
 /// way: no lines are painted on crossings.
 fn road_colour(distance: f32, along: f32, crossing: f32, fine: f32, coarse: f32) -> [f32; 3] {
     let grey = if distance > ROAD_HALF_M && crossing > ROAD_HALF_M {
-        let slab = (along / 0.6 - (along / 0.6).floor()) < 0.06;
+        let slab = fraction(along / 0.6) < 0.06;
         let kerb = distance < ROAD_HALF_M + 0.15;
         if kerb { 188.0 + 8.0 * fine } else { 158.0 + 8.0 * fine + 6.0 * coarse - if slab { 20.0 } else { 0.0 } }
-    } else if distance < 0.07 && crossing > 8.0 && (along / 6.0 - (along / 6.0).floor()) < 0.5 {
+    } else if distance < 0.07 && crossing > 8.0 && fraction(along / 6.0) < 0.5 {
         212.0 + 9.0 * fine
     } else {
         // Tyres polish two tracks a lane.
@@ -283,8 +294,8 @@ fn car_park(u: f32, v: f32, edge: f32, fine: f32, coarse: f32, bays: bool) -> [f
         let g = 12.0 * fine + 9.0 * coarse;
         return [100.0 + g, 126.0 + g, 66.0 + g];
     }
-    let fu = u.rem_euclid(PARCEL_M.0);
-    let fv = v.rem_euclid(PARCEL_M.1);
+    let fu = fraction(u * (1.0 / PARCEL_M.0)) * PARCEL_M.0;
+    let fv = fraction(v * (1.0 / PARCEL_M.1)) * PARCEL_M.1;
     let line = bays
         && objects::BAY_ROWS_M.iter().any(|r| (fv - r).abs() < 2.5)
         && (2.5..PARCEL_M.0 - 2.5).contains(&fu)

@@ -224,6 +224,22 @@ impl Object {
         }
     }
 
+    /// Share of a pixel (in thirds) in the rectangle as it moves by `along`: exact, by the interval of the movement
+    /// during which each side holds the point.
+    fn swept(&self, dx: f32, dy: f32, along: (f32, f32)) -> f32 {
+        let (p, d) = (self.local(dx, dy), self.local(along.0, along.1));
+        let meets = |grow: f32| {
+            let interval = |p: f32, d: f32, half: f32| {
+                let (t0, t1) = ((p - half) / d, (p + half) / d);
+                (t0.min(t1), t0.max(t1))
+            };
+            // Sun and walls are never quite parallel; a division by zero would give infinities, which compare right.
+            let (a, b) = (interval(p.0, d.0, self.half.0 + grow), interval(p.1, d.1, self.half.1 + grow));
+            a.0.max(b.0).max(0.0) <= a.1.min(b.1).min(1.0)
+        };
+        [-0.4, 0.0, 0.4].iter().filter(|g| meets(**g)).count() as f32 / 3.0
+    }
+
     fn colour(&self, dx: f32, dy: f32, x: f32, y: f32, land: &Landscape) -> [f32; 3] {
         let (a, b) = self.local(dx, dy);
         let m = land.gsd_m;
@@ -325,11 +341,14 @@ fn cast_shadows(order: &[&Object], land: &Landscape, window: Window, out: &mut [
         let (sx, sy) = (-SUN.0 * o.shadow, -SUN.1 * o.shadow);
         let middle = (o.x + sx / 2.0, o.y + sy / 2.0);
         each_pixel(window, middle, o.half.0.hypot(o.half.1) * 1.15 + o.shadow / 2.0 + 2.0, |at, x, y| {
-            // The swept outline, by a few positions along the way.
-            let share = [0.35f32, 0.7, 1.0]
-                .iter()
-                .map(|t| o.inside(x - o.x - sx * t, y - o.y - sy * t, x - sx * t, y - sy * t, land))
-                .fold(0.0, f32::max);
+            let share = match o.kind {
+                // Lumpy outlines at a few positions along the way.
+                Kind::Tree => [0.35f32, 0.7, 1.0]
+                    .iter()
+                    .map(|t| o.inside(x - o.x - sx * t, y - o.y - sy * t, x - sx * t, y - sy * t, land))
+                    .fold(0.0, f32::max),
+                _ => o.swept(x - o.x, y - o.y, (sx, sy)),
+            };
             let level = (share * 255.0) as u8;
             dark[at / 3] = dark[at / 3].max(level);
         });

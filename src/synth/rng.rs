@@ -84,7 +84,7 @@ impl NoiseTable {
             }
             values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
         }
-        NoiseTable { table: values, seed: mix(seed ^ 0x6e6f_6973_65) }
+        NoiseTable { table: values, seed: mix(seed ^ 0x6e6f_6973) }
     }
 
     /// Noise of the three bands at a pixel, in 1/256 of an 8-bit level.
@@ -98,10 +98,11 @@ impl NoiseTable {
 /// Value noise in [0, 1] at a place: hashed lattice values, smoothed between.
 #[inline]
 pub(crate) fn value_noise(seed: u64, x: f32, y: f32) -> f32 {
-    let (x0, y0) = (x.floor(), y.floor());
-    let (fx, fy) = (x - x0, y - y0);
+    // Floor by hand: the baseline instruction set makes a library call of `f32::floor`.
+    let floor = |t: f32| t as i64 - i64::from((t as i64 as f32) > t);
+    let (i, j) = (floor(x), floor(y));
+    let (fx, fy) = (x - i as f32, y - j as f32);
     let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
-    let (i, j) = (x0 as i64, y0 as i64);
     let at = |i, j| (hash2(seed, i, j) >> 40) as f32 * (1.0 / 16_777_216.0);
     let top = at(i, j) + (at(i + 1, j) - at(i, j)) * sx;
     let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * sx;

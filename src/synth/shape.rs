@@ -275,7 +275,10 @@ mod tests {
                     Shape::Disc => s2 * PI / 4.0,
                     Shape::Cross => s2 * (0.5 - 0.0625),
                 };
-                assert!((x - cx).abs() < 1e-4 && (y - cy).abs() < 1e-4, "{shape:?} {size}: {x} {y}");
+                // Sampled without blur, even exact areas have a centroid that is off by what the edge pixels hide.
+                let tolerance = if blur < 0.5 { 6e-3 } else { 1e-4 };
+                let off = (x - cx).abs().max((y - cy).abs());
+                assert!(off < tolerance, "{shape:?} {size} {blur}: {x} {y}");
                 assert!((area / expected - 1.0).abs() < 2e-4, "{shape:?} {size} {blur}: {area} for {expected}");
                 let share = match shape {
                     Shape::Checker => 0.5,
