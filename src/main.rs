@@ -1,5 +1,21 @@
-//! Parse, run, exit code.
+//! Parse, run, exit code: 0 solved, 1 ran but not solved, 2 error.
 
-fn main() -> anyhow::Result<()> {
-    anyhow::bail!("being built")
+use std::process::ExitCode;
+
+use clap::Parser;
+
+mod cli;
+
+fn main() -> ExitCode {
+    let cli = cli::Cli::parse();
+    cli::init_log(cli.verbose);
+    match cli::dispatch(cli) {
+        Ok(code) => code,
+        Err(error) => {
+            // One line: the chain of causes, without the debug noise.
+            let words: Vec<String> = error.chain().map(ToString::to_string).collect();
+            eprintln!("autoref-stream: {}", words.join(": ").replace('\n', " "));
+            ExitCode::from(2)
+        }
+    }
 }

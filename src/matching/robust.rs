@@ -39,11 +39,13 @@ pub struct RobustMatcher {
     pub max_false_alarms: f64,
     /// The search ends here, found or not.
     pub budget_hypotheses: u64,
+    /// How often the caller may call with other priors: each is a chance for an accident, and counted.
+    pub tries: f64,
 }
 
 impl Default for RobustMatcher {
     fn default() -> Self {
-        RobustMatcher { max_false_alarms: 1e-4, budget_hypotheses: 150_000_000 }
+        RobustMatcher { max_false_alarms: 1e-4, budget_hypotheses: 150_000_000, tries: 1.0 }
     }
 }
 
@@ -174,14 +176,14 @@ impl RobustMatcher {
         let points = |indices: &[usize]| indices.iter().map(|&i| candidates[i].centre).collect::<Vec<_>>();
         let all: Vec<usize> = (0..candidates.len()).collect();
         if candidates.len() <= GUIDED_ABOVE || candidates.iter().any(|c| c.score.is_none()) {
-            return self.search(points(&all), gcps, priors, 0.0);
+            return self.search(points(&all), gcps, priors, self.tries.log10());
         }
         let mut ranked = all.clone();
         let score = |i: usize| candidates[i].score.unwrap_or(f64::NEG_INFINITY);
         ranked.sort_by(|&a, &b| score(b).total_cmp(&score(a)).then(a.cmp(&b)));
         ranked.truncate(GUIDED_FIRST);
         // Two searches are two chances for an accident.
-        let two = 2f64.log10();
+        let two = (2.0 * self.tries).log10();
         let mut first = self.search(points(&ranked), gcps, priors, two);
         let limit = self.max_false_alarms.log10();
         if first.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit) {

@@ -21,7 +21,8 @@ pub struct Job<'a> {
     pub second_look: &'a dyn Detector,
     pub gcps: &'a [Gcp],
     pub matcher: &'a dyn Matcher,
-    pub priors: &'a Priors,
+    /// Tried in order until one solves: what is believed first, then less.
+    pub priors: &'a [Priors],
     pub progress: &'a dyn Progress,
 }
 
@@ -78,7 +79,7 @@ pub struct Orientation {
 pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let scan = scan(job.source, job.plan, job.detector, job.progress)?;
     let started = Instant::now();
-    let outcome = job.matcher.find(&scan.candidates, job.gcps, job.priors);
+    let outcome = find(job, &scan.candidates);
     let match_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
     let outcome = match outcome {
@@ -88,6 +89,19 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
         })?,
     };
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
+}
+
+/// Tries the priors in order. The limit on accidents holds for all tries together.
+fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
+    let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0]);
+    for priors in &job.priors[1..] {
+        if matches!(outcome, MatchOutcome::Solved(_)) {
+            break;
+        }
+        tracing::info!("nothing found with what the image says of itself; trying without");
+        outcome = job.matcher.find(candidates, job.gcps, priors);
+    }
+    outcome
 }
 
 /// The same from a list of candidates, without an image to look at again.

@@ -1,0 +1,61 @@
+//! The command line: raw flags here, validated types in the library.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+pub mod common;
+pub mod detect;
+pub mod run;
+pub mod solve;
+pub mod synth;
+
+/// Georeferences very large rasters from painted marks, without a click.
+///
+/// Finds the marks in the image, works out which surveyed point each of them is from the pattern alone, solves the
+/// orientation and writes it beside the image with a statement of its accuracy, or says why it will not.
+#[derive(Parser, Debug)]
+#[command(
+    name = "autoref-stream",
+    version,
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    max_term_width = 110,
+    after_help = "Examples:\n  autoref-stream e6.tif --gcps e6.geojson --tile 4096\n  autoref-stream e6.tif --gcps list.csv --crs EPSG:25832 --gsd 0.03 --out results\n\nExit codes: 0 solved, 1 ran but not solved (nothing but the JSON was written), 2 error."
+)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Option<Command>,
+
+    #[command(flatten)]
+    pub run: Option<run::RunArgs>,
+
+    /// Say more on stderr: -v what is done, -vv every step (RUST_LOG has the last word).
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, help_heading = "Messages")]
+    pub verbose: u8,
+}
+
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// Find the marks in an image and write the candidates as CSV or GeoJSON.
+    Detect(detect::DetectArgs),
+    /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
+    Solve(solve::SolveArgs),
+    Synth(Box<synth::SynthArgs>),
+}
+
+pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
+    match cli.command {
+        Some(Command::Detect(args)) => detect::run(&args),
+        Some(Command::Solve(args)) => solve::run(&args),
+        Some(Command::Synth(args)) => synth::run(*args).map(|()| ExitCode::SUCCESS),
+        None => run::run(&cli.run.ok_or_else(|| anyhow::anyhow!("name an image and --gcps LIST (see --help)"))?),
+    }
+}
+
+pub fn init_log(verbose: u8) {
+    let default = ["warn", "info", "debug"][usize::from(verbose.min(2))];
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+}

@@ -1,0 +1,440 @@
+//! The main job: an image and a list of GCPs in, a georeference out.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use autoref_stream::candidate::Candidate;
+use autoref_stream::coords::PixelPoint;
+use autoref_stream::gcp::{self, GcpList};
+use autoref_stream::georef::result::{
+    ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
+};
+use autoref_stream::georef::{atomic, sidecar};
+use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
+use autoref_stream::pipeline::plan;
+use autoref_stream::raster::RasterInfo;
+use clap::Args;
+
+use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+
+/// Flags of the main job.
+#[derive(Args, Debug)]
+pub struct RunArgs {
+    /// The orthophoto: any raster that GDAL opens.
+    #[arg(required = true)]
+    pub image: PathBuf,
+    #[command(flatten)]
+    pub gcps: GcpArgs,
+    #[command(flatten)]
+    pub marks: MarkArgs,
+    #[command(flatten)]
+    pub matching: MatchArgs,
+    /// Write here instead of beside the image (and a VRT that refers to it).
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Replace outputs that exist; without it they are an error before any work.
+    #[arg(long, help_heading = "Output")]
+    pub overwrite: bool,
+    /// Print the result as one JSON document on standard output; all else goes to stderr.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+    /// No progress bar, no summary.
+    #[arg(long, help_heading = "Messages")]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub read: ReadArgs,
+}
+
+/// Names of what a run writes.
+struct Outputs {
+    world: PathBuf,
+    aux: PathBuf,
+    json: PathBuf,
+    vrt: Option<PathBuf>,
+}
+
+impl Outputs {
+    fn new(image: &Path, out: Option<&Path>) -> Self {
+        let name = image.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
+        let base = out.map_or_else(|| image.to_path_buf(), |folder| folder.join(name));
+        Outputs {
+            world: sidecar::world_file_path(&base),
+            aux: sidecar::aux_path(&base),
+            json: base.with_extension("autoref.json"),
+            vrt: out.map(|_| base.with_extension("vrt")),
+        }
+    }
+
+    fn all(&self) -> Vec<&Path> {
+        [Some(&self.world), Some(&self.aux), Some(&self.json), self.vrt.as_ref()]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect()
+    }
+}
+
+pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+    let started = Instant::now();
+    autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
+    let list = gcp::read(&args.gcps.gcps, &args.gcps.options())?;
+    let Prepared { source, detector, plan } = common::prepare(&args.image, &args.read, &args.marks, args.matching.gsd)?;
+    let outputs = prepare_outputs(args)?;
+    let open_s = started.elapsed().as_secs_f64();
+    let info = source.info();
+    let priors = common::priors(info, &args.matching);
+    let matcher = common::matcher(&args.matching, priors.len())?;
+    let bar = Bar::new(info, args.quiet || args.json);
+    let second_look = detector.relaxed();
+    let job = Job {
+        source: source.as_ref(),
+        plan: &plan,
+        detector: &detector,
+        second_look: &second_look,
+        gcps: &list.gcps,
+        matcher: matcher.as_ref(),
+        priors: &priors,
+        progress: &bar,
+    };
+    let run = georeference(&job)?;
+    bar.finish();
+    let mut document = Document::new(&list, &args.gcps.gcps, &run.outcome, run.scan.candidates.clone());
+    document.result.options = options(args, &job);
+    document.describe_reading(info, &run, source.stats(), open_s);
+    document.result.memory_plan = Some(plan.clone());
+    document.result.warnings.extend(plan.notes.iter().cloned());
+    document.prior(info, &list);
+    write_outputs(args, &outputs, &list, &mut document, started)?;
+    print(&document.result, args.json, args.quiet);
+    Ok(document.exit_code())
+}
+
+/// Checks before any work that every output can be written.
+fn prepare_outputs(args: &RunArgs) -> anyhow::Result<Outputs> {
+    let outputs = Outputs::new(&args.image, args.out.as_deref());
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder)
+            .map_err(|e| autoref_stream::Error::io(folder, "create the output folder", e))?;
+    }
+    atomic::check_outputs(&outputs.all(), args.overwrite)?;
+    Ok(outputs)
+}
+
+fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
+    serde_json::json!({
+        "profile": args.marks.profile,
+        "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
+        "priors": job.priors,
+        "max_false_alarms": args.matching.max_false_alarms,
+        "tile": args.read.tile,
+        "threads": args.read.threads,
+        "memory_budget_bytes": args.read.memory.0,
+        "reader": format!("{:?}", args.read.reader).to_lowercase(),
+        "page": args.read.page,
+        "halo_px": job.detector.halo_px(),
+        "check": args.gcps.check,
+        "names": args.gcps.names,
+    })
+}
+
+/// Georeference files first, the JSON that lists them last. What was written is taken back when a later one fails.
+fn write_outputs(
+    args: &RunArgs,
+    outputs: &Outputs,
+    list: &GcpList,
+    document: &mut Document,
+    started: Instant,
+) -> anyhow::Result<()> {
+    let writing = Instant::now();
+    let mut written: Vec<PathBuf> = Vec::new();
+    let result = (|| -> autoref_stream::Result<()> {
+        if let Some(transform) = document.result.geotransform {
+            let existing = std::fs::read_to_string(&outputs.aux).ok();
+            let existing = existing.as_deref().map(|text| (outputs.aux.as_path(), text));
+            let aux = sidecar::aux_xml(&transform, list.crs.as_ref(), existing)?;
+            atomic::write(&outputs.world, sidecar::world_file(&transform).as_bytes())?;
+            written.push(outputs.world.clone());
+            atomic::write(&outputs.aux, aux.as_bytes())?;
+            written.push(outputs.aux.clone());
+            if let Some(vrt) = &outputs.vrt {
+                atomic::with_temporary(vrt, |temporary| {
+                    sidecar::write_vrt(&args.image, temporary, &transform, list.crs.as_ref())
+                })?;
+                written.push(vrt.clone());
+            }
+        }
+        document.result.files_written =
+            written.iter().chain([&outputs.json]).map(|path| path.display().to_string()).collect();
+        document.result.timings.write_s = writing.elapsed().as_secs_f64();
+        document.finish(started);
+        atomic::write(&outputs.json, document.result.to_json().as_bytes())
+    })();
+    if let Err(error) = result {
+        if !args.overwrite {
+            for path in &written {
+                // Half a set of outputs would look like a whole one.
+                let _ = std::fs::remove_file(path);
+            }
+        }
+        return Err(error.into());
+    }
+    Ok(())
+}
+
+/// A result under construction.
+pub struct Document {
+    pub result: RunResult,
+}
+
+impl Document {
+    pub fn new(list: &GcpList, gcp_file: &Path, outcome: &Outcome, candidates: Vec<Candidate>) -> Self {
+        let mut result = RunResult {
+            schema_version: SCHEMA_VERSION,
+            program: format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
+            status: Status::Refused,
+            reason: None,
+            advice: Vec::new(),
+            image: None,
+            gcp_file: gcp_file.display().to_string(),
+            options: serde_json::Value::Null,
+            geotransform: None,
+            crs: None,
+            rmse_m: None,
+            rmse_e_m: None,
+            rmse_n_m: None,
+            rmse_px: None,
+            scale_m_per_px: None,
+            rotation_deg: None,
+            gcps_listed: list.gcps.len(),
+            gcps_in_image: None,
+            candidates_found: candidates.len(),
+            false_alarms: None,
+            log10_false_alarms: None,
+            matches: Vec::new(),
+            check_points: Vec::new(),
+            not_found: Vec::new(),
+            outside: Vec::new(),
+            solution: None,
+            runner_up: None,
+            best_pattern: None,
+            search: None,
+            prior_georeference: None,
+            warnings: list.notes.clone(),
+            candidates,
+            files_written: Vec::new(),
+            reading: None,
+            memory_plan: None,
+            timings: Timings::default(),
+            peak_memory_bytes: None,
+            elapsed_s: 0.0,
+        };
+        match outcome {
+            Outcome::Solved(orientation) => solved(&mut result, orientation, list),
+            Outcome::Refused(evidence) => {
+                result.reason = Some(evidence.reason.clone());
+                result.advice = evidence.advice.clone();
+                result.search = Some(evidence.effort.clone());
+                result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
+                result.best_pattern = evidence.best.clone();
+                result.runner_up = evidence.runner_up.clone();
+            }
+        }
+        result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
+        Document { result }
+    }
+
+    fn describe_reading(&mut self, info: &RasterInfo, run: &Run, all: autoref_stream::raster::ReadStats, open_s: f64) {
+        self.result.image = Some(ImageInfo {
+            path: info.path.display().to_string(),
+            width: info.width,
+            height: info.height,
+            bands: info.bands,
+            reader: info.reader.to_string(),
+            description: info.description.clone(),
+        });
+        let scan = run.scan.scan_reads;
+        self.result.reading = Some(Reading {
+            blocks_in_file: info.blocks,
+            blocks_decoded: scan.blocks_decoded,
+            blocks_skipped: scan.blocks_skipped,
+            bytes_read: scan.bytes_read,
+            window_blocks_decoded: all.blocks_decoded - scan.blocks_decoded,
+            window_bytes_read: all.bytes_read - scan.bytes_read,
+        });
+        let timings = &mut self.result.timings;
+        timings.open_s = open_s;
+        timings.scan_s = run.scan.timings.scan_s;
+        timings.examine_s = run.scan.timings.examine_s;
+        timings.match_s = run.match_s;
+        timings.rematch_s = run.rematch_s;
+    }
+
+    /// An existing georeference is reported, with how far the new one moves the image.
+    fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
+        let Some(old) = info.geotransform else { return };
+        let same_crs = match (&info.crs_wkt, &list.crs) {
+            (Some(wkt), Some(crs)) => {
+                autoref_stream::georef::crs::Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+            }
+            _ => false,
+        };
+        let centre = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
+        let moved_m = self.result.geotransform.filter(|_| same_crs).map(|new| {
+            let (a, b) = (old.apply(centre), new.apply(centre));
+            (a.easting - b.easting).hypot(a.northing - b.northing)
+        });
+        if self.result.geotransform.is_some() {
+            self.result.warnings.push(match moved_m {
+                Some(moved) => format!("the image's own georeference is overridden; its centre moves by {moved:.3} m"),
+                None => "the image's own georeference is overridden".into(),
+            });
+        }
+        self.result.prior_georeference =
+            Some(PriorGeoreference { geotransform: old, crs: info.crs_wkt.clone(), moved_m });
+    }
+
+    pub fn finish(&mut self, started: Instant) {
+        self.result.peak_memory_bytes = plan::peak_resident_bytes();
+        self.result.elapsed_s = started.elapsed().as_secs_f64();
+    }
+
+    pub fn exit_code(&self) -> ExitCode {
+        match self.result.status {
+            Status::Solved => ExitCode::SUCCESS,
+            Status::Refused => ExitCode::from(1),
+        }
+    }
+}
+
+fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
+    let solution = &orientation.solution;
+    result.status = Status::Solved;
+    result.geotransform = Some(solution.geotransform);
+    result.crs = list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label);
+    result.rmse_m = Some(solution.rmse_m);
+    result.rmse_e_m = Some(solution.rmse_e_m);
+    result.rmse_n_m = Some(solution.rmse_n_m);
+    result.rmse_px = Some(solution.rmse_px);
+    result.scale_m_per_px = Some(solution.scale_m_per_px);
+    result.rotation_deg = Some(solution.rotation_deg);
+    let pattern = &orientation.evidence.pattern;
+    result.log10_false_alarms = Some(pattern.log10_false_alarms);
+    result.runner_up = orientation.evidence.runner_up.clone();
+    result.search = Some(orientation.evidence.effort.clone());
+    result.matches = orientation
+        .marks
+        .iter()
+        .zip(&solution.pairs)
+        .map(|(mark, pair)| {
+            let mut row = row(mark, orientation, list);
+            row.leave_one_out_m = pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m).map(|(e, n)| e.hypot(n));
+            row.redundancy = Some(pair.redundancy);
+            row.detectable_blunder_m = pair.detectable_blunder_m;
+            row.outlier = pair.outlier;
+            row
+        })
+        .collect();
+    result.check_points = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
+    let name = |&i: &usize| list.gcps[i].name.clone();
+    result.not_found = orientation.not_found.iter().map(name).collect();
+    result.outside = orientation.outside.iter().map(name).collect();
+    result.gcps_in_image = Some(orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len());
+    result.warnings.extend(solution.warnings.iter().cloned());
+    let outliers: Vec<&str> = result.matches.iter().filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
+    if !outliers.is_empty() {
+        result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+    }
+    result.solution = Some(solution.clone());
+}
+
+fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow {
+    let gcp = &list.gcps[found.gcp];
+    let computed = orientation.solution.similarity.apply(found.mark.centre);
+    let (e, n) = (gcp.easting - computed.easting, gcp.northing - computed.northing);
+    MatchRow {
+        gcp: gcp.name.clone(),
+        x: found.mark.centre.x,
+        y: found.mark.centre.y,
+        easting: gcp.easting,
+        northing: gcp.northing,
+        height: gcp.height,
+        residual_e_m: e,
+        residual_n_m: n,
+        residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,
+        covariance_px2: found.mark.covariance_px2,
+        score: found.mark.score,
+        found_by: match found.found_by {
+            FoundBy::Scan => "scan".into(),
+            FoundBy::Rematch => "rematch".into(),
+        },
+        leave_one_out_m: None,
+        redundancy: None,
+        detectable_blunder_m: None,
+        outlier: false,
+    }
+}
+
+/// The summary a surveyor reads, or the document.
+pub fn print(result: &RunResult, json: bool, quiet: bool) {
+    if json {
+        print!("{}", result.to_json());
+    }
+    if quiet {
+        return;
+    }
+    let text = summary(result);
+    if json { eprint!("{text}") } else { print!("{text}") }
+}
+
+fn summary(result: &RunResult) -> String {
+    use std::fmt::Write;
+    let mut out = String::new();
+    let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
+    let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
+    line("Marks found", format!("{} candidates", result.candidates_found));
+    if result.status == Status::Solved {
+        line(
+            "GCPs matched",
+            format!("{}{visible}, {} listed", result.matches.len() + result.check_points.len(), result.gcps_listed),
+        );
+        if !result.not_found.is_empty() {
+            line("  not found", result.not_found.join(", "));
+        }
+        if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
+            line("Scale", format!("{scale:.7} m per pixel"));
+            line("Rotation", format!("{rotation:.5}° anticlockwise from east"));
+        }
+        if let (Some(e), Some(n), Some(all), Some(px)) =
+            (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px)
+        {
+            line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
+        }
+        if !result.check_points.is_empty() {
+            let squares: f64 =
+                result.check_points.iter().map(|c| c.residual_e_m.powi(2) + c.residual_n_m.powi(2)).sum();
+            let rmse = (squares / result.check_points.len() as f64).sqrt();
+            line("Check points", format!("{} kept out of the fit, RMSE {rmse:.4} m", result.check_points.len()));
+        }
+    } else {
+        line("GCPs listed", result.gcps_listed.to_string());
+        line("Not solved", result.reason.clone().unwrap_or_default());
+        for advice in &result.advice {
+            line("  may help", advice.clone());
+        }
+    }
+    if let Some(log10) = result.log10_false_alarms {
+        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
+        line("Chance of accident", format!("{figure} such patterns expected by chance"));
+    }
+    for warning in &result.warnings {
+        line("Note", warning.clone());
+    }
+    if !result.files_written.is_empty() {
+        line("Written", result.files_written.join(", "));
+    }
+    let memory =
+        result.peak_memory_bytes.map_or(String::new(), |b| format!(", peak memory {:.0} MiB", b as f64 / 1_048_576.0));
+    line("Time", format!("{:.2} s{memory}", result.elapsed_s));
+    out
+}

@@ -1,0 +1,73 @@
+//! `autoref-stream solve`: from two lists to an orientation, without an image.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use autoref_stream::gcp;
+use autoref_stream::georef::candidate_list;
+use autoref_stream::matching::Priors;
+use autoref_stream::pipeline::georeference::solve_candidates;
+use clap::Args;
+
+use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::run::{self, Document};
+
+/// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
+#[derive(Args, Debug)]
+pub struct SolveArgs {
+    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size and
+    /// elevation are used when there.
+    pub candidates: PathBuf,
+    /// Write the result here, as JSON. Without it nothing is written.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Width and height of the image, in pixels; tells which GCPs must be visible. Default: the candidates' extent.
+    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 1)]
+    pub size: Vec<f64>,
+    /// Replace an existing result.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print the result as one JSON document instead of the summary.
+    #[arg(long)]
+    pub json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub gcps: GcpArgs,
+    #[command(flatten)]
+    pub matching: MatchArgs,
+}
+
+pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
+    let started = Instant::now();
+    let size = match args.size.as_slice() {
+        [] => None,
+        &[width, height] if width > 0.0 && height > 0.0 => Some((width, height)),
+        _ => anyhow::bail!("--size takes width and height in pixels: --size 22039,20051"),
+    };
+    if let Some(output) = &args.output {
+        autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
+    }
+    let list = gcp::read(&args.gcps.gcps, &args.gcps.options())?;
+    let candidates = candidate_list::read_csv(&args.candidates)?;
+    let priors = Priors {
+        gsd_m_per_px: args.matching.gsd.map(|g| (g.0, g.1)),
+        rotation_deg: args.matching.north_up.map(|half| (0.0, half)),
+        image_size_px: size,
+    };
+    let matcher = common::matcher(&args.matching, 1)?;
+    let match_started = Instant::now();
+    let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    let mut document = Document::new(&list, &args.gcps.gcps, &outcome, candidates);
+    document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
+    document.result.timings.match_s = match_started.elapsed().as_secs_f64();
+    document.finish(started);
+    if let Some(output) = &args.output {
+        document.result.files_written.push(output.display().to_string());
+        common::write_text(output, document.result.to_json().as_bytes(), args.overwrite)?;
+    }
+    run::print(&document.result, args.json, args.quiet);
+    Ok(document.exit_code())
+}
