@@ -68,7 +68,8 @@ pub struct MatchArgs {
 pub struct GcpArgs {
     /// Surveyed points: GeoJSON, CSV with a header, or KOF.
     #[arg(long, value_name = "FILE", required = true, help_heading = "Ground control points")]
-    pub gcps: PathBuf,
+    // An option only because a subcommand does without; clap demands it otherwise.
+    pub gcps: Option<PathBuf>,
     /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
     pub crs: Option<String>,
@@ -84,6 +85,10 @@ pub struct GcpArgs {
 }
 
 impl GcpArgs {
+    pub fn path(&self) -> anyhow::Result<&Path> {
+        self.gcps.as_deref().context("no list of GCPs: give --gcps FILE")
+    }
+
     pub fn options(&self) -> GcpOptions {
         GcpOptions {
             crs: self.crs.clone(),

@@ -28,7 +28,7 @@ pub struct Cli {
     pub command: Option<Command>,
 
     #[command(flatten)]
-    pub run: Option<run::RunArgs>,
+    pub run: run::RunArgs,
 
     /// Say more on stderr: -v what is done, -vv every step (RUST_LOG has the last word).
     #[arg(short, long, global = true, action = clap::ArgAction::Count, help_heading = "Messages")]
@@ -49,7 +49,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Detect(args)) => detect::run(&args),
         Some(Command::Solve(args)) => solve::run(&args),
         Some(Command::Synth(args)) => synth::run(*args).map(|()| ExitCode::SUCCESS),
-        None => run::run(&cli.run.ok_or_else(|| anyhow::anyhow!("name an image and --gcps LIST (see --help)"))?),
+        None => run::run(&cli.run),
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
+use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::gcp::{self, GcpList};
@@ -22,8 +23,9 @@ use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, Read
 #[derive(Args, Debug)]
 pub struct RunArgs {
     /// The orthophoto: any raster that GDAL opens.
+    // An option only because a subcommand does without; clap demands it otherwise.
     #[arg(required = true)]
-    pub image: PathBuf,
+    pub image: Option<PathBuf>,
     #[command(flatten)]
     pub gcps: GcpArgs,
     #[command(flatten)]
@@ -78,9 +80,11 @@ impl Outputs {
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
-    let list = gcp::read(&args.gcps.gcps, &args.gcps.options())?;
-    let Prepared { source, detector, plan } = common::prepare(&args.image, &args.read, &args.marks, args.matching.gsd)?;
-    let outputs = prepare_outputs(args)?;
+    let image = args.image.as_deref().context("no image: name one")?;
+    let gcp_file = args.gcps.path()?;
+    let list = gcp::read(gcp_file, &args.gcps.options())?;
+    let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let outputs = prepare_outputs(image, args)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -99,20 +103,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let run = georeference(&job)?;
     bar.finish();
-    let mut document = Document::new(&list, &args.gcps.gcps, &run.outcome, run.scan.candidates.clone());
+    let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    write_outputs(args, &outputs, &list, &mut document, started)?;
+    write_outputs(image, args.overwrite, &outputs, &list, &mut document, started)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
 
 /// Checks before any work that every output can be written.
-fn prepare_outputs(args: &RunArgs) -> anyhow::Result<Outputs> {
-    let outputs = Outputs::new(&args.image, args.out.as_deref());
+fn prepare_outputs(image: &Path, args: &RunArgs) -> anyhow::Result<Outputs> {
+    let outputs = Outputs::new(image, args.out.as_deref());
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder)
             .map_err(|e| autoref_stream::Error::io(folder, "create the output folder", e))?;
@@ -140,7 +144,8 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
 
 /// Georeference files first, the JSON that lists them last. What was written is taken back when a later one fails.
 fn write_outputs(
-    args: &RunArgs,
+    image: &Path,
+    overwrite: bool,
     outputs: &Outputs,
     list: &GcpList,
     document: &mut Document,
@@ -159,7 +164,7 @@ fn write_outputs(
             written.push(outputs.aux.clone());
             if let Some(vrt) = &outputs.vrt {
                 atomic::with_temporary(vrt, |temporary| {
-                    sidecar::write_vrt(&args.image, temporary, &transform, list.crs.as_ref())
+                    sidecar::write_vrt(image, temporary, &transform, list.crs.as_ref())
                 })?;
                 written.push(vrt.clone());
             }
@@ -171,7 +176,7 @@ fn write_outputs(
         atomic::write(&outputs.json, document.result.to_json().as_bytes())
     })();
     if let Err(error) = result {
-        if !args.overwrite {
+        if !overwrite {
             for path in &written {
                 // Half a set of outputs would look like a whole one.
                 let _ = std::fs::remove_file(path);

@@ -50,7 +50,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
     }
-    let list = gcp::read(&args.gcps.gcps, &args.gcps.options())?;
+    let list = gcp::read(args.gcps.path()?, &args.gcps.options())?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
         gsd_m_per_px: args.matching.gsd.map(|g| (g.0, g.1)),
@@ -60,7 +60,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let matcher = common::matcher(&args.matching, 1)?;
     let match_started = Instant::now();
     let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
-    let mut document = Document::new(&list, &args.gcps.gcps, &outcome, candidates);
+    let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
     document.finish(started);

@@ -14,6 +14,8 @@ pub struct Field {
     indices: Vec<u32>,
     pub width_px: f64,
     pub height_px: f64,
+    /// [`Field::density_near`] each point.
+    densities: Vec<f64>,
 }
 
 impl Field {
@@ -43,8 +45,10 @@ impl Field {
             indices: Vec::new(),
             width_px: width,
             height_px: height,
+            densities: Vec::new(),
         };
         field.fill();
+        field.densities = field.points.iter().map(|p| field.density_near(*p)).collect();
         field
     }
 
@@ -78,6 +82,11 @@ impl Field {
 
     pub fn points(&self) -> &[PixelPoint] {
         &self.points
+    }
+
+    /// Points per px² about a point, itself left out; see [`Field::density_near`].
+    pub fn density_at(&self, index: usize) -> f64 {
+        self.densities[index]
     }
 
     pub fn origin(&self) -> PixelPoint {

@@ -26,6 +26,8 @@ const SEARCH_TOLERANCE_PX: f64 = 5.0;
 const WORTHLESS_PROBABILITY: f64 = 0.25;
 /// Hypotheses of one GCP pair that are refined.
 const REFINED_PER_PAIR: usize = 6;
+/// More hits than this leave no doubt.
+const MOST_HITS: usize = 32;
 /// How much rarer (log₁₀) the best pattern must be than one that says something else.
 const RUNNER_UP_GAP: f64 = 2.0;
 /// Above this many candidates the best-scored are tried alone first.
@@ -146,12 +148,11 @@ struct GcpPair {
     cost: f64,
 }
 
-/// Another GCP as seen from a pair: its offset from `a`, tolerance and the chance of an accidental hit.
+/// Another GCP as seen from a pair: its offset from `a`, and tolerance.
 struct Target {
     east: f64,
     north: f64,
     radius_px: f64,
-    surprise: f64,
     bitmap: usize,
 }
 
@@ -347,7 +348,6 @@ impl Search<'_> {
                     east,
                     north,
                     radius_px,
-                    surprise: -probability.ln(),
                     bitmap,
                 })
             })
@@ -437,12 +437,15 @@ impl Search<'_> {
         })
     }
 
-    /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit.
+    /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
+    /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
+    /// into one clump.
     fn verify(&self, from: PixelPoint, z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
+        let mut hit = [u32::MAX; MOST_HITS];
         for (k, target) in targets.iter().enumerate() {
-            if hits + (targets.len() - k) < fewest {
-                return None;
+            if hits + (targets.len() - k) < fewest || hits == MOST_HITS {
+                break;
             }
             let p = PixelPoint {
                 x: from.x + z.0 * target.east - z.1 * target.north,
@@ -452,9 +455,16 @@ impl Search<'_> {
                 continue;
             }
             inside += 1;
-            if self.bitmaps[target.bitmap].may_hold(p) && self.field.nearest(p, target.radius_px).is_some() {
+            if !self.bitmaps[target.bitmap].may_hold(p) {
+                continue;
+            }
+            if let Some((candidate, _)) = self.field.nearest(p, target.radius_px)
+                && !hit[..hits].contains(&(candidate as u32))
+            {
+                hit[hits] = candidate as u32;
                 hits += 1;
-                surprise += target.surprise;
+                let area = std::f64::consts::PI * target.radius_px * target.radius_px;
+                surprise -= (-(-self.field.density_at(candidate) * area).exp_m1()).ln();
             }
         }
         (hits >= fewest).then(|| surprise - hits as f64 * (std::f64::consts::E * inside as f64 / hits as f64).ln())
