@@ -101,3 +101,83 @@ fn tiles_and_threads_do_not_change_a_candidate() {
         }
     }
 }
+
+mod files {
+    //! The same promise for files: layout, lossless compression and reader change nothing either.
+
+    use std::path::Path;
+
+    use autoref_stream::georef::candidate_list;
+    use autoref_stream::pipeline::{Detector, NoProgress, PaintDetector, PlanOptions, plan, scan};
+    use autoref_stream::profile::Profile;
+    use autoref_stream::raster::{self, ReaderChoice};
+    use autoref_stream::synth::{self, Compression, FileLayout, MarkSize, MarkStyle, Output, SynthSpec};
+
+    fn spec(layout: FileLayout, compression: Compression, size: (u64, u64)) -> SynthSpec {
+        SynthSpec {
+            gcps: synth::random_gcps(9, size.0 as f64 * 0.03, size.1 as f64 * 0.03, 5),
+            size_px: Some(size),
+            straddle_px: Some(256),
+            clutter: 30,
+            mark: MarkStyle { size: MarkSize::Px(14.0), ..MarkStyle::default() },
+            output: Output { layout, compression, predictor: true, ..Output::default() },
+            ..SynthSpec::default()
+        }
+    }
+
+    fn list(path: &Path, reader: ReaderChoice, tile_px: Option<u64>, threads: usize) -> Vec<u8> {
+        let cache_bytes = 16 << 20;
+        let source = raster::open(path, reader, 0, cache_bytes).expect("a sample that was just written");
+        let profile = Profile::builtin("orange").expect("the default profile");
+        let detector = PaintDetector::new(profile, source.info(), None).expect("a sound profile");
+        let options =
+            PlanOptions { tile_px, threads, memory_budget_bytes: 512 << 20, baseline_bytes: 64 << 20, cache_bytes };
+        let plan = plan(source.info(), detector.halo_px(), &options).expect("a small image fits");
+        let found = scan(source.as_ref(), &plan, &detector, &NoProgress).expect("a whole file");
+        let mut text = Vec::new();
+        candidate_list::write_csv(&found.candidates, &mut text).expect("memory takes all");
+        text
+    }
+
+    #[test]
+    fn layouts_codecs_and_readers_do_not_change_a_byte() {
+        let large = std::env::var_os("AUTOREF_LARGE").is_some();
+        let size = if large { (3001, 2003) } else { (1301, 707) };
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut expected: Option<Vec<u8>> = None;
+        let layouts = [FileLayout::Tiles(256), FileLayout::Strips(7)];
+        let codecs = [Compression::None, Compression::Deflate, Compression::Lzw, Compression::Zstd];
+        for (i, (layout, codec)) in
+            layouts.into_iter().flat_map(|l| codecs.into_iter().map(move |c| (l, c))).enumerate()
+        {
+            let path = folder.path().join(format!("{i}.tif"));
+            synth::write(&spec(layout, codec, size), &path).expect("a sample");
+            for reader in [ReaderChoice::Native, ReaderChoice::Gdal] {
+                for (tile, threads) in
+                    [(Some(100_000), 1), (Some(256), 1), (Some(256), 2), (Some(1000), 2), (Some(4096), 2), (None, 2)]
+                {
+                    let found = list(&path, reader, tile, threads);
+                    let oracle = expected.get_or_insert_with(|| found.clone());
+                    assert!(oracle.len() > 400, "only {} bytes of candidates", oracle.len());
+                    assert!(
+                        *oracle == found,
+                        "layout and codec {i}, {reader:?}, tile {tile:?}, {threads} threads differ"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn jpeg_does_not_depend_on_the_tiling() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.tif");
+        synth::write(&spec(FileLayout::Tiles(256), Compression::Jpeg(90), (1301, 707)), &path).expect("a sample");
+        for reader in [ReaderChoice::Native, ReaderChoice::Gdal] {
+            let whole = list(&path, reader, Some(100_000), 1);
+            for (tile, threads) in [(Some(256), 2), (Some(1000), 1), (None, 2)] {
+                assert!(whole == list(&path, reader, tile, threads), "{reader:?}, tile {tile:?}");
+            }
+        }
+    }
+}
