@@ -199,3 +199,18 @@ fn a_float_image_is_refused_with_the_command_that_converts_it() {
     let error = open(&path, ReaderChoice::Native, 0, CACHE).map(|_| ()).expect_err("no image").to_string();
     assert!(error.contains("floating-point samples (tag 339 is 3) by the native reader"), "{error}");
 }
+
+#[test]
+fn gdals_own_paths_are_given_to_it_as_they_are() {
+    let (_folder, path) = folder();
+    create::<u8>(&path, 3, 88, &["TILED=YES"]).close().expect("GDAL writes");
+    let virtual_path = PathBuf::from(format!("/vsisubfile/0,{}", path.display()));
+    let source = open(&virtual_path, ReaderChoice::Auto, 0, CACHE).expect("readable");
+    assert_eq!(source.info().reader, "gdal");
+    let patch = read_patch(&*source, Window::new(1, 2, 30, 20)).expect("readable");
+    assert!(patch.rgb.iter().all(|&pixel| pixel == [88; 3]));
+    let error = open(&virtual_path, ReaderChoice::Native, 0, CACHE).map(|_| ()).expect_err("not a local file");
+    assert!(error.to_string().contains("local files only"), "{error}");
+    let missing = open(Path::new("/vsisubfile/0,/nowhere.tif"), ReaderChoice::Auto, 0, CACHE).map(|_| ());
+    assert!(missing.expect_err("there is no such file").to_string().contains("nowhere.tif"));
+}

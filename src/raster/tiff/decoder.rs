@@ -11,7 +11,7 @@ use super::layout::{Codec, Layout};
 use super::{codec, mapping, predictor, stream};
 use crate::error::{Error, Result};
 use crate::raster::cache::Chunk;
-use crate::raster::chunked::{ChunkDecoder, ChunkedSource, Counters, MIN_CHUNK_BYTES, group_blocks};
+use crate::raster::chunked::{CHUNK_BYTES, ChunkDecoder, ChunkedSource, Counters, group_blocks};
 use crate::raster::gdal::Facts;
 use crate::raster::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::window::{TileGrid, Window};
@@ -107,7 +107,7 @@ impl TiffDecoder {
         let too_large = bytes_of(chunk_height) > cache_bytes / 4;
         let streams = too_large && !layout.tiled && !layout.planar && stream::can_stream(layout.codec);
         if streams {
-            chunk_height = (MIN_CHUNK_BYTES / bytes_of(1)).clamp(1, height);
+            chunk_height = (CHUNK_BYTES / bytes_of(1)).clamp(1, height);
         }
         let chunk_bytes = bytes_of(chunk_height);
         if chunk_bytes > cache_bytes {
