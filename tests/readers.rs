@@ -437,3 +437,74 @@ fn what_is_no_image_gets_one_clear_line() {
         }
     }
 }
+
+/// A little-endian TIFF of one directory at byte 8 with entries (tag, type, count, value), then `data`.
+fn tiny_tiff(entries: &[(u16, u16, u32, u32)], next: u32, data: &[u8]) -> Vec<u8> {
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.extend((entries.len() as u16).to_le_bytes());
+    for &(tag, kind, count, value) in entries {
+        bytes.extend([tag.to_le_bytes(), kind.to_le_bytes()].concat());
+        bytes.extend([count.to_le_bytes(), value.to_le_bytes()].concat());
+    }
+    bytes.extend(next.to_le_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+#[test]
+fn headers_that_lie_cost_neither_memory_nor_time() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("liar.tif");
+    let zeros = libdeflater_zeros(3 << 20);
+    let million = 1 << 20;
+    // Width, height, bits, compression, photometric, offset, samples, rows a strip, byte count.
+    let at = 8 + 2 + 9 * 12 + 4;
+    let image = |width: u32, height: u32, compression: u32, offset: (u32, u32), count: (u32, u32)| {
+        [
+            (256, 4, 1, width),
+            (257, 4, 1, height),
+            (258, 3, 1, 8),
+            (259, 3, 1, compression),
+            (262, 3, 1, 1),
+            (273, 4, offset.0, offset.1),
+            (277, 3, 1, 1),
+            (278, 4, 1, height),
+            (279, 4, count.0, count.1),
+        ]
+    };
+    let length = zeros.len() as u32;
+    let write = |entries: &[(u16, u16, u32, u32)], next| {
+        std::fs::write(&path, tiny_tiff(entries, next, &zeros)).expect("a temporary file");
+        native::Directories::read(&path).expect("the directory is sound")
+    };
+    for compression in [1, 5, 7, 8, 32_773, 50_000] {
+        // A million by a million pixels in one strip of a few kilobytes.
+        let all = write(&image(million, million, compression, (1, at), (1, length)), 0);
+        let Err(error) = native::open(&all, 0, 8 << 20).and_then(|source| {
+            let patch = read_patch(&source, Window::new(5, 5, 100, 10))?;
+            // Deflate holds three rows of zeros, so the first windows are there.
+            read_patch(&source, Window::new(5, 500, patch.window.width, 10))
+        }) else {
+            panic!("compression {compression}: the pixels are not there")
+        };
+        is_clear_line(&path, &error);
+    }
+    // More offsets than the file has bytes.
+    let all = write(&image(10, 10, 8, (u32::MAX, 8), (1, length)), 0);
+    is_clear_line(&path, &native::open(&all, 0, CACHE).map(|_| ()).expect_err("the offsets are not there"));
+    // A block that decodes to more than its image needs, in a directory that follows itself.
+    let all = write(&image(100, 40, 8, (1, at), (1, length)), 8);
+    assert!(all.broken_tail.as_ref().is_some_and(|what| what.contains("circle")));
+    let source = native::open(&all, 0, CACHE).expect("the first directory is sound");
+    let patch = read_patch(&source, Window::whole(100, 40)).expect("enough data");
+    assert!(patch.rgb.iter().all(|&pixel| pixel == [0; 3]));
+    assert!(peak_bytes() < 600 << 20);
+}
+
+fn libdeflater_zeros(count: usize) -> Vec<u8> {
+    let mut compressor = libdeflater::Compressor::new(libdeflater::CompressionLvl::default());
+    let mut out = vec![0; compressor.zlib_compress_bound(count)];
+    let length = compressor.zlib_compress(&vec![0; count], &mut out).expect("the bound holds");
+    out.truncate(length);
+    out
+}

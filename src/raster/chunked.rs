@@ -7,8 +7,8 @@ use super::{Block, Piece, PieceData, RasterInfo, RasterSource, ReadStats, Sample
 use crate::error::Result;
 use crate::window::{TileGrid, Window};
 
-/// A decoded chunk is at least this large where the file's blocks allow it, so that it is a good unit of work.
-pub const MIN_CHUNK_BYTES: u64 = 256 << 10;
+/// Small file blocks are grouped to chunks of about this size, so that a chunk is a good unit of work.
+pub const CHUNK_BYTES: u64 = 256 << 10;
 
 /// What a decoder adds to the counts.
 #[derive(Debug, Default)]
@@ -129,11 +129,11 @@ impl<D: ChunkDecoder> RasterSource for ChunkedSource<D> {
     }
 }
 
-/// Chunk size in file blocks: as many blocks as reach [`MIN_CHUNK_BYTES`], first along the row, then down. Blocks that are
-/// large enough stay alone.
+/// Chunk size in file blocks, across and down: as many blocks as fill [`CHUNK_BYTES`]. Blocks of more than half of that stay
+/// alone: a block on its own is handed out as it was decoded, in a group it is copied.
 pub fn group_blocks(block: (u64, u64), raster: (u64, u64), bytes_per_pixel: u64) -> (u64, u64) {
     let block_bytes = (block.0 * block.1).saturating_mul(bytes_per_pixel).max(1);
-    let wanted = MIN_CHUNK_BYTES.div_ceil(block_bytes).max(1);
+    let wanted = (CHUNK_BYTES / block_bytes).max(1);
     let across = raster.0.div_ceil(block.0);
     let down = raster.1.div_ceil(block.1);
     if across == 1 {
@@ -151,7 +151,8 @@ mod tests {
     #[test]
     fn small_blocks_are_grouped_and_large_ones_are_not() {
         assert_eq!(group_blocks((512, 512), (22_039, 20_051), 3), (1, 1));
-        assert_eq!(group_blocks((22_039, 1), (22_039, 20_051), 3), (1, 4));
+        assert_eq!(group_blocks((256, 256), (22_039, 20_051), 3), (1, 1));
+        assert_eq!(group_blocks((22_039, 1), (22_039, 20_051), 3), (1, 3));
         assert_eq!(group_blocks((100, 1), (100, 50), 1), (1, 50));
         assert_eq!(group_blocks((16, 16), (10_000, 10_000), 1), (32, 32));
     }

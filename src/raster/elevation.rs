@@ -26,7 +26,7 @@ impl ElevationModel {
     /// When GDAL cannot open it or it holds no raster.
     pub fn open(path: &Path) -> Result<Self> {
         initialise_gdal(32 << 20);
-        if !path.starts_with("/vsi") && path.is_dir() {
+        if path.is_dir() {
             return Err(Error::format(path, "path", "is a directory, not an elevation model"));
         }
         let name = GdalName::new(path, 0);

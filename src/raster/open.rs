@@ -17,7 +17,7 @@ use crate::error::{Error, Result};
 /// When the file is missing, broken, or of a kind that no reader takes; the message says what exactly.
 pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) -> Result<Arc<dyn RasterSource>> {
     gdal::initialise_gdal(cache_bytes);
-    let local = !path.starts_with("/vsi") && !path.to_string_lossy().starts_with("/vsi");
+    let local = !path.to_string_lossy().starts_with("/vsi");
     if !local {
         if choice == ReaderChoice::Native {
             return Err(Error::usage(

@@ -11,7 +11,7 @@ use super::layout::{Codec, Layout};
 use super::{codec, mapping, predictor, stream};
 use crate::error::{Error, Result};
 use crate::raster::cache::Chunk;
-use crate::raster::chunked::{ChunkDecoder, ChunkedSource, Counters, MIN_CHUNK_BYTES, group_blocks};
+use crate::raster::chunked::{CHUNK_BYTES, ChunkDecoder, ChunkedSource, Counters, group_blocks};
 use crate::raster::gdal::Facts;
 use crate::raster::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::window::{TileGrid, Window};
@@ -22,7 +22,7 @@ use crate::window::{TileGrid, Window};
 /// [`Error::Unsupported`] when GDAL must do it, [`Error::Limit`] when one block is larger than `cache_bytes` and cannot
 /// be decoded row by row.
 pub fn open(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
-    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes)?, cache_bytes))
+    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, true)?, cache_bytes))
 }
 
 /// Like [`open`], but uncompressed interleaved 8-bit blocks are mapped instead of read into buffers.
@@ -30,9 +30,17 @@ pub fn open(all: &Directories, index: usize, cache_bytes: u64) -> Result<Chunked
 /// # Errors
 /// Those of [`open`].
 pub fn open_mapped(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
-    let mut decoder = TiffDecoder::new(all, index, cache_bytes)?;
+    let mut decoder = TiffDecoder::new(all, index, cache_bytes, true)?;
     decoder.mapped = true;
     Ok(ChunkedSource::new(decoder, cache_bytes))
+}
+
+/// Like [`open`], without asking GDAL for the georeference: nothing but this reader touches the file (for fuzzing).
+///
+/// # Errors
+/// Those of [`open`].
+pub fn open_pixels(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
+    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, false)?, cache_bytes))
 }
 
 #[derive(Default)]
@@ -82,7 +90,7 @@ struct Stream {
 const RECENT_CHUNKS: usize = 8;
 
 impl TiffDecoder {
-    fn new(all: &Directories, index: usize, cache_bytes: u64) -> Result<Self> {
+    fn new(all: &Directories, index: usize, cache_bytes: u64, georeference: bool) -> Result<Self> {
         let layout = Layout::read(all, index)?;
         if all.mask_of(index)?.is_some() || side_file(&all.path, ".msk").exists() {
             let what = "a mask beside the image by the native reader";
@@ -99,7 +107,7 @@ impl TiffDecoder {
         let too_large = bytes_of(chunk_height) > cache_bytes / 4;
         let streams = too_large && !layout.tiled && !layout.planar && stream::can_stream(layout.codec);
         if streams {
-            chunk_height = (MIN_CHUNK_BYTES / bytes_of(1)).clamp(1, height);
+            chunk_height = (CHUNK_BYTES / bytes_of(1)).clamp(1, height);
         }
         let chunk_bytes = bytes_of(chunk_height);
         if chunk_bytes > cache_bytes {
@@ -111,7 +119,7 @@ impl TiffDecoder {
                 remedy: crate::raster::open::retile_remedy(&all.path),
             });
         }
-        let facts = Facts::of_file(&all.path, index);
+        let facts = if georeference { Facts::of_file(&all.path, index) } else { Facts::default() };
         let info = RasterInfo {
             path: all.path.clone(),
             width,

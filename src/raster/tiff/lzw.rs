@@ -1,9 +1,10 @@
 //! LZW as TIFF has it (TIFF 6.0, section 13): most significant bit first, codes of 9 to 12 bits, one code early.
 //!
-//! Every string in the table is a piece of what was written before, so the table holds only where it begins and how long it
-//! is, and a code is one copy within the output (the scheme of Welch, "A technique for high-performance data compression",
-//! IEEE Computer 17(6), 1984, with positions in place of prefix links). The copies are unaligned words that may write
-//! beyond the string; the next string overwrites that. `weezl` is the slower twin that the tests compare with.
+//! Strings of up to seven bytes, which are most of a photograph's, stand in the table themselves and are written as one
+//! word. Every longer string is a piece of what was written before, so the table holds where it begins and how long it is, and
+//! the code is one copy within the output (the scheme of Welch, "A technique for high-performance data compression", IEEE
+//! Computer 17(6), 1984, without its prefix links). Words may be written beyond the string; the next string overwrites that.
+//! `weezl` is the slower twin that the tests compare with.
 #![allow(unsafe_code)]
 
 const CLEAR: usize = 256;
@@ -12,22 +13,39 @@ const FIRST: usize = 258;
 const CODES: usize = 4096;
 /// Copies go in words of this many bytes, so that many must be free behind a string.
 const WORD: usize = 16;
+/// Longest string that stands in the table.
+const SHORT: u32 = 7;
+const BYTES: u64 = (1 << 56) - 1;
 
-/// Where a string lies in the output.
+/// Where a long string lies in the output.
 #[derive(Clone, Copy, Default)]
-struct Entry {
+struct Place {
     position: u32,
     length: u32,
 }
 
-/// A decoder with its table, used from block to block.
+/// A decoder with its tables, used from block to block.
 pub struct Decoder {
-    table: Box<[Entry; CODES]>,
+    /// The first seven bytes of each string, the first in the lowest place, and its length on top: more than [`SHORT`] where
+    /// it is in `long`.
+    short: Box<[u64; CODES]>,
+    long: Box<[Place; CODES]>,
+}
+
+/// The string that was written last.
+#[derive(Clone, Copy)]
+struct Last {
+    short: u64,
+    place: Place,
 }
 
 impl Decoder {
     pub fn new() -> Self {
-        Decoder { table: Box::new([Entry::default(); CODES]) }
+        let mut short = Box::new([0; CODES]);
+        for (byte, entry) in short[..CLEAR].iter_mut().enumerate() {
+            *entry = byte as u64 | 1 << 56;
+        }
+        Decoder { short, long: Box::new([Place::default(); CODES]) }
     }
 
     /// Decodes until `out` is full, the end code comes or the data end, and returns how many bytes of `out` are filled.
@@ -41,39 +59,58 @@ impl Decoder {
         assert!(out.len() < u32::MAX as usize, "blocks are bounded far below 4 GiB");
         let mut bits = Bits::new(data);
         let (mut next, mut width) = (FIRST, 9);
-        let mut previous: Option<Entry> = None;
+        let mut last: Option<Last> = None;
         let mut at = 0;
         while at < out.len() {
             let Some(code) = bits.take(width) else { break };
             if code == CLEAR {
-                (next, width, previous) = (FIRST, 9, None);
+                (next, width, last) = (FIRST, 9, None);
                 continue;
             }
             if code == END {
                 break;
             }
-            // The string that the previous code began ends with the first byte of this one, and lies in the output as such.
-            if let Some(Entry { position, length }) = previous
+            if let Some(last) = last
                 && next < CODES
             {
-                self.table[next] = Entry { position, length: length + 1 };
+                // A code that is made by this very step begins as the last string did.
+                let begins = if code == next { last.short } else { self.short[code] };
+                self.add(next, last, begins as u8);
                 next += 1;
                 width += usize::from(next + 1 == 1 << width && width < 12);
             }
-            let string = if code < CLEAR {
-                out[at] = code as u8;
-                Entry { position: at as u32, length: 1 }
-            } else if code < next {
-                let entry = self.table[code];
-                let copied = copy(out, entry.position as usize, at, entry.length as usize);
-                Entry { position: at as u32, length: copied as u32 }
-            } else {
+            if code >= next {
                 return Err(format!("LZW: code {code} comes before it exists, after {at} bytes"));
-            };
-            at += string.length as usize;
-            previous = Some(string);
+            }
+            let short = self.short[code];
+            let mut length = (short >> 56) as usize;
+            if length <= SHORT as usize && at + 8 <= out.len() {
+                out[at..at + 8].copy_from_slice(&short.to_le_bytes());
+            } else if length <= SHORT as usize {
+                length = length.min(out.len() - at);
+                out[at..at + length].copy_from_slice(&short.to_le_bytes()[..length]);
+            } else {
+                let place = self.long[code];
+                length = copy(out, place.position as usize, at, place.length as usize);
+            }
+            last = Some(Last { short, place: Place { position: at as u32, length: length as u32 } });
+            at += length;
         }
         Ok(at)
+    }
+
+    /// The string `last` and one byte more becomes entry `code`. It lies in the output where `last` does: the byte is the
+    /// one behind it.
+    #[inline(always)]
+    fn add(&mut self, code: usize, last: Last, byte: u8) {
+        let Place { position, length } = last.place;
+        if length < SHORT {
+            let bytes = last.short & BYTES | u64::from(byte) << (8 * length);
+            self.short[code] = bytes | u64::from(length + 1) << 56;
+        } else {
+            self.short[code] = last.short & BYTES | u64::from(SHORT + 1) << 56;
+            self.long[code] = Place { position, length: length + 1 };
+        }
     }
 }
 

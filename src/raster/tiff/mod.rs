@@ -10,4 +10,4 @@ mod predictor;
 mod stream;
 
 pub use container::{Directories, is_tiff};
-pub use decoder::{TiffDecoder, open, open_mapped};
+pub use decoder::{TiffDecoder, open, open_mapped, open_pixels};
