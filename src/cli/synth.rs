@@ -232,11 +232,14 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// GDAL would take a twentieth of the machine's memory for its blocks. A row of tiles, or a strip, of all bands is
-/// what it needs to put pixels together before it compresses them.
+/// GDAL would take a twentieth of the machine's memory for its blocks. What it needs is room for the blocks of one
+/// piece of the picture in all bands, to put pixels together before it compresses them; a strip of many rows is held
+/// until its last row is drawn.
 fn bound_gdal_cache(args: &SynthArgs) -> anyhow::Result<()> {
+    let tall_strips = args.strips.is_some_and(|rows| rows > 16);
     if std::env::var_os("GDAL_CACHEMAX").is_none() {
-        gdal::config::set_config_option("GDAL_CACHEMAX", "48").context("cannot bound GDAL's block cache")?;
+        let megabytes = if tall_strips { "48" } else { "16" };
+        gdal::config::set_config_option("GDAL_CACHEMAX", megabytes).context("cannot bound GDAL's block cache")?;
     }
     if args.strips.is_some_and(|rows| rows > 4096) {
         bail!("strips of more than 4096 rows would be held in memory whole; use fewer rows");

@@ -169,7 +169,7 @@ impl ShadowPatch {
             Shadow::Edge => half.0 + size_px * rng.range(-0.33, 0.33),
             Shadow::Full | Shadow::None => 0.0,
         };
-        let dark = rng.range(0.32, 0.55) as f32;
+        let dark = rng.range(0.40, 0.62) as f32;
         ShadowPatch {
             centre: (x + axis.0 * shift, y + axis.1 * shift),
             axis,

@@ -199,25 +199,29 @@ impl Object {
 
     /// Share of a pixel (about) that lies in the object's outline.
     fn inside(&self, dx: f32, dy: f32, x: f32, y: f32, land: &Landscape) -> f32 {
-        let (a, b) = self.local(dx, dy);
         match self.kind {
             Kind::Tree => {
-                let k = land.gsd_m / 0.75;
-                let r = dx.hypot(dy);
-                if r > self.half.0 * 1.12 + 1.0 {
-                    return 0.0;
+                // Most pixels are decided without the noise that makes the outline.
+                let (square, radius) = (dx * dx + dy * dy, self.half.0);
+                let (least, most) = ((0.72 * radius - 0.5).max(0.0), 1.12 * radius + 0.5);
+                if square >= most * most || square < least * least {
+                    return if square < least * least { 1.0 } else { 0.0 };
                 }
-                let lumpy = self.half.0 * (0.72 + 0.4 * value_noise(self.seed, x * k, y * k));
+                let (k, r) = (land.gsd_m / 0.75, square.sqrt());
+                let lumpy = radius * (0.72 + 0.4 * value_noise(self.seed, x * k, y * k));
                 (lumpy - r + 0.5).clamp(0.0, 1.0)
             }
             Kind::Car => {
-                // A rectangle with corners rounded by a third of the half width.
+                // A rectangle with rounded corners.
+                let (a, b) = self.local(dx, dy);
                 let round = self.half.1 * 0.4;
                 let (qa, qb) = (a.abs() - self.half.0 + round, b.abs() - self.half.1 + round);
-                let outside = qa.max(0.0).hypot(qb.max(0.0)) + qa.max(qb).min(0.0) - round;
+                let corner = (qa.max(0.0), qb.max(0.0));
+                let outside = (corner.0 * corner.0 + corner.1 * corner.1).sqrt() + qa.max(qb).min(0.0) - round;
                 (0.5 - outside).clamp(0.0, 1.0)
             }
             Kind::Path | Kind::Roof | Kind::FlatRoof => {
+                let (a, b) = self.local(dx, dy);
                 let edge = (self.half.0 - a.abs()).min(self.half.1 - b.abs());
                 (edge + 0.5).clamp(0.0, 1.0)
             }
@@ -341,6 +345,9 @@ fn cast_shadows(order: &[&Object], land: &Landscape, window: Window, out: &mut [
         let (sx, sy) = (-SUN.0 * o.shadow, -SUN.1 * o.shadow);
         let middle = (o.x + sx / 2.0, o.y + sy / 2.0);
         each_pixel(window, middle, o.half.0.hypot(o.half.1) * 1.15 + o.shadow / 2.0 + 2.0, |at, x, y| {
+            if dark[at / 3] == 255 {
+                return;
+            }
             let share = match o.kind {
                 // Lumpy outlines at a few positions along the way.
                 Kind::Tree => [0.35f32, 0.7, 1.0]
