@@ -228,20 +228,23 @@ impl Object {
         }
     }
 
-    /// Share of a pixel (in thirds) in the rectangle as it moves by `along`: exact, by the interval of the movement
-    /// during which each side holds the point.
-    fn swept(&self, dx: f32, dy: f32, along: (f32, f32)) -> f32 {
-        let (p, d) = (self.local(dx, dy), self.local(along.0, along.1));
+    /// Share of a pixel (none, half, all) in the rectangle as it moves along `1 / inverse` (in its own axes): by the
+    /// intervals of the movement during which each pair of sides holds the point.
+    fn swept(&self, dx: f32, dy: f32, inverse: (f32, f32)) -> f32 {
+        let p = self.local(dx, dy);
         let meets = |grow: f32| {
-            let interval = |p: f32, d: f32, half: f32| {
-                let (t0, t1) = ((p - half) / d, (p + half) / d);
+            let interval = |p: f32, inverse: f32, half: f32| {
+                let (t0, t1) = ((p - half) * inverse, (p + half) * inverse);
                 (t0.min(t1), t0.max(t1))
             };
-            // Sun and walls are never quite parallel; a division by zero would give infinities, which compare right.
-            let (a, b) = (interval(p.0, d.0, self.half.0 + grow), interval(p.1, d.1, self.half.1 + grow));
+            let (a, b) = (interval(p.0, inverse.0, self.half.0 + grow), interval(p.1, inverse.1, self.half.1 + grow));
             a.0.max(b.0).max(0.0) <= a.1.min(b.1).min(1.0)
         };
-        [-0.4, 0.0, 0.4].iter().filter(|g| meets(**g)).count() as f32 / 3.0
+        match (meets(0.4), meets(-0.4)) {
+            (false, _) => 0.0,
+            (true, false) => 0.5,
+            (true, true) => 1.0,
+        }
     }
 
     fn colour(&self, dx: f32, dy: f32, x: f32, y: f32, land: &Landscape) -> [f32; 3] {
@@ -344,6 +347,9 @@ fn cast_shadows(order: &[&Object], land: &Landscape, window: Window, out: &mut [
     for o in order.iter().filter(|o| o.shadow > 0.0) {
         let (sx, sy) = (-SUN.0 * o.shadow, -SUN.1 * o.shadow);
         let middle = (o.x + sx / 2.0, o.y + sy / 2.0);
+        let along = o.local(sx, sy);
+        // Where sun and wall are parallel this is infinite, which compares as it should.
+        let inverse = (1.0 / along.0, 1.0 / along.1);
         each_pixel(window, middle, o.half.0.hypot(o.half.1) * 1.15 + o.shadow / 2.0 + 2.0, |at, x, y| {
             if dark[at / 3] == 255 {
                 return;
@@ -354,7 +360,7 @@ fn cast_shadows(order: &[&Object], land: &Landscape, window: Window, out: &mut [
                     .iter()
                     .map(|t| o.inside(x - o.x - sx * t, y - o.y - sy * t, x - sx * t, y - sy * t, land))
                     .fold(0.0, f32::max),
-                _ => o.swept(x - o.x, y - o.y, (sx, sy)),
+                _ => o.swept(x - o.x, y - o.y, inverse),
             };
             let level = (share * 255.0) as u8;
             dark[at / 3] = dark[at / 3].max(level);
