@@ -309,6 +309,8 @@ fn what_cannot_be_is_refused_before_any_work() {
     says(output(Output { layout: FileLayout::Strips(0), ..Output::default() }), "0 rows");
     says(output(Output { bits: 16, compression: Compression::Jpeg(80), ..Output::default() }), "JPEG");
     says(SynthSpec { background: Background::AsIs("nowhere.jpg".into()), ..busy() }, "nowhere.jpg");
+    let nowhere = synth::write(&busy(), &folder.path().join("no/a.tif")).expect_err("no folder").to_string();
+    assert!(nowhere.contains("no such folder"), "{nowhere}");
     let far = SynthSpec { origin: Some(MapPoint { easting: 0.0, northing: 0.0 }), visible: Visible::All, ..busy() };
     assert_eq!(Scene::new(&far).expect("an image beside its GCPs").truth().visible().count(), 0);
 

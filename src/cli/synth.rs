@@ -10,6 +10,7 @@ use autoref_stream::synth::{
     Paint, Shape, SynthGcp, SynthSpec, Visible,
 };
 use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
 
 /// Make a sample orthophoto of any size with painted marks, and the truth about it beside it (NAME.truth.json).
 #[derive(Args, Debug)]
@@ -146,6 +147,9 @@ pub struct SynthArgs {
     /// Replace existing outputs.
     #[arg(long, help_heading = "File")]
     pub overwrite: bool,
+    /// No progress bar.
+    #[arg(long, help_heading = "File")]
+    pub quiet: bool,
     /// Threads that draw. Default: one per core.
     #[arg(long, value_name = "N", help_heading = "File")]
     pub threads: Option<usize>,
@@ -215,7 +219,15 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     if let Some(list) = args.write_gcps.as_deref().filter(|list| list.exists() && !args.overwrite) {
         bail!("{}: exists already; use --overwrite or another name", list.display());
     }
-    let truth = synth::write(&spec, &args.output)?;
+    // Hidden where standard error is no terminal.
+    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(0) };
+    let style = "{bar:40} {percent:>3} %  {elapsed} of about {duration}";
+    bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
+    let truth = synth::write_with_progress(&spec, &args.output, &|done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
     if let Some(list) = &args.write_gcps {
         synth::write_gcp_geojson(list, &spec.gcps, Some(args.epsg))?;
     }

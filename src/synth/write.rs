@@ -48,6 +48,9 @@ pub fn write_with_progress(spec: &SynthSpec, path: &Path, progress: Progress) ->
             refuse_existing(file)?;
         }
     }
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty() && !f.is_dir()) {
+        return Err(Error::usage(format!("{}: no such folder", folder.display()), "create it first"));
+    }
     let scene = Scene::new(spec)?;
     let part = Part::beside(path);
     match spec.output.bits {
