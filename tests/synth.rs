@@ -309,6 +309,8 @@ fn what_cannot_be_is_refused_before_any_work() {
     says(output(Output { layout: FileLayout::Strips(0), ..Output::default() }), "0 rows");
     says(output(Output { bits: 16, compression: Compression::Jpeg(80), ..Output::default() }), "JPEG");
     says(SynthSpec { background: Background::AsIs("nowhere.jpg".into()), ..busy() }, "nowhere.jpg");
+    let nowhere = synth::write(&busy(), &folder.path().join("no/a.tif")).expect_err("no folder").to_string();
+    assert!(nowhere.contains("no such folder"), "{nowhere}");
     let far = SynthSpec { origin: Some(MapPoint { easting: 0.0, northing: 0.0 }), visible: Visible::All, ..busy() };
     assert_eq!(Scene::new(&far).expect("an image beside its GCPs").truth().visible().count(), 0);
 
@@ -343,4 +345,31 @@ fn gcp_tables_are_read_in_any_column_order() {
     let json: serde_json::Value = serde_json::from_slice(&std::fs::read(&list).expect("bytes")).expect("JSON");
     assert_eq!(json["features"][0]["geometry"]["coordinates"][1], 7032516.80);
     assert_eq!(json["crs"]["properties"]["name"], "urn:ogc:def:crs:EPSG::32632");
+}
+
+#[test]
+fn the_landscape_is_drawn_at_any_ground_sample_distance() {
+    for gsd_m in [0.0005, 0.03, 0.5, 1.0, 30.0, 5000.0] {
+        let placed = vec![PlacedMark { name: "A".into(), x: 9.0, y: 9.0, style: None }];
+        let spec = SynthSpec { gsd_m, placed, size_px: Some((2_000_000_000, 2_000_000_000)), ..SynthSpec::default() };
+        let scene = Scene::new(&spec).expect("a scene");
+        for corner in [0, 1_999_999_000] {
+            let pixels = scene.render_window(Window::new(corner, corner, 128, 96)).expect("pixels");
+            let mean = pixels.iter().map(|&v| u64::from(v)).sum::<u64>() / pixels.len() as u64;
+            assert!((30..220).contains(&mean), "{gsd_m} m at {corner}: mean {mean}");
+        }
+    }
+}
+
+#[test]
+fn clutter_keeps_away_from_marks_and_only_named_gcps_are_marked() {
+    let names = ["G3", "G7"].map(String::from).to_vec();
+    let spec = SynthSpec { visible: Visible::Named(names), clutter: 400, straddle_px: None, ..busy() };
+    let truth = Scene::new(&spec).expect("a scene").truth().clone();
+    assert_eq!(truth.visible().map(|g| g.name.as_str()).collect::<Vec<_>>(), ["G3", "G7"]);
+    assert_eq!(truth.clutter.len(), 400);
+    for (g, c) in truth.visible().flat_map(|g| truth.clutter.iter().map(move |c| (g, c))) {
+        let reach = (g.size_px + c.size_px) * std::f64::consts::FRAC_1_SQRT_2;
+        assert!((g.x - c.x).hypot(g.y - c.y) > reach, "{c:?} touches {}", g.name);
+    }
 }

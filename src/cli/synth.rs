@@ -10,6 +10,7 @@ use autoref_stream::synth::{
     Paint, Shape, SynthGcp, SynthSpec, Visible,
 };
 use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
 
 /// Make a sample orthophoto of any size with painted marks, and the truth about it beside it (NAME.truth.json).
 #[derive(Args, Debug)]
@@ -146,6 +147,9 @@ pub struct SynthArgs {
     /// Replace existing outputs.
     #[arg(long, help_heading = "File")]
     pub overwrite: bool,
+    /// No progress bar.
+    #[arg(long, help_heading = "File")]
+    pub quiet: bool,
     /// Threads that draw. Default: one per core.
     #[arg(long, value_name = "N", help_heading = "File")]
     pub threads: Option<usize>,
@@ -215,7 +219,15 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     if let Some(list) = args.write_gcps.as_deref().filter(|list| list.exists() && !args.overwrite) {
         bail!("{}: exists already; use --overwrite or another name", list.display());
     }
-    let truth = synth::write(&spec, &args.output)?;
+    // Hidden where standard error is no terminal.
+    let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(0) };
+    let style = "{bar:40} {percent:>3} %  {elapsed} of about {duration}";
+    bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
+    let truth = synth::write_with_progress(&spec, &args.output, &|done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
     if let Some(list) = &args.write_gcps {
         synth::write_gcp_geojson(list, &spec.gcps, Some(args.epsg))?;
     }
@@ -232,11 +244,14 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// GDAL would take a twentieth of the machine's memory for its blocks. A row of tiles, or a strip, of all bands is
-/// what it needs to put pixels together before it compresses them.
+/// GDAL would take a twentieth of the machine's memory for its blocks. What it needs is room for the blocks of one
+/// piece of the picture in all bands, to put pixels together before it compresses them; a strip of many rows is held
+/// until its last row is drawn.
 fn bound_gdal_cache(args: &SynthArgs) -> anyhow::Result<()> {
+    let tall_strips = args.strips.is_some_and(|rows| rows > 16);
     if std::env::var_os("GDAL_CACHEMAX").is_none() {
-        gdal::config::set_config_option("GDAL_CACHEMAX", "48").context("cannot bound GDAL's block cache")?;
+        let megabytes = if tall_strips { "48" } else { "16" };
+        gdal::config::set_config_option("GDAL_CACHEMAX", megabytes).context("cannot bound GDAL's block cache")?;
     }
     if args.strips.is_some_and(|rows| rows > 4096) {
         bail!("strips of more than 4096 rows would be held in memory whole; use fewer rows");

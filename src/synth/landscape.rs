@@ -16,6 +16,8 @@ const ROAD_HALF_M: f32 = 3.0;
 pub(crate) const PAVEMENT_HALF_M: f32 = 4.3;
 /// Everything of a parcel's objects, shadows too, lies within this of its rectangle.
 const OVERHANG_M: f32 = 14.0;
+/// From here on cars and trees are specks, and a window would hold them by the million.
+const OBJECTS_UP_TO_M_PER_PX: f32 = 1.0;
 /// The bend of the street grid is computed every so many pixels and drawn straight between.
 const NODE_PX: u64 = 16;
 /// How far and over what length the grid bends.
@@ -87,7 +89,9 @@ impl Landscape {
                 }
             }
         }
-        objects::draw(&self.objects_near(window), self, window, out);
+        if self.gsd_m <= OBJECTS_UP_TO_M_PER_PX {
+            objects::draw(&self.objects_near(window), self, window, out);
+        }
     }
 
     /// Adds value noise in ±`weight` along a row of pixels: lattice values of the two lattice rows about it are

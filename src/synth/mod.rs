@@ -7,6 +7,7 @@
 //! in `docs/synth.md`.
 
 mod gcps;
+mod jpeg;
 mod landscape;
 mod mark;
 mod objects;
@@ -21,6 +22,7 @@ mod truth;
 mod write;
 
 pub use gcps::{SynthGcp, random_gcps, read_gcp_csv, write_gcp_geojson};
+pub use jpeg::jpeg_round_trip;
 pub use paint::Paint;
 pub use photo::{PhotoStore, photographs};
 pub use scene::Scene;

@@ -199,45 +199,52 @@ impl Object {
 
     /// Share of a pixel (about) that lies in the object's outline.
     fn inside(&self, dx: f32, dy: f32, x: f32, y: f32, land: &Landscape) -> f32 {
-        let (a, b) = self.local(dx, dy);
         match self.kind {
             Kind::Tree => {
-                let k = land.gsd_m / 0.75;
-                let r = dx.hypot(dy);
-                if r > self.half.0 * 1.12 + 1.0 {
-                    return 0.0;
+                // Most pixels are decided without the noise that makes the outline.
+                let (square, radius) = (dx * dx + dy * dy, self.half.0);
+                let (least, most) = ((0.72 * radius - 0.5).max(0.0), 1.12 * radius + 0.5);
+                if square >= most * most || square < least * least {
+                    return if square < least * least { 1.0 } else { 0.0 };
                 }
-                let lumpy = self.half.0 * (0.72 + 0.4 * value_noise(self.seed, x * k, y * k));
+                let (k, r) = (land.gsd_m / 0.75, square.sqrt());
+                let lumpy = radius * (0.72 + 0.4 * value_noise(self.seed, x * k, y * k));
                 (lumpy - r + 0.5).clamp(0.0, 1.0)
             }
             Kind::Car => {
-                // A rectangle with corners rounded by a third of the half width.
+                // A rectangle with rounded corners.
+                let (a, b) = self.local(dx, dy);
                 let round = self.half.1 * 0.4;
                 let (qa, qb) = (a.abs() - self.half.0 + round, b.abs() - self.half.1 + round);
-                let outside = qa.max(0.0).hypot(qb.max(0.0)) + qa.max(qb).min(0.0) - round;
+                let corner = (qa.max(0.0), qb.max(0.0));
+                let outside = (corner.0 * corner.0 + corner.1 * corner.1).sqrt() + qa.max(qb).min(0.0) - round;
                 (0.5 - outside).clamp(0.0, 1.0)
             }
             Kind::Path | Kind::Roof | Kind::FlatRoof => {
+                let (a, b) = self.local(dx, dy);
                 let edge = (self.half.0 - a.abs()).min(self.half.1 - b.abs());
                 (edge + 0.5).clamp(0.0, 1.0)
             }
         }
     }
 
-    /// Share of a pixel (in thirds) in the rectangle as it moves by `along`: exact, by the interval of the movement
-    /// during which each side holds the point.
-    fn swept(&self, dx: f32, dy: f32, along: (f32, f32)) -> f32 {
-        let (p, d) = (self.local(dx, dy), self.local(along.0, along.1));
+    /// Share of a pixel (none, half, all) in the rectangle as it moves along `1 / inverse` (in its own axes): by the
+    /// intervals of the movement during which each pair of sides holds the point.
+    fn swept(&self, dx: f32, dy: f32, inverse: (f32, f32)) -> f32 {
+        let p = self.local(dx, dy);
         let meets = |grow: f32| {
-            let interval = |p: f32, d: f32, half: f32| {
-                let (t0, t1) = ((p - half) / d, (p + half) / d);
+            let interval = |p: f32, inverse: f32, half: f32| {
+                let (t0, t1) = ((p - half) * inverse, (p + half) * inverse);
                 (t0.min(t1), t0.max(t1))
             };
-            // Sun and walls are never quite parallel; a division by zero would give infinities, which compare right.
-            let (a, b) = (interval(p.0, d.0, self.half.0 + grow), interval(p.1, d.1, self.half.1 + grow));
+            let (a, b) = (interval(p.0, inverse.0, self.half.0 + grow), interval(p.1, inverse.1, self.half.1 + grow));
             a.0.max(b.0).max(0.0) <= a.1.min(b.1).min(1.0)
         };
-        [-0.4, 0.0, 0.4].iter().filter(|g| meets(**g)).count() as f32 / 3.0
+        match (meets(0.4), meets(-0.4)) {
+            (false, _) => 0.0,
+            (true, false) => 0.5,
+            (true, true) => 1.0,
+        }
     }
 
     fn colour(&self, dx: f32, dy: f32, x: f32, y: f32, land: &Landscape) -> [f32; 3] {
@@ -340,14 +347,20 @@ fn cast_shadows(order: &[&Object], land: &Landscape, window: Window, out: &mut [
     for o in order.iter().filter(|o| o.shadow > 0.0) {
         let (sx, sy) = (-SUN.0 * o.shadow, -SUN.1 * o.shadow);
         let middle = (o.x + sx / 2.0, o.y + sy / 2.0);
+        let along = o.local(sx, sy);
+        // Where sun and wall are parallel this is infinite, which compares as it should.
+        let inverse = (1.0 / along.0, 1.0 / along.1);
         each_pixel(window, middle, o.half.0.hypot(o.half.1) * 1.15 + o.shadow / 2.0 + 2.0, |at, x, y| {
+            if dark[at / 3] == 255 {
+                return;
+            }
             let share = match o.kind {
                 // Lumpy outlines at a few positions along the way.
                 Kind::Tree => [0.35f32, 0.7, 1.0]
                     .iter()
                     .map(|t| o.inside(x - o.x - sx * t, y - o.y - sy * t, x - sx * t, y - sy * t, land))
                     .fold(0.0, f32::max),
-                _ => o.swept(x - o.x, y - o.y, (sx, sy)),
+                _ => o.swept(x - o.x, y - o.y, inverse),
             };
             let level = (share * 255.0) as u8;
             dark[at / 3] = dark[at / 3].max(level);

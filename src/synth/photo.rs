@@ -295,11 +295,12 @@ impl Mosaic {
         let pick = cell_hash(h, brick, course) % total;
         let photo = self.shares.partition_point(|&s| s <= pick);
         let p = self.store.photos[photo];
-        // Where a photograph is larger than a brick and its seam, the brick shows a piece without a mirror in it.
+        // Where a photograph is larger than a brick and its seam, the brick shows a piece of it or of its mirror image,
+        // never the line between them.
         let left = brick * self.brick.0 - (cell_hash(self.seed, i64::MIN, course) % self.brick.0 as u64) as i64;
         let within = |size: u64, brick: i64, h: u64| {
             let room = size as i64 - brick - SEAM_PX;
-            (h % if room > 0 { room as u64 } else { 2 * size }) as i64
+            if room > 0 { (h / 2 % room as u64 + h % 2 * size) as i64 } else { (h % (2 * size)) as i64 }
         };
         let (ox, oy) = (within(p.width, self.brick.0, h & 0xfffff), within(p.height, self.brick.1, h >> 20 & 0xfffff));
         self.store.read_mirrored(photo, x - left + ox, y - course * self.brick.1 + oy, out)

@@ -35,7 +35,7 @@ const NO_BLUR_PX: f64 = 0.05;
 /// construction, so that it shifts no centroid.
 fn erf(x: f64) -> f64 {
     let a = x.abs();
-    if a > 6.0 {
+    if a > 4.5 {
         return x.signum();
     }
     let t = 1.0 / (1.0 + 0.327_591_1 * a);
@@ -64,6 +64,8 @@ pub(crate) struct Figure {
     second: Vec<Rect>,
     /// For a disc: radius and blurred profile.
     disc: Option<(f64, Profile)>,
+    /// Half the size.
+    half: f64,
     reach: f64,
 }
 
@@ -89,7 +91,7 @@ impl Figure {
         let disc = (shape == Shape::Disc).then(|| (h, Profile::of_disc(h, sigma)));
         let corner = if shape == Shape::Disc { h } else { h * std::f64::consts::SQRT_2 };
         let (sin, cos) = rotation_rad.sin_cos();
-        Figure { cos, sin, sigma, all, second, disc, reach: corner + 5.0 * sigma + 1.0 }
+        Figure { cos, sin, sigma, all, second, disc, half: h, reach: corner + 5.0 * sigma + 1.0 }
     }
 
     /// Nothing is covered further than this from the centre, in pixels.
@@ -100,7 +102,9 @@ impl Figure {
     /// Shares (0–1) of the unit pixel whose centre is at (dx, dy) from the mark's centre that are painted at all, and
     /// painted in the second colour.
     pub(crate) fn coverage(&self, dx: f64, dy: f64) -> (f64, f64) {
-        if dx.hypot(dy) > self.reach + 0.75 {
+        let (u, v) = (self.cos * dx + self.sin * dy, self.cos * dy - self.sin * dx);
+        let far = self.half + 5.0 * self.sigma + 0.75;
+        if u.abs() > far || v.abs() > far {
             return (0.0, 0.0);
         }
         if self.sigma == 0.0 {
@@ -124,6 +128,26 @@ impl Figure {
             }
         }
         (all * h * h, second * h * h)
+    }
+
+    /// Places spread evenly over what is painted, without blur, relative to the centre in the image's axes.
+    pub(crate) fn places(&self) -> Vec<(f64, f64)> {
+        let n = 40;
+        let mut found = vec![];
+        for j in 0..n {
+            for i in 0..n {
+                let at = |k: i32| self.half * (2.0 * (f64::from(k) + 0.5) / f64::from(n) - 1.0);
+                let (u, v) = (at(i), at(j));
+                let painted = match &self.disc {
+                    Some((radius, _)) => u.hypot(v) <= *radius,
+                    None => self.all.iter().any(|r| (r[0]..=r[1]).contains(&u) && (r[2]..=r[3]).contains(&v)),
+                };
+                if painted {
+                    found.push((self.cos * u - self.sin * v, self.sin * u + self.cos * v));
+                }
+            }
+        }
+        found
     }
 
     /// The blurred figure at a point.
@@ -210,19 +234,18 @@ impl Profile {
         let n = ((radius + 6.0 * sigma) / step).ceil() as usize + 3;
         let k = FRAC_1_SQRT_2 / sigma;
         let chords = ((16.0 * radius / sigma) as usize).clamp(64, 4096);
+        let chords: Vec<(f64, f64)> = (0..chords)
+            .map(|j| {
+                let t = PI * ((j as f64 + 0.5) / chords as f64 - 0.5);
+                let half = radius * t.cos();
+                (radius * t.sin(), half * erf(half * k) * PI / (chords as f64 * sigma * TAU.sqrt()))
+            })
+            .collect();
         let values = (0..n)
             .map(|i| {
                 let r = i as f64 * step;
-                let sum: f64 = (0..chords)
-                    .map(|j| {
-                        let t = PI * ((j as f64 + 0.5) / chords as f64 - 0.5);
-                        let (v, half) = (radius * t.sin(), radius * t.cos());
-                        // Chords perpendicular to the line to the point, so only the first factor changes with r.
-                        let across = (-(v - r) * (v - r) / (2.0 * sigma * sigma)).exp();
-                        across * half * erf(half * k)
-                    })
-                    .sum();
-                sum * PI / chords as f64 / (sigma * TAU.sqrt())
+                // Chords perpendicular to the line to the point, so only this factor changes with r.
+                chords.iter().map(|(v, along)| along * (-(v - r) * (v - r) / (2.0 * sigma * sigma)).exp()).sum()
             })
             .collect();
         Profile { step, values }

@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::window::{TileGrid, Window};
 
 /// Pixels drawn as one piece of work, about.
-const CHUNK_PX: u64 = 1 << 19;
+const CHUNK_PX: u64 = 1 << 18;
 
 /// Decoded bytes above which the file becomes a BigTIFF; a little below 4 GiB, for the directory.
 const CLASSIC_LIMIT: u64 = 4_200_000_000;
@@ -27,7 +27,7 @@ pub fn truth_path(image: &Path) -> PathBuf {
 }
 
 /// Draws the scene of `spec` into the GeoTIFF `path` and its truth beside it ([`truth_path`]). Both appear whole, or
-/// not at all. At any time a few pieces of half a megapixel are in memory, and GDAL's block cache.
+/// not at all. At any time a few pieces of a quarter of a megapixel are in memory, and GDAL's block cache.
 ///
 /// # Errors
 /// [`Error::Usage`] for a spec that contradicts itself or an existing output without `overwrite`, [`Error::Io`] and
@@ -47,6 +47,9 @@ pub fn write_with_progress(spec: &SynthSpec, path: &Path, progress: Progress) ->
         for file in [path, &truth_file] {
             refuse_existing(file)?;
         }
+    }
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty() && !f.is_dir()) {
+        return Err(Error::usage(format!("{}: no such folder", folder.display()), "create it first"));
     }
     let scene = Scene::new(spec)?;
     let part = Part::beside(path);
