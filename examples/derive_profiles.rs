@@ -16,14 +16,22 @@ const PAINTS: [(&str, &[[u8; 3]]); 6] = [
 ];
 
 fn main() {
-    for (name, paints) in PAINTS {
-        let colours = population(paints, Mixing::default(), 20_000);
+    // Fresh paint, and worn paint: one cloud over both would be so wide that it takes in bare soil.
+    let wear = [("fresh", (0.0, 0.15), 0.15), ("worn", (0.1, 0.4), 0.15)];
+    for ((name, paints), (state, fading, max_blur_share)) in PAINTS.iter().flat_map(|p| wear.map(|w| (*p, w))) {
+        let colours = population(paints, Mixing { fading, max_blur_share, ..Mixing::default() }, 20_000);
         let spec = cloud(&colours);
         let c = Cloud::new(spec.mean, spec.covariance, Metric::Mahalanobis).expect("the population spans three axes");
         let mut d: Vec<f64> = colours.iter().map(|v| c.distance2(&lab_from_srgb(*v)).sqrt()).collect();
         d.sort_by(f64::total_cmp);
         let q = |p: f64| d[(p * (d.len() - 1) as f64) as usize];
-        println!("# {name}: distances p50 {:.2} p95 {:.2} p99 {:.2} p99.9 {:.2}", q(0.5), q(0.95), q(0.99), q(0.999));
+        println!(
+            "# {name}, {state}: distances p50 {:.2} p95 {:.2} p99 {:.2} p99.9 {:.2}",
+            q(0.5),
+            q(0.95),
+            q(0.99),
+            q(0.999)
+        );
         println!("[[colour.clouds]]");
         println!("mean = [{:.2}, {:.2}, {:.2}]", spec.mean[0], spec.mean[1], spec.mean[2]);
         let row = |r: [f64; 3]| format!("[{:.2}, {:.2}, {:.2}]", r[0], r[1], r[2]);

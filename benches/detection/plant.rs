@@ -1,7 +1,9 @@
 //! Marks planted into real photographs, with centres known to a thousandth of a pixel.
 
 use autoref_stream::profile::colour::{linear_from_srgb, srgb_from_linear};
-use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::{Dataset, DriverManager};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// An 8-bit RGB picture.
 #[derive(Clone)]
@@ -19,20 +21,34 @@ impl Picture {
         Picture { width, height, rgb: rows.collect() }
     }
 
-    /// Through a JPEG of that quality, chroma halved both ways as cameras do.
+    /// Through a JPEG of that quality, chroma halved both ways by averaging, as cameras and libjpeg do. (An encoder that
+    /// takes every second chroma sample instead moves all colour by half a pixel, and every centre with it.)
     pub fn through_jpeg(&self, quality: u8) -> Picture {
-        let bytes: Vec<u8> = self.rgb.iter().flatten().copied().collect();
-        let mut file = Vec::new();
-        let mut encoder = Encoder::new(&mut file, quality);
-        encoder.set_sampling_factor(SamplingFactor::F_2_2);
-        encoder
-            .encode(&bytes, self.width as u16, self.height as u16, ColorType::Rgb)
-            .expect("a picture in memory encodes");
-        let decoded = zune_jpeg::JpegDecoder::new(zune_jpeg::zune_core::bytestream::ZCursor::new(&file))
-            .decode()
-            .expect("just encoded");
-        let rgb = decoded.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
-        Picture { width: self.width, height: self.height, rgb }
+        let (w, h) = (self.width, self.height);
+        let memory = DriverManager::get_driver_by_name("MEM").expect("GDAL has it always");
+        let mut source = memory.create_with_band_type::<u8, _>("", w, h, 3).expect("a picture fits in memory");
+        for c in 0..3 {
+            let mut band = Buffer::new((w, h), self.rgb.iter().map(|p| p[c]).collect());
+            source.rasterband(c + 1).and_then(|mut b| b.write((0, 0), (w, h), &mut band)).expect("sizes agree");
+        }
+        static NAMES: AtomicU64 = AtomicU64::new(0);
+        let name = format!("/vsimem/plant-{}.jpg", NAMES.fetch_add(1, Ordering::Relaxed));
+        let jpeg = DriverManager::get_driver_by_name("JPEG").expect("GDAL has it always");
+        let quality = format!("QUALITY={quality}");
+        let options = RasterCreationOptions::from_iter([quality.as_str()]);
+        let file = source.create_copy(&jpeg, &name, &options).expect("a picture encodes");
+        drop(file);
+        let file = Dataset::open(&name).expect("just written");
+        let bands: Vec<Vec<u8>> = (1..=3)
+            .map(|c| {
+                let band = file.rasterband(c).expect("three bands");
+                band.read_as::<u8>((0, 0), (w, h), (w, h), None).expect("just encoded").data().to_vec()
+            })
+            .collect();
+        drop(file);
+        gdal::vsi::unlink_mem_file(&name).expect("just read");
+        let rgb = (0..w * h).map(|i| [bands[0][i], bands[1][i], bands[2][i]]).collect();
+        Picture { width: w, height: h, rgb }
     }
 }
 

@@ -284,6 +284,20 @@ impl Problem<'_> {
     }
 }
 
+/// Sum of squares left over by the start itself, before any descent.
+pub fn start_cost(
+    form: Form,
+    samples: &[Sample],
+    start: (f64, f64),
+    side_px: f64,
+    angle_rad: f64,
+    priors: Priors,
+) -> f64 {
+    let side = side_px.max(1.0).ln();
+    let p = Vector::from([start.0, start.1, side, side, angle_rad, priors.blur_px.ln(), 1.0, 0.0, 0.0, 0.0]);
+    samples.iter().map(|s| (s.share - shape(form, &p, s.x, s.y).0).powi(2)).sum()
+}
+
 /// Fits `form` to the samples from a start (centre, side, angle).
 ///
 /// `None` when there are fewer than 12 samples or the normal equations break down.

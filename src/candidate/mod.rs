@@ -4,6 +4,7 @@
 pub mod examine;
 pub mod fit;
 pub mod gates;
+pub mod options;
 pub mod patch;
 
 use serde::{Deserialize, Serialize};
@@ -12,6 +13,7 @@ use crate::coords::PixelPoint;
 
 pub use examine::{examine, patch_margin_px};
 pub use gates::Gates;
+pub use options::finish;
 
 /// A region that may be a mark.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -28,8 +28,8 @@ pub const GROUNDS: [[f64; 3]; 10] = [
 /// How much varies.
 #[derive(Clone, Copy, Debug)]
 pub struct Mixing {
-    /// Largest share of ground that shines through the paint.
-    pub max_fading: f64,
+    /// Smallest and largest share of ground that shines through the paint.
+    pub fading: (f64, f64),
     /// Largest share of ground mixed in by blur.
     pub max_blur_share: f64,
     /// Dimmest light, as a share of full sun.
@@ -38,7 +38,7 @@ pub struct Mixing {
 
 impl Default for Mixing {
     fn default() -> Self {
-        Mixing { max_fading: 0.4, max_blur_share: 0.25, min_light: 0.25 }
+        Mixing { fading: (0.0, 0.4), max_blur_share: 0.25, min_light: 0.25 }
     }
 }
 
@@ -60,7 +60,7 @@ pub fn population(paints: &[[u8; 3]], mixing: Mixing, count: u32) -> Vec<[f64; 3
             let paint =
                 paints[(halton(i, 2) * paints.len() as f64) as usize].map(|v| linear_from_srgb(f64::from(v) / 255.0));
             let ground = GROUNDS[(halton(i, 3) * GROUNDS.len() as f64) as usize];
-            let fading = mixing.max_fading * halton(i, 5);
+            let fading = mixing.fading.0 + (mixing.fading.1 - mixing.fading.0) * halton(i, 5);
             let blur = mixing.max_blur_share * halton(i, 7).powi(2);
             let light = mixing.min_light.powf(halton(i, 11).powi(2));
             // Open shade is lit by the sky: at a quarter of the sun's light blue loses a fifth less than red.

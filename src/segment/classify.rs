@@ -275,3 +275,90 @@ pub fn lab_of(colour: [u8; 3]) -> [f64; 3] {
     let lab = lab_from_srgb(colour.map(|v| f64::from(v) / 255.0));
     [lab[0], lab[1], lab[2]]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn classifier(profile: &str) -> Classifier {
+        let profile = Profile::builtin(profile).expect("shipped");
+        Classifier::new(&profile, SampleType::U8, 255, [0, 1, 2], None, None).expect("valid")
+    }
+
+    /// Every one of the 2²⁴ colours, through the whole row path, equals the scalar reference.
+    #[test]
+    fn all_colours_equal_the_scalar_reference() {
+        for name in ["orange", "autoref-2016", "white-on-dark"] {
+            let classifier = classifier(name);
+            let wrong: u64 = (0..=255u8)
+                .into_par_iter()
+                .map(|r| {
+                    let row: Vec<u8> = (0..=0xffffu32).flat_map(|gb| [r, (gb >> 8) as u8, gb as u8]).collect();
+                    let mut bits = vec![0u64; 65_536 / 64];
+                    let pixels = PixelRow { samples: Samples::U8(&row), pixel_stride: 3, len: 65_536 };
+                    classifier.classify_row(pixels, &mut bits);
+                    (0..65_536usize)
+                        .filter(|i| {
+                            let fast = bits[i / 64] >> (i % 64) & 1 == 1;
+                            fast != classifier.reference().is_paint([r, (i >> 8) as u8, *i as u8])
+                        })
+                        .count() as u64
+                })
+                .sum();
+            assert_eq!(wrong, 0, "{name}");
+        }
+    }
+
+    #[test]
+    fn orange_is_paint_and_concrete_is_not() {
+        let orange = classifier("orange");
+        for colour in [[255, 110, 20], [255, 103, 0], [255, 121, 0], [200, 90, 40], [120, 50, 15]] {
+            assert!(orange.is_paint(colour), "{colour:?}");
+        }
+        for grey in (0..=255u8).map(|v| [v; 3]) {
+            assert!(!orange.is_paint(grey), "{grey:?}");
+        }
+        for colour in [[180, 130, 90], [90, 120, 60], [200, 30, 30], [160, 150, 130], [255, 230, 0]] {
+            assert!(!orange.is_paint(colour), "{colour:?}");
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_follow_the_fixed_rule() {
+        let profile = Profile::builtin("orange").expect("shipped");
+        let narrow = classifier("orange");
+        for white in [65_535u16, 4095, 1023] {
+            let wide = Classifier::new(&profile, SampleType::U16, white, [2, 1, 0], Some(3), Some(7.0)).expect("valid");
+            let bytes: Vec<[u8; 3]> =
+                (0..300u32).map(|i| [(i * 7) as u8, (i * 3 / 2) as u8, (i * 5 / 3) as u8]).collect();
+            let mut row: Vec<u16> = bytes
+                .iter()
+                .flat_map(|c| {
+                    let up = |v: u8| ((u32::from(v) * u32::from(white) + 127) / 255) as u16;
+                    [up(c[2]), up(c[1]), up(c[0]), 1]
+                })
+                .collect();
+            row[3] = 0;
+            let mut bits = vec![u64::MAX; 5];
+            let pixels = PixelRow { samples: Samples::U16(&row), pixel_stride: 4, len: 300 };
+            wide.classify_row(pixels, &mut bits);
+            for (i, c) in bytes.iter().enumerate() {
+                let got = bits[i / 64] >> (i % 64) & 1 == 1;
+                assert_eq!(got, i != 0 && narrow.is_paint(*c), "{c:?} at white {white}");
+            }
+            assert_eq!(bits[4] >> 44, 0);
+        }
+    }
+
+    #[test]
+    fn nothing_is_background() {
+        let profile = Profile::builtin("white-on-dark").expect("shipped");
+        let classifier =
+            Classifier::new(&profile, SampleType::U8, 255, [0; 3], None, Some(255.0)).expect("one grey band");
+        let row = [255u8, 250, 10, 250];
+        let mut bits = [0u64];
+        classifier.classify_row(PixelRow { samples: Samples::U8(&row), pixel_stride: 1, len: 4 }, &mut bits);
+        assert_eq!(bits[0], 0b1010);
+        assert!(Classifier::new(&profile, SampleType::U8, 0, [0; 3], None, None).is_err());
+    }
+}
