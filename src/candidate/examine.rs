@@ -42,6 +42,8 @@ pub struct Evidence {
     pub fit: Option<Fit>,
     /// Share of the ring that looks like the paint (projected share of paint above one half).
     pub ring_paint: f64,
+    /// Stands out so little that no fit, however good, could raise its score to the profile's limit: not fitted.
+    pub hopeless: bool,
     pub area_px: f64,
     pub centre: (f64, f64),
     pub covariance_px2: [f64; 3],
@@ -61,6 +63,9 @@ pub fn examine(
         return None;
     }
     let mut evidence = measure_scene(&scene, region, classifier, profile);
+    if evidence.hopeless {
+        return None;
+    }
     if let Some((x, y)) = super::options::plain_centre(&scene, classifier, profile) {
         evidence.centre = (x, y);
     }
@@ -111,6 +116,7 @@ fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, pr
         colour,
         fit: None,
         ring_paint: 0.0,
+        hopeless: false,
         area_px,
         centre: (cx, cy),
         covariance_px2: [loose, 0.0, loose],
@@ -123,6 +129,10 @@ fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, pr
         .collect();
     evidence.ring_paint = ring.iter().filter(|&&i| shares[i] > 0.5).count() as f64 / ring.len().max(1) as f64;
     if profile.examine.centre != CentreMode::Fit {
+        return evidence;
+    }
+    evidence.hopeless = best_possible_score(contrast) < profile.examine.min_score;
+    if evidence.hopeless {
         return evidence;
     }
     if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0)) {
@@ -239,8 +249,17 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     {
         return f64::from(-50);
     }
-    let at = [evidence.contrast.max(0.1).ln().min(MARK.mean[0]), fit.rms.max(1e-4).ln().max(MARK.mean[1])];
+    likelihood_ratio(evidence.contrast, fit.rms)
+}
+
+fn likelihood_ratio(contrast: f64, rms: f64) -> f64 {
+    let at = [contrast.max(0.1).ln().min(MARK.mean[0]), rms.max(1e-4).ln().max(MARK.mean[1])];
     MARK.log_density(at) - CLUTTER.log_density(at)
+}
+
+/// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly fit.
+fn best_possible_score(contrast: f64) -> f64 {
+    (0..=40).map(|i| likelihood_ratio(contrast, (-4.0 + 0.1 * f64::from(i)).exp())).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// A Gaussian over (ln contrast, ln rms).

@@ -6,6 +6,7 @@ use crate::pipeline::Detector;
 use crate::profile::Profile;
 use crate::raster::{Block, Patch, RasterInfo};
 use crate::segment::classify::Classifier;
+use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 
@@ -14,6 +15,7 @@ pub struct PaintDetector {
     profile: Profile,
     classifier: Classifier,
     gates: Gates,
+    filters: MaskFilters,
 }
 
 impl PaintDetector {
@@ -22,20 +24,26 @@ impl PaintDetector {
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
-        Ok(PaintDetector { profile, classifier, gates })
+        let filters = MaskFilters::from_profile(&profile, &gates);
+        Ok(PaintDetector { profile, classifier, gates, filters })
     }
 
     /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
     pub fn relaxed(&self) -> Self {
         let mut profile = self.profile.clone();
         profile.examine.min_score = profile.examine.min_score.min(0.0) - 4.0;
-        PaintDetector { profile, classifier: self.classifier.clone(), gates: self.gates.clone() }
+        PaintDetector {
+            profile,
+            classifier: self.classifier.clone(),
+            gates: self.gates.clone(),
+            filters: self.filters.clone(),
+        }
     }
 }
 
 impl Detector for PaintDetector {
     fn halo_px(&self) -> u64 {
-        0
+        self.filters.halo_px()
     }
 
     fn segment(&self, block: &Block, mask: &mut Mask) {
@@ -48,6 +56,7 @@ impl Detector for PaintDetector {
                 mask.put_bits(x, y, width, &bits);
             }
         }
+        self.filters.apply(mask);
     }
 
     fn gate(&self, region: &Region) -> bool {
@@ -64,5 +73,9 @@ impl Detector for PaintDetector {
 
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    }
+
+    fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
+        crate::candidate::options::finish(list, &self.profile)
     }
 }

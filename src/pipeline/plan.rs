@@ -24,6 +24,8 @@ const RESERVE_BYTES: u64 = 14 << 20;
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
 /// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
 const DEFAULT_TILE_PIXELS: u64 = 1024 * 1024;
+/// A default band of strips is wide and low: more pixels, or most marks would straddle its edges.
+const DEFAULT_BAND_PIXELS: u64 = 4 * DEFAULT_TILE_PIXELS;
 
 /// What the caller asks for.
 #[derive(Clone, Debug)]
@@ -167,11 +169,12 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
 fn wished_tile(info: &RasterInfo, tile_px: Option<u64>) -> (u64, u64) {
     match (tile_px, info.layout) {
         (None, BlockLayout::Tiles { width, height }) => {
-            let side = |block: u64| block * (1024 / block.max(1)).max(1);
+            let wished = DEFAULT_TILE_PIXELS.isqrt();
+            let side = |block: u64| block * (wished / block.max(1)).max(1);
             (side(width).min(info.width), side(height).min(info.height))
         }
         (tile_px, BlockLayout::Strips { rows }) => {
-            let pixels = tile_px.map_or(DEFAULT_TILE_PIXELS, |side| side.saturating_mul(side));
+            let pixels = tile_px.map_or(DEFAULT_BAND_PIXELS, |side| side.saturating_mul(side));
             let width = info.width.min(pixels).max(1);
             let band = (pixels / width).clamp(1, info.height.max(1));
             // Whole strips where the band holds at least one.

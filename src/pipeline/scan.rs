@@ -40,6 +40,10 @@ pub trait Detector: Sync {
     fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.
+    fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
+        list
+    }
 }
 
 /// Hears how far the scan has come; called from several threads.
@@ -112,7 +116,7 @@ pub fn scan(
     let regions_examined = examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
-        candidates: examined.into_iter().filter_map(|(_, candidate)| candidate).collect(),
+        candidates: detector.finish(examined.into_iter().filter_map(|(_, candidate)| candidate).collect()),
         regions_examined,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
