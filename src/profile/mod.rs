@@ -2,6 +2,7 @@
 //! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
 
 pub mod colour;
+mod learn;
 pub mod mixing;
 
 use std::path::Path;
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
+pub use learn::{DEFAULT_REACH_PX, learn};
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

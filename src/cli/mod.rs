@@ -1,0 +1,5 @@
+//! One file for each command.
+
+pub mod chips;
+pub mod distance;
+pub mod sample;
