@@ -4,7 +4,8 @@
 //! blur 0.9 px, fading up to 20 %, JPEG 90). Excluded: reading files, tiling and merging (they never change a candidate).
 //!
 //! `cargo bench --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
-//! `AUTOREF_BENCH_MARKS=100` is a quick look. The photographs are looked for in `../shared/data`.
+//! `AUTOREF_BENCH_MARKS=100` is a quick look,
+//! `AUTOREF_BENCH_ONLY=covered` measures the conditions whose label holds that word only. The photographs are looked for in `../shared/data`.
 
 #[path = "detection/plant.rs"]
 mod plant;
@@ -184,7 +185,8 @@ fn main() {
         "| conditions | marks | recall | bias x, y px | RMSE px | median px | normalised | 2016: recall | RMSE px |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
-    for (number, cell) in cells().iter().enumerate() {
+    let only = std::env::var("AUTOREF_BENCH_ONLY").unwrap_or_default();
+    for (number, cell) in cells().iter().enumerate().filter(|(_, c)| c.label.contains(&only)) {
         let (mut mine, mut theirs) = (Tally::default(), Tally::default());
         // Larger marks need more ground for the same number.
         for round in 0..6u64 {

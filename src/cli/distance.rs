@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use autoref_stream::candidate::patch::patch_from_block;
 use autoref_stream::profile::Profile;
-use autoref_stream::raster::{ReaderChoice, SampleType, open};
+use autoref_stream::raster::{ReaderChoice, open};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::window::Window;
 use gdal::DriverManager;
@@ -38,7 +38,6 @@ pub fn run(args: &Args) -> Result<()> {
     let source = open(&args.image, ReaderChoice::Auto, 0, 128 << 20)?;
     let info = source.info();
     let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
-    debug_assert!(info.sample == SampleType::U8 || info.white > 0);
     let unit = if args.normalised { 1.0 / profile.colour.limit } else { 1.0 };
 
     let failed = || format!("{}: GDAL cannot write it", args.output.display());

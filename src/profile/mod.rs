@@ -106,8 +106,6 @@ pub enum Shape {
     Disc,
     /// Two crossed bars: the centre is the weighted centroid.
     Cross,
-    /// Two-coloured target found by shape, not colour: quarters of a square, or two opposite quarters of a disc.
-    Checker,
 }
 
 /// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
@@ -268,7 +266,7 @@ macro_rules! builtins {
         const BUILTIN: &[(&str, &str)] = &[$(($name, include_str!(concat!("builtin/", $name, ".toml")))),*];
     };
 }
-builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "checker", "lerkendal-2016", "autoref-2016",);
+builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "lerkendal-2016", "autoref-2016",);
 
 impl Profile {
     /// Names of the shipped profiles, the default first.
