@@ -26,7 +26,7 @@ impl Picture {
     pub fn through_jpeg(&self, quality: u8) -> Picture {
         let (w, h) = (self.width, self.height);
         let memory = DriverManager::get_driver_by_name("MEM").expect("GDAL has it always");
-        let mut source = memory.create_with_band_type::<u8, _>("", w, h, 3).expect("a picture fits in memory");
+        let source = memory.create_with_band_type::<u8, _>("", w, h, 3).expect("a picture fits in memory");
         for c in 0..3 {
             let mut band = Buffer::new((w, h), self.rgb.iter().map(|p| p[c]).collect());
             source.rasterband(c + 1).and_then(|mut b| b.write((0, 0), (w, h), &mut band)).expect("sizes agree");

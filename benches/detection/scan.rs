@@ -1,9 +1,10 @@
 //! The detector over a whole picture in memory: classify, label, gate, examine.
 
-use autoref_stream::candidate::{Candidate, Gates, examine, patch_margin_px};
+use autoref_stream::candidate::{Candidate, Gates, examine, finish, patch_margin_px};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::{Patch, PixelRow, SampleType, Samples};
 use autoref_stream::segment::classify::Classifier;
+use autoref_stream::segment::filters::MaskFilters;
 use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
 use autoref_stream::window::Window;
@@ -23,6 +24,11 @@ impl Detector {
         Detector { profile, classifier, gates }
     }
 
+    /// The candidates as the program lists them.
+    pub fn list(&self, picture: &Picture) -> Vec<Candidate> {
+        finish(self.candidates(picture).into_iter().map(|(_, c)| c).collect(), &self.profile)
+    }
+
     pub fn regions(&self, picture: &Picture) -> Vec<Region> {
         let bounds = Window::whole(picture.width as u64, picture.height as u64);
         let mut mask = Mask::new(bounds);
@@ -32,6 +38,7 @@ impl Detector {
             let row = PixelRow { samples: Samples::U8(row), pixel_stride: 3, len: picture.width };
             self.classifier.classify_row(row, mask.row_mut(y as u64));
         }
+        MaskFilters::from_profile(&self.profile, &self.gates).apply(&mut mask);
         label(&mask)
     }
 

@@ -9,7 +9,7 @@ use crate::profile::{CentreMode, Density, Ordering, Profile, Shape, TooClose};
 use crate::segment::classify::Classifier;
 
 /// The gates that need pixels.
-pub(super) fn passes(scene: &Scene<'_>, _classifier: &Classifier, profile: &Profile) -> bool {
+pub(super) fn passes(scene: &Scene<'_>, profile: &Profile) -> bool {
     let options = &profile.examine;
     if options.max_clutter.is_some_and(|most| scene.clutter() > most) {
         return false;

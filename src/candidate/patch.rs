@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::raster::Patch;
+use crate::raster::{Block, Patch, RasterInfo, Samples};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 
@@ -90,8 +90,35 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// Copies a block together: RGB as read, and which pixels hold anything (alpha not 0, not all colour samples nodata).
+pub fn patch_from_block(block: &Block, info: &RasterInfo) -> Patch {
+    let window = block.window;
+    let width = window.width as usize;
+    let mut rgb = vec![[0u16; 3]; window.area() as usize];
+    let mut valid = vec![false; rgb.len()];
+    for piece in block.pieces.iter().filter(|p| !p.empty) {
+        let part = piece.window.intersect(&window);
+        for y in part.y..part.bottom() {
+            let row = piece.row(part.x, y, part.width);
+            let sample = |i: usize, b: usize| match row.samples {
+                Samples::U8(s) => u16::from(s[i * row.pixel_stride + b]),
+                Samples::U16(s) => s[i * row.pixel_stride + b],
+            };
+            let start = (y - window.y) as usize * width + (part.x - window.x) as usize;
+            for i in 0..row.len {
+                let colour = info.rgb.map(|b| sample(i, b));
+                let clear = info.alpha.is_some_and(|a| sample(i, a) == 0);
+                let nothing = info.nodata.is_some_and(|n| colour.iter().all(|&v| f64::from(v) == n));
+                rgb[start + i] = colour;
+                valid[start + i] = !clear && !nothing;
+            }
+        }
+    }
+    Patch { window, rgb, valid, white: info.white }
+}
+
 /// The 8-connected set of `mask` that holds `start`.
-fn flood(mask: &[bool], width: usize, height: usize, start: usize) -> Vec<bool> {
+pub(crate) fn flood(mask: &[bool], width: usize, height: usize, start: usize) -> Vec<bool> {
     let mut set = vec![false; mask.len()];
     let mut todo = vec![start];
     set[start] = true;
@@ -113,7 +140,7 @@ fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator<Item = usi
 }
 
 /// Chebyshev distance to the nearest set pixel, capped at [`FAR_PX`].
-fn distance(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
+pub(crate) fn distance(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
     let mut out: Vec<u8> = mask.iter().map(|&b| if b { 0 } else { FAR_PX }).collect();
     let mut todo: VecDeque<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
     while let Some(i) = todo.pop_front() {

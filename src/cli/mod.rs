@@ -4,9 +4,12 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+pub mod chips;
 pub mod common;
 pub mod detect;
+pub mod distance;
 pub mod run;
+pub mod sample;
 pub mod solve;
 pub mod synth;
 
@@ -42,6 +45,9 @@ pub enum Command {
     /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
     Solve(solve::SolveArgs),
     Synth(Box<synth::SynthArgs>),
+    Sample(sample::Args),
+    Chips(chips::Args),
+    Distance(distance::Args),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -49,6 +55,9 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Detect(args)) => detect::run(&args),
         Some(Command::Solve(args)) => solve::run(&args),
         Some(Command::Synth(args)) => synth::run(*args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Sample(args)) => sample::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         None => run::run(&cli.run),
     }
 }

@@ -2,6 +2,7 @@
 //! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
 
 pub mod colour;
+mod learn;
 pub mod mixing;
 
 use std::path::Path;
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
+pub use learn::{DEFAULT_REACH_PX, learn};
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -104,8 +106,6 @@ pub enum Shape {
     Disc,
     /// Two crossed bars: the centre is the weighted centroid.
     Cross,
-    /// Two-coloured target found by shape, not colour: quarters of a square, or two opposite quarters of a disc.
-    Checker,
 }
 
 /// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
@@ -266,7 +266,7 @@ macro_rules! builtins {
         const BUILTIN: &[(&str, &str)] = &[$(($name, include_str!(concat!("builtin/", $name, ".toml")))),*];
     };
 }
-builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "checker", "lerkendal-2016", "autoref-2016",);
+builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "lerkendal-2016", "autoref-2016",);
 
 impl Profile {
     /// Names of the shipped profiles, the default first.

@@ -1,0 +1,230 @@
+//! How many marks are found, how many false ones come with them, and how well the centres sit?
+//!
+//! Marks are planted with known sub-pixel centres into real photographs, one factor at a time about a base case (10 px,
+//! blur 0.9 px, fading up to 20 %, JPEG 90). Excluded: reading files, tiling and merging (they never change a candidate).
+//!
+//! `cargo bench --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
+//! `AUTOREF_BENCH_MARKS=100` is a quick look,
+//! `AUTOREF_BENCH_ONLY=covered` measures the conditions whose label holds that word only. The photographs are looked for in `../shared/data`.
+
+#[path = "detection/plant.rs"]
+mod plant;
+#[path = "detection/scan.rs"]
+mod scan;
+
+use std::path::PathBuf;
+
+use autoref_stream::candidate::Candidate;
+use autoref_stream::coords::PixelPoint;
+use autoref_stream::profile::{Profile, learn};
+use autoref_stream::raster::Patch;
+use autoref_stream::window::Window;
+use plant::{Cell, Picture, Random, plant};
+use rayon::prelude::*;
+use scan::Detector;
+
+/// Covers that marks are planted into. The last was never looked at while limits were chosen.
+const COVERS: [&str; 9] = [
+    "photos/city_ochota_3013.jpg",
+    "photos/city_ochota_3019.jpg",
+    "photos/construction_caliterra.jpg",
+    "photos/river_town_oam.tif",
+    "photos/savanna_oam.tif",
+    "photos/canal_pdok_tiled_jpeg.tif",
+    "photos/suburb_vegas_uint16.tif",
+    "photos/forest_agung.jpg",
+    "targets/IMG_0046.jpg",
+];
+/// Covers that only false candidates are counted on: full of things of the paint's own colour, or small.
+const MORE: [&str; 4] =
+    ["photos/village_boruszyn.jpg", "photos/town_freetown.jpg", "photos/oak_sjer_neon.tif", "photos/pumpkins_crop.png"];
+
+fn photo(name: &str) -> Option<Picture> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")).join(name);
+    let file = gdal::Dataset::open(&path).ok()?;
+    let (width, height) = file.raster_size();
+    let bands: Vec<Vec<f64>> = (1..=3)
+        .map(|b| Some(file.rasterband(b).ok()?.read_as::<f64>((0, 0), (width, height), (width, height), None).ok()?))
+        .map(|b| b.map(|b| b.data().to_vec()))
+        .collect::<Option<_>>()?;
+    // 16-bit pictures are stretched so that 0.5 % of the samples saturate.
+    let white = if name.contains("uint16") {
+        let mut all: Vec<f64> = bands.iter().flatten().copied().collect();
+        all.sort_by(f64::total_cmp);
+        all[all.len() * 995 / 1000]
+    } else {
+        255.0
+    };
+    let byte = |v: f64| (v * 255.0 / white).round().min(255.0) as u8;
+    let rgb = (0..width * height).map(|i| [byte(bands[0][i]), byte(bands[1][i]), byte(bands[2][i])]).collect();
+    Some(Picture { width, height, rgb })
+}
+
+fn cells() -> Vec<Cell> {
+    let mut cells = Vec::new();
+    let mut add = |label: String, change: &dyn Fn(&mut Cell)| {
+        let mut cell = Cell { label, ..Cell::base() };
+        change(&mut cell);
+        cells.push(cell);
+    };
+    for side in [5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0] {
+        add(format!("size {side} px"), &|c| c.side_px = side);
+    }
+    for blur in [0.6, 1.2, 1.8] {
+        add(format!("blur {blur} px"), &|c| c.blur_px = blur);
+    }
+    for angle in [0.0, 22.5, 45.0] {
+        add(format!("rotation {angle}°"), &|c| c.angle_deg = Some(angle));
+    }
+    for fading in [0.0, 0.3, 0.4] {
+        add(format!("fading to {:.0} %", fading * 100.0), &|c| c.fading = fading);
+    }
+    for light in [0.6, 0.35] {
+        add(format!("shadow, light {light}"), &|c| c.light = light);
+    }
+    for cover in [0.15, 0.3] {
+        add(format!("covered {:.0} %", cover * 100.0), &|c| c.cover = cover);
+    }
+    for quality in [75, 85, 95] {
+        add(format!("JPEG {quality}"), &|c| c.quality = quality);
+    }
+    let paints = [[255, 103, 0], [255, 121, 0], [255, 90, 31], [245, 110, 20], [240, 130, 50]];
+    for paint in paints {
+        add(format!("paint {paint:?}"), &|c| c.paint = paint);
+    }
+    add("disc".into(), &|c| c.disc = true);
+    add("mixed in linear light".into(), &|c| c.linear = true);
+    cells
+}
+
+#[derive(Default)]
+struct Tally {
+    marks: usize,
+    errors: Vec<[f64; 2]>,
+    normalised: Vec<f64>,
+}
+
+impl Tally {
+    fn add(&mut self, truth: &[(f64, f64)], found: &[Candidate], side_px: f64) {
+        self.marks += truth.len();
+        for &(x, y) in truth {
+            let error = |c: &Candidate| (c.centre.x - x).hypot(c.centre.y - y);
+            let Some(best) = found.iter().min_by(|a, b| error(a).total_cmp(&error(b))) else { continue };
+            if error(best) < (side_px / 2.0).max(2.0) {
+                let e = [best.centre.x - x, best.centre.y - y];
+                self.errors.push(e);
+                if let Some(v) = best.covariance_px2 {
+                    self.normalised.extend([e[0] / v[0].sqrt(), e[1] / v[2].sqrt()]);
+                }
+            }
+        }
+    }
+
+    fn row(&self) -> String {
+        let n = self.errors.len().max(1) as f64;
+        let mean = |k: usize| self.errors.iter().map(|e| e[k]).sum::<f64>() / n;
+        let rmse = (self.errors.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum::<f64>() / (2.0 * n)).sqrt();
+        let mut absolute: Vec<f64> = self.errors.iter().flatten().map(|v| v.abs()).collect();
+        absolute.sort_by(f64::total_cmp);
+        let median = absolute.get(absolute.len() / 2).copied().unwrap_or(f64::NAN);
+        let z = (self.normalised.iter().map(|v| v * v).sum::<f64>() / self.normalised.len().max(1) as f64).sqrt();
+        format!(
+            "{} | {:.2} % | {:+.3} {:+.3} | {:.3} | {:.3} | {:.2}",
+            self.marks,
+            100.0 * self.errors.len() as f64 / self.marks.max(1) as f64,
+            mean(0),
+            mean(1),
+            rmse,
+            median,
+            z
+        )
+    }
+}
+
+/// The prototype's options with a colour taught from marks of the base case: its own reference is another paint's.
+fn taught_prototype(covers: &[(&str, Picture)]) -> Detector {
+    let mut marks = Vec::new();
+    let mut random = Random(4242);
+    for (_, picture) in covers.iter().take(4) {
+        let (planted, truth) = plant(&middle(picture, 400), &Cell::base(), &mut random);
+        for &(x, y) in truth.iter().take(5) {
+            let bounds = Window::whole(planted.width as u64, planted.height as u64);
+            let window = Window::new(x as u64, y as u64, 1, 1).grown(20, &bounds);
+            let cut = planted.crop(window.x as usize, window.y as usize, window.width as usize, window.height as usize);
+            let rgb: Vec<[u16; 3]> = cut.rgb.iter().map(|c| c.map(u16::from)).collect();
+            marks.push((Patch { window, valid: vec![true; rgb.len()], rgb, white: 255 }, PixelPoint { x, y }));
+        }
+    }
+    let taught = learn("taught", &marks).expect("planted marks stand out");
+    let mut profile = Profile::builtin("autoref-2016").expect("shipped");
+    profile.colour.clouds = taught.colour.clouds;
+    profile.colour.rough = None;
+    profile.colour.rough_box = None;
+    Detector::new(profile)
+}
+
+fn middle(picture: &Picture, side: usize) -> Picture {
+    let side = side.min(picture.width).min(picture.height);
+    picture.crop((picture.width - side) / 2, (picture.height - side) / 2, side, side)
+}
+
+fn main() {
+    let least: usize = std::env::var("AUTOREF_BENCH_MARKS").ok().and_then(|v| v.parse().ok()).unwrap_or(2000);
+    let load = |names: &[&'static str]| -> Vec<(&'static str, Picture)> {
+        names.iter().filter_map(|n| Some((*n, photo(n)?))).collect()
+    };
+    let covers = load(&COVERS);
+    if covers.is_empty() {
+        println!("no photographs under ../shared/data: nothing to measure");
+        return;
+    }
+    let ours = Detector::new(Profile::builtin("orange").expect("shipped"));
+    let prototype = taught_prototype(&covers);
+
+    println!(
+        "| conditions | marks | recall | bias x, y px | RMSE px | median px | normalised | 2016: recall | RMSE px |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    let only = std::env::var("AUTOREF_BENCH_ONLY").unwrap_or_default();
+    for (number, cell) in cells().iter().enumerate().filter(|(_, c)| c.label.contains(&only)) {
+        let (mut mine, mut theirs) = (Tally::default(), Tally::default());
+        // Larger marks need more ground for the same number.
+        for round in 0..6u64 {
+            let results: Vec<_> = covers
+                .par_iter()
+                .enumerate()
+                .map(|(i, (_, picture))| {
+                    let side = if least < 1000 { 400 } else { 1000 };
+                    let (w, h) = (picture.width.saturating_sub(side), picture.height.saturating_sub(side));
+                    let mut random = Random(1 + 1_000_003 * (number as u64 + 1) + 7919 * i as u64 + 104_729 * round);
+                    let (x, y) = ((random.unit() * w as f64) as usize, (random.unit() * h as f64) as usize);
+                    let (planted, truth) = plant(
+                        &picture.crop(x, y, side.min(picture.width), side.min(picture.height)),
+                        cell,
+                        &mut random,
+                    );
+                    (ours.list(&planted), prototype.list(&planted), truth)
+                })
+                .collect();
+            for (a, b, truth) in results {
+                mine.add(&truth, &a, cell.side_px);
+                theirs.add(&truth, &b, cell.side_px);
+            }
+            if mine.marks >= least {
+                break;
+            }
+        }
+        let old = theirs.row();
+        let old: Vec<&str> = old.split(" | ").collect();
+        println!("| {} | {} | {} | {} |", cell.label, mine.row(), old[1], old[3]);
+    }
+
+    println!("\n| cover | megapixels | false candidates per megapixel | 2016 |");
+    println!("|---|---|---|---|");
+    let more = load(&MORE);
+    for (name, picture) in covers.iter().chain(&more) {
+        let size = (picture.width * picture.height) as f64 / 1e6;
+        let (a, b) = (ours.list(picture).len() as f64 / size, prototype.list(picture).len() as f64 / size);
+        println!("| {} | {size:.2} | {a:.2} | {b:.2} |", name.split('/').next_back().unwrap_or(name));
+    }
+}

@@ -1,0 +1,175 @@
+//! A profile taught by examples: marks that somebody points at.
+
+use nalgebra::Vector3;
+
+use super::colour::{Cloud, Metric, Space, lab_from_srgb};
+use super::mixing::cloud;
+use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size};
+use crate::candidate::patch::{flood, ground, median};
+use crate::coords::PixelPoint;
+use crate::error::{Error, Result};
+use crate::raster::Patch;
+
+/// How far around a position a patch should reach when the size of the marks is not known.
+pub const DEFAULT_REACH_PX: u64 = 40;
+
+/// What one example shows.
+struct Example {
+    /// sRGB 0..=1 of the mark's pixels.
+    paint: Vec<[f64; 3]>,
+    ground: Vec<[f64; 3]>,
+    side_px: f64,
+    eccentricity: f64,
+    tightness: f64,
+}
+
+/// Learns a profile from marks at known positions (each inside its patch, which should reach [`DEFAULT_REACH_PX`] around
+/// it).
+///
+/// The paint is what is connected to the position and lies nearer to the colour there than to the ground on the patch's
+/// border, seen along the direction that separates the two best. The colour limit is 3.5 standard deviations, less when
+/// the ground is nearer than that, but never below what holds 95 % of the examples' own pixels.
+///
+/// # Errors
+/// [`Error::Usage`] naming the position when it is outside its patch, on nodata, or does not stand out from its
+/// surroundings; or when there are no positions.
+pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
+    if marks.is_empty() {
+        return Err(Error::usage("no mark to learn from", "give at least one position with --at x,y"));
+    }
+    let examples: Vec<Example> = marks
+        .iter()
+        .map(|(patch, at)| {
+            example(patch, *at).map_err(|why| {
+                Error::usage(format!("the mark at {:.1},{:.1} {why}", at.x, at.y), "point at the middle of a mark")
+            })
+        })
+        .collect::<Result<_>>()?;
+    let paint: Vec<[f64; 3]> = examples.iter().flat_map(|e| e.paint.iter().copied()).collect();
+    let mut spec = cloud(&paint);
+    // The next mark lies in other light: at least 4 units of lightness and 2.5 of each chroma axis.
+    for (axis, least) in [4.0f64, 2.5, 2.5].into_iter().enumerate() {
+        spec.covariance[axis][axis] += least * least;
+    }
+    let shape = Cloud::new(spec.mean, spec.covariance, Metric::Mahalanobis)
+        .ok_or_else(|| Error::usage("the colours of the examples have no covariance", "give more or larger marks"))?;
+    let mut own: Vec<f64> = paint.iter().map(|c| shape.distance2(&lab_from_srgb(*c)).sqrt()).collect();
+    let mut back: Vec<f64> =
+        examples.iter().flat_map(|e| e.ground.iter()).map(|c| shape.distance2(&lab_from_srgb(*c)).sqrt()).collect();
+    own.sort_by(f64::total_cmp);
+    back.sort_by(f64::total_cmp);
+    let near = back[back.len() / 100];
+    let limit = near.min(3.5).max(own[own.len() * 95 / 100]);
+    let mut sides: Vec<f64> = examples.iter().map(|e| e.side_px).collect();
+    sides.sort_by(f64::total_cmp);
+    let (small, large) = (sides[0], sides[sides.len() - 1]);
+    let mean_srgb = std::array::from_fn(|c| paint.iter().map(|v| v[c]).sum::<f64>() / paint.len() as f64);
+    let share = back.iter().filter(|d| **d <= limit).count() as f64 / back.len() as f64;
+    let profile = Profile {
+        name: name.to_owned(),
+        description: format!("Learned from {} marks", examples.len()),
+        shape: Shape::Any,
+        colour: ColourModel {
+            space: Space::Lab,
+            metric: Metric::Mahalanobis,
+            limit,
+            rough_box: None,
+            rough: None,
+            clouds: vec![spec],
+        },
+        size: Size { min_px: Some(0.6 * small), max_px: Some(1.6 * large), min_m: None, max_m: None },
+        gates: GateLimits::default(),
+        filters: Filters::default(),
+        examine: Examine::default(),
+        learned: Some(Learned {
+            marks: examples.len() as u64,
+            pixels: paint.len() as u64,
+            mean_srgb,
+            side_px_min: small,
+            side_px_median: median(sides),
+            side_px_max: large,
+            eccentricity_max: examples.iter().map(|e| e.eccentricity).fold(0.0, f64::max),
+            tightness_min: examples.iter().map(|e| e.tightness).fold(1.0, f64::min),
+            background_distance_p01: near,
+            background_share: share,
+        }),
+    };
+    profile.validate()?;
+    Ok(profile)
+}
+
+fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'static str> {
+    let (width, height) = (patch.window.width as usize, patch.window.height as usize);
+    let (x, y) = (at.x - patch.window.x as f64, at.y - patch.window.y as f64);
+    if !(x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64) {
+        return Err("lies outside the image");
+    }
+    let (x, y) = (x as usize, y as usize);
+    let white = f64::from(patch.white);
+    let unit = |i: usize| patch.rgb[i].map(|v| (f64::from(v) / white).min(1.0));
+    let colour = |i: usize| Vector3::from(unit(i).map(|v| v * 255.0));
+    let seed: Vec<usize> = (y.saturating_sub(1)..(y + 2).min(height))
+        .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(width)).map(move |u| v * width + u))
+        .filter(|&i| patch.valid[i])
+        .collect();
+    if !patch.valid[y * width + x] {
+        return Err("lies where the image holds nothing");
+    }
+    let seed_colour =
+        Vector3::from(std::array::from_fn::<f64, 3, _>(|c| median(seed.iter().map(|&i| colour(i)[c]).collect())));
+    // Ground: first the outer part of the patch, then again around what was found.
+    let reach = |i: usize| (i % width).abs_diff(x).max((i / width).abs_diff(y));
+    let far = width.max(height) / 4;
+    let mut back: Vec<usize> = (0..width * height).filter(|&i| patch.valid[i] && reach(i) >= far).collect();
+    let mut own = Vec::new();
+    for _ in 0..2 {
+        let g =
+            ground(&back.iter().map(|&i| colour(i)).collect::<Vec<_>>()).ok_or("has too little ground around it")?;
+        let inverse = (g.covariance + nalgebra::Matrix3::identity() * 9.0).cholesky().ok_or("has no ground")?.inverse();
+        let step = seed_colour - g.mean;
+        let direction = inverse * step;
+        let contrast2 = direction.dot(&step);
+        if contrast2 < 9.0 {
+            return Err("does not stand out from its surroundings");
+        }
+        let paint: Vec<bool> = (0..width * height)
+            .map(|i| patch.valid[i] && direction.dot(&(colour(i) - g.mean)) > 0.5 * contrast2)
+            .collect();
+        if !paint[y * width + x] {
+            return Err("does not stand out from its surroundings");
+        }
+        own = flood(&paint, width, height, y * width + x);
+        let near = crate::candidate::patch::distance(&own, width, height);
+        back = (0..width * height).filter(|&i| patch.valid[i] && (3..=12).contains(&near[i]) && !paint[i]).collect();
+    }
+    let inside: Vec<usize> = (0..own.len()).filter(|&i| own[i]).collect();
+    if inside.iter().any(|&i| i % width == 0 || i % width + 1 == width || i / width == 0 || i / width + 1 == height)
+        && inside.len() * 2 > own.len()
+    {
+        return Err("does not end inside its window");
+    }
+    let (eccentricity, tightness) = outline(&inside, width);
+    Ok(Example {
+        paint: inside.iter().map(|&i| unit(i)).collect(),
+        ground: back.iter().map(|&i| unit(i)).collect(),
+        side_px: (inside.len() as f64).sqrt(),
+        eccentricity,
+        tightness,
+    })
+}
+
+/// Eccentricity and tightness of a set of pixels.
+fn outline(inside: &[usize], width: usize) -> (f64, f64) {
+    let n = inside.len() as f64;
+    let points: Vec<(f64, f64)> = inside.iter().map(|i| ((i % width) as f64, (i / width) as f64)).collect();
+    let (mx, my) = (points.iter().map(|p| p.0).sum::<f64>() / n, points.iter().map(|p| p.1).sum::<f64>() / n);
+    let moment = |f: &dyn Fn(f64, f64) -> f64| points.iter().map(|p| f(p.0 - mx, p.1 - my)).sum::<f64>() / n;
+    let (xx, xy, yy) = (moment(&|x, _| x * x) + 1.0 / 12.0, moment(&|x, y| x * y), moment(&|_, y| y * y) + 1.0 / 12.0);
+    let gap = (((xx - yy) / 2.0).powi(2) + xy * xy).sqrt();
+    let ratio = (((xx + yy) / 2.0 - gap) / ((xx + yy) / 2.0 + gap)).clamp(0.0, 1.0);
+    let span = |f: &dyn Fn(&(f64, f64)) -> f64| {
+        let low = points.iter().map(f).fold(f64::INFINITY, f64::min);
+        points.iter().map(f).fold(f64::NEG_INFINITY, f64::max) - low + 1.0
+    };
+    ((1.0 - ratio).sqrt(), n / (span(&|p| p.0) * span(&|p| p.1)))
+}
