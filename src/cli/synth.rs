@@ -118,7 +118,7 @@ pub struct SynthArgs {
     #[arg(long, value_name = "PX", default_value_t = 0.0, help_heading = "Marks")]
     pub displace: f64,
 
-    /// Tiles of N pixels, a multiple of 16.
+    /// Tiles of N pixels, a multiple of 16, up to 4096.
     #[arg(long, value_name = "N", default_value_t = 512, help_heading = "File")]
     pub tiles: u64,
     /// Strips of N rows instead of tiles.
@@ -265,6 +265,9 @@ fn gcps_of(args: &SynthArgs) -> anyhow::Result<Vec<SynthGcp>> {
         (None, Some(n)) => {
             if !(args.extent_m.0 > 0.0 && args.extent_m.1 > 0.0) {
                 bail!("--extent-m {},{} covers no ground; give two lengths above 0", args.extent_m.0, args.extent_m.1);
+            }
+            if n > 10_000 {
+                bail!("--random-gcps {n} is more than anyone surveys; 10000 at most");
             }
             Ok(synth::random_gcps(n, args.extent_m.0, args.extent_m.1, args.seed))
         }

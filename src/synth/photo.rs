@@ -38,8 +38,9 @@ impl PhotoStore {
     /// percentile of a decimated look becomes 250.
     ///
     /// # Errors
-    /// [`Error::Gdal`] for a file GDAL cannot read, [`Error::Unsupported`] for other sample types, [`Error::Io`] when
-    /// the scratch file cannot be written, [`Error::Usage`] for an empty list.
+    /// [`Error::Unsupported`] for a file that is no image to GDAL and for other sample types, [`Error::Gdal`] when reading
+    /// fails, [`Error::Io`] for a file that is not there or a scratch file that cannot be written, [`Error::Usage`] for an
+    /// empty list.
     pub fn open(paths: &[PathBuf]) -> Result<PhotoStore> {
         if paths.is_empty() {
             return Err(Error::usage("no photograph is given", "name at least one"));
@@ -73,7 +74,11 @@ impl PhotoStore {
 
     fn decode(&self, path: &Path, offset: u64) -> Result<Photo> {
         let gdal = |e: gdal::errors::GdalError| Error::gdal(path, e);
-        let dataset = Dataset::open(path).map_err(gdal)?;
+        std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
+        // GDAL leaves its message empty when no driver knows the file.
+        let dataset = Dataset::open(path).map_err(|_| {
+            Error::unsupported(path, "GDAL does not know this file as an image", "use JPEG, TIFF or PNG")
+        })?;
         let (width, height) = dataset.raster_size();
         let bands: Vec<usize> = if dataset.raster_count() >= 3 { vec![1, 2, 3] } else { vec![1, 1, 1] };
         let gain = match dataset.rasterband(1).map_err(gdal)?.band_type() {

@@ -158,7 +158,7 @@ impl Border {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FileLayout {
-    /// Side in pixels, a multiple of 16.
+    /// Side in pixels, a multiple of 16, up to 4096 (a tile is held in memory until it is whole).
     Tiles(u64),
     /// Rows.
     Strips(u64),

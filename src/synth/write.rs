@@ -36,10 +36,10 @@ pub fn write(spec: &SynthSpec, path: &Path) -> Result<Truth> {
     write_with_progress(spec, path, &|_, _| {})
 }
 
-/// As [`write`], telling how far it is after every piece.
+/// As [`write`](fn@write), telling how far it is after every piece.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write`](fn@write).
 pub fn write_with_progress(spec: &SynthSpec, path: &Path, progress: Progress) -> Result<Truth> {
     check(spec)?;
     let truth_file = truth_path(path);
@@ -103,8 +103,8 @@ fn check(spec: &SynthSpec) -> Result<()> {
     let o = &spec.output;
     let refuse = |what: &str, remedy: &str| Err(Error::usage(what, remedy));
     match o.layout {
-        FileLayout::Tiles(n) if n == 0 || n % 16 != 0 || n > 1 << 15 => {
-            return refuse("tiles must be a multiple of 16 pixels, up to 32768", "use 256 or 512");
+        FileLayout::Tiles(n) if n == 0 || n % 16 != 0 || n > 4096 => {
+            return refuse("tiles must be a multiple of 16 pixels, up to 4096", "use 256 or 512");
         }
         FileLayout::Strips(0) => return refuse("strips of 0 rows", "use 1 or more"),
         FileLayout::Tiles(_) | FileLayout::Strips(_) => {}
