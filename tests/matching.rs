@@ -283,7 +283,7 @@ fn threads_do_not_change_the_answer() {
 
 #[test]
 fn fewer_than_three_of_anything_is_an_answer_not_a_panic() {
-    let gcps = vec![Gcp::control("a", 0.0, 0.0), Gcp::control("b", 10.0, 0.0)];
+    let gcps = [Gcp::control("a", 0.0, 0.0), Gcp::control("b", 10.0, 0.0)];
     let candidates = vec![bare_candidate(1.0, 1.0); 2];
     for (c, g) in [(0, 0), (0, 2), (2, 0), (2, 2), (1, 1)] {
         let outcome = RobustMatcher::default().find(&candidates[..c], &gcps[..g], &Priors::default());

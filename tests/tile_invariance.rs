@@ -62,7 +62,7 @@ fn picture(width: u64, height: u64) -> MemorySource {
     let mut rgb = Vec::new();
     for _ in 0..width * height {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        let red = if (state >> 40) % 5 == 0 { 220 } else { 40 };
+        let red = if (state >> 40).is_multiple_of(5) { 220 } else { 40 };
         rgb.extend([red, (state >> 48) as u8, (state >> 56) as u8]);
     }
     // Marks on purpose across edges and corners of 64-px and 100-px tiles, and one region as large as the picture.

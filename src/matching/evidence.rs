@@ -13,12 +13,14 @@
 //! is spent that is not counted; a pattern is given the smallest NFA of its own pairs. Where we differ: heterogeneous
 //! probabilities (tolerance and density differ from GCP to GCP), and a level set of tolerances instead of the k-th residual.
 
+use std::f64::consts::SQRT_2;
+
 use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::field::Field;
 use crate::solve::Similarity;
 
 /// Tolerance levels tried, pixels: 1 to 11.3 by √2.
-pub const LEVELS_PX: [f64; 8] = [1.0, 1.4142, 2.0, 2.8284, 4.0, 5.6569, 8.0, 11.3137];
+pub const LEVELS_PX: [f64; 8] = [1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
 
 /// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² + |w|²)
 /// with w the complex position of `p` along the pair.

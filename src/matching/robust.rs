@@ -344,7 +344,7 @@ impl Search<'_> {
                 let radius_px = SEARCH_TOLERANCE_PX * spread_from_pair(a, b, gcp);
                 let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
                 let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
-                (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then(|| Target {
+                (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
                     east,
                     north,
                     radius_px,

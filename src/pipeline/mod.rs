@@ -1,6 +1,6 @@
 //! Threads, channels and the memory budget: the only wiring.
 //!
-//! [`plan`] works out what fits before anything is read, [`scan`] runs the stages from tiles to candidates.
+//! [`plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
 
 pub mod georeference;
 pub mod paint;

@@ -32,12 +32,7 @@ impl PaintDetector {
     pub fn relaxed(&self) -> Self {
         let mut profile = self.profile.clone();
         profile.examine.min_score = profile.examine.min_score.min(0.0) - 4.0;
-        PaintDetector {
-            profile,
-            classifier: self.classifier.clone(),
-            gates: self.gates.clone(),
-            filters: self.filters.clone(),
-        }
+        PaintDetector { profile, classifier: self.classifier.clone(), gates: self.gates.clone(), filters: self.filters }
     }
 }
 

@@ -210,11 +210,11 @@ fn worker_bytes(info: &RasterInfo, tile_width: u64, tile_height: u64, halo_px: u
     };
     let (columns, rows) = match info.layout {
         BlockLayout::Tiles { width, height } => (
-            whole_blocks(read_width, width, info.width, tile_width % width.max(1) == 0),
-            whole_blocks(read_height, height, info.height, tile_height % height.max(1) == 0),
+            whole_blocks(read_width, width, info.width, tile_width.is_multiple_of(width.max(1))),
+            whole_blocks(read_height, height, info.height, tile_height.is_multiple_of(height.max(1))),
         ),
         BlockLayout::Strips { rows } => {
-            (info.width, whole_blocks(read_height, rows, info.height, tile_height % rows.max(1) == 0))
+            (info.width, whole_blocks(read_height, rows, info.height, tile_height.is_multiple_of(rows.max(1))))
         }
     };
     let pixels = columns.saturating_mul(rows).saturating_mul(pixel_bytes);
