@@ -199,7 +199,7 @@ pub fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     let order = |a: &f64, b: &f64| a.partial_cmp(b).expect("samples are finite");
     let high = *values.select_nth_unstable_by(middle, order).1;
-    if values.len() % 2 == 0 {
+    if values.len().is_multiple_of(2) {
         let below = values[..middle].iter().copied().fold(f64::NEG_INFINITY, f64::max);
         return (below + high) / 2.0;
     }
