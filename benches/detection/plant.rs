@@ -179,20 +179,20 @@ pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Ve
                 }
             }
             let paint = dim(cell.paint, cell.light);
-            for i in 0..size * size {
+            for (i, &covered) in share.iter().enumerate() {
                 let at = (y0 + i / size) * out.width + x0 + i % size;
-                let a = share[i] * (1.0 - fading);
-                if share[i] < 1e-4 {
+                let a = covered * (1.0 - fading);
+                if covered < 1e-4 {
                     continue;
                 }
-                for c in 0..3 {
-                    let (g, p) = (f64::from(out.rgb[at][c]) / 255.0, f64::from(paint[c]) / 255.0);
+                for (c, p) in paint.iter().enumerate() {
+                    let (g, p) = (f64::from(out.rgb[at][c]) / 255.0, f64::from(*p) / 255.0);
                     let mixed = if cell.linear {
                         srgb_from_linear((1.0 - a) * linear_from_srgb(g) + a * linear_from_srgb(p))
                     } else {
                         (1.0 - a) * g + a * p
                     };
-                    let noise = cell.noise * random.gauss() * share[i];
+                    let noise = cell.noise * random.gauss() * covered;
                     out.rgb[at][c] = (mixed * 255.0 + noise).round().clamp(0.0, 255.0) as u8;
                 }
             }

@@ -70,7 +70,7 @@ pub fn examine(
         evidence.centre = (x, y);
     }
     let score = score(&evidence, profile, gates);
-    if !(score >= profile.examine.min_score) {
+    if score.is_nan() || score < profile.examine.min_score {
         return None;
     }
     Some(Candidate {
@@ -147,7 +147,7 @@ fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, pr
 /// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
 fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
     let deepest = (0..scene.own.len()).map(|i| scene.inside_px[i]).max().unwrap_or(0);
-    let from = deepest.min(3).max(1);
+    let from = deepest.clamp(1, 3);
     // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
     let core: Vec<Vector3<f64>> =
         (0..scene.own.len()).filter(|&i| scene.inside_px[i] >= from).map(|i| scene.colour(i)).collect();
@@ -171,17 +171,17 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
 fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64) -> Option<Fit> {
     let mut samples = Vec::new();
     let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
-    for i in 0..shares.len() {
+    for (i, &share) in shares.iter().enumerate() {
         let near = scene.outside_px[i] <= FIT_REACH_PX && scene.inside_px[i] <= FIT_DEPTH_PX;
         let (x, y) = ((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
         if !scene.patch.valid[i] || scene.other_px[i] <= 2 && !scene.own[i] {
             continue;
         }
         if near {
-            samples.push(Sample { x, y, share: shares[i] });
+            samples.push(Sample { x, y, share });
         }
         if scene.outside_px[i] <= 2 {
-            let s = shares[i].clamp(0.0, 1.0);
+            let s = share.clamp(0.0, 1.0);
             sum += s;
             sx += s * x;
             sy += s * y;

@@ -70,7 +70,6 @@ pub fn run(args: &Args) -> Result<()> {
             band.write((x as isize, y as isize), size, &mut values).with_context(failed)?;
         }
     }
-    drop(band);
     file.close().with_context(failed)?;
     std::fs::rename(&partial, &args.output).with_context(failed)?;
     Ok(())

@@ -368,7 +368,10 @@ impl Profile {
         if self.filters.closing_radius_px > 64 || self.filters.opening_radius_px > 64 {
             return Err(("filters", "radii above 64 px are not supported".into()));
         }
-        if self.examine.min_score.is_nan() || !(self.examine.min_distance_px >= 0.0) {
+        if self.examine.min_score.is_nan()
+            || self.examine.min_distance_px.is_nan()
+            || self.examine.min_distance_px < 0.0
+        {
             return Err(("examine", "min_score and min_distance_px must be numbers, the latter not negative".into()));
         }
         if let Some(d) = &self.examine.density {
@@ -431,7 +434,8 @@ mod tests {
     #[test]
     fn bad_profiles_name_place_and_reason() {
         let good = Profile::builtin("orange").expect("shipped");
-        let cases: [(&str, fn(&mut Profile)); 5] = [
+        type Spoil = fn(&mut Profile);
+        let cases: [(&str, Spoil); 5] = [
             ("colour.limit", |p| p.colour.limit = -1.0),
             ("colour.clouds", |p| p.colour.clouds[0].covariance = [[1.0; 3]; 3]),
             ("colour.clouds", |p| p.colour.clouds.clear()),
