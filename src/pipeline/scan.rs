@@ -79,11 +79,14 @@ pub struct ScanTimings {
     pub examine_s: f64,
 }
 
+/// A region's identity and what became of it.
+type Examined = ((u64, u64), Option<Candidate>);
+
 /// What a worker sends on for one tile.
 struct TileOutput {
     id: u64,
-    /// Examined here: identity and what became of it.
-    examined: Vec<((u64, u64), Option<Candidate>)>,
+    /// Examined here.
+    examined: Vec<Examined>,
     /// Complete, but their surroundings reach beyond the tile.
     straddling: Vec<Region>,
     /// Only what is open at the faces is left in it.
@@ -138,7 +141,7 @@ fn difference(after: ReadStats, before: ReadStats) -> ReadStats {
 
 #[derive(Default)]
 struct Collected {
-    examined: Vec<((u64, u64), Option<Candidate>)>,
+    examined: Vec<Examined>,
     straddling: Vec<Region>,
 }
 
@@ -245,6 +248,11 @@ impl Worker<'_> {
             let Some((tile, block)) = self.next_block(tiles) else { return };
             let output = block.map(|block| {
                 let output = self.process(&tile, &block, &mut mask, &mut labeller);
+                drop(block);
+                if self.plan.halo_px == 0 {
+                    // Nobody will ask for these pixels again but the windows of a few marks.
+                    self.source.release(tile.core);
+                }
                 self.progress.scanned(tile.core.area());
                 output
             });
@@ -293,11 +301,7 @@ fn patch_window(region: &Region, detector: &dyn Detector, info: &RasterInfo) -> 
 }
 
 /// Region → Candidate through windows of their own.
-fn examine_windows(
-    source: &dyn RasterSource,
-    detector: &dyn Detector,
-    regions: &[Region],
-) -> Result<Vec<((u64, u64), Option<Candidate>)>> {
+fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: &[Region]) -> Result<Vec<Examined>> {
     let info = source.info();
     let examine = |region: &Region| {
         let window = patch_window(region, detector, info);
