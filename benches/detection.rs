@@ -44,7 +44,7 @@ fn photo(name: &str) -> Option<Picture> {
     let file = gdal::Dataset::open(&path).ok()?;
     let (width, height) = file.raster_size();
     let bands: Vec<Vec<f64>> = (1..=3)
-        .map(|b| Some(file.rasterband(b).ok()?.read_as::<f64>((0, 0), (width, height), (width, height), None).ok()?))
+        .map(|b| file.rasterband(b).ok()?.read_as::<f64>((0, 0), (width, height), (width, height), None).ok())
         .map(|b| b.map(|b| b.data().to_vec()))
         .collect::<Option<_>>()?;
     // 16-bit pictures are stretched so that 0.5 % of the samples saturate.
