@@ -25,10 +25,11 @@ build: deps
 
 demo: build
 	@rm -rf $(DEMO) && mkdir -p $(DEMO)
-	target/release/autoref-stream synth $(DEMO)/e6.tif --random-gcps 14 --visible 11 --size 6000,4500 --gsd 0.03 --rotate 12 \
-	  --seed 6 --write-gcps $(DEMO)/e6.geojson
-	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 1024
-	gdalinfo $(DEMO)/e6.tif | sed -n '/Size is/p;/GeoTransform/,/^Metadata/p' | head -6
+	target/release/autoref-stream synth $(DEMO)/e6.tif --random-gcps 14 --visible 11 --extent-m 160,120 --size 6000,4500 \
+	  --gsd 0.03 --rotation 12 --mark-size 12 --clutter 60 --seed 6 --compress deflate --predictor \
+	  --write-gcps $(DEMO)/e6.geojson
+	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 4096
+	@echo "--- GDAL sees:" && gdalinfo $(DEMO)/e6.tif | grep -E "^Size|UTM zone|GeoTransform|^  +-?[0-9]" | head -5
 
 test: deps
 	$(CARGO) test --quiet -- --format=terse
