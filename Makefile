@@ -2,6 +2,7 @@
 # make test          everything needed to pass the whole test suite
 # make check         what CI runs: formatting, lints, documentation, tests
 # make bench         stage by stage and against other programs (minutes)
+# make fuzz          ten minutes of the native reader under cargo-fuzz (needs a nightly toolchain)
 # make check-large   the checks that take minutes or gigabytes
 SHELL := /bin/bash
 CARGO ?= cargo
@@ -10,7 +11,7 @@ PACKAGES := libgdal-dev gdal-bin pkg-config gcc g++ time
 MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q '^install ok installed' || echo $$p; done)
 DEMO := demo
 
-.PHONY: all deps build demo test check lint doc bench check-large clean
+.PHONY: all deps build demo test check lint doc bench fuzz check-large clean
 
 all: build
 
@@ -47,6 +48,9 @@ check: lint doc test
 bench: build
 	$(CARGO) bench
 	benches/compare.sh
+
+fuzz:
+	cd fuzz && $(CARGO) +nightly fuzz run native_tiff -- -max_total_time=600
 
 check-large: build
 	AUTOREF_LARGE=1 $(CARGO) test --release -- --nocapture

@@ -38,7 +38,13 @@ pub enum SecondLook {
     Outside,
 }
 
+/// How many times the detector may be made stricter for marks that are still missing.
+const STRICTER_LOOKS: usize = 4;
+
 /// Looks at every expected GCP; the answers are in the order of the question.
+///
+/// What the detector does not see is looked for again with stricter ones ([`Detector::stricter`]): on a red roof the
+/// first sees one large region of paint, a stricter one the mark.
 ///
 /// # Errors
 /// When a window cannot be read.
@@ -48,30 +54,49 @@ pub fn rematch(
     scanned: &[Candidate],
     expected: &[Expected],
 ) -> Result<Vec<SecondLook>> {
-    let look = |expected: &Expected| -> Result<SecondLook> {
-        let info = source.info();
+    let info = source.info();
+    let known = |expected: &Expected| {
         let (x, y) = (expected.position.x, expected.position.y);
         if !(x >= 0.0 && y >= 0.0 && x < info.width as f64 && y < info.height as f64) {
-            return Ok(SecondLook::Outside);
+            return SecondLook::Outside;
         }
-        if let Some(candidate) = nearest(scanned.iter(), expected) {
-            return Ok(SecondLook::Kept { candidate });
-        }
-        let found = look_in_window(source, detector, expected)?;
-        let best = nearest(found.iter(), expected);
-        Ok(best.map_or(SecondLook::NotFound, |i| SecondLook::Found(Box::new(found[i].clone()))))
+        nearest(scanned.iter(), expected).map_or(SecondLook::NotFound, |candidate| SecondLook::Kept { candidate })
     };
-    if source.info().sequential {
-        // From the top down: the reader cannot go back without starting again.
-        let mut order: Vec<usize> = (0..expected.len()).collect();
-        order.sort_by(|&a, &b| expected[a].position.y.total_cmp(&expected[b].position.y));
-        let mut answers = vec![SecondLook::Outside; expected.len()];
-        for i in order {
-            answers[i] = look(&expected[i])?;
-        }
-        return Ok(answers);
+    let mut answers: Vec<SecondLook> = expected.iter().map(known).collect();
+    look_again(source, detector, expected, &mut answers)?;
+    let mut stricter = detector.stricter();
+    for _ in 0..STRICTER_LOOKS {
+        let Some(next) = stricter.filter(|_| answers.iter().any(|a| matches!(a, SecondLook::NotFound))) else { break };
+        look_again(source, next.as_ref(), expected, &mut answers)?;
+        stricter = next.stricter();
     }
-    expected.par_iter().map(look).collect()
+    Ok(answers)
+}
+
+/// Looks in the windows of all that is still missing.
+fn look_again(
+    source: &dyn RasterSource,
+    detector: &dyn Detector,
+    expected: &[Expected],
+    answers: &mut [SecondLook],
+) -> Result<()> {
+    let mut missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
+    let look = |&i: &usize| -> Result<(usize, SecondLook)> {
+        let found = look_in_window(source, detector, &expected[i])?;
+        let best = nearest(found.iter(), &expected[i]);
+        Ok((i, best.map_or(SecondLook::NotFound, |best| SecondLook::Found(Box::new(found[best].clone())))))
+    };
+    let found: Vec<(usize, SecondLook)> = if source.info().sequential {
+        // From the top down: the reader cannot go back without starting again.
+        missing.sort_by(|&a, &b| expected[a].position.y.total_cmp(&expected[b].position.y));
+        missing.iter().map(look).collect::<Result<_>>()?
+    } else {
+        missing.par_iter().map(look).collect::<Result<_>>()?
+    };
+    for (i, answer) in found {
+        answers[i] = answer;
+    }
+    Ok(())
 }
 
 fn distance(candidate: &Candidate, expected: &Expected) -> f64 {

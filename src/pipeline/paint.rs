@@ -16,6 +16,8 @@ pub struct PaintDetector {
     classifier: Classifier,
     gates: Gates,
     filters: MaskFilters,
+    /// What the samples mean; kept to build stricter tests.
+    info: RasterInfo,
 }
 
 impl PaintDetector {
@@ -25,14 +27,20 @@ impl PaintDetector {
         let gates = Gates::new(&profile, gsd_m)?;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::from_profile(&profile, &gates);
-        Ok(PaintDetector { profile, classifier, gates, filters })
+        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone() })
     }
 
     /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
     pub fn relaxed(&self) -> Self {
         let mut profile = self.profile.clone();
         profile.examine.min_score = profile.examine.min_score.min(0.0) - 4.0;
-        PaintDetector { profile, classifier: self.classifier.clone(), gates: self.gates.clone(), filters: self.filters }
+        PaintDetector {
+            profile,
+            classifier: self.classifier.clone(),
+            gates: self.gates.clone(),
+            filters: self.filters,
+            info: self.info.clone(),
+        }
     }
 }
 
@@ -68,6 +76,15 @@ impl Detector for PaintDetector {
 
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    }
+
+    fn stricter(&self) -> Option<Box<dyn Detector>> {
+        let mut profile = self.profile.clone();
+        profile.colour.limit *= 0.7;
+        let info = &self.info;
+        let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata).ok()?;
+        let (gates, filters) = (self.gates.clone(), self.filters);
+        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone() }))
     }
 
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {

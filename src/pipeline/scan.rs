@@ -40,6 +40,11 @@ pub trait Detector: Sync {
     fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
+    /// for paint too (a mark on a red roof). `None` when there is no narrower one.
+    fn stricter(&self) -> Option<Box<dyn Detector>> {
+        None
+    }
     /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         list
