@@ -186,10 +186,10 @@ fn e6_five_visible_among_three_hundred() {
 #[test]
 fn e6_with_the_scale_known_within_a_factor_of_two() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = if common::large() { 1000 } else { 5 };
+    let count = if common::large() { 200 } else { 5 };
     let score = trials(&kind(6, 1000, 180.0), &priors((0.015, 0.06)), &gcps, count, 3);
     assert_eq!(score.wrong, 0);
-    println!("{score:?}");
+    assert!(score.right * 10 >= count * 9, "{score:?}");
 }
 
 #[test]
@@ -209,16 +209,18 @@ fn nothing_there_is_refused() {
     let mut random = Random::new(5);
     for trial in 0..count {
         let candidates: Vec<Candidate> = match trial % 4 {
-            0 => (0..200 + random.below(1800))
+            0 => (0..200 + random.below(if trial % 20 == 0 { 4800 } else { 800 }))
                 .map(|_| bare_candidate(random.uniform(0.0, E6.0), random.uniform(0.0, E6.1)))
                 .collect(),
-            1 => lattice(random.uniform(300.0, 1200.0), random.uniform(300.0, 1200.0), random.uniform(0.0, 3.0)),
+            1 => lattice(random.uniform(600.0, 1500.0), random.uniform(600.0, 1500.0), random.uniform(0.0, 3.0)),
             2 => parking_rows(&mut random),
             _ => mirrored(&mut random, &gcps),
         };
         let started = Instant::now();
         let outcome = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
-        println!("kind {}, {} candidates: {:.2} s", trial % 4, candidates.len(), started.elapsed().as_secs_f64());
+        if trial < 8 {
+            println!("kind {}, {} candidates: {:.2} s", trial % 4, candidates.len(), started.elapsed().as_secs_f64());
+        }
         assert!(matches!(outcome, MatchOutcome::NoMatch(_)), "trial {trial}: {outcome:?}");
     }
 }
@@ -239,7 +241,7 @@ fn lattice(dx: f64, dy: f64, jitter: f64) -> Vec<Candidate> {
 
 fn parking_rows(random: &mut Random) -> Vec<Candidate> {
     let mut all = Vec::new();
-    for _ in 0..25 {
+    for _ in 0..12 {
         let (x, y, angle) = (random.uniform(0.0, E6.0), random.uniform(0.0, E6.1), random.uniform(0.0, 6.3));
         for i in 0..40 {
             let (x, y) = (x + 83.0 * f64::from(i) * angle.cos(), y + 83.0 * f64::from(i) * angle.sin());
