@@ -7,7 +7,7 @@ use std::time::Instant;
 use autoref_stream::candidate::Candidate;
 
 use autoref_stream::gcp::Gcp;
-use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
+use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher, TppMatcher};
 use autoref_stream::solve::{Pair, Similarity, solve};
 use common::{Random, bare_candidate};
 
@@ -47,6 +47,18 @@ fn the_real_detections_of_lerkendal_give_the_14_gcps_and_no_other() {
     assert!((solution.rmse_m - 0.06410).abs() < 5e-6, "{}", solution.rmse_m);
     assert!((solution.scale_m_per_px - 0.031998043).abs() < 5e-10, "{}", solution.scale_m_per_px);
     assert!((solution.rotation_deg - -0.026154).abs() < 5e-7, "{}", solution.rotation_deg);
+}
+
+#[test]
+fn topological_point_patterns_find_the_14_gcps_too() {
+    let (Some(candidates), Some(gcps)) =
+        (common::thesis_candidates("thesis/b3_candidates.csv"), common::thesis_gcps("thesis/b1_lerkendal_gcps.csv"))
+    else {
+        return;
+    };
+    let outcome = TppMatcher::default().find(&candidates, &gcps, &Priors::default());
+    let MatchOutcome::Solved(solved) = outcome else { panic!("not solved: {outcome:?}") };
+    assert_eq!(solved.pattern.pairs.len(), 14);
 }
 
 /// One synthetic case: GCPs visible in an image somewhere over the list, false candidates, noise.
@@ -139,7 +151,18 @@ fn trials(kind: &Kind, priors: &Priors, gcps: &[Gcp], count: usize, seed: u64) -
                         (m.easting - t.easting).hypot(m.northing - t.northing) / kind.gsd
                     })
                     .fold(0.0, f64::max);
-                if worst <= 5.0 * kind.sigma_px.max(1.0) { score.right += 1 } else { score.wrong += 1 }
+                if worst <= 5.0 * kind.sigma_px.max(1.0) {
+                    score.right += 1;
+                } else {
+                    score.wrong += 1;
+                    let matched: Vec<usize> = solved.pattern.pairs.iter().map(|pair| pair.1).collect();
+                    println!(
+                        "wrong by {worst:.1} px: visible {:?}, matched {matched:?}, log10 NFA {:.2}, {:?}",
+                        case.visible,
+                        solved.pattern.log10_false_alarms,
+                        solution.pairs.iter().map(|p| (p.residual_px * 10.0).round() / 10.0).collect::<Vec<_>>()
+                    );
+                }
             }
             MatchOutcome::NoMatch(_) => score.refused += 1,
         }

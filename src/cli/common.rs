@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use autoref_stream::gcp::GcpOptions;
-use autoref_stream::matching::{Matcher, Priors, RobustMatcher};
+use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
 use autoref_stream::pipeline::{self, Detector, PaintDetector, PlanOptions, Progress, ScanPlan};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
@@ -58,6 +58,18 @@ pub struct MatchArgs {
     /// Whether a georeference or resolution that the image already has may narrow the search.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Matching")]
     pub prior: PriorArg,
+    /// How the pattern is found: `robust` from pairs; `tpp`, the topological point patterns of the 2016 thesis.
+    #[arg(long, value_enum, default_value = "robust", help_heading = "Matching")]
+    pub matcher: MatcherArg,
+    /// With --matcher tpp: largest difference of radii, in units of the distance to the nearest neighbour.
+    #[arg(long, value_name = "R", default_value_t = 0.05, help_heading = "Matching")]
+    pub tpp_radius: f64,
+    /// With --matcher tpp: largest difference of angles, in radians.
+    #[arg(long, value_name = "RAD", default_value_t = 0.05, help_heading = "Matching")]
+    pub tpp_angle: f64,
+    /// With --matcher tpp: fewest matched points of a proposal.
+    #[arg(long, value_name = "N", default_value_t = 5, help_heading = "Matching")]
+    pub tpp_minimum: usize,
     /// Nothing is written when chance alone would produce more patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
@@ -112,6 +124,12 @@ pub enum PriorArg {
     Auto,
     /// Ignore it.
     None,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MatcherArg {
+    Robust,
+    Tpp,
 }
 
 /// A number of bytes.
@@ -306,6 +324,15 @@ pub fn matcher(matching: &MatchArgs, tries: usize) -> anyhow::Result<Box<dyn Mat
     }
     if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
         bail!("--north-up takes degrees from 0 to 180");
+    }
+    if matching.matcher == MatcherArg::Tpp {
+        return Ok(Box::new(TppMatcher {
+            radius_threshold: matching.tpp_radius,
+            angle_threshold: matching.tpp_angle,
+            minimum_matches: matching.tpp_minimum,
+            max_false_alarms: matching.max_false_alarms / tries as f64,
+            ..TppMatcher::default()
+        }));
     }
     Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,

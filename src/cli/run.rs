@@ -350,7 +350,35 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     if !outliers.is_empty() {
         result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
+    result.warnings.extend(near_misses(result, orientation, list));
     result.solution = Some(solution.clone());
+}
+
+/// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
+fn near_misses(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
+    const NEAR_PX: f64 = 60.0;
+    let solution = &orientation.solution;
+    let taken = |c: &Candidate| orientation.marks.iter().any(|mark| mark.mark.centre == c.centre);
+    orientation
+        .not_found
+        .iter()
+        .filter_map(|&gcp| {
+            let place = solution.similarity.invert(list.gcps[gcp].position());
+            let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
+            let nearest = result
+                .candidates
+                .iter()
+                .filter(|c| !taken(c))
+                .map(distance)
+                .filter(|d| *d < NEAR_PX)
+                .min_by(f64::total_cmp)?;
+            Some(format!(
+                "{}: no mark where it must be, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
+                list.gcps[gcp].name,
+                nearest * solution.scale_m_per_px
+            ))
+        })
+        .collect()
 }
 
 fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow {

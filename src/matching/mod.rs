@@ -7,6 +7,7 @@
 pub mod evidence;
 pub mod field;
 pub mod robust;
+pub mod tpp;
 
 use serde::Serialize;
 
@@ -15,6 +16,7 @@ use crate::gcp::Gcp;
 use crate::solve::Similarity;
 
 pub use robust::RobustMatcher;
+pub use tpp::TppMatcher;
 
 /// What is known before looking at the pattern.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

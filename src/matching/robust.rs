@@ -53,9 +53,29 @@ impl Default for RobustMatcher {
 
 impl Matcher for RobustMatcher {
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome {
-        let control: Vec<usize> = (0..gcps.len()).filter(|&i| gcps[i].role == GcpRole::Control).collect();
-        let positions: Vec<MapPoint> = control.iter().map(|&i| gcps[i].position()).collect();
+        let (control, positions) = control_points(gcps);
         let found = self.search_guided(candidates, &positions, priors);
+        self.decide(found, candidates, &control, &positions, priors)
+    }
+}
+
+/// Indices and positions of the points that take part.
+pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
+    let control: Vec<usize> = (0..gcps.len()).filter(|&i| gcps[i].role == GcpRole::Control).collect();
+    let positions = control.iter().map(|&i| gcps[i].position()).collect();
+    (control, positions)
+}
+
+impl RobustMatcher {
+    /// Believes the best pattern, or says why not.
+    pub(super) fn decide(
+        &self,
+        found: Found,
+        candidates: &[Candidate],
+        control: &[usize],
+        positions: &[MapPoint],
+        priors: &Priors,
+    ) -> MatchOutcome {
         let restore = |pattern: Pattern| Pattern {
             pairs: pattern.pairs.iter().map(|&(c, g)| (c, control[g])).collect(),
             ..pattern
@@ -72,10 +92,10 @@ impl Matcher for RobustMatcher {
                 effort: found.effort,
             }));
         }
-        let mirrored = self.mirrored(candidates, &positions, priors);
+        let mirrored = self.mirrored(candidates, positions, priors);
         MatchOutcome::NoMatch(Box::new(explain(
             candidates.len(),
-            &control,
+            control,
             best,
             runner_up,
             found.effort,
@@ -91,14 +111,14 @@ fn gap(best: &Pattern, runner_up: Option<&Pattern>) -> f64 {
 
 /// The best two patterns of a search.
 #[derive(Default)]
-struct Found {
-    best: Option<Pattern>,
-    runner_up: Option<Pattern>,
-    effort: Effort,
+pub(super) struct Found {
+    pub best: Option<Pattern>,
+    pub runner_up: Option<Pattern>,
+    pub effort: Effort,
 }
 
 impl Found {
-    fn take(&mut self, pattern: Pattern) {
+    pub fn take(&mut self, pattern: Pattern) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
         };
@@ -139,7 +159,7 @@ fn same_claim(one: &Pattern, other: &Pattern) -> bool {
 }
 
 /// GCPs a and b and what a hypothesis about them predicts.
-struct GcpPair {
+pub(super) struct GcpPair {
     a: usize,
     b: usize,
     length_m: f64,
@@ -163,7 +183,7 @@ struct Hypothesis {
     j: u32,
 }
 
-struct Search<'a> {
+pub(super) struct Search<'a> {
     field: Field,
     bitmaps: Vec<Bitmap>,
     gcps: &'a [MapPoint],
@@ -201,14 +221,8 @@ impl RobustMatcher {
         if points.len() < 3 || gcps.len() < 3 {
             return found;
         }
-        let field = Field::new(points, priors.image_size_px);
-        let (pairs, possible) = gcp_pairs(&field, gcps, priors);
+        let Some((search, pairs, possible)) = Search::new(points, gcps, priors, log10_searches) else { return found };
         found.effort.hypotheses_possible = possible;
-        if possible < 1.0 {
-            return found;
-        }
-        let bitmaps = Bitmap::all(&field);
-        let search = Search { field, bitmaps, gcps, priors, log10_tests: possible.log10() + log10_searches };
         // One decade below the limit there is nothing left to weigh.
         let decided = self.max_false_alarms.log10() - 1.0;
         for pair in &pairs {
@@ -309,7 +323,25 @@ fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
     distances
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
+    /// The field ready for searching, the pairs of GCPs in order of trying, and the number of hypotheses that the priors
+    /// allow; `None` when they allow none.
+    pub fn new(
+        points: Vec<PixelPoint>,
+        gcps: &'a [MapPoint],
+        priors: &'a Priors,
+        log10_searches: f64,
+    ) -> Option<(Search<'a>, Vec<GcpPair>, f64)> {
+        let field = Field::new(points, priors.image_size_px);
+        let (pairs, possible) = gcp_pairs(&field, gcps, priors);
+        if possible < 1.0 {
+            return None;
+        }
+        let bitmaps = Bitmap::all(&field);
+        let search = Search { field, bitmaps, gcps, priors, log10_tests: possible.log10() + log10_searches };
+        Some((search, pairs, possible))
+    }
+
     /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried.
     fn try_pair(&self, pair: &GcpPair) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair);
@@ -474,30 +506,68 @@ impl Search<'_> {
     fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
         let points = self.field.points();
         let ends = [points[hypothesis.i as usize], points[hypothesis.j as usize]];
-        let mut similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
+        let similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
         let spread = |k: usize| spread_from_pair(self.gcps[pair.a], self.gcps[pair.b], self.gcps[k]);
-        let mut pairs = self.assign(&similarity, |k, _| SEARCH_TOLERANCE_PX * spread(k));
+        let pairs = self.assign(&similarity, |k, _| SEARCH_TOLERANCE_PX * spread(k));
+        self.settle(similarity, pairs)
+    }
+
+    /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
+    pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
+        // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
+        // pairs would tilt the whole pattern.
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let widest_px = (0.003 / (std::f64::consts::PI * density)).sqrt();
         let mut noise_px = 2.0;
-        for _ in 0..12 {
+        for _ in 0..16 {
             if pairs.len() < 3 {
                 return None;
+            }
+            if let Some(odd) = self.odd_one_out(&pairs) {
+                pairs.remove(odd);
             }
             let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
             similarity = fit_equal_weights(&fitted)?;
             noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
             let (centre, spread) = centre_and_spread(&fitted);
-            let n = fitted.len() as f64;
-            let next = self.assign(&similarity, |_, p| {
-                let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
-                // The length that a two-dimensional normal error exceeds once in 1,400.
-                3.8 * noise_px * (1.0 + 1.0 / n + arm / spread).sqrt()
-            });
+            let next =
+                self.assign(&similarity, |_, p| tolerance_px(noise_px, fitted.len(), centre, spread, p).min(widest_px));
             if next == pairs {
                 break;
             }
             pairs = next;
         }
+        while let Some(odd) = self.odd_one_out(&pairs) {
+            pairs.remove(odd);
+            let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
+            similarity = fit_equal_weights(&fitted)?;
+            noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+        }
         self.weigh(similarity, pairs, noise_px)
+    }
+
+    /// The pair that the others, fitted without it, put farthest beyond where they would look for it.
+    fn odd_one_out(&self, pairs: &[(usize, usize)]) -> Option<usize> {
+        // Of four pairs any one can be made to look odd.
+        if pairs.len() < 5 {
+            return None;
+        }
+        let excess = |i: usize| -> Option<f64> {
+            let others: Vec<Pair> =
+                pairs.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, &(c, g))| self.pair(c, g)).collect();
+            let similarity = fit_equal_weights(&others)?;
+            // The noise of few pairs may come out far too small.
+            let few = 1.0 + 4.0 / (others.len() as f64 - 2.0);
+            let noise_px = few * noise(&similarity, &others).clamp(1.0, 6.0);
+            let (centre, spread) = centre_and_spread(&others);
+            let (p, q) = (similarity.invert(self.gcps[pairs[i].1]), self.field.points()[pairs[i].0]);
+            let allowed = tolerance_px(noise_px, others.len(), centre, spread, p);
+            Some((p.x - q.x).hypot(p.y - q.y) / allowed)
+        };
+        (0..pairs.len())
+            .filter_map(|i| excess(i).filter(|e| *e > 1.0).map(|e| (i, e)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(i, _)| i)
     }
 
     fn pair(&self, candidate: usize, gcp: usize) -> Pair {
@@ -554,6 +624,13 @@ fn keep_best(hypotheses: &mut Vec<Hypothesis>) {
     // A total order, so that the result does not depend on which thread came first.
     hypotheses.sort_by(|s, t| t.score.total_cmp(&s.score).then((s.i, s.j).cmp(&(t.i, t.j))));
     hypotheses.truncate(REFINED_PER_PAIR);
+}
+
+/// How far from its predicted place a mark may be: the length that a two-dimensional normal error of the mark and of the
+/// fit through `n` others exceeds once in 1,400.
+fn tolerance_px(noise_px: f64, n: usize, centre: PixelPoint, spread: f64, p: PixelPoint) -> f64 {
+    let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
+    3.8 * noise_px * (1.0 + 1.0 / n as f64 + arm / spread).sqrt()
 }
 
 /// 1σ of a coordinate, pixels, from the median length of the residuals.
