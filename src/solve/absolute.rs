@@ -195,8 +195,11 @@ fn quaternion_rotation(cross: &Matrix3<f64>) -> Matrix3<f64> {
     UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[0], q[1], q[2], q[3])).to_rotation_matrix().into_inner()
 }
 
-/// Singular vectors of `cross`, largest singular value first: (left, values, right).
-fn singular(cross: &Matrix3<f64>) -> Result<(Matrix3<f64>, Vector3<f64>, Matrix3<f64>), Undetermined> {
+/// Left singular vectors, singular values, right singular vectors.
+type Singular = (Matrix3<f64>, Vector3<f64>, Matrix3<f64>);
+
+/// Singular vectors of `cross`, largest singular value first.
+fn singular(cross: &Matrix3<f64>) -> Result<Singular, Undetermined> {
     let svd = cross.svd(true, true);
     let (u, v_t) = (svd.u.ok_or(Undetermined::Degenerate)?, svd.v_t.ok_or(Undetermined::Degenerate)?);
     // Points of a plane each, but at right angles: only a line is left of what they share.

@@ -15,6 +15,7 @@ use crate::coords::MapPoint;
 /// A surveyed point and the model's height there, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeightPoint {
+    /// Where the model was read: the mark's centre, brought to the map.
     pub position: MapPoint,
     pub surveyed_m: f64,
     pub model_m: f64,
@@ -232,7 +233,8 @@ mod tests {
 
     #[test]
     fn each_surface_is_chosen_where_it_is_the_truth() {
-        let cases: [(HeightModel, fn(f64, f64) -> f64); 3] = [
+        type Surface = fn(f64, f64) -> f64;
+        let cases: [(HeightModel, Surface); 3] = [
             (HeightModel::Shift, |_, _| -1.8),
             (HeightModel::Tilt, |e, n| -1.8 + 0.002 * e - 0.001 * n),
             (HeightModel::Quadratic, |e, n| -1.8 + 0.002 * e + 4e-6 * (e - 200.0).powi(2) + 3e-6 * (n - 200.0).powi(2)),
