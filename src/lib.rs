@@ -8,7 +8,7 @@
 //! TileGrid → Tile → Block → Mask → TileRegions → Region → Candidate → Match → Transform → outputs
 //! ```
 //!
-//! Only [`raster`] and the rooms that read and write lists ([`gcp`], [`georef`], [`report`]) touch files; everything
+//! Only [`raster`] and the rooms that read and write lists ([`gcp`], [`georef`]) touch files; everything
 //! between takes values and returns values. The pixel convention is that of GDAL: x to the right, y down, `(0, 0)` at
 //! the outer corner of the first pixel (`docs/coordinates.md`).
 #![deny(unsafe_code)]
@@ -16,7 +16,6 @@
 pub mod candidate;
 pub mod coords;
 pub mod error;
-pub mod film;
 pub mod gcp;
 pub mod georef;
 pub mod matching;
@@ -25,7 +24,6 @@ pub mod pipeline;
 pub mod profile;
 pub mod raster;
 pub mod rematch;
-pub mod report;
 pub mod segment;
 pub mod solve;
 pub mod synth;

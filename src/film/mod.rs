@@ -1,1 +1,0 @@
-//! Scanned film: fiducial marks and the inner orientation.
