@@ -87,7 +87,11 @@ fn decode_all(path: &str, blocks: &Blocks, next: &AtomicUsize) -> anyhow::Result
                 50000 => zstd.decompress_to_buffer(&raw, &mut out)?,
                 5 => {
                     let mut lzw = weezl::decode::Configuration::with_tiff_size_switch(weezl::BitOrder::Msb, 8).build();
-                    lzw.decode_bytes(&raw, &mut out).consumed_out
+                    let mut decoded = Vec::with_capacity(out.len());
+                    lzw.into_vec(&mut decoded).decode_all(&raw).status?;
+                    anyhow::ensure!(decoded.len() == out.len() || i + 1 == blocks.offsets.len(), "a short strip");
+                    out[..decoded.len()].copy_from_slice(&decoded);
+                    decoded.len()
                 }
                 7 => {
                     let mut stream = blocks.jpeg_tables.clone().unwrap_or_else(|| vec![0xff, 0xd8, 0xff, 0xd9]);
