@@ -4,7 +4,9 @@
 //! enough ([`evidence`]). [`tpp`] is the topological point pattern of the 2016 thesis, kept for comparison; what it proposes
 //! must pass the same test of evidence.
 
+mod bitmap;
 pub mod evidence;
+mod explain;
 pub mod field;
 pub mod robust;
 pub mod tpp;

@@ -12,9 +12,11 @@ use rayon::prelude::*;
 use crate::candidate::Candidate;
 use crate::coords::{MapPoint, PixelPoint};
 use crate::gcp::{Gcp, GcpRole};
+use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::evidence::{LEVELS_PX, log10_tail, pair_evidence, spread_from_pair};
+use crate::matching::explain::explain;
 use crate::matching::field::Field;
-use crate::matching::{Effort, Evidence, MatchOutcome, Matcher, Pattern, Priors, Solved};
+use crate::matching::{Effort, MatchOutcome, Matcher, Pattern, Priors, Solved};
 use crate::solve::Similarity;
 use crate::solve::similarity::{Pair, fit_equal_weights};
 
@@ -22,8 +24,6 @@ use crate::solve::similarity::{Pair, fit_equal_weights};
 const SMALLEST_BASE_PX: f64 = 16.0;
 /// Search tolerance for the error of one mark, pixels; it grows with the distance from the pair.
 const SEARCH_TOLERANCE_PX: f64 = 5.0;
-/// A prediction that chance hits this often is not worth a look.
-const WORTHLESS_PROBABILITY: f64 = 0.25;
 /// Hypotheses of one GCP pair that are refined.
 const REFINED_PER_PAIR: usize = 6;
 /// More hits than this leave no doubt.
@@ -656,117 +656,4 @@ fn centre_and_spread(pairs: &[Pair]) -> (PixelPoint, f64) {
     };
     let spread = pairs.iter().map(|p| (p.pixel.x - centre.x).powi(2) + (p.pixel.y - centre.y).powi(2)).sum::<f64>();
     (centre, spread.max(1.0))
-}
-
-/// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look.
-struct Bitmap {
-    radius_px: f64,
-    cell_px: f64,
-    columns: usize,
-    origin: PixelPoint,
-    bits: Vec<u64>,
-}
-
-impl Bitmap {
-    /// False only when no candidate is within the radius of `p`, which must lie in the field.
-    fn may_hold(&self, p: PixelPoint) -> bool {
-        let column = ((p.x - self.origin.x) / self.cell_px) as usize;
-        let bit = ((p.y - self.origin.y) / self.cell_px) as usize * self.columns + column;
-        self.bits[bit / 64] >> (bit % 64) & 1 == 1
-    }
-
-    /// Radii from 8 px up, by 2, as long as chance hits leave something to see.
-    fn all(field: &Field) -> Vec<Bitmap> {
-        let density = field.points().len() as f64 / field.area_px2();
-        let useful = (WORTHLESS_PROBABILITY * 1.5 / (density * std::f64::consts::PI)).sqrt();
-        let mut radius_px = 8.0;
-        let mut bitmaps = Vec::new();
-        while bitmaps.is_empty() || radius_px < 2.0 * useful.min(4096.0) {
-            bitmaps.push(Bitmap::new(field, radius_px));
-            radius_px *= 2.0;
-        }
-        bitmaps
-    }
-
-    fn new(field: &Field, radius_px: f64) -> Bitmap {
-        // Half the radius, but no more than 16 million cells.
-        let cell_px = (radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
-        let columns = (field.width_px / cell_px) as usize + 2;
-        let rows = (field.height_px / cell_px) as usize + 2;
-        let mut bitmap = Bitmap {
-            radius_px,
-            cell_px,
-            columns,
-            origin: field.origin(),
-            bits: vec![0; (columns * rows).div_ceil(64)],
-        };
-        for p in field.points() {
-            let (x, y) = (p.x - bitmap.origin.x, p.y - bitmap.origin.y);
-            let range = |v: f64, limit: usize| {
-                let low = ((v - radius_px) / cell_px).max(0.0) as usize;
-                (low, (((v + radius_px) / cell_px).max(0.0) as usize).min(limit - 1))
-            };
-            let ((left, right), (top, bottom)) = (range(x, columns), range(y, rows));
-            for row in top..=bottom {
-                for column in left..=right {
-                    let bit = row * columns + column;
-                    bitmap.bits[bit / 64] |= 1 << (bit % 64);
-                }
-            }
-        }
-        bitmap
-    }
-}
-
-/// Plain words on why nothing is believed.
-fn explain(
-    candidates: usize,
-    control: &[usize],
-    best: Option<Pattern>,
-    runner_up: Option<Pattern>,
-    effort: Effort,
-    limit: f64,
-    mirrored: bool,
-) -> Evidence {
-    let mut advice = Vec::new();
-    let reason = if candidates < 3 {
-        advice.push(
-            "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
-        );
-        format!("{candidates} candidate(s) found; a pattern needs at least 3")
-    } else if control.len() < 3 {
-        advice.push("give at least 3 control points; 4 or 5 visible ones are needed to be sure".to_string());
-        format!("{} control point(s) in the list; a pattern needs at least 3", control.len())
-    } else if mirrored {
-        advice.push("the image is mirrored: flip it, or check easting and northing in the list".to_string());
-        "the pattern fits only when the image is mirrored".to_string()
-    } else if let Some(best) = &best {
-        let beaten = best.log10_false_alarms <= limit;
-        if beaten {
-            advice.push(
-                "the points form a pattern that repeats: give the rotation (--north-up) or the --gsd".to_string(),
-            );
-        }
-        format!(
-            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{}",
-            best.pairs.len(),
-            best.gcps_in_image,
-            scientific(best.log10_false_alarms),
-            if beaten { ", but another one is almost as good" } else { "" }
-        )
-    } else {
-        format!("no three of {candidates} candidates lie like GCPs of the list")
-    };
-    if advice.is_empty() {
-        advice
-            .push("more marks in the image, or fewer false candidates (a stricter --profile, --mark-size)".to_string());
-        advice
-            .push("the ground sample distance, if known (--gsd), and the direction of north (--north-up)".to_string());
-    }
-    Evidence { reason, advice, best, runner_up, effort }
-}
-
-/// 10^x for people.
-fn scientific(log10: f64) -> String {
-    if (-2.0..6.0).contains(&log10) { format!("{:.3}", 10f64.powf(log10)) } else { format!("1e{log10:.1}") }
 }

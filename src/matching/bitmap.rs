@@ -1,0 +1,67 @@
+//! Quick answers to "may a candidate be near here?", for the search's inner loop.
+
+use crate::coords::PixelPoint;
+use crate::matching::field::Field;
+
+/// A prediction that chance hits this often is not worth a look.
+pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;
+
+/// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look.
+pub(super) struct Bitmap {
+    pub radius_px: f64,
+    cell_px: f64,
+    columns: usize,
+    origin: PixelPoint,
+    bits: Vec<u64>,
+}
+
+impl Bitmap {
+    /// False only when no candidate is within the radius of `p`, which must lie in the field.
+    pub fn may_hold(&self, p: PixelPoint) -> bool {
+        let column = ((p.x - self.origin.x) / self.cell_px) as usize;
+        let bit = ((p.y - self.origin.y) / self.cell_px) as usize * self.columns + column;
+        self.bits[bit / 64] >> (bit % 64) & 1 == 1
+    }
+
+    /// Radii from 8 px up, by 2, as long as chance hits leave something to see.
+    pub fn all(field: &Field) -> Vec<Bitmap> {
+        let density = field.points().len() as f64 / field.area_px2();
+        let useful = (WORTHLESS_PROBABILITY * 1.5 / (density * std::f64::consts::PI)).sqrt();
+        let mut radius_px = 8.0;
+        let mut bitmaps = Vec::new();
+        while bitmaps.is_empty() || radius_px < 2.0 * useful.min(4096.0) {
+            bitmaps.push(Bitmap::new(field, radius_px));
+            radius_px *= 2.0;
+        }
+        bitmaps
+    }
+
+    fn new(field: &Field, radius_px: f64) -> Bitmap {
+        // Half the radius, but no more than 16 million cells.
+        let cell_px = (radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
+        let columns = (field.width_px / cell_px) as usize + 2;
+        let rows = (field.height_px / cell_px) as usize + 2;
+        let mut bitmap = Bitmap {
+            radius_px,
+            cell_px,
+            columns,
+            origin: field.origin(),
+            bits: vec![0; (columns * rows).div_ceil(64)],
+        };
+        for p in field.points() {
+            let (x, y) = (p.x - bitmap.origin.x, p.y - bitmap.origin.y);
+            let range = |v: f64, limit: usize| {
+                let low = ((v - radius_px) / cell_px).max(0.0) as usize;
+                (low, (((v + radius_px) / cell_px).max(0.0) as usize).min(limit - 1))
+            };
+            let ((left, right), (top, bottom)) = (range(x, columns), range(y, rows));
+            for row in top..=bottom {
+                for column in left..=right {
+                    let bit = row * columns + column;
+                    bitmap.bits[bit / 64] |= 1 << (bit % 64);
+                }
+            }
+        }
+        bitmap
+    }
+}

@@ -1,0 +1,56 @@
+//! Why nothing is believed, in plain words.
+
+use crate::matching::{Effort, Evidence, Pattern};
+
+/// Plain words on why nothing is believed.
+pub(super) fn explain(
+    candidates: usize,
+    control: &[usize],
+    best: Option<Pattern>,
+    runner_up: Option<Pattern>,
+    effort: Effort,
+    limit: f64,
+    mirrored: bool,
+) -> Evidence {
+    let mut advice = Vec::new();
+    let reason = if candidates < 3 {
+        advice.push(
+            "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
+        );
+        format!("{candidates} candidate(s) found; a pattern needs at least 3")
+    } else if control.len() < 3 {
+        advice.push("give at least 3 control points; 4 or 5 visible ones are needed to be sure".to_string());
+        format!("{} control point(s) in the list; a pattern needs at least 3", control.len())
+    } else if mirrored {
+        advice.push("the image is mirrored: flip it, or check easting and northing in the list".to_string());
+        "the pattern fits only when the image is mirrored".to_string()
+    } else if let Some(best) = &best {
+        let beaten = best.log10_false_alarms <= limit;
+        if beaten {
+            advice.push(
+                "the points form a pattern that repeats: give the rotation (--north-up) or the --gsd".to_string(),
+            );
+        }
+        format!(
+            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{}",
+            best.pairs.len(),
+            best.gcps_in_image,
+            scientific(best.log10_false_alarms),
+            if beaten { ", but another one is almost as good" } else { "" }
+        )
+    } else {
+        format!("no three of {candidates} candidates lie like GCPs of the list")
+    };
+    if advice.is_empty() {
+        advice
+            .push("more marks in the image, or fewer false candidates (a stricter --profile, --mark-size)".to_string());
+        advice
+            .push("the ground sample distance, if known (--gsd), and the direction of north (--north-up)".to_string());
+    }
+    Evidence { reason, advice, best, runner_up, effort }
+}
+
+/// 10^x for people.
+fn scientific(log10: f64) -> String {
+    if (-2.0..6.0).contains(&log10) { format!("{:.3}", 10f64.powf(log10)) } else { format!("1e{log10:.1}") }
+}
