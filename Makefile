@@ -32,6 +32,8 @@ demo: build
 	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 4096
 	@echo "--- GDAL sees:" && gdalinfo $(DEMO)/e6.tif | grep -E "^Size|UTM zone|GeoTransform|^  +-?[0-9]" | head -5
 
+# The random tests draw the same cases in every run; `make check-large` draws new ones.
+test: export PROPTEST_RNG_SEED ?= 2016
 test: deps
 	$(CARGO) test --quiet -- --format=terse
 	$(CARGO) test --quiet --lib --features force-scalar segment -- --format=terse

@@ -236,7 +236,11 @@ mod tests {
             let result = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8)
                 .decode_bytes(&data, &mut theirs);
             match Decoder::new().decode(&data, &mut ours) {
-                Ok(length) if result.status.is_ok() => prop_assert_eq!(&ours[..length], &theirs[..length]),
+                // Data that end without an end code leave weezl holding its last string back.
+                Ok(length) if result.status.is_ok() => {
+                    prop_assert!(length >= result.consumed_out);
+                    prop_assert_eq!(&ours[..result.consumed_out], &theirs[..result.consumed_out]);
+                }
                 Ok(_) => {}
                 Err(_) => prop_assert!(result.status.is_err() || result.consumed_out < ours.len()),
             }
