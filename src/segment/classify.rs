@@ -267,6 +267,9 @@ impl Classifier {
 }
 
 fn scale(sample: u16, white: u16) -> u8 {
+    if white == 255 {
+        return sample.min(255) as u8;
+    }
     ((255 * u32::from(sample) + u32::from(white) / 2) / u32::from(white)).min(255) as u8
 }
 
