@@ -61,7 +61,8 @@ impl<'a> Scene<'a> {
         let outside_px = distance(&own, width, height);
         let not_own: Vec<bool> = own.iter().map(|o| !o).collect();
         let inside_px = distance(&not_own, width, height);
-        let other_px = distance(&other, width, height);
+        let alone = !other.iter().any(|&b| b);
+        let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
         let scale = 255.0 / f64::from(patch.white);
         Some(Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale })
     }

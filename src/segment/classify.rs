@@ -289,9 +289,9 @@ impl Classifier {
         &self.test
     }
 
-    /// The table's answer for an 8-bit colour.
+    /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the nearest caches.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
-        self.table.get(colour)
+        self.table.bounds.passes(colour) && self.table.get(colour)
     }
 
     /// A sample on the 8-bit scale: `(255·v + white/2) / white`, at most 255; bytes with white 255 are themselves.
