@@ -61,7 +61,7 @@ pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&P
 }
 
 /// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
-fn axis_mapping(crs: &Crs) -> &'static str {
+pub(super) fn axis_mapping(crs: &Crs) -> &'static str {
     let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {
         reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
         let key = if crs.is_geographic() { "GEOGCS" } else { "PROJCS" };
@@ -115,15 +115,38 @@ fn ours(name: &str) -> bool {
 /// When GDAL cannot open the image or write the VRT.
 pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
     let error = |e| Error::gdal(vrt, e);
+    let mut copy = vrt_of(image, vrt)?;
+    copy.set_geo_transform(&transform.0).map_err(error)?;
+    match crs {
+        Some(crs) => copy.set_projection(crs.wkt()).map_err(error)?,
+        None => copy.set_projection("").map_err(error)?,
+    }
+    copy.close().map_err(error)
+}
+
+/// Writes a VRT that refers to the image and has neither transform, CRS nor GCPs.
+///
+/// # Errors
+/// When GDAL cannot open the image or write the VRT.
+pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
+    vrt_of(image, vrt)?.close().map_err(|e| Error::gdal(vrt, e))?;
+    let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
+    let (Some(start), Some(end)) = (text.find("<VRTDataset"), text.rfind("</VRTDataset>")) else {
+        return Err(Error::gdal(vrt, "its VRT has no root element"));
+    };
+    let open = text[start..].find('>').map_or(start, |at| start + at + 1);
+    let kept = other_elements(&text[start..]).map_err(|e| Error::gdal(vrt, e))?;
+    std::fs::write(vrt, format!("{}\n{kept}{}", &text[start..open], &text[end..]))
+        .map_err(|e| Error::io(vrt, "write", e))
+}
+
+fn vrt_of(image: &Path, vrt: &Path) -> Result<gdal::Dataset> {
+    crate::raster::initialise_gdal(0);
+    let error = |e| Error::gdal(vrt, e);
     let image = std::fs::canonicalize(image).map_err(|e| Error::io(image, "resolve", e))?;
     let source = gdal::Dataset::open(&image).map_err(error)?;
     let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
-    let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
-    copy.set_geo_transform(&transform.0).map_err(error)?;
-    if let Some(crs) = crs {
-        copy.set_projection(crs.wkt()).map_err(error)?;
-    }
-    copy.close().map_err(error)
+    source.create_copy(&driver, vrt, &Default::default()).map_err(error)
 }
 
 #[cfg(test)]
