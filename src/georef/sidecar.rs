@@ -114,14 +114,10 @@ fn ours(name: &str) -> bool {
 /// # Errors
 /// When GDAL cannot open the image or write the VRT.
 pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
-    let error = |e| Error::gdal(vrt, e);
-    let mut copy = vrt_of(image, vrt)?;
-    copy.set_geo_transform(&transform.0).map_err(error)?;
-    match crs {
-        Some(crs) => copy.set_projection(crs.wkt()).map_err(error)?,
-        None => copy.set_projection("").map_err(error)?,
-    }
-    copy.close().map_err(error)
+    vrt_of(image, vrt, |copy| {
+        copy.set_geo_transform(&transform.0)?;
+        copy.set_projection(crs.map_or("", Crs::wkt))
+    })
 }
 
 /// Writes a VRT that refers to the image and has neither transform, CRS nor GCPs.
@@ -129,7 +125,7 @@ pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option
 /// # Errors
 /// When GDAL cannot open the image or write the VRT.
 pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
-    vrt_of(image, vrt)?.close().map_err(|e| Error::gdal(vrt, e))?;
+    vrt_of(image, vrt, |_| Ok(()))?;
     let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
     let (Some(start), Some(end)) = (text.find("<VRTDataset"), text.rfind("</VRTDataset>")) else {
         return Err(Error::gdal(vrt, "its VRT has no root element"));
@@ -140,13 +136,16 @@ pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
         .map_err(|e| Error::io(vrt, "write", e))
 }
 
-fn vrt_of(image: &Path, vrt: &Path) -> Result<gdal::Dataset> {
+/// Lets GDAL make a VRT of the image and `change` it.
+fn vrt_of(image: &Path, vrt: &Path, change: impl FnOnce(&mut gdal::Dataset) -> gdal::errors::Result<()>) -> Result<()> {
     crate::raster::initialise_gdal(0);
     let error = |e| Error::gdal(vrt, e);
     let image = std::fs::canonicalize(image).map_err(|e| Error::io(image, "resolve", e))?;
+    // It must outlive the copy, which refers to it.
     let source = gdal::Dataset::open(&image).map_err(error)?;
     let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
-    source.create_copy(&driver, vrt, &Default::default()).map_err(error)
+    let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
+    change(&mut copy).and_then(|()| copy.close()).map_err(error)
 }
 
 #[cfg(test)]
