@@ -19,6 +19,9 @@ pub struct WriteArgs {
     /// Replace outputs that exist; without it they are an error before any work.
     #[arg(long, help_heading = "Output")]
     pub overwrite: bool,
+    /// With --write tags: a Cloud Optimized GeoTIFF may become an ordinary one.
+    #[arg(long, help_heading = "Output")]
+    pub break_cog: bool,
 }
 
 fn kinds() -> impl TypedValueParser<Value = Output> {
@@ -43,6 +46,7 @@ impl WriteArgs {
         }
         let mut request = WriteRequest::new(image, self.out.as_deref(), &self.kinds(), self.overwrite);
         request.page = page;
+        request.tags.break_cog = self.break_cog;
         request.check()?;
         Ok(request)
     }

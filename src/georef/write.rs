@@ -221,7 +221,8 @@ impl WriteRequest {
                     .stage(&files[0], |temporary| sidecar::write_vrt(&self.image, temporary, &transform, crs))?,
                 Output::Tags => {
                     warnings.extend(tags::warnings(self));
-                    let edit = tags::prepare(&self.image, self.page, &transform, crs, &self.tags)?;
+                    let (edit, lost) = tags::prepare(&self.image, self.page, &transform, crs, &self.tags)?;
+                    warnings.extend(lost);
                     transaction.on_commit(edit);
                 }
                 Output::Warp => transaction.stage(&files[0], |temporary| {

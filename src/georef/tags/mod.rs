@@ -1,55 +1,159 @@
-//! Tags in place.
+//! GeoTIFF tags in the image itself, with undo.
+//!
+//! `docs/decisions/tags-in-place.md` tells why it is done by appending. Nothing but the pointer to the image's directory is
+//! changed (and one word in the header of a COG that is allowed to be one no longer): pixels, overviews and masks stay where
+//! they are.
 
+mod cog;
+mod directory;
+#[cfg(test)]
+mod faults;
+mod journal;
+mod keys;
+pub mod store;
+
+use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::georef::atomic::Edit;
 use crate::georef::crs::Crs;
-use crate::georef::write::WriteRequest;
+use crate::georef::sidecar;
+use crate::georef::write::{Output, WriteRequest};
+use crate::raster::tiff::container::Directories;
+use crate::raster::tiff::is_tiff;
 
-#[derive(Clone, Debug, Default)]
-pub struct TagOptions {}
+pub use journal::Plan;
+pub use keys::RasterType;
 
+/// What `--write tags` may do.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TagOptions {
+    /// A Cloud Optimized GeoTIFF may become an ordinary one.
+    pub break_cog: bool,
+}
+
+/// Tags that are about to be written.
+#[derive(Debug)]
 pub struct TagEdit {
     path: PathBuf,
+    file: File,
+    plan: Plan,
+}
+
+/// What was undone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Undone {
+    /// Length of the file before the tags, and now again.
+    pub length_bytes: u64,
+    /// Program and version that had written them.
+    pub program: String,
+    /// The file had been edited before that as well: it can be undone once more.
+    pub more_below: bool,
+}
+
+/// Refuses, before any work, files that cannot take tags.
+///
+/// # Errors
+/// [`Error::Unsupported`] for what is no TIFF, and for a Cloud Optimized GeoTIFF unless it may be broken; [`Error::Io`] when
+/// the file must not be written to; [`Error::Limit`] when a classic TIFF is nearly 4 GiB long.
+pub fn check(image: &Path, page: usize, options: &TagOptions) -> Result<()> {
+    let (_file, directories, index) = open(image, page)?;
+    cog::check(&directories, options)?;
+    directory::rebuild(&directories, index, &[]).map(|_| ())
+}
+
+/// Works out the edit. Nothing is written before [`Edit::apply`].
+///
+/// `transform` speaks of pixel corners, as everywhere; in a file that is PixelIsPoint the tags will speak of centres. The
+/// second value says, in words, what GeoTIFF keys lose of the CRS.
+///
+/// # Errors
+/// Those of [`check`]; [`Error::Gdal`] when GDAL has no GeoTIFF keys for the CRS.
+pub fn prepare(
+    image: &Path,
+    page: usize,
+    transform: &GeoTransform,
+    crs: Option<&Crs>,
+    options: &TagOptions,
+) -> Result<(TagEdit, Option<String>)> {
+    let (file, directories, index) = open(image, page)?;
+    let ghost = cog::check(&directories, options)?;
+    let raster_type = match directories.numbers(index, keys::GEO_KEY_DIRECTORY) {
+        Ok(Some(keys)) => RasterType::of_keys(&keys),
+        // Keys that cannot be read are replaced.
+        Ok(None) | Err(_) => RasterType::default(),
+    };
+    let (tags, lost) = keys::geo_tags(transform, crs, raster_type)?;
+    let rebuilt = directory::rebuild(&directories, index, &tags)?;
+    let patches = ghost.into_iter().chain([rebuilt.pointer]).collect();
+    let plan =
+        Plan::new(&file, rebuilt.appended, patches, &rebuilt.directories).map_err(|e| Error::io(image, "read", e))?;
+    Ok((TagEdit { path: image.to_path_buf(), file, plan }, lost))
 }
 
 impl Edit for TagEdit {
-    fn apply(self: Box<Self>) -> Result<()> {
-        Err(Error::unsupported(&self.path, "--write tags", "choose another kind"))
+    fn apply(mut self: Box<Self>) -> Result<()> {
+        self.plan.apply(&mut self.file).map_err(|e| Error::io(&self.path, "write tags into", e))
     }
+
     fn path(&self) -> &Path {
         &self.path
     }
 }
 
-#[derive(Clone, Debug)]
-pub struct Undone {
-    pub length_bytes: u64,
-    pub program: String,
-    pub more_below: bool,
+/// Takes back the last edit, byte for byte. With `dry_run` it is only checked that it could be.
+///
+/// # Errors
+/// [`Error::Usage`] when the file holds no undo record, or another program has changed it since; [`Error::Io`].
+pub fn undo(image: &Path, dry_run: bool) -> Result<Undone> {
+    let mut file = open_for_writing(image)?;
+    let record = journal::read(image, &file)?;
+    let io = |e| Error::io(image, "restore", e);
+    let more_below = journal::has_record(&file, record.old_length).map_err(io)?;
+    if !dry_run {
+        journal::undo(&mut file, &record).map_err(io)?;
+    }
+    Ok(Undone { length_bytes: record.old_length, program: record.program, more_below })
 }
 
-pub fn check(image: &Path, _page: usize, _options: &TagOptions) -> Result<()> {
-    Err(Error::unsupported(image, "--write tags", "choose another kind"))
+/// What others may stumble over, in words.
+pub fn warnings(request: &WriteRequest) -> Vec<String> {
+    let aux = sidecar::aux_path(&request.image);
+    let renewed = request.wants(Output::Aux) && request.base == request.image;
+    let text = std::fs::read_to_string(&aux).unwrap_or_default();
+    if renewed || !["<GeoTransform", "<SRS", "<GCPList"].iter().any(|word| text.contains(word)) {
+        return Vec::new();
+    }
+    vec![format!(
+        "{} holds a georeference that GDAL and QGIS believe before the tags; write it anew: --write aux,tags --overwrite",
+        aux.display()
+    )]
 }
 
-pub fn warnings(_request: &WriteRequest) -> Vec<String> {
-    Vec::new()
+fn open(image: &Path, page: usize) -> Result<(File, Directories, usize)> {
+    let metadata = std::fs::metadata(image).map_err(|e| Error::io(image, "open", e))?;
+    if !metadata.is_file() || !is_tiff(image)? {
+        return Err(Error::unsupported(image, "tags in a file that is no TIFF", "use --write world,aux"));
+    }
+    let file = open_for_writing(image)?;
+    let directories = Directories::read(image)?;
+    let index = directories.page(page)?;
+    Ok((file, directories, index))
 }
 
-pub fn prepare(
-    image: &Path,
-    page: usize,
-    _transform: &GeoTransform,
-    _crs: Option<&Crs>,
-    options: &TagOptions,
-) -> Result<TagEdit> {
-    check(image, page, options)?;
-    Ok(TagEdit { path: image.to_path_buf() })
-}
-
-pub fn undo(image: &Path, _dry_run: bool) -> Result<Undone> {
-    Err(Error::unsupported(image, "undo", "nothing was written"))
+/// Opens and locks it against a second one of us.
+fn open_for_writing(image: &Path) -> Result<File> {
+    let file =
+        OpenOptions::new().read(true).write(true).open(image).map_err(|e| Error::io(image, "open for writing", e))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(std::fs::TryLockError::WouldBlock) => Err(Error::usage(
+            format!("{}: another run is writing to it", image.display()),
+            "wait until it has finished",
+        )),
+        // File systems without locks.
+        Err(std::fs::TryLockError::Error(_)) => Ok(file),
+    }
 }
