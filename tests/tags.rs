@@ -305,6 +305,19 @@ fn contains(all: &[u8], word: &[u8]) -> bool {
 }
 
 #[test]
+fn two_runs_do_not_write_at_once() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.tif");
+    sample(&path, &[], false, |_| {});
+    let (edit, _) = tags::prepare(&path, 0, &TURNED, None, &TagOptions::default()).expect("it takes tags");
+    let message = tags::undo(&path, false).expect_err("locked").to_string();
+    assert!(message.contains("another run"), "{message}");
+    drop(edit);
+    let message = tags::undo(&path, false).expect_err("nothing was written").to_string();
+    assert!(message.contains("nothing to undo"), "{message}");
+}
+
+#[test]
 fn what_cannot_take_tags_says_so_in_a_line() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let line = |path: &Path| {

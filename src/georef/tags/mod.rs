@@ -14,6 +14,7 @@ pub mod store;
 
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
@@ -26,6 +27,9 @@ use crate::raster::tiff::is_tiff;
 
 pub use journal::Plan;
 pub use keys::RasterType;
+
+const LOCK_ATTEMPTS: u32 = 40;
+const LOCK_PAUSE: Duration = Duration::from_millis(50);
 
 /// What `--write tags` may do.
 #[derive(Clone, Copy, Debug, Default)]
@@ -147,13 +151,15 @@ fn open(image: &Path, page: usize) -> Result<(File, Directories, usize)> {
 fn open_for_writing(image: &Path) -> Result<File> {
     let file =
         OpenOptions::new().read(true).write(true).open(image).map_err(|e| Error::io(image, "open for writing", e))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(std::fs::TryLockError::WouldBlock) => Err(Error::usage(
-            format!("{}: another run is writing to it", image.display()),
-            "wait until it has finished",
-        )),
-        // File systems without locks.
-        Err(std::fs::TryLockError::Error(_)) => Ok(file),
+    // A child process that is just being started holds a copy of our own lock for a moment: try again.
+    for attempt in 0..=LOCK_ATTEMPTS {
+        match file.try_lock() {
+            Err(std::fs::TryLockError::WouldBlock) if attempt < LOCK_ATTEMPTS => std::thread::sleep(LOCK_PAUSE),
+            Err(std::fs::TryLockError::WouldBlock) => break,
+            // File systems without locks are written to without.
+            Ok(()) | Err(std::fs::TryLockError::Error(_)) => return Ok(file),
+        }
     }
+    let what = format!("{}: another run is writing to it", image.display());
+    Err(Error::usage(what, "wait until it has finished"))
 }
