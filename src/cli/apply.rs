@@ -6,9 +6,10 @@ use anyhow::bail;
 use autoref_stream::georef::atomic::Transaction;
 use autoref_stream::georef::result::RunResult;
 use autoref_stream::georef::write::Output;
+use autoref_stream::pipeline::plan;
 use clap::Args;
 
-use crate::cli::common::Bytes;
+use crate::cli::common::{Bytes, threads};
 use crate::cli::write::{WarpBar, WriteArgs};
 
 /// Write outputs from the result of an earlier run, without looking for marks again.
@@ -24,6 +25,9 @@ pub struct ApplyArgs {
     /// Bound on the peak resident memory of the whole program: bytes, or with K, M or G.
     #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
     pub memory: Bytes,
+    /// Number of threads that compress a warped copy. Default: one for each core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
+    pub threads: Option<u64>,
     /// Print what was written as one JSON document on standard output.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -35,6 +39,7 @@ pub struct ApplyArgs {
 }
 
 pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
+    autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.memory.0));
     let result = RunResult::read(&args.result)?;
     if result.geotransform.is_none() {
         let reason = result.reason.as_deref().unwrap_or("it was not solved");
@@ -45,7 +50,8 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
         bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
     };
     let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
-    let request = args.write.request(&image, args.page.unwrap_or(solved as usize), args.memory.0)?;
+    let request =
+        args.write.request(&image, args.page.unwrap_or(solved as usize), args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
     let bar = WarpBar::new(request.wants(Output::Warp) && !args.quiet && !args.json);
     let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;

@@ -53,7 +53,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.gcps.path()?;
     let list = gcp::read(gcp_file, &args.gcps.options())?;
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
-    let request = args.write.request(image, args.read.page, args.read.memory.0)?;
+    let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();

@@ -60,6 +60,13 @@ pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&P
     Ok(out)
 }
 
+/// The six numbers that an `.aux.xml` holds.
+pub(super) fn transform_of_aux(text: &str) -> Option<GeoTransform> {
+    let inner = text.split_once("<GeoTransform>")?.1.split_once("</GeoTransform>")?.0;
+    let numbers: Vec<f64> = inner.split(',').map(|number| number.trim().parse().ok()).collect::<Option<_>>()?;
+    Some(GeoTransform(numbers.try_into().ok()?))
+}
+
 /// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
 pub(super) fn axis_mapping(crs: &Crs) -> &'static str {
     let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {

@@ -183,7 +183,7 @@ impl WriteRequest {
             tags::check(&self.image, self.page, &self.tags)?;
         }
         if self.wants(Output::Warp) {
-            self.warp.check(&self.image)?;
+            self.warp.check(&self.image, self.page)?;
         }
         Ok(())
     }
@@ -220,13 +220,13 @@ impl WriteRequest {
                 Output::Vrt => transaction
                     .stage(&files[0], |temporary| sidecar::write_vrt(&self.image, temporary, &transform, crs))?,
                 Output::Tags => {
-                    warnings.extend(tags::warnings(self));
+                    warnings.extend(tags::warnings(self, &transform));
                     let (edit, lost) = tags::prepare(&self.image, self.page, &transform, crs, &self.tags)?;
                     warnings.extend(lost);
                     transaction.on_commit(edit);
                 }
                 Output::Warp => transaction.stage(&files[0], |temporary| {
-                    warp::write(&self.image, temporary, &transform, crs, &self.warp, progress)
+                    warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
                 Output::Gcps => {
                     let points = TiePoints::of(result, &self.image, crs);

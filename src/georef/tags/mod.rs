@@ -123,15 +123,17 @@ pub fn undo(image: &Path, dry_run: bool) -> Result<Undone> {
 }
 
 /// What others may stumble over, in words.
-pub fn warnings(request: &WriteRequest) -> Vec<String> {
+pub fn warnings(request: &WriteRequest, transform: &GeoTransform) -> Vec<String> {
     let aux = sidecar::aux_path(&request.image);
     let renewed = request.wants(Output::Aux) && request.base == request.image;
     let text = std::fs::read_to_string(&aux).unwrap_or_default();
-    if renewed || !["<GeoTransform", "<SRS", "<GCPList"].iter().any(|word| text.contains(word)) {
+    let other = sidecar::transform_of_aux(&text).is_none_or(|old| old.differs_px(transform) > 1e-3);
+    let placed = ["<GeoTransform", "<GCPList"].iter().any(|word| text.contains(word));
+    if renewed || !placed || !other {
         return Vec::new();
     }
     vec![format!(
-        "{} holds a georeference that GDAL and QGIS believe before the tags; write it anew: --write aux,tags --overwrite",
+        "{} holds another georeference, which GDAL and QGIS believe before the tags; write it anew: --write aux,tags --overwrite",
         aux.display()
     )]
 }
