@@ -121,6 +121,8 @@ pub fn xml(
     let init = if border == Border::Alpha { "0" } else { "NO_DATA" };
     line(format!("    <Option name=\"INIT_DEST\">{init}</Option>"));
     line("    <Option name=\"UNIFIED_SRC_NODATA\">YES</Option>".into());
+    let (x, y) = scale_factors(transform, grid);
+    line(format!("    <Option name=\"XSCALE\">{x}</Option>\n    <Option name=\"YSCALE\">{y}</Option>"));
     line(format!("    <SourceDataset relativeToVRT=\"0\">{}</SourceDataset>", escape(&source.name)));
     line("    <Transformer><GenImgProjTransformer>".into());
     line(format!("      <SrcGeoTransform>{}</SrcGeoTransform>", numbers(&transform.0)));
@@ -148,6 +150,18 @@ pub fn xml(
     }
     line("  </GDALWarpOptions>\n</VRTDataset>".into());
     Ok(out)
+}
+
+/// Pixels of the copy for each of the image, across and down. Left alone, GDAL takes the ratio of a block to the box around
+/// its rotated counterpart: a kernel that is too wide, by another factor in every block.
+fn scale_factors(transform: &GeoTransform, grid: &Grid) -> (f64, f64) {
+    let (g, to) = (transform.0, grid.transform.0);
+    let (across, down) = match g[2] == 0.0 && g[4] == 0.0 {
+        true => (g[1].abs(), g[5].abs()),
+        false => (transform.scale(), transform.scale()),
+    };
+    // Never above 1: a kernel narrower than a pixel of the image would miss pixels.
+    ((across / to[1]).min(1.0), (down / -to[5]).min(1.0))
 }
 
 fn band_xml(number: usize, kind: &str, colour: &str, more: &str) -> String {
