@@ -13,6 +13,7 @@
 //! the outer corner of the first pixel (`docs/coordinates.md`).
 #![deny(unsafe_code)]
 
+pub mod accuracy;
 pub mod candidate;
 pub mod coords;
 pub mod error;

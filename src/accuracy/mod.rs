@@ -1,0 +1,6 @@
+//! What may be believed of a solved orientation: the error to expect at every place ([`error_map`]) and the statement that
+//! surveying standards ask for ([`statement`]).
+
+pub mod error_map;
+
+pub use error_map::{CornerError, ErrorMap, ErrorModel, ExpectedError};
