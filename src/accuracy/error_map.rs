@@ -132,10 +132,7 @@ impl ErrorMap {
 }
 
 fn place(column: usize, row: usize, columns: usize, rows: usize, width_px: f64, height_px: f64) -> PixelPoint {
-    PixelPoint {
-        x: width_px * column as f64 / (columns - 1) as f64,
-        y: height_px * row as f64 / (rows - 1) as f64,
-    }
+    PixelPoint { x: width_px * column as f64 / (columns - 1) as f64, y: height_px * row as f64 / (rows - 1) as f64 }
 }
 
 /// The expected errors in the four corners of an image, clockwise from the upper left; empty when the solution says nothing
@@ -152,19 +149,14 @@ pub fn corners(solution: &Solution, (width_px, height_px): (f64, f64)) -> Vec<Co
     .into_iter()
     .map(|(corner, x, y)| {
         let p = PixelPoint { x, y };
-        CornerError {
-            corner,
-            direction: direction(middle, solution.similarity.apply(p)).into(),
-            expected: model.at(p),
-        }
+        CornerError { corner, direction: direction(middle, solution.similarity.apply(p)).into(), expected: model.at(p) }
     })
     .collect()
 }
 
 /// One of the eight winds.
 fn direction(from: MapPoint, to: MapPoint) -> &'static str {
-    const WINDS: [&str; 8] =
-        ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
+    const WINDS: [&str; 8] = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
     let angle = (to.northing - from.northing).atan2(to.easting - from.easting).to_degrees();
     WINDS[(angle / 45.0).round().rem_euclid(8.0) as usize]
 }

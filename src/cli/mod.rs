@@ -4,6 +4,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+pub mod accuracy;
 pub mod chips;
 pub mod common;
 pub mod detect;

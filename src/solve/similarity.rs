@@ -253,7 +253,10 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     }
     let squares: f64 = pairs.iter().map(|pair| residual(first, pair)).map(|(e, n)| e * e + n * n).sum();
     let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
-    let common = (squares / freedom as f64 - mean_prior).max(0.0);
+    // One standard deviation above its estimate: what few residuals say of the common part is coarse, and too small a
+    // value gives single points more weight than they deserve, and the map of expected errors too much trust.
+    let coarse = 1.0 + (2.0 / freedom as f64).sqrt();
+    let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
     let floor = (0.02 * first.scale_m_per_px()).powi(2);
     let weights: Vec<f64> = prior.iter().map(|v| 1.0 / (v + common).max(floor)).collect();
     let mean = weights.iter().sum::<f64>() / weights.len() as f64;
