@@ -22,6 +22,7 @@ pub mod georef;
 pub mod matching;
 pub mod merge;
 pub mod pipeline;
+pub mod planning;
 pub mod profile;
 pub mod raster;
 pub mod rematch;

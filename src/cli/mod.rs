@@ -9,6 +9,7 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod plan;
 pub mod run;
 pub mod sample;
 pub mod solve;
@@ -49,6 +50,7 @@ pub enum Command {
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
+    Plan(plan::PlanArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -59,6 +61,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Sample(args)) => sample::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Plan(args)) => plan::run(&args),
         None => run::run(&cli.run),
     }
 }
