@@ -13,6 +13,8 @@ use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
 
+use crate::cli::accuracy::AccuracyArgs;
+
 /// How the image is read and with what means.
 #[derive(Args, Debug)]
 pub struct ReadArgs {
@@ -94,6 +96,8 @@ pub struct GcpArgs {
     /// Keep these points out of matching and fit, and compare them afterwards.
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
     pub check: Vec<String>,
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
 }
 
 impl GcpArgs {
@@ -107,6 +111,7 @@ impl GcpArgs {
             to_crs: self.to_crs.clone(),
             names: self.names.clone(),
             check: self.check.clone(),
+            accuracy: self.accuracy.accuracy.clone(),
         }
     }
 }

@@ -18,6 +18,7 @@ use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
 use clap::Args;
 
+use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::write::{self, WriteArgs};
 
@@ -80,6 +81,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.memory_plan = Some(plan.clone());
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
@@ -161,6 +163,8 @@ impl Document {
             log10_false_alarms: None,
             matches: Vec::new(),
             check_points: Vec::new(),
+            accuracy: None,
+            expected_errors: Vec::new(),
             not_found: Vec::new(),
             outside: Vec::new(),
             solution: None,
@@ -387,12 +391,7 @@ fn summary(result: &RunResult) -> String {
         {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
-        if !result.check_points.is_empty() {
-            let squares: f64 =
-                result.check_points.iter().map(|c| c.residual_e_m.powi(2) + c.residual_n_m.powi(2)).sum();
-            let rmse = (squares / result.check_points.len() as f64).sqrt();
-            line("Check points", format!("{} kept out of the fit, RMSE {rmse:.4} m", result.check_points.len()));
-        }
+        accuracy::lines(result, &mut line);
     } else {
         line("GCPs listed", result.gcps_listed.to_string());
         line("Not solved", result.reason.clone().unwrap_or_default());

@@ -55,6 +55,10 @@ pub struct RunResult {
     pub log10_false_alarms: Option<f64>,
     pub matches: Vec<MatchRow>,
     pub check_points: Vec<MatchRow>,
+    /// What may be claimed of the accuracy; null when nothing was solved.
+    pub accuracy: Option<crate::accuracy::AccuracyStatement>,
+    /// Expected errors in the image's corners; empty when nothing is known of them.
+    pub expected_errors: Vec<crate::accuracy::CornerError>,
     /// GCPs inside the image of which no mark was found.
     pub not_found: Vec<String>,
     /// GCPs that lie outside the image.
