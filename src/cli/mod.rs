@@ -9,6 +9,7 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod frame;
 pub mod run;
 pub mod sample;
 pub mod solve;
