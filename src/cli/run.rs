@@ -20,6 +20,7 @@ use clap::Args;
 
 use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::frame;
 use crate::cli::write::{self, WriteArgs};
 
 /// Flags of the main job.
@@ -52,8 +53,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
-    let list = gcp::read(gcp_file, &args.gcps.options())?;
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
@@ -79,9 +80,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
+    frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
@@ -226,7 +228,7 @@ impl Document {
     fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
         let Some(old) = info.geotransform else { return };
         let same_crs = match (&info.crs_wkt, &list.crs) {
-            (Some(wkt), Some(crs)) => {
+            (Some(wkt), Some(crs)) if !crs.is_geographic() => {
                 autoref_stream::georef::crs::Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
             }
             _ => false,
@@ -235,6 +237,7 @@ impl Document {
         let moved_m = self.result.geotransform.filter(|_| same_crs).map(|new| {
             let (a, b) = (old.apply(centre), new.apply(centre));
             (a.easting - b.easting).hypot(a.northing - b.northing)
+                * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
         });
         if self.result.geotransform.is_some() {
             self.result.warnings.push(match moved_m {
