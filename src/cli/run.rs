@@ -18,10 +18,10 @@ use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
 use clap::Args;
 
-use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
 use crate::cli::write::{self, WriteArgs};
+use crate::cli::{accuracy, doctor};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -74,8 +74,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         priors: &priors,
         progress: &bar,
     };
-    let run = georeference(&job)?;
+    let mut run = georeference(&job)?;
     bar.finish();
+    let known = doctor::known_place(info, &list);
+    doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
@@ -174,6 +176,7 @@ impl Document {
             best_pattern: None,
             search: None,
             prior_georeference: None,
+            diagnoses: Vec::new(),
             warnings: list.notes.clone(),
             candidates,
             files_written: Vec::new(),
@@ -192,6 +195,7 @@ impl Document {
                 result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
                 result.best_pattern = evidence.best.clone();
                 result.runner_up = evidence.runner_up.clone();
+                result.diagnoses = evidence.diagnoses.clone();
             }
         }
         result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
@@ -301,6 +305,8 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
         result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
     result.warnings.extend(near_misses(result, orientation, list));
+    result.diagnoses = orientation.diagnoses.clone();
+    result.advice.extend(result.diagnoses.iter().map(|d| d.message.clone()));
     result.solution = Some(solution.clone());
 }
 
@@ -395,6 +401,9 @@ fn summary(result: &RunResult) -> String {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
         accuracy::lines(result, &mut line);
+        for diagnosis in &result.diagnoses {
+            line("Mistake?", diagnosis.message.clone());
+        }
     } else {
         line("GCPs listed", result.gcps_listed.to_string());
         line("Not solved", result.reason.clone().unwrap_or_default());

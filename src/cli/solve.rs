@@ -12,6 +12,7 @@ use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::doctor;
 use crate::cli::frame;
 use crate::cli::run::{self, Document};
 
@@ -61,7 +62,9 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     };
     let matcher = common::matcher(&args.matching, 1)?;
     let match_started = Instant::now();
-    let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    doctor::examine(&mut outcome, &candidates, &list, &priors, None, &args.matching);
+    doctor::labels(&args.candidates, &mut outcome, &list)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
     let seen = extent(size, &document.result.candidates);

@@ -69,6 +69,9 @@ pub struct RunResult {
     pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
+    /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
     pub warnings: Vec<String>,
     pub candidates: Vec<Candidate>,
     pub files_written: Vec<String>,
