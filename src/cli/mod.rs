@@ -16,6 +16,7 @@ pub mod plan;
 pub mod run;
 pub mod sample;
 pub mod solve;
+pub mod solving;
 pub mod synth;
 pub mod undo;
 pub mod write;

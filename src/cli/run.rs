@@ -20,6 +20,7 @@ use clap::Args;
 
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
+use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, doctor};
 
@@ -36,6 +37,8 @@ pub struct RunArgs {
     pub marks: MarkArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
     #[command(flatten)]
     pub write: WriteArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
@@ -58,6 +61,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
+    args.solving.check(args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -83,10 +87,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
-    frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
+    let place = solving::ImagePlace::of(info);
+    let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    frame::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
+    write_outputs(&request, &json, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
@@ -119,6 +125,7 @@ fn write_outputs(
     document: &mut Document,
     started: Instant,
     quiet: bool,
+    dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let mut transaction = Transaction::new();
@@ -126,6 +133,9 @@ fn write_outputs(
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
         document.result.warnings.extend(warnings);
+    }
+    if let Some(dem) = dem {
+        dem.stage(&document.result, &mut transaction)?;
     }
     let written = transaction.paths();
     document.result.files_written =
@@ -177,6 +187,8 @@ impl Document {
             search: None,
             prior_georeference: None,
             diagnoses: Vec::new(),
+            heights: None,
+            chosen_model: None,
             warnings: list.notes.clone(),
             candidates,
             files_written: Vec::new(),
@@ -400,6 +412,7 @@ fn summary(result: &RunResult) -> String {
         {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
+        solving::lines(result, &mut line);
         accuracy::lines(result, &mut line);
         for diagnosis in &result.diagnoses {
             line("Mistake?", diagnosis.message.clone());

@@ -15,6 +15,7 @@ use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::doctor;
 use crate::cli::frame;
 use crate::cli::run::{self, Document};
+use crate::cli::solving::{ImagePlace, SolvingArgs};
 
 /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
 #[derive(Args, Debug)]
@@ -41,6 +42,8 @@ pub struct SolveArgs {
     pub gcps: GcpArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
 }
 
 pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
@@ -53,6 +56,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
     }
+    args.solving.check(args.overwrite)?;
     let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
@@ -70,7 +74,15 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let seen = extent(size, &document.result.candidates);
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
+    let place = ImagePlace { size_px: size, georeference: None };
+    let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
     frame::deliver(&mut document.result, &list, size)?;
+    if let Some(dem) = dem {
+        let mut transaction = autoref_stream::georef::atomic::Transaction::new();
+        dem.stage(&document.result, &mut transaction)?;
+        document.result.files_written.extend(transaction.paths().iter().map(|path| path.display().to_string()));
+        transaction.commit()?;
+    }
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());

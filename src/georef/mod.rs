@@ -5,6 +5,7 @@ pub mod candidate_list;
 pub mod crs;
 pub mod dialects;
 pub mod gcps_vrt;
+pub mod heights;
 pub mod result;
 pub mod sidecar;
 pub mod tags;

@@ -72,6 +72,12 @@ pub struct RunResult {
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
     #[serde(default)]
     pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
+    /// What was solved of an elevation model.
+    #[serde(default)]
+    pub heights: Option<crate::pipeline::heights::HeightResult>,
+    /// The transform of `--model`, beside the similarity.
+    #[serde(default)]
+    pub chosen_model: Option<serde_json::Value>,
     pub warnings: Vec<String>,
     pub candidates: Vec<Candidate>,
     pub files_written: Vec<String>,
