@@ -24,6 +24,8 @@ pub mod pipeline;
 pub mod profile;
 pub mod raster;
 pub mod rematch;
+pub mod report;
+pub mod review;
 pub mod segment;
 pub mod solve;
 pub mod synth;

@@ -8,6 +8,8 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod replay;
+pub mod report;
 pub mod run;
 pub mod sample;
 pub mod solve;

@@ -15,9 +15,11 @@ use autoref_stream::georef::{atomic, sidecar};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
+use autoref_stream::report::Gathered;
 use clap::Args;
 
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::report::{self, ReportArgs, Watch};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -38,6 +40,8 @@ pub struct RunArgs {
     /// Replace outputs that exist; without it they are an error before any work.
     #[arg(long, help_heading = "Output")]
     pub overwrite: bool,
+    #[command(flatten)]
+    pub report: ReportArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -54,22 +58,24 @@ struct Outputs {
     aux: PathBuf,
     json: PathBuf,
     vrt: Option<PathBuf>,
+    report: Option<PathBuf>,
 }
 
 impl Outputs {
-    fn new(image: &Path, out: Option<&Path>) -> Self {
+    fn new(image: &Path, out: Option<&Path>, report: bool) -> Self {
         let name = image.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
         let base = out.map_or_else(|| image.to_path_buf(), |folder| folder.join(name));
         Outputs {
             world: sidecar::world_file_path(&base),
             aux: sidecar::aux_path(&base),
+            report: report.then(|| report::path(&base.with_extension("autoref.json"))),
             json: base.with_extension("autoref.json"),
             vrt: out.map(|_| base.with_extension("vrt")),
         }
     }
 
     fn all(&self) -> Vec<&Path> {
-        [Some(&self.world), Some(&self.aux), Some(&self.json), self.vrt.as_ref()]
+        [Some(&self.world), Some(&self.aux), Some(&self.json), self.vrt.as_ref(), self.report.as_ref()]
             .into_iter()
             .flatten()
             .map(PathBuf::as_path)
@@ -90,6 +96,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = common::priors(info, &args.matching);
     let matcher = common::matcher(&args.matching, priors.len())?;
     let bar = Bar::new(info, args.quiet || args.json);
+    let watch = Watch::new(&bar, source.as_ref(), &args.report);
     let second_look = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
@@ -99,24 +106,27 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,
-        progress: &bar,
+        progress: &watch,
     };
     let run = georeference(&job)?;
-    bar.finish();
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    write_outputs(image, args.overwrite, &outputs, &list, &mut document, started)?;
+    let report_started = Instant::now();
+    let gathered = watch.gather(source.as_ref(), &second_look, &mut document.result)?;
+    document.result.timings.report_s = report_started.elapsed().as_secs_f64();
+    bar.finish();
+    write_outputs(image, args.overwrite, &outputs, &list, gathered.as_ref(), &mut document, started)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
 
 /// Checks before any work that every output can be written.
 fn prepare_outputs(image: &Path, args: &RunArgs) -> anyhow::Result<Outputs> {
-    let outputs = Outputs::new(image, args.out.as_deref());
+    let outputs = Outputs::new(image, args.out.as_deref(), args.report.wanted());
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder)
             .map_err(|e| autoref_stream::Error::io(folder, "create the output folder", e))?;
@@ -148,6 +158,7 @@ fn write_outputs(
     overwrite: bool,
     outputs: &Outputs,
     list: &GcpList,
+    gathered: Option<&Gathered>,
     document: &mut Document,
     started: Instant,
 ) -> anyhow::Result<()> {
@@ -169,10 +180,14 @@ fn write_outputs(
                 written.push(vrt.clone());
             }
         }
-        document.result.files_written =
-            written.iter().chain([&outputs.json]).map(|path| path.display().to_string()).collect();
+        let to_come = outputs.report.as_ref().into_iter().chain([&outputs.json]);
+        document.result.files_written = written.iter().chain(to_come).map(|path| path.display().to_string()).collect();
         document.result.timings.write_s = writing.elapsed().as_secs_f64();
         document.finish(started);
+        if let (Some(path), Some(gathered)) = (&outputs.report, gathered) {
+            atomic::write(path, report::page(&document.result, gathered, &outputs.json)?.as_bytes())?;
+            written.push(path.clone());
+        }
         atomic::write(&outputs.json, document.result.to_json().as_bytes())
     })();
     if let Err(error) = result {
@@ -204,7 +219,7 @@ impl Document {
             gcp_file: gcp_file.display().to_string(),
             options: serde_json::Value::Null,
             geotransform: None,
-            crs: None,
+            crs: list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label),
             rmse_m: None,
             rmse_e_m: None,
             rmse_n_m: None,
@@ -212,6 +227,7 @@ impl Document {
             scale_m_per_px: None,
             rotation_deg: None,
             gcps_listed: list.gcps.len(),
+            gcps: list.gcps.clone(),
             gcps_in_image: None,
             candidates_found: candidates.len(),
             false_alarms: None,
@@ -226,6 +242,7 @@ impl Document {
             search: None,
             prior_georeference: None,
             warnings: list.notes.clone(),
+            patch: None,
             candidates,
             files_written: Vec::new(),
             reading: None,
@@ -316,7 +333,6 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     let solution = &orientation.solution;
     result.status = Status::Solved;
     result.geotransform = Some(solution.geotransform);
-    result.crs = list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label);
     result.rmse_m = Some(solution.rmse_m);
     result.rmse_e_m = Some(solution.rmse_e_m);
     result.rmse_n_m = Some(solution.rmse_n_m);
@@ -400,6 +416,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         found_by: match found.found_by {
             FoundBy::Scan => "scan".into(),
             FoundBy::Rematch => "rematch".into(),
+            FoundBy::Review => "review".into(),
         },
         leave_one_out_m: None,
         redundancy: None,

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
 use crate::pipeline::plan::ScanPlan;
@@ -40,6 +41,10 @@ pub trait Detector: Sync {
     fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// Centre and outline of the shape that was fitted to a region, in image pixels; `None` when nothing was fitted.
+    fn outline(&self, _region: &Region, _patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        None
+    }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {
@@ -54,6 +59,10 @@ pub trait Detector: Sync {
 /// Hears how far the scan has come; called from several threads.
 pub trait Progress: Sync {
     fn scanned(&self, pixels: u64);
+    /// The pixels of a tile while they are there; `core` lies in the block's window, and the cores cover the raster once.
+    fn saw(&self, _block: &Block, _core: Window) {}
+    /// Something else begins, in plain words, that may take a while.
+    fn stage(&self, _what: &str) {}
 }
 
 /// Nobody listens.
@@ -116,6 +125,9 @@ pub fn scan(
     let mut examined = collected.examined;
     let mut straddling = collected.straddling;
     let examine_started = Instant::now();
+    if !straddling.is_empty() {
+        progress.stage("looking at marks that straddle tiles");
+    }
     straddling.sort_by_key(|region| region.first);
     for batch in straddling.chunks(EXAMINE_BATCH) {
         examined.extend(examine_windows(source, detector, batch)?);
@@ -253,6 +265,7 @@ impl Worker<'_> {
             let Some((tile, block)) = self.next_block(tiles) else { return };
             let output = block.map(|block| {
                 let output = self.process(&tile, &block, &mut mask, &mut labeller);
+                self.progress.saw(&block, tile.core);
                 drop(block);
                 if self.plan.halo_px == 0 {
                     // Nobody will ask for these pixels again but the windows of a few marks.
