@@ -8,11 +8,13 @@ use anyhow::bail;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::gcp::GcpList;
 use autoref_stream::georef::crs::Crs;
+use autoref_stream::georef::result::RunResult;
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::report;
-use autoref_stream::review::{Patch, Recorded, Replayed, Subject, replay};
+use autoref_stream::review::{Patch, Replayed, Subject, replay};
 
+use crate::cli::accuracy;
 use crate::cli::run::{self, Document};
 use crate::cli::solve::SolveArgs;
 
@@ -23,7 +25,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
     }
-    let recorded = Recorded::read(&args.candidates)?;
+    let recorded = RunResult::read(&args.candidates)?;
     let patch = Patch::read(patch_path, Subject::Gcps)?;
     let replayed = replay(&recorded, &patch, patch_path)?;
     let mut notes = Vec::new();
@@ -46,6 +48,11 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates);
     let result = &mut document.result;
     result.options = recorded.options;
+    // A georeference can be written from what was settled by hand: `apply` wants to know the image.
+    result.image = recorded.image.clone();
+    let size = recorded.image.as_ref().map(|image| (image.width as f64, image.height as f64));
+    let extent = accuracy::extent(size, &result.candidates);
+    accuracy::state(result, &list, &args.gcps.accuracy, extent);
     if let (Some(solution), Some(image)) = (&result.solution, &recorded.image) {
         let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
         result.warnings.extend(report::plain_warnings(solution, &marks, image.width as f64, image.height as f64));

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use autoref_stream::accuracy::AccuracyStatement;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::georef::result::RunResult;
 use autoref_stream::pipeline::{Detector, Progress};
@@ -87,6 +88,45 @@ pub fn page(result: &RunResult, gathered: &Gathered, json: &Path) -> autoref_str
 }
 
 /// Parts that other rooms word.
-fn sections(_result: &RunResult) -> Vec<Section> {
-    Vec::new()
+fn sections(result: &RunResult) -> Vec<Section> {
+    result.accuracy.iter().map(accuracy_section).collect()
+}
+
+fn accuracy_section(statement: &AccuracyStatement) -> Section {
+    let m = |value: f64| format!("{value:.3} m");
+    let figures = &statement.figures;
+    let mut rows: Vec<(String, String)> = Vec::new();
+    let mut add = |name: &str, value: String| rows.push((name.into(), value));
+    if let Some(h) = &figures.horizontal {
+        add("Check points", h.check_points.to_string());
+        add("RMSE easting, northing", format!("{}, {}", m(h.rmse_e_m), m(h.rmse_n_m)));
+        add("Mean easting, northing", format!("{}, {}", m(h.mean_e_m), m(h.mean_n_m)));
+        add("RMSE_H1, of the check points", m(h.rmse_h1_m));
+        add("RMSE_H2, of their survey", h.rmse_h2_m.map_or("not stated".into(), m));
+        add("RMSE_H", m(h.rmse_h_m));
+    }
+    if let Some(v) = &figures.vertical {
+        add("RMSE_V1, of the heights", m(v.rmse_v1_m));
+        add("RMSE_V2, of their survey", v.rmse_v2_m.map_or("not stated".into(), m));
+        add("RMSE_V", m(v.rmse_v_m));
+    }
+    if let Some(rmse) = figures.rmse_3d_m {
+        add("RMSE_3D", m(rmse));
+    }
+    if let Some(nssda) = &figures.nssda {
+        add("NSSDA, 95 %", m(nssda.horizontal_95_m));
+        if let Some(vertical) = nssda.vertical_95_m {
+            add("NSSDA heights, 95 %", m(vertical));
+        }
+    }
+    if let Some(rmse) = figures.leave_one_out_m {
+        add("Points of the fit, each left out", m(rmse));
+    }
+    Section {
+        heading: "Accuracy statement".into(),
+        paragraphs: statement.sentences.clone(),
+        reservations: statement.reservations.clone(),
+        figures: rows,
+        tables: Vec::new(),
+    }
 }

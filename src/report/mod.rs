@@ -29,6 +29,8 @@ use points::{Candidates, ChipData, Point};
 pub struct Section {
     pub heading: String,
     pub paragraphs: Vec<String>,
+    /// What must be said against them.
+    pub reservations: Vec<String>,
     /// Label and value, both as they are to be read.
     pub figures: Vec<(String, String)>,
     pub tables: Vec<Table>,

@@ -1,6 +1,8 @@
 //! Warnings about the layout of the marks, in plain words.
 
-use crate::coords::{MapPoint, PixelPoint};
+use crate::accuracy::ErrorModel;
+use crate::accuracy::error_map::corners;
+use crate::coords::PixelPoint;
 use crate::solve::Solution;
 
 /// Marks within this part of their extent from a line count as on it.
@@ -41,32 +43,14 @@ fn metres(value: f64) -> String {
     }
 }
 
-/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` when nothing is redundant.
-///
-/// The error of a similarity has the variance σ²·q in every direction; with σ² from ν = 2n − 4 redundant measurements the
-/// squared radius over 2·σ²·q follows Fisher's F(2, ν), whose quantile is (ν/2)·(0.05^(−2/ν) − 1).
-fn corner_error(solution: &Solution, width_px: f64, height_px: f64) -> Option<(f64, f64, &'static str)> {
-    let freedom = 2.0 * solution.pairs.len() as f64 - 4.0;
-    if freedom <= 0.0 || solution.sigma0_m.is_none_or(|s| s <= 0.0) {
-        return None;
-    }
-    let quantile = (freedom * (0.05f64.powf(-2.0 / freedom) - 1.0)).sqrt();
-    let radius = |p: PixelPoint| quantile * solution.sigma_at_m(p);
-    let corners = [(0.0, 0.0), (width_px, 0.0), (width_px, height_px), (0.0, height_px)];
-    let worst = corners
+/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` when nothing is known of
+/// the noise, or there is none.
+fn corner_error(solution: &Solution, width_px: f64, height_px: f64) -> Option<(f64, f64, String)> {
+    let amid = ErrorModel::new(solution)?.at(solution.centre).transform_95_m;
+    let worst = corners(solution, (width_px, height_px))
         .into_iter()
-        .map(|(x, y)| PixelPoint { x, y })
-        .max_by(|a, b| radius(*a).total_cmp(&radius(*b)))
-        .expect("an image has four corners");
-    let middle = solution.similarity.apply(PixelPoint { x: width_px / 2.0, y: height_px / 2.0 });
-    Some((radius(solution.centre), radius(worst), direction(middle, solution.similarity.apply(worst))))
-}
-
-/// One of the eight winds.
-fn direction(from: MapPoint, to: MapPoint) -> &'static str {
-    const WINDS: [&str; 8] = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
-    let angle = (to.northing - from.northing).atan2(to.easting - from.easting).to_degrees();
-    WINDS[(angle / 45.0).round().rem_euclid(8.0) as usize]
+        .max_by(|a, b| a.expected.transform_95_m.total_cmp(&b.expected.transform_95_m))?;
+    (amid > 0.0).then_some((amid, worst.expected.transform_95_m, worst.direction))
 }
 
 /// How many marks lie on one line.
@@ -94,6 +78,7 @@ fn largest_line(marks: &[PixelPoint]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::coords::MapPoint;
     use crate::solve::{Pair, solve};
 
     fn solved(places: &[(f64, f64)]) -> (Solution, Vec<PixelPoint>) {

@@ -8,7 +8,7 @@ pub mod patch;
 pub mod replay;
 
 pub use patch::{Action, Edit, Patch, Shown, Subject, Target};
-pub use replay::{Recorded, Replayed, replay};
+pub use replay::{Replayed, replay};
 
 /// Variance of a coordinate of a mark that somebody placed by hand, px²: people point to about 0.3 px in an enlarged window.
 /// It replaces the fit's own figure, which was not believed.

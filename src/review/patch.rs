@@ -49,7 +49,7 @@ pub struct Edit {
     /// Index in the result's list of candidates; with [`Action::Pick`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub candidate: Option<usize>,
-    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[serde(default)]
     pub note: String,
 }
 

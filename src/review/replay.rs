@@ -2,68 +2,16 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
-
 use crate::candidate::Candidate;
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
-use crate::gcp::{Gcp, GcpRole};
-use crate::georef::result::{MatchRow, Status};
+use crate::gcp::GcpRole;
+use crate::georef::result::{RunResult, Status};
 use crate::matching::{Effort, Pattern, Solved};
 use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation};
 use crate::review::HAND_VARIANCE_PX2;
 use crate::review::patch::{Action, Edit, Patch, Target};
 use crate::solve::{Pair, solve};
-
-/// What a replay needs of a result file (`NAME.autoref.json`).
-#[derive(Clone, Debug, Deserialize)]
-pub struct Recorded {
-    pub status: Status,
-    pub gcp_file: String,
-    pub crs: Option<String>,
-    pub gcps: Vec<Gcp>,
-    pub matches: Vec<MatchRow>,
-    pub check_points: Vec<MatchRow>,
-    pub candidates: Vec<Candidate>,
-    /// Of a refused run: (candidate, GCP) of the best partial pattern.
-    pub best_pattern: Option<RecordedPattern>,
-    pub image: Option<RecordedImage>,
-    pub log10_false_alarms: Option<f64>,
-    #[serde(default)]
-    pub options: serde_json::Value,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-pub struct RecordedPattern {
-    pub pairs: Vec<(usize, usize)>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-pub struct RecordedImage {
-    pub path: String,
-    pub width: u64,
-    pub height: u64,
-}
-
-impl Recorded {
-    /// Reads a result file.
-    ///
-    /// # Errors
-    /// When it cannot be read or is not the result of a run (older results lack the list of GCPs).
-    pub fn read(path: &Path) -> Result<Recorded> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        let recorded: Recorded = serde_json::from_slice(&bytes).map_err(|e| {
-            Error::format(path, format!("line {}", e.line()), format!("not the result of a run of this version: {e}"))
-        })?;
-        let pairs = recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs);
-        for &(candidate, gcp) in pairs {
-            if candidate >= recorded.candidates.len() || gcp >= recorded.gcps.len() {
-                return Err(Error::format(path, "best_pattern", "refers to a candidate or GCP that is not there"));
-            }
-        }
-        Ok(recorded)
-    }
-}
 
 /// What a replay gives.
 #[derive(Clone, Debug)]
@@ -87,9 +35,16 @@ struct Held {
 /// Applies the edits in order and solves again.
 ///
 /// # Errors
-/// [`Error::Format`] when an edit names a GCP or candidate that the result does not have, accepts a GCP that has no mark, or
+/// [`Error::Format`] when the result's best pattern refers to what the result does not have, when an edit names a GCP or candidate that the result does not have, accepts a GCP that has no mark, or
 /// when one candidate ends as the mark of two GCPs.
-pub fn replay(recorded: &Recorded, patch: &Patch, patch_path: &Path) -> Result<Replayed> {
+pub fn replay(recorded: &RunResult, patch: &Patch, patch_path: &Path) -> Result<Replayed> {
+    let pairs = recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs);
+    if pairs.into_iter().any(|&(c, g)| c >= recorded.candidates.len() || g >= recorded.gcps.len()) {
+        return Err(Error::usage(
+            "the result's best pattern refers to a candidate or GCP that it does not have",
+            "make the result again",
+        ));
+    }
     let mut held = initial(recorded);
     for (i, edit) in patch.edits.iter().enumerate() {
         apply(recorded, &mut held, edit)
@@ -111,7 +66,7 @@ pub fn replay(recorded: &Recorded, patch: &Patch, patch_path: &Path) -> Result<R
 }
 
 /// The marks as the run left them; those of a refused run's best pattern are proposals until somebody accepts them.
-fn initial(recorded: &Recorded) -> Vec<Option<Held>> {
+fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
     let mut held: Vec<Option<Held>> = vec![None; recorded.gcps.len()];
     for row in recorded.matches.iter().chain(&recorded.check_points) {
         let Some(gcp) = recorded.gcps.iter().position(|gcp| gcp.name == row.gcp) else { continue };
@@ -141,7 +96,7 @@ fn initial(recorded: &Recorded) -> Vec<Option<Held>> {
     held
 }
 
-fn apply(recorded: &Recorded, held: &mut [Option<Held>], edit: &Edit) -> Result<(), String> {
+fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result<(), String> {
     let Target::Gcp { gcp } = &edit.target else { return Err("names no GCP".into()) };
     let index = recorded.gcps.iter().position(|g| g.name == *gcp).ok_or("the result has no GCP of this name")?;
     let place = &mut held[index];
@@ -174,7 +129,7 @@ fn apply(recorded: &Recorded, held: &mut [Option<Held>], edit: &Edit) -> Result<
     Ok(())
 }
 
-fn orientation(recorded: &Recorded, marks: Vec<FoundMark>, check_marks: Vec<FoundMark>) -> Replayed {
+fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<FoundMark>) -> Replayed {
     let pairs: Vec<Pair> = marks
         .iter()
         .map(|found| Pair {
@@ -212,16 +167,16 @@ fn orientation(recorded: &Recorded, marks: Vec<FoundMark>, check_marks: Vec<Foun
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gcp::Gcp;
     use crate::review::patch::{SCHEMA, SCHEMA_VERSION, Subject};
 
     /// Four marks of a north-up image of 0.1 m pixels, the last one a metre off, and a fifth candidate where it should be.
-    fn recorded() -> Recorded {
+    fn recorded() -> RunResult {
         let places = [("A", 100.0, 100.0), ("B", 900.0, 120.0), ("C", 880.0, 700.0), ("D", 140.0, 660.0)];
         let row = |name: &str, x: f64, y: f64| {
             serde_json::json!({"gcp": name, "x": x, "y": y, "easting": 0.0, "northing": 0.0, "height": null,
                 "residual_e_m": 0.0, "residual_n_m": 0.0, "residual_px": 0.0, "covariance_px2": [0.01, 0.0, 0.01],
-                "score": 5.0, "found_by": "scan", "leave_one_out_m": null, "redundancy": null,
-                "detectable_blunder_m": null, "outlier": false})
+                "score": 5.0, "found_by": "scan", "outlier": false})
         };
         let gcps: Vec<Gcp> =
             places.iter().map(|(n, x, y)| Gcp::control(*n, 5000.0 + 0.1 * x, 9000.0 - 0.1 * y)).collect();
@@ -230,9 +185,14 @@ mod tests {
         let candidate = serde_json::json!({"centre": {"x": 140.0, "y": 660.0}, "covariance_px2": [0.01, 0.0, 0.01],
             "score": 1.0, "area_px": 100.0, "size_px": [10.0, 10.0], "elevation_m": null});
         serde_json::from_value(serde_json::json!({
-            "status": "solved", "gcp_file": "list.csv", "crs": null, "gcps": gcps, "matches": matches,
-            "check_points": [], "candidates": [candidate], "best_pattern": null,
-            "image": {"path": "a.tif", "width": 1000, "height": 800}, "log10_false_alarms": -6.0
+            "schema_version": 1, "program": "", "status": "solved", "advice": [], "options": null,
+            "gcp_file": "list.csv", "gcps_listed": 4, "gcps": gcps, "candidates_found": 1, "matches": matches,
+            "check_points": [], "expected_errors": [], "not_found": [], "outside": [], "warnings": [],
+            "candidates": [candidate], "files_written": [], "elapsed_s": 0.0,
+            "timings": {"open_s": 0.0, "scan_s": 0.0, "examine_s": 0.0, "match_s": 0.0, "rematch_s": 0.0,
+                "report_s": 0.0, "write_s": 0.0},
+            "image": {"path": "a.tif", "width": 1000, "height": 800, "bands": 3, "reader": "", "description": ""},
+            "log10_false_alarms": -6.0
         }))
         .expect("a result")
     }

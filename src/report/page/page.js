@@ -1,6 +1,6 @@
 // The page itself: state, drawing of all parts, and the keyboard.
 (() => {
-  const { svg, html, metres, pixels, short, nice, label } = Draw;
+  const { svg, html, metres, pixels, short, nice, label, brief } = Draw;
   const D = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   const replace = (id, ...children) => byId(id).replaceChildren(...children.filter((c) => c !== null && c !== undefined));
@@ -37,7 +37,7 @@
     document.title = `${D.image.name}: georeference report`;
     byId("title").textContent = D.image.name;
     byId("subtitle").textContent = [`${D.image.width} × ${D.image.height} px`, D.image.description,
-      `points of ${D.gcp_file}`, D.crs, D.made].filter(Boolean).join(" · ");
+      `points of ${D.gcp_file.split("/").pop()}`, D.crs, D.made].filter(Boolean).join(" · ");
     const verdict = byId("verdict");
     verdict.className = `verdict ${D.status}`;
     verdict.replaceChildren();
@@ -90,7 +90,7 @@
   function bar(x, y, width, text, u) {
     const d = `M${x} ${y - 4 * u} V${y} H${x + width} V${y - 4 * u}`;
     return svg("g", {}, svg("path", { d, fill: "none", stroke: "#fff", "stroke-width": 4.5 * u }), svg("path", { d, fill: "none", stroke: "#1b2530", "stroke-width": 1.6 * u }),
-      svg("text", { class: "halo", x: x + width / 2, y: y - 8 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, text));
+      svg("text", { class: "halo", x, y: y - 8 * u, "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, text));
   }
   function furniture(box, s, f, u, W, H) {
     const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
@@ -116,7 +116,10 @@
     const longest = Math.max(...state.rows.map((r) => (r ? r.length : 0)), 0);
     let enlarged = null;
     if (s && longest > 0) {
-      const unit = nice(longest), perMetre = 58 * u / longest;
+      // The longest is legible, and the others still are when one is far longer.
+      const lengths = state.rows.filter((r) => r).map((r) => r.length).sort((a, b) => a - b);
+      const middle = Math.max(lengths[Math.floor(lengths.length / 2)], 1e-9);
+      const perMetre = Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
       enlarged = perMetre * scale;
       box.append(bar(14 * u, H - 48 * u, unit * perMetre, `residual ${label(unit)} m`, u));
     }
@@ -141,7 +144,7 @@
       if (kind !== "outside" || D.points.length <= 60) {
         const leftwards = x > W - 60 * u;
         labels.append(svg("text", { class: "halo", x: x + (leftwards ? -10 : 10) * u, y: Math.min(Math.max(y - 7 * u, 10 * u), H + 20), "text-anchor": leftwards ? "end" : "start",
-          "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, p.name));
+          "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
       }
     });
     box.append(labels);
@@ -180,7 +183,7 @@
     const gradient = svg("radialGradient", { id: "error-ramp", gradientUnits: "userSpaceOnUse", cx, cy, r: far });
     for (let k = 0; k <= 24; k++) gradient.append(svg("stop", { offset: `${k / 24 * 100}%`, "stop-color": colour(share(radius.at(far * k / 24 / f))) }));
     const clip = svg("clipPath", { id: "error-clip" }, svg("rect", { width: W, height: H }));
-    box.append(svg("defs", {}, gradient, clip), svg("rect", { width: W, height: H, fill: "url(#error-ramp)", "fill-opacity": 0.62 }));
+    box.append(svg("defs", {}, gradient, clip), svg("rect", { width: W, height: H, fill: "url(#error-ramp)", opacity: 0.62 }));
     const lines = svg("g", { "clip-path": "url(#error-clip)" });
     const step = nice(Math.max((high - low) / 3, low / 50));
     const values = [];
@@ -501,6 +504,7 @@
   // ---- the rest
   function sections() {
     replace("sections", ...D.sections.map((s) => html("section", {}, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
+      s.reservations.length ? html("ul", { class: "warnings" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
       s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
       ...s.tables.map((t) => html("div", { class: "scroll" }, html("table", {}, t.caption ? html("caption", {}, t.caption) : null,
         html("thead", {}, html("tr", {}, ...t.header.map((c) => html("th", { scope: "col" }, c)))),

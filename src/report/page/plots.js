@@ -13,7 +13,7 @@ const Draw = (() => {
   const svg = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
   const html = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
 
-  const metres = (v) => (v === null || v === undefined ? "–" : (Math.abs(v) >= 100 ? v.toFixed(1) : v.toFixed(3)));
+  const metres = (v) => (v === null || v === undefined ? "–" : (Math.abs(v) >= 100 ? v.toFixed(1) : (Math.abs(v) < 0.0005 ? 0 : v).toFixed(3)));
   const pixels = (v) => (v === null || v === undefined ? "–" : v.toFixed(2));
   const short = (v) => (v >= 1 ? String(Number(v.toPrecision(3))) : String(Number(v.toPrecision(2))));
 
@@ -22,6 +22,7 @@ const Draw = (() => {
     const power = Math.pow(10, Math.floor(Math.log10(v))), f = v / power;
     return (f >= 5 ? 5 : f >= 2 ? 2 : 1) * power;
   }
+  const brief = (name) => (name.length > 18 ? `${name.slice(0, 17)}…` : name);
   const label = (v) => String(Number(v.toPrecision(6)));
 
   // Symbols of radius r about the origin.
@@ -98,7 +99,7 @@ const Draw = (() => {
             dot(a.x(i.e), a.y(i.n), BLUE, i.check, i.name));
         }
         for (const i of [...items].sort((p, q) => q.length - p.length).slice(0, 4)) {
-          box.append(svg("text", { class: "tick halo", x: a.x(i.e) + (i.e >= 0 ? 7 : -7), y: a.y(i.n) - 5, "text-anchor": i.e >= 0 ? "start" : "end" }, i.name));
+          box.append(svg("text", { class: "tick halo", x: a.x(i.e) + (i.e >= 0 ? 7 : -7), y: a.y(i.n) - 5, "text-anchor": i.e >= 0 ? "start" : "end" }, brief(i.name)));
         }
       });
   }
@@ -151,7 +152,7 @@ const Draw = (() => {
         const a = axes(box, [0, far], [0, most], "distance, m", "residual, m");
         for (const i of items) box.append(dot(a.x(i.distance), a.y(i.length), BLUE, i.check, i.name));
         for (const i of [...items].sort((p, q) => q.length - p.length).slice(0, 3)) {
-          box.append(svg("text", { class: "tick halo", x: a.x(i.distance) - 7, y: a.y(i.length) + 4, "text-anchor": "end" }, i.name));
+          box.append(svg("text", { class: "tick halo", x: a.x(i.distance) - 7, y: a.y(i.length) + 4, "text-anchor": "end" }, brief(i.name)));
         }
       });
   }
@@ -186,5 +187,5 @@ const Draw = (() => {
       });
   }
 
-  return { svg, html, metres, pixels, short, nice, label, symbol, legendItem, vectors, histogram, distance, quantiles };
+  return { svg, html, metres, pixels, short, nice, label, brief, symbol, legendItem, vectors, histogram, distance, quantiles };
 })();

@@ -48,17 +48,21 @@ const Fit = (() => {
     return [pair.e - e, pair.n - n];
   }
 
-  function stochasticWeights(pairs, first) {
-    const scale = scaleOf(first);
-    const prior = pairs.map((pair) => {
+  function priorVariances(pairs, scale) {
+    return pairs.map((pair) => {
       const centre = pair.covariance ? (pair.covariance[0] + pair.covariance[2]) / 2 * scale * scale : 0;
       return centre + (pair.sigma === null ? 0 : pair.sigma * pair.sigma);
     });
+  }
+
+  function stochasticWeights(pairs, first) {
+    const scale = scaleOf(first), prior = priorVariances(pairs, scale);
     const freedom = 2 * pairs.length - 4;
     if (freedom <= 0 || prior.every((v) => v === prior[0])) return pairs.map(() => 1);
     const squares = sum(pairs.map((pair) => residual(first, pair)).map(([e, n]) => e * e + n * n));
     const meanPrior = sum(prior) / prior.length;
-    const common = Math.max(squares / freedom - meanPrior, 0);
+    const coarse = 1 + Math.sqrt(2 / freedom);
+    const common = Math.max(squares / freedom * coarse - meanPrior, 0);
     const floor = 0.02 * scale * (0.02 * scale);
     const weights = prior.map((v) => 1 / Math.max(v + common, floor));
     const mean = sum(weights) / weights.length;
@@ -117,6 +121,7 @@ const Fit = (() => {
     const rmse = length(rmseE, rmseN), freedom = 2 * n - 4, scale = scaleOf(similarity);
     const weighted = sum(residuals.map((r, i) => weights[i] * (r[0] * r[0] + r[1] * r[1])));
     const sigma0 = freedom > 0 ? Math.sqrt(weighted / freedom) : null;
+    const variance = sigma0 !== null ? sigma0 * sigma0 : sum(priorVariances(pairs, scale)) / n;
     const rows = pairs.map((pair, i) => {
       const [e, no] = residuals[i];
       const leverage = weights[i] * (1 / total + arm(pair) / spread);
@@ -130,14 +135,15 @@ const Fit = (() => {
       };
     });
     return { similarity, scale, rotation: Math.atan2(similarity.a_im, similarity.a_re) * 180 / Math.PI, rmse, rmseE, rmseN,
-      rmsePx: rmse / scale, sigma0, freedom, total, spread, centre, rows };
+      rmsePx: rmse / scale, sigma0, variance, freedom, total, spread, centre, rows };
   }
 
-  // Radius that holds the true position in 95 of 100 cases, of the transform alone, at a distance (px) from the centre of the
-  // marks; null without redundancy. Fisher's F(2, v): sqrt(v (0.05^(-2/v) - 1)) for v redundant measurements.
+  // Radii that hold the true position in 95 of 100 cases at a distance (px) from the centre of the marks, as src/accuracy/
+  // error_map.rs has them: of the transform alone, and of a point read off the image. Null when nothing is known of the noise.
   function radius95(solution) {
-    if (!solution || solution.sigma0 === null || !(solution.sigma0 > 0)) return null;
-    const v = solution.freedom, quantile = Math.sqrt(v * (Math.pow(0.05, -2 / v) - 1)) * solution.sigma0;
+    if (!solution || !(solution.variance > 0)) return null;
+    const v = solution.freedom;
+    const quantile = (v > 0 ? Math.sqrt(v * (Math.pow(0.05, -2 / v) - 1)) : Math.sqrt(-2 * Math.log(0.05))) * Math.sqrt(solution.variance);
     return {
       at: (distance) => quantile * Math.sqrt(1 / solution.total + distance * distance / solution.spread),
       point: (distance) => quantile * Math.sqrt(1 + 1 / solution.total + distance * distance / solution.spread),
