@@ -3,11 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use autoref_stream::accuracy::AccuracyStatement;
+use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::georef::result::RunResult;
 use autoref_stream::pipeline::{Detector, Progress};
 use autoref_stream::raster::{Block, RasterSource};
-use autoref_stream::report::{self, Gathered, Overview, Section};
+use autoref_stream::report::{self, Gathered, Keeper, Overview, Section};
 use autoref_stream::window::Window;
 use clap::Args;
 
@@ -32,30 +33,29 @@ impl ReportArgs {
 /// The progress bar, and the overview that grows with it.
 pub struct Watch<'a> {
     bar: &'a Bar,
-    overview: Option<Overview>,
+    source: &'a dyn RasterSource,
+    detector: &'a dyn Detector,
+    /// When a report is wanted.
+    pictures: Option<(Overview, Keeper)>,
 }
 
 impl<'a> Watch<'a> {
-    pub fn new(bar: &'a Bar, source: &dyn RasterSource, args: &ReportArgs) -> Self {
-        Watch { bar, overview: args.wanted().then(|| Overview::new(source.info())) }
+    pub fn new(bar: &'a Bar, source: &'a dyn RasterSource, detector: &'a dyn Detector, args: &ReportArgs) -> Self {
+        let pictures = args.wanted().then(|| (Overview::new(source.info()), Keeper::default()));
+        Watch { bar, source, detector, pictures }
     }
 
     /// Adds what the places of the marks mean to the warnings, and cuts the pictures of the report, when one is wanted.
-    pub fn gather(
-        &self,
-        source: &dyn RasterSource,
-        detector: &dyn Detector,
-        result: &mut RunResult,
-    ) -> anyhow::Result<Option<Gathered>> {
+    pub fn gather(&self, result: &mut RunResult) -> anyhow::Result<Option<Gathered>> {
         if let Some(solution) = &result.solution {
             let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
-            let info = source.info();
+            let info = self.source.info();
             let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
             result.warnings.extend(words);
         }
-        let Some(overview) = &self.overview else { return Ok(None) };
+        let Some((overview, kept)) = &self.pictures else { return Ok(None) };
         self.bar.stage("making the report");
-        Ok(Some(report::gather(source, detector, overview, result)?))
+        Ok(Some(report::gather(self.source, self.detector, overview, kept, result)?))
     }
 }
 
@@ -64,9 +64,10 @@ impl Progress for Watch<'_> {
         self.bar.scanned(pixels);
     }
 
-    fn saw(&self, block: &Block, core: Window) {
-        if let Some(overview) = &self.overview {
+    fn saw(&self, block: &Block, core: Window, found: &[&Candidate]) {
+        if let Some((overview, kept)) = &self.pictures {
             overview.add(block, core);
+            kept.add(block, self.source.info(), self.detector, found);
         }
     }
 

@@ -68,7 +68,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = common::priors(info, &args.matching);
     let matcher = common::matcher(&args.matching, priors.len())?;
     let bar = Bar::new(info, args.quiet || args.json);
-    let watch = Watch::new(&bar, source.as_ref(), &args.report);
+    let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
@@ -89,7 +89,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.prior(info, &list);
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     let report_started = Instant::now();
-    let gathered = watch.gather(source.as_ref(), &second_look, &mut document.result)?;
+    let gathered = watch.gather(&mut document.result)?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
     bar.finish();
     let report = report.as_deref().zip(gathered.as_ref());

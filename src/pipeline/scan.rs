@@ -61,8 +61,9 @@ pub trait Detector: Sync {
 /// Hears how far the scan has come; called from several threads.
 pub trait Progress: Sync {
     fn scanned(&self, pixels: u64);
-    /// The pixels of a tile while they are there; `core` lies in the block's window, and the cores cover the raster once.
-    fn saw(&self, _block: &Block, _core: Window) {}
+    /// The pixels of a tile while they are there, with the candidates that were found in it already; `core` lies in the
+    /// block's window, and the cores cover the raster once.
+    fn saw(&self, _block: &Block, _core: Window, _found: &[&Candidate]) {}
     /// Something else begins, in plain words, that may take a while.
     fn stage(&self, _what: &str) {}
 }
@@ -345,7 +346,8 @@ impl Worker<'_> {
             let Some((tile, block)) = self.next_block(tiles) else { return };
             let output = block.and_then(|block| {
                 let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
-                self.progress.saw(&block, tile.core);
+                let found: Vec<&Candidate> = output.examined.iter().filter_map(|(_, found)| found.as_ref()).collect();
+                self.progress.saw(&block, tile.core, &found);
                 drop(block);
                 for region in self.straddlers.try_iter() {
                     output.examined.push(examine_window(self.source, self.detector, &region)?);

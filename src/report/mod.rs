@@ -8,11 +8,13 @@
 
 mod chips;
 mod jpeg;
+mod keeper;
 mod overview;
 mod points;
 mod words;
 
 pub use chips::{Chip, Spot, cut};
+pub use keeper::Keeper;
 pub use overview::{Overview, Rgb8, Stretch};
 pub use points::{Gathered, gather};
 pub use words::plain_warnings;

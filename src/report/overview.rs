@@ -7,7 +7,7 @@ use crate::window::Window;
 
 /// Longest side of the overview.
 const MAX_SIDE_PX: f64 = 1280.0;
-/// Most pixels of it: 7 MB while it grows.
+/// Most pixels of it: 7 MB while it grows, half of what the memory plan keeps in reserve.
 const MAX_PIXELS: f64 = 1.2e6;
 
 /// An 8-bit RGB picture, row-major.
@@ -71,11 +71,6 @@ impl Overview {
             shift: if info.white > 255 { 2 } else { 0 },
             sums: Mutex::new(vec![0; width * height * 3]),
         }
-    }
-
-    /// Bytes that it holds.
-    pub fn bytes(&self) -> u64 {
-        (self.width * self.height * 6) as u64
     }
 
     /// Takes what it needs of a tile. Cores must not overlap; `core` lies in the block's window.
@@ -154,7 +149,9 @@ impl Overview {
                 }
             }
         }
-        let rgb = sums.iter().map(|sum| stretch.to_byte(f64::from(*sum) * scale)).collect();
+        let largest = (self.white >> self.shift) * 4;
+        let bytes: Vec<u8> = (0..=largest).map(|sum| stretch.to_byte(f64::from(sum) * scale)).collect();
+        let rgb = sums.iter().map(|sum| bytes[usize::from(*sum)]).collect();
         (Rgb8 { width: self.width, height: self.height, rgb }, stretch)
     }
 }

@@ -13,6 +13,7 @@ use crate::pipeline::Detector;
 use crate::raster::RasterSource;
 use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
+use crate::report::keeper::Keeper;
 use crate::report::overview::Overview;
 use crate::solve::Similarity;
 
@@ -110,6 +111,7 @@ pub fn gather(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     overview: &Overview,
+    kept: &Keeper,
     result: &RunResult,
 ) -> Result<Gathered> {
     let (picture, stretch) = overview.picture();
@@ -123,7 +125,7 @@ pub fn gather(
         || data_uri(&picture, 72, false),
         || -> Result<Vec<ChipData>> {
             use rayon::prelude::*;
-            let chips = cut(source, detector, stretch, &spots)?;
+            let chips = cut(source, detector, stretch, kept, &spots)?;
             chips
                 .into_par_iter()
                 .map(|chip| {
@@ -146,7 +148,6 @@ struct Plan<'a> {
     by_centre: HashMap<(u64, u64), usize>,
     /// Typical longest side of a mark.
     mark_px: f64,
-    side_px: u64,
     points: Vec<Point>,
     candidates: Candidates,
     spots: Vec<Spot>,
@@ -164,10 +165,9 @@ impl<'a> Plan<'a> {
         }
         sizes.sort_by(f64::total_cmp);
         let mark_px = sizes.get(sizes.len() / 2).copied().unwrap_or(16.0);
-        let side_px = ((2.2 * mark_px + 26.0).clamp(48.0, 640.0) / 2.0).round() as u64 * 2;
         let candidates =
             Candidates { total: result.candidates_found, dots: dots(&result.candidates), gallery: Vec::new() };
-        Plan { result, by_centre, mark_px, side_px, points: Vec::new(), candidates, spots: Vec::new() }
+        Plan { result, by_centre, mark_px, points: Vec::new(), candidates, spots: Vec::new() }
     }
 
     fn points(&mut self, width: f64, height: f64) {
@@ -201,11 +201,12 @@ impl<'a> Plan<'a> {
     fn pictures(&mut self) {
         let mut points = std::mem::take(&mut self.points);
         for mark in points.iter_mut().filter_map(|point| point.mark.as_mut()) {
-            mark.chip = self.picture(mark.x, mark.y, 1, true);
+            mark.chip = self.picture(mark);
         }
         for point in points.iter_mut().filter(|point| point.state == State::NotFound) {
             let [x, y] = point.expected.expect("a missing point has a place where it must be");
-            point.chip = self.picture(x, y, 2, false);
+            let spot = Spot::of_mark(PixelPoint { x, y }, self.mark_px);
+            point.chip = self.spot(Spot { side_px: 2 * spot.side_px, mark_px: None, ..spot });
         }
         let used: Vec<usize> =
             points.iter().filter_map(|point| point.mark.as_ref()).filter_map(|mark| mark.candidate).collect();
@@ -213,7 +214,7 @@ impl<'a> Plan<'a> {
             let Some([x, y]) = point.expected.filter(|_| point.state != State::Outside) else { continue };
             for candidate in self.near(x, y, &used) {
                 let mut mark = self.mark_of(candidate);
-                mark.chip = self.picture(mark.x, mark.y, 1, true);
+                mark.chip = self.picture(&mark);
                 point.proposals.push(mark);
             }
         }
@@ -241,17 +242,22 @@ impl<'a> Plan<'a> {
         best.sort_by(|&a, &b| score(&candidates[b]).total_cmp(&score(&candidates[a])));
         for candidate in best.into_iter().take(GALLERY) {
             let mut mark = self.mark_of(candidate);
-            mark.chip = self.picture(mark.x, mark.y, 1, true);
+            mark.chip = self.picture(&mark);
             self.candidates.gallery.push(mark);
         }
     }
 
-    fn picture(&mut self, x: f64, y: f64, times: u64, outlined: bool) -> Option<usize> {
+    /// The chip of a mark.
+    fn picture(&mut self, mark: &Mark) -> Option<usize> {
+        let size = mark.size_px.map_or(self.mark_px, |[w, h]| w.max(h));
+        self.spot(Spot::of_mark(PixelPoint { x: mark.x, y: mark.y }, size))
+    }
+
+    fn spot(&mut self, spot: Spot) -> Option<usize> {
         if self.spots.len() >= MAX_CHIPS {
             return None;
         }
-        let mark_px = outlined.then_some(self.mark_px);
-        self.spots.push(Spot { centre: PixelPoint { x, y }, side_px: self.side_px * times, mark_px });
+        self.spots.push(spot);
         Some(self.spots.len() - 1)
     }
 

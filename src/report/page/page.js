@@ -308,8 +308,10 @@
       }
     }
     if (mark) {
-      const own = mark.outline || (chip.outline && mark.found_by !== "review" ? chip.outline : mark.chip !== null && D.chips[mark.chip].outline && mark.candidate !== null ? D.chips[mark.chip].outline : null);
-      marks.push({ x: mark.x, y: mark.y, outline: own, size: mark.size_px, colour: h.used ? "#fff" : "#ff9c8f", cross: large ? 9 : 5 });
+      // A mark moved by hand takes the outline of the fitted shape along.
+      const from = mark.found_by !== "review" || mark.candidate !== null ? mark : p.mark, own = from && from.chip === mark.chip ? chip.outline : null;
+      const outline = own ? own.map(([x, y]) => [x + mark.x - from.x, y + mark.y - from.y]) : null;
+      marks.push({ x: mark.x, y: mark.y, outline, size: mark.size_px, colour: h.used ? "#fff" : "#ff9c8f", cross: large ? 9 : 5 });
     }
     return chipBox(chip, marks, large);
   }
