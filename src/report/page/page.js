@@ -45,6 +45,7 @@
       verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
     } else {
       verdict.append(`Not georeferenced: ${D.reason || "no reason given"}`);
+      if (edits.length && state.solution) verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; replay the patch to have it.`));
       if (D.advice.length) verdict.append(html("ul", {}, ...D.advice.map((a) => html("li", {}, a))));
     }
     const s = state.solution, items = [];
@@ -230,11 +231,12 @@
 
   // ---- table
   let sortKey = null, descending = false;
+  const shown = (i) => { const h = held[i]; return h && h.mark && (h.used || stateOf(i) === "proposed") ? h.mark : null; };
   const columns = [
     ["Point", "text", (i) => D.points[i].name, (v) => v],
     ["State", "text", (i) => STATES[stateOf(i)], null],
-    ["x px", "", (i) => (held[i] && held[i].used ? held[i].mark.x : null), pixels],
-    ["y px", "", (i) => (held[i] && held[i].used ? held[i].mark.y : null), pixels],
+    ["x px", "", (i) => { const m = shown(i); return m && m.x; }, pixels],
+    ["y px", "", (i) => { const m = shown(i); return m && m.y; }, pixels],
     ["dE m", "", (i) => state.rows[i] && state.rows[i].e, metres],
     ["dN m", "", (i) => state.rows[i] && state.rows[i].n, metres],
     ["Residual m", "", (i) => state.rows[i] && state.rows[i].length, metres],
@@ -243,8 +245,8 @@
     ["Redundancy", "", (i) => state.rows[i] && state.rows[i].redundancy, pixels],
     ["Detectable m", "", (i) => state.rows[i] && state.rows[i].detectable, metres],
     ["Weight", "", (i) => state.rows[i] && state.rows[i].weight, pixels],
-    ["Score", "", (i) => held[i] && held[i].used ? held[i].mark.score : null, (v) => (v === null || v === undefined ? "–" : v.toFixed(1))],
-    ["Found by", "text", (i) => (held[i] && held[i].used ? held[i].mark.found_by : "–"), (v) => v],
+    ["Score", "", (i) => { const m = shown(i); return m && m.score; }, (v) => (v === null || v === undefined ? "–" : v.toFixed(1))],
+    ["Found by", "text", (i) => { const m = shown(i); return m ? m.found_by : "–"; }, (v) => v],
   ];
   function table() {
     const rows = D.points.map((p, i) => i);
