@@ -48,8 +48,11 @@ pub struct RunResult {
     /// Anticlockwise from east.
     pub rotation_deg: Option<f64>,
     pub gcps_listed: usize,
-    /// The whole list as it was used, in the order of the file.
+    /// The whole list as it was used in the fit, in the order of the file.
     pub gcps: Vec<Gcp>,
+    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
+    #[serde(default)]
+    pub delivered: bool,
     /// GCPs that the transform puts inside the image.
     pub gcps_in_image: Option<usize>,
     pub candidates_found: usize,
@@ -75,6 +78,9 @@ pub struct RunResult {
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<crate::review::Patch>,
+    /// Mistakes in the list that would explain what does not fit; nothing was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::doctor::Diagnosis>,
     pub candidates: Vec<Candidate>,
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,

@@ -68,7 +68,7 @@ struct Page<'a> {
     chips: &'a [ChipData],
     overview: OverviewData<'a>,
     hand_variance_px2: f64,
-    warnings: &'a [String],
+    warnings: Vec<&'a str>,
     sections: &'a [Section],
     details: serde_json::Value,
     patch: Option<&'a crate::review::Patch>,
@@ -134,7 +134,12 @@ pub fn page(
             src: &gathered.overview,
         },
         hand_variance_px2: crate::review::HAND_VARIANCE_PX2,
-        warnings: &result.warnings,
+        warnings: result
+            .warnings
+            .iter()
+            .chain(result.diagnoses.iter().map(|d| &d.sentence))
+            .map(String::as_str)
+            .collect(),
         sections,
         details: details(result),
         patch: result.patch.as_ref(),
