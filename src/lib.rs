@@ -27,6 +27,8 @@ pub mod planning;
 pub mod profile;
 pub mod raster;
 pub mod rematch;
+pub mod report;
+pub mod review;
 pub mod segment;
 pub mod solve;
 pub mod synth;

@@ -9,6 +9,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::coords::PixelPoint;
+
 /// Parameters: centre x, y; logarithms of the two sides (disc: of the diameter, twice); angle; logarithm of the blur;
 /// height; plane: constant, slope in x, slope in y.
 pub const PARAMETERS: usize = 10;
@@ -64,6 +66,25 @@ pub struct Fit {
     pub rms: f64,
     /// Share of the samples' weight that the robust weights took away from the inside and the border of the mark.
     pub hidden: f64,
+}
+
+impl Fit {
+    /// The border of the shape about a centre, as a closed polygon in the units of the centre: four corners, or a disc in
+    /// steps of 15°.
+    pub fn outline(&self, centre: PixelPoint) -> Vec<PixelPoint> {
+        let [a, b] = self.sides_px;
+        if self.form == Form::Disc {
+            return (0..24)
+                .map(|k| (f64::from(k) * std::f64::consts::PI / 12.0).sin_cos())
+                .map(|(sin, cos)| PixelPoint { x: centre.x + a / 2.0 * cos, y: centre.y + a / 2.0 * sin })
+                .collect();
+        }
+        let (sin, cos) = self.angle_rad.sin_cos();
+        [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+            .map(|(u, v)| (u * a, v * b))
+            .map(|(u, v)| PixelPoint { x: centre.x + cos * u - sin * v, y: centre.y + sin * u + cos * v })
+            .to_vec()
+    }
 }
 
 /// Standard normal density and distribution. The distribution is Abramowitz and Stegun, "Handbook of mathematical

@@ -83,8 +83,8 @@ pub struct MatchArgs {
 #[derive(Args, Debug)]
 pub struct GcpArgs {
     /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML, GPX.
-    #[arg(long, value_name = "FILE", required = true, help_heading = "Ground control points")]
-    // An option only because a subcommand does without; clap demands it otherwise.
+    #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
+    // Asked for by `path`: a replay takes the points of the result.
     pub gcps: Option<PathBuf>,
     /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says, else the image's.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
@@ -387,6 +387,18 @@ impl Bar {
             bar.finish_and_clear();
         }
     }
+
+    /// What goes on now: a line that moves, in place of the bar.
+    pub fn stage(&self, what: &str) {
+        tracing::info!("{what}");
+        if let Some(bar) = &self.bar {
+            let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}")
+                .expect("the template is well formed");
+            bar.set_style(style);
+            bar.set_message(what.to_string());
+            bar.enable_steady_tick(std::time::Duration::from_millis(120));
+        }
+    }
 }
 
 impl Progress for Bar {
@@ -394,6 +406,10 @@ impl Progress for Bar {
         if let Some(bar) = &self.bar {
             bar.inc(pixels * self.bytes_per_pixel);
         }
+    }
+
+    fn stage(&self, what: &str) {
+        Bar::stage(self, what);
     }
 }
 

@@ -12,6 +12,8 @@ pub mod detect;
 pub mod distance;
 pub mod frame;
 pub mod plan;
+pub mod replay;
+pub mod report;
 pub mod run;
 pub mod sample;
 pub mod solve;

@@ -19,11 +19,13 @@ use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
+use autoref_stream::report::Gathered;
 use clap::Args;
 
 use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
+use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::write::{self, WriteArgs};
 
 /// Flags of the main job.
@@ -41,6 +43,8 @@ pub struct RunArgs {
     pub matching: MatchArgs,
     #[command(flatten)]
     pub write: WriteArgs,
+    #[command(flatten)]
+    pub report: ReportArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -60,12 +64,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     let json = json_path(&request);
-    atomic::check_outputs(&[&json], args.write.overwrite)?;
+    let report = args.report.wanted().then(|| report::path(&json));
+    let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
+    atomic::check_outputs(&outputs, args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
     let matcher = common::matcher(&args.matching, priors.len())?;
     let bar = Bar::new(info, args.quiet || args.json);
+    let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
@@ -75,10 +82,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,
-        progress: &bar,
+        progress: &watch,
     };
     let run = georeference(&job)?;
-    bar.finish();
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
@@ -88,7 +94,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
+    let report_started = Instant::now();
+    let gathered = watch.gather(&mut document.result)?;
+    document.result.timings.report_s = report_started.elapsed().as_secs_f64();
+    bar.finish();
+    let report = report.as_deref().zip(gathered.as_ref());
+    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
@@ -127,6 +138,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
 fn write_outputs(
     request: &WriteRequest,
     json: &Path,
+    report: Option<(&Path, &Gathered)>,
     document: &mut Document,
     started: Instant,
     quiet: bool,
@@ -139,10 +151,18 @@ fn write_outputs(
         document.result.warnings.extend(warnings);
     }
     let written = transaction.paths();
-    document.result.files_written =
-        written.iter().map(PathBuf::as_path).chain([json]).map(|path| path.display().to_string()).collect();
+    document.result.files_written = written
+        .iter()
+        .map(PathBuf::as_path)
+        .chain(report.map(|r| r.0))
+        .chain([json])
+        .map(|path| path.display().to_string())
+        .collect();
     document.result.timings.write_s = writing.elapsed().as_secs_f64();
     document.finish(started);
+    if let Some((path, gathered)) = report {
+        transaction.stage_bytes(path, report::page(&document.result, gathered, json)?.as_bytes())?;
+    }
     transaction.stage_bytes(json, document.result.to_json().as_bytes())?;
     Ok(transaction.commit()?)
 }
@@ -164,7 +184,7 @@ impl Document {
             gcp_file: gcp_file.display().to_string(),
             options: serde_json::Value::Null,
             geotransform: None,
-            crs: None,
+            crs: list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label),
             rmse_m: None,
             rmse_e_m: None,
             rmse_n_m: None,
@@ -172,6 +192,8 @@ impl Document {
             scale_m_per_px: None,
             rotation_deg: None,
             gcps_listed: list.gcps.len(),
+            gcps: list.gcps.clone(),
+            delivered: !list.frame.is_plain(),
             gcps_in_image: None,
             candidates_found: candidates.len(),
             false_alarms: None,
@@ -188,6 +210,7 @@ impl Document {
             search: None,
             prior_georeference: None,
             warnings: list.notes.clone(),
+            patch: None,
             diagnoses: Vec::new(),
             candidates,
             files_written: Vec::new(),
@@ -302,7 +325,6 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     let solution = &orientation.solution;
     result.status = Status::Solved;
     result.geotransform = Some(solution.geotransform);
-    result.crs = list.crs.as_ref().map(Crs::label);
     result.rmse_m = Some(solution.rmse_m);
     result.rmse_e_m = Some(solution.rmse_e_m);
     result.rmse_n_m = Some(solution.rmse_n_m);
@@ -387,6 +409,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         found_by: match found.found_by {
             FoundBy::Scan => "scan".into(),
             FoundBy::Rematch => "rematch".into(),
+            FoundBy::Review => "review".into(),
         },
         leave_one_out_m: None,
         redundancy: None,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
+use crate::gcp::Gcp;
 use crate::matching::{Effort, Pattern};
 use crate::solve::Solution;
 
@@ -47,6 +48,11 @@ pub struct RunResult {
     /// Anticlockwise from east.
     pub rotation_deg: Option<f64>,
     pub gcps_listed: usize,
+    /// The whole list as it was used in the fit, in the order of the file.
+    pub gcps: Vec<Gcp>,
+    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
+    #[serde(default)]
+    pub delivered: bool,
     /// GCPs that the transform puts inside the image.
     pub gcps_in_image: Option<usize>,
     pub candidates_found: usize,
@@ -70,6 +76,8 @@ pub struct RunResult {
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
     pub warnings: Vec<String>,
+    /// The review that was replayed, whole: who reads the result sees what was changed by hand.
+    pub patch: Option<crate::review::Patch>,
     /// Mistakes in the list that would explain what does not fit; nothing was corrected.
     #[serde(default)]
     pub diagnoses: Vec<crate::doctor::Diagnosis>,
@@ -109,7 +117,7 @@ pub struct MatchRow {
     pub residual_px: f64,
     pub covariance_px2: Option<[f64; 3]>,
     pub score: Option<f64>,
-    /// "scan" or "rematch": which look gave the centre.
+    /// "scan" or "rematch": which look gave the centre; "review" when a person did.
     pub found_by: String,
     pub leave_one_out_m: Option<f64>,
     pub redundancy: Option<f64>,
@@ -146,6 +154,8 @@ pub struct Timings {
     pub examine_s: f64,
     pub match_s: f64,
     pub rematch_s: f64,
+    /// Pictures of the report.
+    pub report_s: f64,
     pub write_s: f64,
 }
 

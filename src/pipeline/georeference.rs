@@ -46,6 +46,8 @@ pub enum Outcome {
 pub enum FoundBy {
     Scan,
     Rematch,
+    /// A person, on record in a patch file.
+    Review,
 }
 
 /// A GCP and the mark that is it.
@@ -79,9 +81,11 @@ pub struct Orientation {
 pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let scan = scan(job.source, job.plan, job.detector, job.progress)?;
     let started = Instant::now();
+    job.progress.stage("matching the marks to the list");
     let outcome = find(job, &scan.candidates);
     let match_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
+    job.progress.stage("looking again where every point must be");
     let outcome = match outcome {
         MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
         MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| {

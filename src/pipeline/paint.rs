@@ -1,6 +1,7 @@
 //! The detector of painted marks: profile, colour test, gates and examination under one name.
 
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
+use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::Profile;
@@ -76,6 +77,12 @@ impl Detector for PaintDetector {
 
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    }
+
+    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let evidence = examine::measure(region, patch, &self.classifier, &self.profile)?;
+        let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
+        Some((centre, evidence.fit?.outline(centre)))
     }
 
     fn stricter(&self) -> Option<Box<dyn Detector>> {

@@ -44,7 +44,7 @@ impl Similarity {
 
     /// Ground size of a pixel, metres.
     pub fn scale_m_per_px(&self) -> f64 {
-        self.a_re.hypot(self.a_im)
+        length(self.a_re, self.a_im)
     }
 
     /// Anticlockwise from east, degrees in (−180, 180].
@@ -67,6 +67,12 @@ impl Similarity {
         let (a_re, a_im) = ((dx * de + dy * dn) / square, (dx * dn - dy * de) / square);
         Some(anchored(a_re, a_im, p[0], m[0]))
     }
+}
+
+/// √(x² + y²) in operations that IEEE 754 rounds alike everywhere, which `hypot` is not: the report's page repeats this fit
+/// (`src/report/page/solve.js`) and must get the same bits.
+fn length(x: f64, y: f64) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// The similarity of given scale and rotation that takes `p` to `m`.
@@ -210,7 +216,7 @@ fn fit(pairs: &[Pair], weights: &[f64]) -> Option<Similarity> {
         square += p * (x * x + y * y);
     }
     let (a_re, a_im) = (re / square, im / square);
-    let scale = a_re.hypot(a_im);
+    let scale = length(a_re, a_im);
     (square > 0.0 && scale > 0.0 && scale.is_finite()).then(|| anchored(a_re, a_im, centre, mean))
 }
 
@@ -280,7 +286,7 @@ fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f
         .zip(base)
         .map(|(pair, w)| {
             let (e, n) = residual(similarity, pair);
-            e.hypot(n) * w.sqrt()
+            length(e, n) * w.sqrt()
         })
         .collect();
     let sigma = robust_sigma(&lengths, pairs.len());
