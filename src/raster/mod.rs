@@ -17,7 +17,7 @@ pub mod tiff;
 
 pub use elevation::ElevationModel;
 pub use gdal::{GdalSource, initialise_gdal};
-pub use open::open;
+pub use open::{open, size};
 pub use patch::read_patch;
 pub use pool::BufferPool;
 

@@ -59,6 +59,25 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
     Ok(Arc::new(source))
 }
 
+/// Width and height of image `page` in pixels, of whatever GDAL opens.
+///
+/// # Errors
+/// When the file is missing, broken or no raster.
+pub fn size(path: &Path, page: usize) -> Result<(u64, u64)> {
+    gdal::initialise_gdal(0);
+    let local = !path.to_string_lossy().starts_with("/vsi");
+    if local {
+        check_file(path)?;
+    }
+    let directory = match local && tiff::is_tiff(path)? {
+        true => tiff::Directories::read(path)?.page(page)?,
+        false => 0,
+    };
+    let dataset = gdal::GdalName::new(path, directory).open()?;
+    let (width, height) = dataset.raster_size();
+    Ok((width as u64, height as u64))
+}
+
 /// Refuses what is no file with bytes in it, in words.
 fn check_file(path: &Path) -> Result<()> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;

@@ -122,6 +122,14 @@ pub fn undo(image: &Path, dry_run: bool) -> Result<Undone> {
     Ok(Undone { length_bytes: record.old_length, program: record.program, more_below })
 }
 
+/// Whether the file ends with an undo record.
+pub fn is_tagged(image: &Path) -> bool {
+    File::open(image).is_ok_and(|file| {
+        let length = file.metadata().map_or(0, |metadata| metadata.len());
+        journal::has_record(&file, length).unwrap_or(false)
+    })
+}
+
 /// What others may stumble over, in words.
 pub fn warnings(request: &WriteRequest, transform: &GeoTransform) -> Vec<String> {
     let aux = sidecar::aux_path(&request.image);

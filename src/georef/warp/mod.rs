@@ -241,7 +241,7 @@ impl Grid {
 }
 
 /// Kept free of the budget.
-const RESERVE_BYTES: u64 = 24 << 20;
+const RESERVE_BYTES: u64 = 32 << 20;
 /// The compressor's threads hold a few blocks each.
 const THREAD_BYTES: u64 = 8 << 20;
 /// The least with which GDAL makes headway.
