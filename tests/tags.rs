@@ -43,9 +43,9 @@ fn sample(path: &Path, options: &[&str], overviews: bool, prepare: impl FnOnce(&
 }
 
 fn write_tags(path: &Path, page: usize, transform: &GeoTransform, crs: Option<&Crs>, options: TagOptions) {
-    let (edit, lost) = tags::prepare(path, page, transform, crs, &options).expect("it takes tags");
+    let (mut edit, lost) = tags::prepare(path, page, transform, crs, &options).expect("it takes tags");
     assert_eq!(lost, None);
-    Box::new(edit).apply().expect("written");
+    edit.apply().expect("written");
 }
 
 fn bytes(path: &Path) -> Vec<u8> {

@@ -25,8 +25,7 @@ pub fn carry(result: &RunResult, other: &Path, same_extent: bool) -> Result<RunR
     let image = result.image.as_ref().ok_or_else(|| {
         Error::usage("the result tells nothing of its image", "make it with an image, not by `solve`")
     })?;
-    crate::raster::initialise_gdal(0);
-    let dataset = gdal::Dataset::open(other).map_err(|e| Error::gdal(other, e))?;
+    let (_, dataset) = crate::raster::open_dataset(other, 0)?;
     let (width, height) = dataset.raster_size();
     let own = dataset.geo_transform().ok().map(GeoTransform);
     let prior = result.prior_georeference.as_ref();

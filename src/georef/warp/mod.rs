@@ -7,7 +7,7 @@ mod create_copy;
 mod vrt;
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::str::FromStr;
 
 use gdal::cpl::CslStringList;
@@ -399,17 +399,7 @@ fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList
 }
 
 fn open(image: &Path, page: usize) -> Result<(Dataset, vrt::Source)> {
-    crate::raster::initialise_gdal(0);
-    let path = std::fs::canonicalize(image).map_err(|e| Error::io(image, "open", e))?;
-    let directory = match crate::raster::tiff::is_tiff(&path)? {
-        true => Directories::read(&path)?.page(page)?,
-        false => 0,
-    };
-    let name = match directory {
-        0 => path,
-        later => PathBuf::from(format!("GTIFF_DIR:{}:{}", later + 1, path.display())),
-    };
-    let dataset = Dataset::open(&name).map_err(|e| Error::gdal(image, e))?;
+    let (name, dataset) = crate::raster::open_dataset(image, page)?;
     let source = vrt::Source::of(image, &name, &dataset)?;
     Ok((dataset, source))
 }
