@@ -604,3 +604,49 @@ fn tiles_that_do_not_fit(folder: &Path, list: &Path) {
     assert!(message.contains("line 2") && message.contains("none.tif"), "{message}");
     std::fs::remove_file(list).expect("there");
 }
+
+/// A Python that has rasterio: the system's, or a virtual environment in the build folder. `None` when neither can be had.
+fn python_with_rasterio() -> Option<PathBuf> {
+    let imports = |python: &Path| {
+        Command::new(python).args(["-c", "import rasterio"]).output().is_ok_and(|output| output.status.success())
+    };
+    let system = PathBuf::from("python3");
+    if imports(&system) {
+        return Some(system);
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-rasterio");
+    let own = folder.join("bin/python");
+    if !imports(&own) {
+        let made = Command::new(&system).args(["-m", "venv"]).arg(&folder).output();
+        if !made.is_ok_and(|output| output.status.success()) {
+            return None;
+        }
+        let install = ["-m", "pip", "install", "-q", "--timeout", "15", "--retries", "1", "rasterio", "rio-cogeo"];
+        // A failure shows in the import.
+        let _ = Command::new(&own).args(install).output();
+    }
+    imports(&own).then_some(own)
+}
+
+#[test]
+fn rasterio_reads_every_output_alike() {
+    let Some(python) = python_with_rasterio() else {
+        eprintln!("skipped: rasterio is not installed and cannot be");
+        return;
+    };
+    for transform in [TURNED, NORTH_UP] {
+        let sample = Sample::new(transform);
+        for alone in ["world", "tags"] {
+            std::fs::create_dir(sample.path(alone)).expect("a folder");
+            std::fs::copy(sample.path("e6.tif"), sample.path(alone).join("e6.tif")).expect("copied");
+            let copy = sample.path(alone).join("e6.tif");
+            succeeded(&sample.apply(&[copy.to_str().expect("plain"), "--write", alone]));
+        }
+        succeeded(&sample.apply(&["--write", "aux,vrt,gcps,warp"]));
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_outputs.py");
+        let output = Command::new(&python).arg(script).arg(sample.folder.path()).output().expect("Python starts");
+        let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), stderr(&output));
+        eprintln!("{}", said.trim_end());
+        assert!(output.status.success(), "{said}");
+    }
+}
