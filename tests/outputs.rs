@@ -118,7 +118,6 @@ fn slope(path: &Path, driver: &str, size: (usize, usize), options: &[&str]) {
         .collect();
     let mut band = dataset.rasterband(1).expect("there");
     band.write((0, 0), size, &mut Buffer::new(size, values)).expect("written");
-    drop(band);
     dataset.close().expect("written");
 }
 
@@ -435,7 +434,6 @@ fn elevation_model(path: &Path, size: (usize, usize), own: Option<GeoTransform>)
     let heights = (0..size.0 * size.1).map(|i| (i % size.0) as f32 * 0.1).collect();
     let mut band = dataset.rasterband(1).expect("there");
     band.write((0, 0), size, &mut Buffer::new(size, heights)).expect("written");
-    drop(band);
     if let Some(own) = own {
         dataset.set_geo_transform(&own.0).expect("settable");
     }
