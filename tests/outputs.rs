@@ -648,3 +648,31 @@ fn rasterio_reads_every_output_alike() {
         assert!(output.status.success(), "{said}");
     }
 }
+
+/// 2 GB on demand, 0.1 GB always.
+#[test]
+fn warping_stays_within_the_budget() {
+    let sample = Sample::new(TURNED);
+    let side = if common::large() { 26_000 } else { 6_000 };
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let options = RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER"]);
+    let dataset = driver
+        .create_with_band_type_with_options::<u8, _>(sample.path("e6.tif"), side, side, 3, &options)
+        .expect("created");
+    for band in 1..=3 {
+        dataset.rasterband(band).expect("there").fill(90.0, None).expect("filled");
+    }
+    dataset.close().expect("written");
+    let text = std::fs::read_to_string(sample.path("e6.autoref.json")).expect("there");
+    let mut result: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    result["image"]["width"] = side.into();
+    result["image"]["height"] = side.into();
+    std::fs::write(sample.path("e6.autoref.json"), result.to_string()).expect("written");
+    let output = sample.apply(&["--write", "warp", "--memory", "176M", "--threads", "8", "--json"]);
+    succeeded(&output);
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one document");
+    let peak = said["peak_memory_bytes"].as_u64().expect("measured");
+    eprintln!("warping {:.1} GB: peak {:.0} MiB of 176", (side * side * 3) as f64 / 1e9, peak as f64 / 1_048_576.0);
+    assert!(peak < 176 << 20, "{peak} bytes");
+    is_valid_cog(&sample.path("e6.warp.tif"));
+}

@@ -69,7 +69,11 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;
     if args.json {
-        let document = serde_json::json!({"files_written": written, "warnings": warnings});
+        let document = serde_json::json!({
+            "files_written": written,
+            "warnings": warnings,
+            "peak_memory_bytes": plan::peak_resident_bytes(),
+        });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
         for warning in &warnings {

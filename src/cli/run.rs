@@ -80,6 +80,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.memory_plan = Some(plan.clone());
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
+    // Its caches make room for what writing needs.
+    drop(source);
     write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())

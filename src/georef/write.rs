@@ -258,12 +258,12 @@ impl WriteRequest {
                     warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
                 Output::Gcps => {
-                    let points = TiePoints::of(result, &self.image, crs);
+                    let points = TiePoints::of(result, &self.base, crs);
                     transaction
                         .stage(&files[0], |temporary| gcps_vrt::write(&self.image, self.page, temporary, &points))?;
                 }
                 _ => {
-                    let points = TiePoints::of(result, &self.image, crs);
+                    let points = TiePoints::of(result, &self.base, crs);
                     transaction.stage_all(&files, |temporaries| dialects::write(kind, temporaries, &points))?;
                 }
             }
