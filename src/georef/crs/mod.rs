@@ -161,6 +161,17 @@ impl Crs {
         self.epsg.map_or_else(|| self.wkt.clone(), |code| format!("EPSG:{code}"))
     }
 
+    /// The code, when it is one of EPSG's.
+    pub fn epsg(&self) -> Option<u32> {
+        self.epsg
+    }
+
+    /// As a PROJ string, for programs that read nothing else. `None` when PROJ has no such string.
+    pub fn proj_string(&self) -> Option<String> {
+        let text = self.spatial_ref().ok()?.to_proj4().ok()?;
+        Some(text.trim().to_string()).filter(|text| !text.is_empty())
+    }
+
     /// For messages: "EPSG:n (name)", or the name alone.
     pub fn title(&self) -> String {
         match self.epsg {
