@@ -10,7 +10,8 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{Line, number};
-use crate::gcp::{Gcp, csv_list};
+use crate::gcp::{Gcp, GcpRole, csv_list};
+use crate::georef::dialects::gcp_list::CHECK_PREFIX;
 
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {
@@ -45,10 +46,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
 /// At tabs when there are any, since names may hold blanks; else at blanks; else at commas or semicolons.
 fn fields(line: &str) -> Vec<&str> {
     let cut = |at: &[char]| -> Vec<&str> { line.split(at).map(str::trim).filter(|f| !f.is_empty()).collect() };
-    [cut(&['\t']), cut(&[' ', '\t']), cut(&[',', ';'])]
-        .into_iter()
-        .max_by_key(|f| (f.len() >= 6, f.len()))
-        .unwrap_or_default()
+    let ways = [cut(&['\t']), cut(&[' ', '\t']), cut(&[',', ';'])];
+    ways.iter().find(|fields| fields.len() >= 6).or(ways.iter().max_by_key(|f| f.len())).cloned().unwrap_or_default()
 }
 
 struct Observation<'a> {
@@ -117,7 +116,11 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
         );
         placed.insert(key, points.len());
         labelled.insert(name.clone(), points.len());
-        let gcp = Gcp { height, ..Gcp::control(name, place[0], place[1]) };
+        let (name, role) = match name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty()) {
+            Some(rest) => (rest.to_string(), GcpRole::Check),
+            None => (name, GcpRole::Control),
+        };
+        let gcp = Gcp { height, role, ..Gcp::control(name, place[0], place[1]) };
         points.push(RawPoint::bare(gcp, row.place()));
     }
     let mut list = RawList::new(points, CrsClaim::None);
