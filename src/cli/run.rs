@@ -11,6 +11,7 @@ use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
 use autoref_stream::georef::crs::Crs;
+use autoref_stream::georef::dialects;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
@@ -59,6 +60,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
