@@ -55,7 +55,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.gcps.path()?;
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
-    let request = args.write.request(image, args.read.page, args.read.memory.0)?;
+    let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
