@@ -11,6 +11,7 @@ use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
 use autoref_stream::georef::crs::Crs;
+use autoref_stream::georef::dialects;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
@@ -63,6 +64,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     let report = args.report.wanted().then(|| report::path(&json));
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
@@ -98,6 +100,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gathered = watch.gather(&mut document.result)?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
     bar.finish();
+    // Its caches make room for what writing needs.
+    drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);

@@ -2,6 +2,7 @@
 
 pub mod atomic;
 pub mod candidate_list;
+pub mod carry;
 pub mod crs;
 pub mod dialects;
 pub mod gcps_vrt;
