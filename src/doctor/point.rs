@@ -12,9 +12,9 @@ use crate::matching::field::Field;
 use crate::solve::Similarity;
 
 /// Findings that chance would produce this often in a correct list are not told.
-const MAX_FALSE_ALARMS: f64 = 0.05;
-/// How far from its place a mark may lie, in units of the noise, which is robust: real marks have outliers.
-const REACH_SIGMAS: f64 = 4.5;
+const MAX_FALSE_ALARMS: f64 = 0.02;
+/// How far from its place a mark may lie, in units of the noise.
+const REACH_SIGMAS: f64 = 2.5;
 /// Digits below are too close to the point's own place to be told from its neighbours.
 const SMALLEST_DIGIT: i32 = 0;
 
