@@ -7,7 +7,6 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
-use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
 use autoref_stream::georef::crs::Crs;
@@ -16,7 +15,6 @@ use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
-use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
@@ -91,7 +89,6 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
-    document.diagnose(&run.outcome, &list, &[], matcher.as_ref(), &priors[0], own_georeference(info).as_ref());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
     document.result.warnings.extend(plan.notes.iter().cloned());
@@ -106,15 +103,6 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
-}
-
-/// What the image says of where it lies, when that can be compared with a list.
-fn own_georeference(info: &RasterInfo) -> Option<OwnGeoreference> {
-    Some(OwnGeoreference {
-        geotransform: info.geotransform?,
-        crs: Crs::parse(info.crs_wkt.as_deref()?).ok()?,
-        image_size_px: (info.width as f64, info.height as f64),
-    })
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
@@ -215,7 +203,6 @@ impl Document {
             prior_georeference: None,
             warnings: list.notes.clone(),
             patch: None,
-            diagnoses: Vec::new(),
             candidates,
             files_written: Vec::new(),
             reading: None,
@@ -263,28 +250,6 @@ impl Document {
         timings.examine_s = run.scan.timings.examine_s;
         timings.match_s = run.match_s;
         timings.rematch_s = run.rematch_s;
-    }
-
-    /// Which classic mistake in the list would explain what does not fit.
-    pub fn diagnose(
-        &mut self,
-        outcome: &Outcome,
-        list: &GcpList,
-        labels: &[Option<String>],
-        matcher: &dyn Matcher,
-        priors: &Priors,
-        own: Option<&OwnGeoreference>,
-    ) {
-        let case = doctor::Case {
-            candidates: &self.result.candidates,
-            labels,
-            gcps: &list.gcps,
-            crs: list.crs.as_ref(),
-            matcher,
-            priors,
-            own,
-        };
-        self.result.diagnoses = doctor::diagnose(&case, outcome);
     }
 
     /// An existing georeference is reported, with how far the new one moves the image.
@@ -468,9 +433,6 @@ fn summary(result: &RunResult) -> String {
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("Chance of accident", format!("{figure} such patterns expected by chance"));
-    }
-    for diagnosis in &result.diagnoses {
-        line("Diagnosis", diagnosis.sentence.clone());
     }
     for warning in &result.warnings {
         line("Note", warning.clone());

@@ -86,9 +86,6 @@ pub struct RunResult {
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<crate::review::Patch>,
-    /// Mistakes in the list that would explain what does not fit; nothing was corrected.
-    #[serde(default)]
-    pub diagnoses: Vec<crate::doctor::Diagnosis>,
     #[serde(default)]
     pub candidates: Vec<Candidate>,
     #[serde(default)]
