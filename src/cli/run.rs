@@ -21,11 +21,12 @@ use autoref_stream::raster::RasterInfo;
 use autoref_stream::report::Gathered;
 use clap::Args;
 
-use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
 use crate::cli::report::{self, ReportArgs, Watch};
+use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::write::{self, WriteArgs};
+use crate::cli::{accuracy, doctor};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -40,6 +41,8 @@ pub struct RunArgs {
     pub marks: MarkArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
     #[command(flatten)]
     pub write: WriteArgs,
     #[command(flatten)]
@@ -67,6 +70,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let report = args.report.wanted().then(|| report::path(&json));
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, args.write.overwrite)?;
+    args.solving.check(args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -84,13 +88,17 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         priors: &priors,
         progress: &watch,
     };
-    let run = georeference(&job)?;
+    let mut run = georeference(&job)?;
+    let known = doctor::known_place(info, &list);
+    doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
-    frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
+    let place = solving::ImagePlace::of(info);
+    let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    frame::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     let report_started = Instant::now();
@@ -100,7 +108,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json)?;
+    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
@@ -134,6 +142,7 @@ fn write_outputs(
     document: &mut Document,
     started: Instant,
     quiet: bool,
+    dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let mut transaction = Transaction::new();
@@ -141,6 +150,9 @@ fn write_outputs(
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
         document.result.warnings.extend(warnings);
+    }
+    if let Some(dem) = dem {
+        dem.stage(&document.result, &mut transaction)?;
     }
     let written = transaction.paths();
     document.result.files_written = written
@@ -201,6 +213,9 @@ impl Document {
             best_pattern: None,
             search: None,
             prior_georeference: None,
+            diagnoses: Vec::new(),
+            heights: None,
+            chosen_model: None,
             warnings: list.notes.clone(),
             patch: None,
             candidates,
@@ -220,6 +235,7 @@ impl Document {
                 result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
                 result.best_pattern = evidence.best.clone();
                 result.runner_up = evidence.runner_up.clone();
+                result.diagnoses = evidence.diagnoses.clone();
             }
         }
         result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
@@ -328,6 +344,8 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
         result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
     result.warnings.extend(near_misses(result, orientation, list));
+    result.diagnoses = orientation.diagnoses.clone();
+    result.advice.extend(result.diagnoses.iter().map(|d| d.message.clone()));
     result.solution = Some(solution.clone());
 }
 
@@ -422,7 +440,11 @@ fn summary(result: &RunResult) -> String {
         {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
+        solving::lines(result, &mut line);
         accuracy::lines(result, &mut line);
+        for diagnosis in &result.diagnoses {
+            line("Mistake?", diagnosis.message.clone());
+        }
     } else {
         line("GCPs listed", result.gcps_listed.to_string());
         line("Not solved", result.reason.clone().unwrap_or_default());

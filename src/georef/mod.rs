@@ -6,6 +6,7 @@ pub mod carry;
 pub mod crs;
 pub mod dialects;
 pub mod gcps_vrt;
+pub mod heights;
 pub mod result;
 pub mod sidecar;
 pub mod tags;

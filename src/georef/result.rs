@@ -82,6 +82,15 @@ pub struct RunResult {
     pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
+    /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
+    /// What was solved of an elevation model.
+    #[serde(default)]
+    pub heights: Option<crate::pipeline::heights::HeightResult>,
+    /// The transform of `--model`, beside the similarity.
+    #[serde(default)]
+    pub chosen_model: Option<serde_json::Value>,
     #[serde(default)]
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
