@@ -1,0 +1,5 @@
+//! Scanned film: fiducial marks and the inner orientation.
+
+pub mod types;
+
+pub use types::*;
