@@ -8,6 +8,7 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod fiducials;
 pub mod run;
 pub mod sample;
 pub mod solve;
@@ -48,6 +49,7 @@ pub enum Command {
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
+    Fiducials(fiducials::FiducialsArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -58,6 +60,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Sample(args)) => sample::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Fiducials(args)) => fiducials::run(&args),
         None => run::run(&cli.run),
     }
 }

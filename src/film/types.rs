@@ -52,6 +52,9 @@ pub struct CameraMark {
     pub x_mm: Option<f64>,
     #[serde(default)]
     pub y_mm: Option<f64>,
+    /// Where it lies roughly, for marks known by distances only.
+    #[serde(default)]
+    pub near_mm: Option<[f64; 2]>,
     /// What it looks like.
     pub kind: MarkKind,
     /// Clockwise turn of the shape as seen on an upright frame, in degrees. Shapes are described as they stand at the lower
@@ -223,6 +226,9 @@ pub struct FrameResult {
     pub status: FrameStatus,
     pub marks: Vec<MarkFind>,
     pub inner: Option<InnerOrientation>,
+    /// What is worth knowing but is no reason to look.
+    #[serde(default)]
+    pub notes: Vec<String>,
     pub elapsed_s: f64,
 }
 
