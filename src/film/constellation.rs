@@ -89,7 +89,7 @@ pub struct Naming {
     pub mirrored: bool,
     /// For every place found: which of the camera's marks it is.
     pub names: Vec<usize>,
-    /// How badly the calibrated positions fit, pixels; without the worst mark where four or more allow that.
+    /// How badly the calibrated positions fit, pixels; where that is much, without the worst of four or more marks.
     pub rms_px: f64,
 }
 
@@ -132,7 +132,7 @@ pub fn namings(
 
 fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: bool) -> Option<f64> {
     let whole = rms_px(&fit_pose(points, mirrored)?, points);
-    if points.len() < 4 {
+    if points.len() < 4 || whole < 8.0 {
         return Some(whole);
     }
     let without = (0..points.len()).filter_map(|k| {
