@@ -55,6 +55,8 @@ const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 const PEAKS: usize = 10;
 /// A mark that correlates less is looked at by a person.
 const GOOD_SCORE: f64 = 0.5;
+/// How far a reference point is found from where its shape puts it, millimetres: the shape's error in front of terrain.
+const HOLE_MM: f64 = 0.05;
 /// A centre less certain than this is looked at by a person, pixels.
 const GOOD_SIGMA_PX: f64 = 0.5;
 
@@ -276,14 +278,51 @@ impl Finder {
         let linear = pose.shape_linear(self.turns_deg[k]);
         let predicted = pose.apply(self.film[k]);
         let unit = pose.px_per_mm();
+        let bounds = source.info().bounds();
+        let (half, out, inward) = model.reach_mm();
+        let inside = [(-half, -out), (half, -out), (-half, inward), (half, inward)].iter().all(|(u, v)| {
+            let x = predicted.x + linear[0] * u + linear[1] * v;
+            let y = predicted.y + linear[2] * u + linear[3] * v;
+            x > 0.0 && y > 0.0 && x < bounds.width as f64 && y < bounds.height as f64
+        });
+        if !inside {
+            return self.point_only(source, model, linear, predicted, unit);
+        }
         let half_px = (model.radius_mm() * 1.1 + 0.6) * unit + 8.0;
         let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
         let peaks = search(source, window, model, linear, 3)?;
         // Near the prediction, not merely the best: the box also holds what is beside the mark.
         let near = |p: &&Peak| distance(p.centre, predicted) < 0.6 * unit + 4.0;
-        let Some(body) = peaks.iter().filter(near).max_by(|a, b| a.score.total_cmp(&b.score)) else { return Ok(None) };
+        let Some(body) = peaks.iter().filter(near).max_by(|a, b| a.score.total_cmp(&b.score)) else {
+            return self.point_only(source, model, linear, predicted, unit);
+        };
         let body = settle(source, body.centre, model, linear)?.unwrap_or(*body);
         Ok(Some(self.place(source, model, linear, &body, unit)?))
+    }
+
+    /// A hole where the other marks put it although the shape around it is not recognised, as in front of dark water.
+    fn point_only(
+        &self,
+        source: &dyn RasterSource,
+        model: &Model,
+        linear: [f64; 4],
+        predicted: PixelPoint,
+        unit: f64,
+    ) -> Result<Option<Measured>> {
+        let Some(radius_mm) = model.point_radius_mm() else { return Ok(None) };
+        let half_px = (1.6 * radius_mm + 0.3) * unit + 8.0;
+        let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
+        let grey = read_grey(source, window, 1)?;
+        let template = draw(model, linear, 1.0, Some(radius_mm));
+        let peak = template.and_then(|t| climb(&grey, &t, predicted, (0.3 * unit).ceil() as i64, |_| 0.0));
+        let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
+        let refined = refine(&grey, model, linear, peak.centre, radius_mm).filter(|r| r.contrast > 0.0);
+        Ok(refined.map(|r| Measured {
+            centre: r.centre,
+            covariance_px2: Some(r.covariance_px2),
+            score: peak.score,
+            reason: Some("only its hole is seen, not its shape".to_owned()),
+        }))
     }
 
     /// From the shape's place to the reference point, with everything that makes it doubtful by itself.
@@ -305,8 +344,10 @@ impl Finder {
         let mut reasons = vec![];
         if let Some(radius) = point_mm {
             let point = draw(model, linear, 1.0, Some(radius));
+            // Specks look like holes too: far from where the shape puts it a hole must be seen so much better.
             let reach = (0.7 * radius * unit).ceil() as i64 + 2;
-            match point.and_then(|t| climb(&grey, &t, start, reach)) {
+            let doubt = |p: PixelPoint| 0.1 * (distance(p, start) / (HOLE_MM * unit + 0.5)).powi(2);
+            match point.and_then(|t| climb(&grey, &t, start, reach, doubt)) {
                 Some(p) if p.score >= GOOD_SCORE => start = p.centre,
                 found => reasons.push(format!(
                     "its hole is not seen (correlation {:.2}); placed by the teeth",
@@ -328,8 +369,9 @@ impl Finder {
             }
         }
         let apart = distance(measured.centre, body.centre);
-        if apart > 0.05 * unit + 1.5 {
-            reasons.push(format!("its point lies {apart:.1} px from where its shape puts it"));
+        if apart > HOLE_MM * unit + 1.5 {
+            reasons.push(format!("its point lies {apart:.1} px from where its shape puts it; placed by the shape"));
+            (measured.centre, measured.covariance_px2) = (body.centre, None);
         }
         if body.score < GOOD_SCORE {
             reasons.push(format!("its shape is barely recognised (correlation {:.2})", body.score));
@@ -350,9 +392,12 @@ impl Finder {
         if !self.models.iter().all(Model::is_symmetric) {
             return None;
         }
-        let places: Vec<(usize, PixelPoint)> = (0..self.film.len())
-            .filter_map(|k| measured[k].as_ref().filter(|m| m.reason.is_none()).map(|m| (k, m.centre)))
-            .collect();
+        let located = |sound: bool| -> Vec<(usize, PixelPoint)> {
+            let usable = |m: &&Measured| m.reason.is_none() || !sound;
+            (0..self.film.len()).filter_map(|k| Some((k, measured[k].as_ref().filter(usable)?.centre))).collect()
+        };
+        // Names need places that are right to some pixels only.
+        let places = Some(located(true)).filter(|p| p.len() >= 3).unwrap_or_else(|| located(false));
         let allowed = self.orientations(options);
         let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
         let best = all.first()?;

@@ -84,6 +84,8 @@ pub struct FilmSpec {
     pub rotation_deg: f64,
     /// Shift of the film in the scan, millimetres, right and down.
     pub offset_mm: [f64; 2],
+    /// Scanner glass around the film, millimetres.
+    pub margin_mm: f64,
     /// σ of each mark about its calibrated place on the film (certificate and film), micrometres.
     pub jitter_um: f64,
     /// Shear of the film, relative.
@@ -116,6 +118,7 @@ impl FilmSpec {
             mirrored: false,
             rotation_deg: 0.0,
             offset_mm: [0.0; 2],
+            margin_mm: 0.0,
             jitter_um: 3.0,
             shear: 0.0,
             gain: 1.0,
@@ -136,7 +139,9 @@ impl FilmSpec {
         let mut spec = FilmSpec::plain(camera, pixel_um, seed);
         spec.bits = if r.chance(0.3) { 16 } else { 8 };
         spec.rotation_deg = r.normal().clamp(-2.5, 2.5) * 0.6;
-        spec.offset_mm = [r.normal(), r.normal()].map(|v| v.clamp(-2.5, 2.5) * 1.2);
+        spec.margin_mm = r.range(0.0, 4.0);
+        let shift = 0.15 + 0.4 * spec.margin_mm;
+        spec.offset_mm = [r.normal(), r.normal()].map(|v| v.clamp(-2.0, 2.0) * shift);
         spec.pixel_um *= 1.0 + 0.01 * r.normal().clamp(-2.0, 2.0);
         spec.jitter_um = 5.0;
         spec.shear = 1e-4 * r.normal();
@@ -202,6 +207,7 @@ impl FilmScene {
         let unit = 1e3 / spec.pixel_um;
         let film_size =
             if spec.quarters % 2 == 0 { camera.film_size_mm } else { [camera.film_size_mm[1], camera.film_size_mm[0]] };
+        let film_size = film_size.map(|v| v + 2.0 * spec.margin_mm);
         let [left, top, right, bottom] = spec.crop_mm;
         let width = ((film_size[0] - left - right) * unit).round().max(64.0) as u64;
         let height = ((film_size[1] - top - bottom) * unit).round().max(64.0) as u64;

@@ -267,7 +267,8 @@ impl Painter {
         let size = [self.image[2] - self.image[0], self.image[3] - self.image[1]];
         let centre = [0.5 * (self.image[0] + self.image[2]), 0.5 * (self.image[1] + self.image[3])];
         let r2 = (((film[0] - centre[0]) / size[0]).powi(2) + ((film[1] - centre[1]) / size[1]).powi(2)) * 2.0;
-        (0.12 + 0.85 * value) * (1.0 - self.spec.vignette as f32 * r2.min(1.0) as f32)
+        // Where no light fell there is still the film's fog above the opaque frame.
+        OPAQUE + 0.03 + (0.04 + 0.82 * value) * (1.0 - self.spec.vignette as f32 * r2.min(1.0) as f32)
     }
 
     /// Light of the film at a place: what the geometry says, `None` where the image shows.
@@ -296,7 +297,7 @@ impl Painter {
             return None;
         }
         let c = self.spec.camera.film_centre();
-        let f = self.spec.camera.film_size_mm.map(|v| 0.5 * v + 1.0);
+        let f = self.spec.camera.film_size_mm.map(|v| 0.5 * v);
         Some(if inside(&[c[0] - f[0], c[1] - f[1], c[0] + f[0], c[1] + f[1]]) { OPAQUE } else { GLASS })
     }
 
