@@ -4,7 +4,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
-use autoref_stream::film::{self, FindOptions, Finder, FrameResult, FrameStatus, InnerModel, roll};
+use autoref_stream::film::{
+    self, FindOptions, Finder, FrameResult, FrameStatus, InnerModel,
+    learn::{self, Pointed},
+    roll,
+};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -48,6 +52,15 @@ pub struct FiducialsArgs {
     /// How far a mark may lie from where the other marks put it, micrometres on the film; never below 2.5 pixels.
     #[arg(long, value_name = "UM", default_value_t = 40.0, help_heading = "Checking")]
     agreement_um: f64,
+    /// Learn templates of the marks from these scans instead of examining them: writes a camera file with them into the output folder.
+    #[arg(long, help_heading = "Learning")]
+    learn: bool,
+    /// Where a mark lies in the first scan, pixels; repeat for two or more. Default: the camera's own shapes find them.
+    #[arg(long = "at", value_name = "MARK=X,Y", value_parser = parse_pointed, requires = "learn", help_heading = "Learning")]
+    at: Vec<Pointed>,
+    /// Width and height of the templates, millimetres on the film.
+    #[arg(long, value_name = "W,H", value_parser = parse_size, default_value = "8,5", help_heading = "Learning")]
+    window_mm: [f64; 2],
     /// Frames at a time. Default: one per core.
     #[arg(long, value_name = "N", help_heading = "Running")]
     threads: Option<usize>,
@@ -116,8 +129,13 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     }
     let options = args.options()?;
     let camera = film::load_camera(args.camera.as_deref().context("give --camera NAME or FILE")?)?;
-    let finder = Finder::new(&camera)?;
     let scans = scans(&args.frames)?;
+    if args.learn {
+        let file = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
+        println!("learned from {} scans; use --camera {}", scans.len(), file.display());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let finder = Finder::new(&camera)?;
     if let Some(n) = args.threads {
         if n == 0 {
             bail!("0 threads can do nothing; use 1 or more");
@@ -179,4 +197,17 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         all.extend(inside);
     }
     Ok(all)
+}
+
+/// "MARK=x,y" in pixels.
+fn parse_pointed(text: &str) -> Result<Pointed, String> {
+    let (mark, place) = text.rsplit_once('=').ok_or_else(|| format!("\"{text}\" is not MARK=X,Y"))?;
+    Ok(Pointed { mark: mark.to_owned(), at: super::sample::parse_point(place)? })
+}
+
+fn parse_size(text: &str) -> Result<[f64; 2], String> {
+    let wrong = || format!("\"{text}\" is not W,H in millimetres, 0.2 to 100 each");
+    let (w, h) = text.split_once(',').ok_or_else(wrong)?;
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| (0.2..=100.0).contains(v)).ok_or_else(wrong);
+    Ok([number(w)?, number(h)?])
 }

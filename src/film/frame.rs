@@ -106,14 +106,27 @@ impl Finder {
                 models.push(model);
             }
         }
-        Ok(Finder {
+        Ok(Finder::assembled(camera, class, models))
+    }
+
+    /// With a model for every mark, whatever kinds the camera names.
+    pub(super) fn with_models(camera: &Camera, models: Vec<Model>) -> Finder {
+        Finder::assembled(camera, (0..models.len()).collect(), models)
+    }
+
+    fn assembled(camera: &Camera, class: Vec<usize>, models: Vec<Model>) -> Finder {
+        Finder {
             film: camera.film_points(),
             turns_deg: camera.turns_deg(),
             centre: camera.film_centre(),
             camera: camera.clone(),
             class,
             models,
-        })
+        }
+    }
+
+    fn size_mm(&self) -> f64 {
+        self.camera.film_size_mm[0].max(self.camera.film_size_mm[1])
     }
 
     fn model(&self, mark: usize) -> &Model {
@@ -225,6 +238,8 @@ impl Finder {
         if let Some(slot) = known {
             return Ok(slot.peaks.clone());
         }
+        // A wide mark needs room to be moved in.
+        let half_px = half_px.max((self.model(k).radius_mm() + 0.03 * self.size_mm()) * assumed.px_per_mm());
         let peaks = match around(centre, half_px, half_px, &source.info().bounds()) {
             Some(window) => search(source, window, self.model(k), linear, PEAKS)?,
             None => vec![],

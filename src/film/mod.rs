@@ -13,6 +13,7 @@ pub mod check;
 pub mod constellation;
 pub mod frame;
 pub mod inner;
+pub mod learn;
 pub mod refine;
 pub mod roll;
 pub mod search;

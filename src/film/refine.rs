@@ -110,7 +110,7 @@ fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
 /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
 pub fn refine(grey: &Grey, model: &Model, linear: Linear, start: PixelPoint, radius_mm: f64) -> Option<Refined> {
     let surface = Surface::new(model, linear, radius_mm)?;
-    let slopes = model.shows_image();
+    let slopes = model.is_drawn() && model.shows_image();
     let mut c = grey.from_scan(start);
     let mut weights: Vec<f64> = vec![];
     let mut last = None;

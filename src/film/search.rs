@@ -184,7 +184,7 @@ pub fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
 /// histogram to the bright side: the soft form of the 2017 thesis's threshold in the valley after the dark peak. Unlike a
 /// threshold it keeps the edges' positions, and it needs no second attempt with equalisation where there is no valley.
 pub fn level_ground(grey: &mut Grey, model: &Model) {
-    if !model.shows_image() || grey.data.is_empty() {
+    if !model.is_drawn() || !model.shows_image() || grey.data.is_empty() {
         return;
     }
     let mut sample: Vec<f32> = grey.data.iter().step_by(grey.data.len().div_ceil(20_000)).copied().collect();

@@ -119,6 +119,10 @@ impl Model {
         }
     }
 
+    pub fn is_drawn(&self) -> bool {
+        matches!(self, Model::Drawn(_))
+    }
+
     pub fn is_symmetric(&self) -> bool {
         match self {
             Model::Drawn(kind) => shape::is_symmetric(kind),
