@@ -17,6 +17,7 @@ pub mod accuracy;
 pub mod candidate;
 pub mod coords;
 pub mod error;
+pub mod film;
 pub mod gcp;
 pub mod georef;
 pub mod matching;
