@@ -27,6 +27,7 @@ pub mod rematch;
 pub mod segment;
 pub mod solve;
 pub mod synth;
+pub mod target;
 pub mod window;
 
 pub use error::{Error, Result};

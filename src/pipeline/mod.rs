@@ -3,10 +3,12 @@
 //! [`plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
 
 pub mod georeference;
+pub mod marks;
 pub mod paint;
 pub mod plan;
 pub mod scan;
 
+pub use marks::MarkDetector;
 pub use paint::PaintDetector;
 pub use plan::{PlanOptions, ScanPlan, peak_resident_bytes, plan};
 pub use scan::{Detector, NoProgress, Progress, ScanOutcome, ScanTimings, scan};

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::colour::{Cloud, Metric, Space, lab_from_srgb};
 use super::mixing::cloud;
-use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size};
+use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size, Target};
 use crate::candidate::patch::{flood, ground, median};
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
@@ -81,6 +81,7 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
         gates: GateLimits::default(),
         filters: Filters::default(),
         examine: Examine::default(),
+        target: Target::default(),
         learned: Some(Learned {
             marks: examples.len() as u64,
             pixels: paint.len() as u64,
