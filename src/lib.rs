@@ -13,6 +13,7 @@
 //! the outer corner of the first pixel (`docs/coordinates.md`).
 #![deny(unsafe_code)]
 
+pub mod accuracy;
 pub mod candidate;
 pub mod coords;
 pub mod error;
@@ -21,6 +22,7 @@ pub mod georef;
 pub mod matching;
 pub mod merge;
 pub mod pipeline;
+pub mod planning;
 pub mod profile;
 pub mod raster;
 pub mod rematch;

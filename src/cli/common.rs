@@ -13,6 +13,8 @@ use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
 
+use crate::cli::accuracy::AccuracyArgs;
+
 /// How the image is read and with what means.
 #[derive(Args, Debug)]
 pub struct ReadArgs {
@@ -94,6 +96,8 @@ pub struct GcpArgs {
     /// Keep these points out of matching and fit, and compare them afterwards.
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
     pub check: Vec<String>,
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
 }
 
 impl GcpArgs {
@@ -107,6 +111,7 @@ impl GcpArgs {
             to_crs: self.to_crs.clone(),
             names: self.names.clone(),
             check: self.check.clone(),
+            accuracy: self.accuracy.accuracy.clone(),
         }
     }
 }
@@ -225,11 +230,14 @@ pub struct Prepared {
     pub plan: ScanPlan,
 }
 
+/// As asked for, else one for each core.
+pub fn threads(asked: Option<u64>) -> usize {
+    asked.map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize)
+}
+
 /// Opens the image, builds the detector, and plans before the first read.
 pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -> anyhow::Result<Prepared> {
-    let threads = read
-        .threads
-        .map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize);
+    let threads = threads(read.threads);
     // Fails only when a pool exists already, which then serves.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let cache_bytes = pipeline::plan::cache_share_bytes(read.memory.0);

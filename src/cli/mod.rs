@@ -4,14 +4,19 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+pub mod accuracy;
+pub mod apply;
 pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod plan;
 pub mod run;
 pub mod sample;
 pub mod solve;
 pub mod synth;
+pub mod undo;
+pub mod write;
 
 /// Georeferences very large rasters from painted marks, without a click.
 ///
@@ -48,6 +53,9 @@ pub enum Command {
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
+    Apply(Box<apply::ApplyArgs>),
+    Undo(undo::UndoArgs),
+    Plan(plan::PlanArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -58,6 +66,9 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Sample(args)) => sample::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Plan(args)) => plan::run(&args),
         None => run::run(&cli.run),
     }
 }

@@ -10,6 +10,7 @@ use autoref_stream::matching::Priors;
 use autoref_stream::pipeline::georeference::solve_candidates;
 use clap::Args;
 
+use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::run::{self, Document};
 
@@ -62,6 +63,8 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
+    let size = extent(size, &document.result.candidates);
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, size);
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
     document.finish(started);
     if let Some(output) = &args.output {

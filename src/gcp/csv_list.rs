@@ -8,7 +8,7 @@ use crate::gcp::read::{RawList, RawPoint};
 use crate::gcp::{Gcp, GcpRole};
 use crate::georef::crs::Crs;
 
-const NAMES: [&str; 14] = [
+pub(super) const NAMES: [&str; 14] = [
     "name",
     "id",
     "point",
@@ -68,12 +68,12 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     Ok(RawList { points, crs, may_be_degrees: false, notes: Vec::new() })
 }
 
-fn separator(header: &str) -> char {
+pub(super) fn separator(header: &str) -> char {
     // The one that cuts the header most often; blanks only when there is nothing else.
     [';', '\t', ','].into_iter().find(|&c| header.contains(c)).unwrap_or(' ')
 }
 
-fn split(line: &str, separator: char) -> Vec<String> {
+pub(super) fn split(line: &str, separator: char) -> Vec<String> {
     if separator == ' ' {
         return line.split_whitespace().map(str::to_string).collect();
     }
@@ -153,7 +153,7 @@ fn point(path: &Path, row: usize, fields: &[String], columns: &Columns, separato
 }
 
 /// A decimal point, or a decimal comma where commas do not separate columns.
-fn parse_number(text: &str, separator: char) -> Option<f64> {
+pub(super) fn parse_number(text: &str, separator: char) -> Option<f64> {
     let plain = text.trim_matches('"').replace(['\u{a0}', '\u{202f}', '\''], "");
     let value = match plain.parse::<f64>() {
         Ok(value) => value,

@@ -1,5 +1,6 @@
 //! Reading lists of ground control points.
 
+mod accuracy_list;
 mod csv_list;
 mod geojson;
 mod kof;

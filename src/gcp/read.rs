@@ -1,9 +1,9 @@
 //! Lists of GCPs as files: GeoJSON, CSV with a header, Norwegian KOF.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
-use crate::gcp::{Gcp, GcpRole, csv_list, geojson, kof};
+use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof};
 use crate::georef::crs::Crs;
 
 /// What the caller says about the list.
@@ -17,6 +17,8 @@ pub struct GcpOptions {
     pub names: Vec<String>,
     /// Keep these out of the fit.
     pub check: Vec<String>,
+    /// A table of the survey's errors, point by point.
+    pub accuracy: Option<PathBuf>,
 }
 
 /// A list as it will be used: projected coordinates in metres.
@@ -63,7 +65,7 @@ pub fn read(path: &Path, options: &GcpOptions) -> Result<GcpList> {
 }
 
 /// UTF-8 with or without a byte order mark; else Latin-1, as old survey software writes.
-fn decode(bytes: Vec<u8>) -> String {
+pub(super) fn decode(bytes: Vec<u8>) -> String {
     match String::from_utf8(bytes) {
         Ok(text) => text.trim_start_matches('\u{feff}').to_string(),
         Err(error) => error.into_bytes().into_iter().map(char::from).collect(),
@@ -104,6 +106,9 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
         stated => stated,
     };
     let mut gcps: Vec<Gcp> = points.into_iter().map(|p| p.gcp).collect();
+    if let Some(table) = &options.accuracy {
+        notes.extend(accuracy_list::apply(table, &mut gcps)?);
+    }
     let crs = project(path, &mut gcps, source, options.to_crs.as_deref(), &mut notes)?;
     Ok(GcpList { gcps, crs, notes })
 }
