@@ -4,6 +4,7 @@
 //! `cargo run --release --example target_scores` (photographs in `../shared/data`).
 
 #[path = "../benches/detection/plant.rs"]
+#[allow(dead_code)]
 mod plant;
 #[path = "../benches/detection/targets.rs"]
 mod targets;

@@ -60,6 +60,9 @@ impl Detector for MarkDetector {
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         self.inner().examine(region, patch)
     }
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        self.inner().examine_all(region, patch)
+    }
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         self.inner().stricter()
     }

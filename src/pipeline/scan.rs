@@ -42,6 +42,10 @@ pub trait Detector: Sync {
     fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// Region → Candidates, where a region may be several marks that touch.
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        self.examine(region, patch).into_iter().collect()
+    }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {
@@ -87,7 +91,7 @@ pub struct ScanTimings {
 }
 
 /// A region's identity and what became of it.
-type Examined = ((u64, u64), Option<Candidate>);
+type Examined = ((u64, u64), Vec<Candidate>);
 
 /// What a worker sends on for one tile.
 struct TileOutput {
@@ -126,7 +130,7 @@ pub fn scan(
     let regions_examined = examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
-        candidates: detector.finish(examined.into_iter().filter_map(|(_, candidate)| candidate).collect()),
+        candidates: detector.finish(examined.into_iter().flat_map(|(_, candidates)| candidates).collect()),
         regions_examined,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
@@ -369,7 +373,7 @@ impl Worker<'_> {
             let window = patch_window(&region, self.detector, info);
             if block.window.contains_window(&window) {
                 let patch = block.patch(window, info);
-                output.examined.push((region.first, self.detector.examine(&region, &patch)));
+                output.examined.push((region.first, self.detector.examine_all(&region, &patch)));
             } else {
                 output.straddling.push(region);
             }
@@ -397,5 +401,5 @@ fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: 
 fn examine_window(source: &dyn RasterSource, detector: &dyn Detector, region: &Region) -> Result<Examined> {
     let window = patch_window(region, detector, source.info());
     let patch = source.read(window)?.patch(window, source.info());
-    Ok((region.first, detector.examine(region, &patch)))
+    Ok((region.first, detector.examine_all(region, &patch)))
 }

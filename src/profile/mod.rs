@@ -269,6 +269,8 @@ pub struct Examine {
     pub too_close: TooClose,
     pub min_distance_px: f64,
     pub order: Ordering,
+    /// Take regions that may be several marks apart; taught profiles do.
+    pub split: bool,
 }
 
 impl Default for Examine {
@@ -282,6 +284,7 @@ impl Default for Examine {
             too_close: TooClose::Off,
             min_distance_px: 0.0,
             order: Ordering::Raster,
+            split: false,
         }
     }
 }
