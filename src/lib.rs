@@ -32,6 +32,7 @@ pub mod review;
 pub mod segment;
 pub mod solve;
 pub mod synth;
+pub mod target;
 pub mod window;
 
 pub use error::{Error, Result};

@@ -112,22 +112,29 @@ const FINE: usize = 5;
 
 /// Share of paint in each pixel of a window `size` pixels wide, for a mark centred at (cx, cy) in it.
 fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f64) -> Vec<f64> {
-    let n = size * FINE;
     let (sin, cos) = angle.sin_cos();
     let half = cell.side_px / 2.0;
     let (csin, ccos) = cover_angle.sin_cos();
     // Side of the half plane that hides the wanted share of a square or, nearly, a disc.
     let edge = half - cell.cover * cell.side_px;
+    blurred(size, cell.blur_px, |x, y| {
+        let (u, v) = (cos * (x - cx) + sin * (y - cy), cos * (y - cy) - sin * (x - cx));
+        let inside = if cell.disc { u * u + v * v <= half * half } else { u.abs() <= half && v.abs() <= half };
+        let hidden = cell.cover > 0.0 && ccos * u + csin * v > edge;
+        inside && !hidden
+    })
+}
+
+/// Share of each pixel of a window that a shape covers: at five times the resolution, blurred with a Gaussian.
+pub fn blurred(size: usize, blur_px: f64, inside: impl Fn(f64, f64) -> bool) -> Vec<f64> {
+    let n = size * FINE;
     let mut fine: Vec<f32> = (0..n * n)
         .map(|i| {
-            let (x, y) = (((i % n) as f64 + 0.5) / FINE as f64 - cx, ((i / n) as f64 + 0.5) / FINE as f64 - cy);
-            let (u, v) = (cos * x + sin * y, cos * y - sin * x);
-            let inside = if cell.disc { u * u + v * v <= half * half } else { u.abs() <= half && v.abs() <= half };
-            let hidden = cell.cover > 0.0 && ccos * u + csin * v > edge;
-            f32::from(u8::from(inside && !hidden))
+            let (x, y) = (((i % n) as f64 + 0.5) / FINE as f64, ((i / n) as f64 + 0.5) / FINE as f64);
+            f32::from(u8::from(inside(x, y)))
         })
         .collect();
-    let sigma = cell.blur_px * FINE as f64;
+    let sigma = blur_px * FINE as f64;
     let reach = (3.5 * sigma).ceil() as i64;
     let kernel: Vec<f32> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp() as f32).collect();
     let total: f32 = kernel.iter().sum();

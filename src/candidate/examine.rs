@@ -62,14 +62,25 @@ pub fn examine(
     gates: &Gates,
 ) -> Option<Candidate> {
     let scene = Scene::new(region, patch, classifier, profile.filters == Filters::default())?;
-    if !super::options::passes(&scene, profile) {
+    examine_scene(&scene, region, classifier, profile, gates)
+}
+
+/// The same once the patch is split into paint and ground.
+pub(super) fn examine_scene(
+    scene: &Scene<'_>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<Candidate> {
+    if !super::options::passes(scene, profile) {
         return None;
     }
-    let mut evidence = measure_scene(&scene, region, classifier, profile);
+    let mut evidence = measure_scene(scene, region, classifier, profile);
     if evidence.hopeless {
         return None;
     }
-    if let Some((x, y)) = super::options::plain_centre(&scene, classifier, profile) {
+    if let Some((x, y)) = super::options::plain_centre(scene, classifier, profile) {
         evidence.centre = (x, y);
     }
     let score = score(&evidence, profile, gates);
@@ -92,7 +103,12 @@ pub fn measure(region: &Region, patch: &Patch, classifier: &Classifier, profile:
     Some(measure_scene(&scene, region, classifier, profile))
 }
 
-fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, profile: &Profile) -> Evidence {
+pub(super) fn measure_scene(
+    scene: &Scene<'_>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+) -> Evidence {
     let patch = scene.patch;
     let colours: Vec<Vector3<f64>> = (0..scene.own.len())
         .filter(|&i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX))

@@ -6,6 +6,7 @@ pub mod fit;
 pub mod gates;
 pub mod options;
 pub mod patch;
+pub mod split;
 
 use serde::{Deserialize, Serialize};
 

@@ -10,7 +10,7 @@ use autoref_stream::gcp::GcpOptions;
 use autoref_stream::georef::crs::Crs;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
-use autoref_stream::pipeline::{self, Detector, PaintDetector, PlanOptions, Progress, ScanPlan};
+use autoref_stream::pipeline::{self, Detector, MarkDetector, PlanOptions, Progress, ScanPlan};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
@@ -249,7 +249,7 @@ impl FromStr for MarkSize {
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
     pub source: Arc<dyn RasterSource>,
-    pub detector: PaintDetector,
+    pub detector: MarkDetector,
     pub plan: ScanPlan,
 }
 
@@ -273,7 +273,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
     let info = source.info();
     let profile = profile(marks)?;
     let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
-    let detector = PaintDetector::new(profile, info, gsd_m)?;
+    let detector = MarkDetector::new(profile, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,
         threads,

@@ -4,10 +4,12 @@
 
 pub mod georeference;
 pub mod heights;
+pub mod marks;
 pub mod paint;
 pub mod plan;
 pub mod scan;
 
+pub use marks::MarkDetector;
 pub use paint::PaintDetector;
 pub use plan::{PlanOptions, ScanPlan, peak_resident_bytes, plan};
 pub use scan::{Detector, NoProgress, Progress, ScanOutcome, ScanTimings, scan};

@@ -47,6 +47,11 @@ pub trait Detector: Sync {
     fn outline(&self, _region: &Region, _patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
         None
     }
+
+    /// Region → Candidates, where a region may be several marks that touch.
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        self.examine(region, patch).into_iter().collect()
+    }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {
@@ -97,7 +102,7 @@ pub struct ScanTimings {
 }
 
 /// A region's identity and what became of it.
-type Examined = ((u64, u64), Option<Candidate>);
+type Examined = ((u64, u64), Vec<Candidate>);
 
 /// What a worker sends on for one tile.
 struct TileOutput {
@@ -139,7 +144,7 @@ pub fn scan(
     let regions_examined = examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
-        candidates: detector.finish(examined.into_iter().filter_map(|(_, candidate)| candidate).collect()),
+        candidates: detector.finish(examined.into_iter().flat_map(|(_, candidates)| candidates).collect()),
         regions_examined,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
@@ -346,7 +351,7 @@ impl Worker<'_> {
             let Some((tile, block)) = self.next_block(tiles) else { return };
             let output = block.and_then(|block| {
                 let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
-                let found: Vec<&Candidate> = output.examined.iter().filter_map(|(_, found)| found.as_ref()).collect();
+                let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
                 self.progress.saw(&block, tile.core, &found);
                 drop(block);
                 for region in self.straddlers.try_iter() {
@@ -384,7 +389,7 @@ impl Worker<'_> {
             let window = patch_window(&region, self.detector, info);
             if block.window.contains_window(&window) {
                 let patch = block.patch(window, info);
-                output.examined.push((region.first, self.detector.examine(&region, &patch)));
+                output.examined.push((region.first, self.detector.examine_all(&region, &patch)));
             } else {
                 output.straddling.push(region);
             }
@@ -412,5 +417,5 @@ fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: 
 fn examine_window(source: &dyn RasterSource, detector: &dyn Detector, region: &Region) -> Result<Examined> {
     let window = patch_window(region, detector, source.info());
     let patch = source.read(window)?.patch(window, source.info());
-    Ok((region.first, detector.examine(region, &patch)))
+    Ok((region.first, detector.examine_all(region, &patch)))
 }
