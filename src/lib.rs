@@ -13,14 +13,17 @@
 //! the outer corner of the first pixel (`docs/coordinates.md`).
 #![deny(unsafe_code)]
 
+pub mod accuracy;
 pub mod candidate;
 pub mod coords;
+pub mod doctor;
 pub mod error;
 pub mod gcp;
 pub mod georef;
 pub mod matching;
 pub mod merge;
 pub mod pipeline;
+pub mod planning;
 pub mod profile;
 pub mod raster;
 pub mod rematch;

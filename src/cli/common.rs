@@ -14,6 +14,7 @@ use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
 
+use crate::cli::accuracy::AccuracyArgs;
 use crate::cli::frame::{self, FrameArgs};
 
 /// How the image is read and with what means.
@@ -99,6 +100,8 @@ pub struct GcpArgs {
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
     pub check: Vec<String>,
     #[command(flatten)]
+    pub accuracy: AccuracyArgs,
+    #[command(flatten)]
     pub frame: FrameArgs,
 }
 
@@ -114,6 +117,7 @@ impl GcpArgs {
             to_crs: self.to_crs.clone(),
             names: self.names.clone(),
             check: self.check.clone(),
+            accuracy: self.accuracy.accuracy.clone(),
             image: image.and_then(frame::of_image),
             ..GcpOptions::default()
         };

@@ -4,12 +4,14 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+pub mod accuracy;
 pub mod apply;
 pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
 pub mod frame;
+pub mod plan;
 pub mod run;
 pub mod sample;
 pub mod solve;
@@ -54,6 +56,7 @@ pub enum Command {
     Distance(distance::Args),
     Apply(Box<apply::ApplyArgs>),
     Undo(undo::UndoArgs),
+    Plan(plan::PlanArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -66,6 +69,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Plan(args)) => plan::run(&args),
         None => run::run(&cli.run),
     }
 }

@@ -7,18 +7,22 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
+use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
+use autoref_stream::georef::crs::Crs;
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
+use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
 use clap::Args;
 
+use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
 use crate::cli::write::{self, WriteArgs};
@@ -81,12 +85,23 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
+    document.diagnose(&run.outcome, &list, &[], matcher.as_ref(), &priors[0], own_georeference(info).as_ref());
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// What the image says of where it lies, when that can be compared with a list.
+fn own_georeference(info: &RasterInfo) -> Option<OwnGeoreference> {
+    Some(OwnGeoreference {
+        geotransform: info.geotransform?,
+        crs: Crs::parse(info.crs_wkt.as_deref()?).ok()?,
+        image_size_px: (info.width as f64, info.height as f64),
+    })
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
@@ -165,6 +180,8 @@ impl Document {
             log10_false_alarms: None,
             matches: Vec::new(),
             check_points: Vec::new(),
+            accuracy: None,
+            expected_errors: Vec::new(),
             not_found: Vec::new(),
             outside: Vec::new(),
             solution: None,
@@ -173,6 +190,7 @@ impl Document {
             search: None,
             prior_georeference: None,
             warnings: list.notes.clone(),
+            diagnoses: Vec::new(),
             candidates,
             files_written: Vec::new(),
             reading: None,
@@ -222,12 +240,34 @@ impl Document {
         timings.rematch_s = run.rematch_s;
     }
 
+    /// Which classic mistake in the list would explain what does not fit.
+    pub fn diagnose(
+        &mut self,
+        outcome: &Outcome,
+        list: &GcpList,
+        labels: &[Option<String>],
+        matcher: &dyn Matcher,
+        priors: &Priors,
+        own: Option<&OwnGeoreference>,
+    ) {
+        let case = doctor::Case {
+            candidates: &self.result.candidates,
+            labels,
+            gcps: &list.gcps,
+            crs: list.crs.as_ref(),
+            matcher,
+            priors,
+            own,
+        };
+        self.result.diagnoses = doctor::diagnose(&case, outcome);
+    }
+
     /// An existing georeference is reported, with how far the new one moves the image.
     fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
         let Some(old) = info.geotransform else { return };
         let same_crs = match (&info.crs_wkt, &list.crs) {
             (Some(wkt), Some(crs)) if !crs.is_geographic() => {
-                autoref_stream::georef::crs::Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
             }
             _ => false,
         };
@@ -264,7 +304,7 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     let solution = &orientation.solution;
     result.status = Status::Solved;
     result.geotransform = Some(solution.geotransform);
-    result.crs = list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label);
+    result.crs = list.crs.as_ref().map(Crs::label);
     result.rmse_m = Some(solution.rmse_m);
     result.rmse_e_m = Some(solution.rmse_e_m);
     result.rmse_n_m = Some(solution.rmse_n_m);
@@ -392,12 +432,7 @@ fn summary(result: &RunResult) -> String {
         {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
-        if !result.check_points.is_empty() {
-            let squares: f64 =
-                result.check_points.iter().map(|c| c.residual_e_m.powi(2) + c.residual_n_m.powi(2)).sum();
-            let rmse = (squares / result.check_points.len() as f64).sqrt();
-            line("Check points", format!("{} kept out of the fit, RMSE {rmse:.4} m", result.check_points.len()));
-        }
+        accuracy::lines(result, &mut line);
     } else {
         line("GCPs listed", result.gcps_listed.to_string());
         line("Not solved", result.reason.clone().unwrap_or_default());
@@ -408,6 +443,9 @@ fn summary(result: &RunResult) -> String {
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("Chance of accident", format!("{figure} such patterns expected by chance"));
+    }
+    for diagnosis in &result.diagnoses {
+        line("Diagnosis", diagnosis.sentence.clone());
     }
     for warning in &result.warnings {
         line("Note", warning.clone());

@@ -10,6 +10,7 @@ use autoref_stream::matching::Priors;
 use autoref_stream::pipeline::georeference::solve_candidates;
 use clap::Args;
 
+use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::frame;
 use crate::cli::run::{self, Document};
@@ -62,7 +63,11 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let match_started = Instant::now();
     let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
+    let labels = candidate_list::read_labels(&args.candidates)?;
+    document.diagnose(&outcome, &list, &labels, matcher.as_ref(), &priors, None);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
+    let seen = extent(size, &document.result.candidates);
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
     frame::deliver(&mut document.result, &list, size)?;
     document.finish(started);

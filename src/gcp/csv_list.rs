@@ -12,7 +12,7 @@ use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{Gcp, GcpRole};
 use crate::georef::crs::Crs;
 
-const NAMES: &[&str] = &[
+pub(super) const NAMES: &[&str] = &[
     "name",
     "id",
     "point",
@@ -185,14 +185,14 @@ fn no_header(path: &Path, line: &Line<'_>) -> Error {
 }
 
 /// "Easting [m]" and "EASTING_(m)" are "easting"; underscores and hyphens are blanks.
-fn tidy(title: &str) -> String {
+pub(super) fn tidy(title: &str) -> String {
     let lower = title.trim_matches(['"', '\'', ' ', '\u{feff}']).to_lowercase();
     let head = lower.split(['[', '(']).next().unwrap_or_default();
     head.replace(['_', '-', '.', ':'], " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves.
-fn find(titles: &[String], names: &[&str]) -> Option<usize> {
+pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
     names.iter().find_map(|name| titles.iter().position(|t| t == name || t.split('/').any(|half| half.trim() == *name)))
 }
 

@@ -12,6 +12,7 @@
 //! # Ok::<(), autoref_stream::Error>(())
 //! ```
 
+mod accuracy_list;
 mod csv_list;
 mod frame;
 mod geojson;

@@ -1,13 +1,13 @@
 //! Lists of GCPs as files, of any format: recognised, chosen from, and brought into metres.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::gcp::frame::{Frame, Reproject};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
-use crate::gcp::{Gcp, GcpRole, csv_list, geojson, kof, odm, ogr, qgis, text, xml};
+use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, qgis, text, xml};
 use crate::georef::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 
 /// Lists are small; what is larger is another file.
@@ -31,6 +31,8 @@ pub struct GcpOptions {
     pub check: Vec<String>,
     /// What the image says of itself, for lists that name no CRS.
     pub image: Option<ImageGeoreference>,
+    /// A table of the survey's errors, point by point.
+    pub accuracy: Option<PathBuf>,
 }
 
 impl Default for GcpOptions {
@@ -44,6 +46,7 @@ impl Default for GcpOptions {
             names: Vec::new(),
             check: Vec::new(),
             image: None,
+            accuracy: None,
         }
     }
 }
@@ -159,7 +162,11 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
         check_place(path, &points, crs, &mut notes)?;
     }
     let gcps = choose(path, points, options)?;
-    enter(path, gcps, source, options, notes)
+    let mut list = enter(path, gcps, source, options, notes)?;
+    if let Some(table) = &options.accuracy {
+        list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
+    }
+    Ok(list)
 }
 
 fn choose(path: &Path, mut points: Vec<RawPoint>, options: &GcpOptions) -> Result<Vec<Gcp>> {

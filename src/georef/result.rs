@@ -55,6 +55,10 @@ pub struct RunResult {
     pub log10_false_alarms: Option<f64>,
     pub matches: Vec<MatchRow>,
     pub check_points: Vec<MatchRow>,
+    /// What may be claimed of the accuracy; null when nothing was solved.
+    pub accuracy: Option<crate::accuracy::AccuracyStatement>,
+    /// Expected errors in the image's corners; empty when nothing is known of them.
+    pub expected_errors: Vec<crate::accuracy::CornerError>,
     /// GCPs inside the image of which no mark was found.
     pub not_found: Vec<String>,
     /// GCPs that lie outside the image.
@@ -66,6 +70,9 @@ pub struct RunResult {
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
     pub warnings: Vec<String>,
+    /// Mistakes in the list that would explain what does not fit; nothing was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::doctor::Diagnosis>,
     pub candidates: Vec<Candidate>,
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,

@@ -127,7 +127,8 @@ pub struct Solution {
     pub rmse_px: f64,
     /// Standard deviation of a coordinate of unit weight, metres; from the residuals, `None` without redundancy.
     pub sigma0_m: Option<f64>,
-    /// Covariance of (a_re, a_im, easting and northing at the weighted centre), scaled by `sigma0_m`².
+    /// Covariance of (a_re, a_im, easting and northing at the weighted centre), scaled by `sigma0_m`²; without it by the mean
+    /// variance that is stated of marks and survey, zero when nothing is.
     pub covariance: [[f64; 4]; 4],
     /// The point the covariance's translation refers to: weighted centre of the marks, pixels.
     pub centre: PixelPoint,
@@ -252,7 +253,10 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     }
     let squares: f64 = pairs.iter().map(|pair| residual(first, pair)).map(|(e, n)| e * e + n * n).sum();
     let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
-    let common = (squares / freedom as f64 - mean_prior).max(0.0);
+    // One standard deviation above its estimate: what few residuals say of the common part is coarse, and too small a
+    // value gives single points more weight than they deserve, and the map of expected errors too much trust.
+    let coarse = 1.0 + (2.0 / freedom as f64).sqrt();
+    let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
     let floor = (0.02 * first.scale_m_per_px()).powi(2);
     let weights: Vec<f64> = prior.iter().map(|v| 1.0 / (v + common).max(floor)).collect();
     let mean = weights.iter().sum::<f64>() / weights.len() as f64;
@@ -307,7 +311,12 @@ fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarit
     let freedom = 2.0 * n - 4.0;
     let weighted: f64 = residuals.iter().zip(weights).map(|(r, w)| w * (r.0 * r.0 + r.1 * r.1)).sum();
     let sigma0_m = (freedom > 0.0).then(|| (weighted / freedom).sqrt());
-    let variance = sigma0_m.map_or(0.0, |s| s * s);
+    // Without redundancy only what is stated of marks and survey tells the noise.
+    let stated = || {
+        let prior = prior_variances(pairs, similarity.scale_m_per_px());
+        prior.iter().sum::<f64>() / n
+    };
+    let variance = sigma0_m.map_or_else(stated, |s| s * s);
     let mut covariance = [[0.0; 4]; 4];
     for (i, row) in covariance.iter_mut().enumerate() {
         row[i] = variance / if i < 2 { spread } else { total };

@@ -1,0 +1,100 @@
+//! Which point to move, and where to, so that the pattern no longer fits itself.
+//!
+//! Greedy: of all single moves (some points, eight directions, a few lengths) the one that leaves the fewest ways of fitting,
+//! and of those the shortest; again, until none is left.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::ambiguity::{self, Freedom};
+use crate::coords::MapPoint;
+
+/// Lengths tried, in tolerances: the shortest is just enough to be told apart surely.
+const LENGTHS: [f64; 4] = [4.0, 7.0, 12.0, 20.0];
+/// More moves than this are a new plan.
+const MOST_MOVES: usize = 6;
+/// Points tried in a round.
+const MOST_TRIED: usize = 16;
+const WINDS: [(&str, f64); 8] = [
+    ("east", 0.0),
+    ("north-east", 45.0),
+    ("north", 90.0),
+    ("north-west", 135.0),
+    ("west", 180.0),
+    ("south-west", 225.0),
+    ("south", 270.0),
+    ("south-east", 315.0),
+];
+
+/// Advice to move one point.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Move {
+    pub name: String,
+    pub distance_m: f64,
+    /// One of the eight winds.
+    pub direction: String,
+    /// The new place.
+    pub easting: f64,
+    pub northing: f64,
+}
+
+impl Move {
+    pub fn words(&self) -> String {
+        format!(
+            "move {} by {:.1} m to the {}, to E {:.2}, N {:.2}",
+            self.name, self.distance_m, self.direction, self.easting, self.northing
+        )
+    }
+}
+
+/// How bad a pattern is: the number of ways of fitting, those that miss fewest points counting most.
+fn badness(places: &[MapPoint], freedom: &Freedom) -> f64 {
+    ambiguity::find(places, freedom).iter().map(|a| (1 + freedom.lose - a.unmatched.len()) as f64).sum()
+}
+
+/// Moves in the order in which they are to be made, and whether they suffice.
+pub fn moves(points: &[(String, MapPoint)], freedom: &Freedom) -> (Vec<Move>, bool) {
+    let mut places: Vec<MapPoint> = points.iter().map(|p| p.1).collect();
+    let mut made: Vec<Move> = Vec::new();
+    let mut moved = vec![false; points.len()];
+    let mut now = badness(&places, freedom);
+    while now > 0.0 && made.len() < MOST_MOVES {
+        // Points that the worst ways move elsewhere; each once.
+        let ways = ambiguity::find(&places, freedom);
+        let mut tried: Vec<usize> = (0..places.len())
+            .filter(|&i| !moved[i] && ways.iter().any(|a| a.pairs.iter().any(|&(f, t)| f == i && t != i)))
+            .collect();
+        let step = tried.len().div_ceil(MOST_TRIED).max(1);
+        tried = tried.into_iter().step_by(step).collect();
+        let options: Vec<(usize, usize, f64)> = tried
+            .iter()
+            .flat_map(|&i| (0..WINDS.len()).flat_map(move |w| LENGTHS.map(|l| (i, w, l * freedom.tolerance_m))))
+            .collect();
+        let best = options
+            .into_par_iter()
+            .filter_map(|(i, wind, distance)| {
+                let angle = WINDS[wind].1.to_radians();
+                let to = MapPoint {
+                    easting: places[i].easting + distance * angle.cos(),
+                    northing: places[i].northing + distance * angle.sin(),
+                };
+                let free = places.iter().enumerate().all(|(j, p)| {
+                    j == i || (p.easting - to.easting).hypot(p.northing - to.northing) > 4.0 * freedom.tolerance_m
+                });
+                let mut changed = places.clone();
+                changed[i] = to;
+                free.then(|| (badness(&changed, freedom), distance, i, wind, to))
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
+        let Some((left, distance_m, i, wind, to)) = best.filter(|b| b.0 < now) else { break };
+        (places[i], moved[i], now) = (to, true, left);
+        made.push(Move {
+            name: points[i].0.clone(),
+            distance_m,
+            direction: WINDS[wind].0.into(),
+            easting: to.easting,
+            northing: to.northing,
+        });
+    }
+    (made, now == 0.0)
+}

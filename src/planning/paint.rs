@@ -1,0 +1,124 @@
+//! Which paint stands out from an image of the place.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::profile::Profile;
+use crate::raster::{RasterSource, read_patch};
+use crate::segment::classify::PaintTest;
+use crate::window::Window;
+
+/// Windows looked at: spread evenly, this many and this large at most.
+const WINDOWS: u64 = 64;
+const WINDOW_PX: u64 = 256;
+/// Every so many pixels of a window, in both directions.
+const STRIDE: usize = 2;
+
+/// How a paint fares on the ground seen.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PaintRank {
+    pub profile: String,
+    /// Share of the ground that would be taken for paint.
+    pub ground_share: f64,
+    /// Distance of the ground's colours from the paint, over the profile's limit (up to 1 is paint): what all but one in ten
+    /// thousand pixels exceed, and all but one in a hundred.
+    pub margin_p0001: f64,
+    pub margin_p01: f64,
+    pub pixels: usize,
+}
+
+/// Ranks the shipped paints on an image of the ground, the one that stands out most first. Looks at up to 64 windows of
+/// 256 × 256 px spread over the image. Empty when the image holds no pixel.
+///
+/// # Errors
+/// When a window cannot be read.
+pub fn rank_paints(source: &dyn RasterSource) -> Result<Vec<PaintRank>> {
+    let colours = sample(source)?;
+    let mut ranks: Vec<PaintRank> = Profile::names()
+        .into_iter()
+        // The prototype's profiles are kept for comparison, not for painting.
+        .filter(|name| !name.ends_with("-2016"))
+        .map(|name| {
+            let profile = Profile::builtin(name).expect("names lists what is there");
+            Ok(rank(name, &PaintTest::new(&profile)?, &colours))
+        })
+        .collect::<Result<_>>()?;
+    ranks.retain(|rank| rank.pixels > 0);
+    ranks.sort_by(|a, b| a.ground_share.total_cmp(&b.ground_share).then(b.margin_p0001.total_cmp(&a.margin_p0001)));
+    Ok(ranks)
+}
+
+fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
+    let mut distances: Vec<f64> = colours
+        .par_iter()
+        // A rough test that says no says it without a number.
+        .map(|&colour| test.relative_distance2(colour).sqrt().min(1e3))
+        .collect();
+    distances.sort_by(f64::total_cmp);
+    let paint = distances.partition_point(|&d| d <= 1.0);
+    let quantile = |share: f64| distances.get((share * distances.len() as f64) as usize).copied().unwrap_or(0.0);
+    PaintRank {
+        profile: name.into(),
+        ground_share: paint as f64 / distances.len().max(1) as f64,
+        margin_p0001: quantile(1e-4),
+        margin_p01: quantile(1e-2),
+        pixels: distances.len(),
+    }
+}
+
+/// Colours of valid pixels as 8-bit sRGB, from the top down.
+fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
+    let info = source.info();
+    let aspect = info.width as f64 / info.height.max(1) as f64;
+    let columns = ((WINDOWS as f64 * aspect).sqrt().round() as u64).clamp(1, WINDOWS);
+    let rows = (WINDOWS / columns).max(1);
+    let mut colours = Vec::new();
+    for row in 0..rows {
+        for column in 0..columns {
+            let (width, height) = (WINDOW_PX.min(info.width), WINDOW_PX.min(info.height));
+            // The middle of each cell of the lattice.
+            let middle = |i: u64, n: u64, side: u64, window: u64| {
+                ((2 * i + 1) * side / (2 * n)).saturating_sub(window / 2).min(side - window)
+            };
+            let window = Window::new(
+                middle(column, columns, info.width, width),
+                middle(row, rows, info.height, height),
+                width,
+                height,
+            );
+            let patch = read_patch(source, window)?;
+            let white = u32::from(patch.white.max(1));
+            let byte = |v: u16| ((u32::from(v) * 255 + white / 2) / white).min(255) as u8;
+            for y in (0..height as usize).step_by(STRIDE) {
+                for x in (0..width as usize).step_by(STRIDE) {
+                    let i = y * width as usize + x;
+                    if patch.valid[i] {
+                        colours.push(patch.rgb[i].map(byte));
+                    }
+                }
+            }
+        }
+    }
+    Ok(colours)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::memory::MemorySource;
+
+    #[test]
+    fn the_colour_of_the_ground_comes_last() {
+        for (ground, worst) in [([60u8, 130, 50], "green"), ([230, 110, 50], "orange"), ([40, 90, 200], "blue")] {
+            let rgb: Vec<u8> = (0..400 * 300)
+                .flat_map(|i: u32| ground.map(|v| v.saturating_add((i.wrapping_mul(2_654_435_761) >> 28) as u8)))
+                .collect();
+            let ranks = rank_paints(&MemorySource::rgb8(400, 300, rgb)).expect("in memory");
+            assert_eq!(ranks.len(), 6, "{ranks:?}");
+            let last = ranks.last().expect("six paints");
+            assert_eq!(last.profile, worst, "{ranks:?}");
+            assert!(ranks[0].margin_p0001 > last.margin_p0001 && ranks[0].ground_share == 0.0);
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! What is said of accuracy holds: the expected-error map over synthetic cases, the statement against figures by hand.
+
+mod common;
+
+use autoref_stream::accuracy::{Basis, CheckError, ErrorModel, StatementOptions, statement};
+use autoref_stream::coords::{MapPoint, PixelPoint};
+use autoref_stream::solve::{Pair, Similarity, solve};
+use common::Random;
+
+const SIZE_PX: (f64, f64) = (8000.0, 6000.0);
+
+#[derive(Clone, Copy, Debug)]
+enum Noise {
+    Equal,
+    /// Each point's own stated σ, the survey's: 1 to 5 times the smallest, and nothing else.
+    Stated,
+    /// The same, and a common part that nobody states.
+    StatedAndCommon,
+}
+
+/// Shares of check positions within the radii of the transform and of a point.
+fn coverage(cases: u64, points: usize, noise: Noise, seed: u64) -> (f64, f64) {
+    let (mut transform, mut point, mut total) = (0u64, 0u64, 0u64);
+    for case in 0..cases {
+        let mut random = Random::new(seed.wrapping_mul(1_000_003) + case);
+        let angle = random.uniform(-3.1, 3.1);
+        let scale = 0.03;
+        let truth = Similarity {
+            a_re: scale * f64::cos(angle),
+            a_im: scale * f64::sin(angle),
+            easting_0: 570_000.0,
+            northing_0: 7_032_000.0,
+        };
+        let mut precision = 0.0;
+        let pairs: Vec<Pair> = (0..points)
+            .map(|_| {
+                let pixel = PixelPoint { x: random.uniform(0.0, SIZE_PX.0), y: random.uniform(0.0, SIZE_PX.1) };
+                let (survey, common) = match noise {
+                    Noise::Equal => (None, 0.02),
+                    Noise::Stated => (Some(0.01 * 5f64.powf(random.uniform(0.0, 1.0))), 0.0),
+                    Noise::StatedAndCommon => (Some(0.01 * 5f64.powf(random.uniform(0.0, 1.0))), 0.03),
+                };
+                let sigma = survey.unwrap_or(0.0).hypot(common);
+                precision += 1.0 / (sigma * sigma);
+                let exact = truth.apply(pixel);
+                let map = MapPoint {
+                    easting: exact.easting + sigma * random.normal(),
+                    northing: exact.northing + sigma * random.normal(),
+                };
+                Pair { pixel, covariance_px2: None, map, survey_sigma_m: survey }
+            })
+            .collect();
+        let unit_sigma = (points as f64 / precision).sqrt();
+        let solution = solve(&pairs).expect("random points");
+        let model = ErrorModel::new(&solution).expect("noise is known");
+        for i in 0..25 {
+            let p = PixelPoint { x: SIZE_PX.0 * f64::from(i % 5) / 4.0, y: SIZE_PX.1 * f64::from(i / 5) / 4.0 };
+            let (computed, exact) = (solution.similarity.apply(p), truth.apply(p));
+            let (e, n) = (computed.easting - exact.easting, computed.northing - exact.northing);
+            let expected = model.at(p);
+            transform += u64::from(e.hypot(n) <= expected.transform_95_m);
+            let (e, n) = (e + unit_sigma * random.normal(), n + unit_sigma * random.normal());
+            point += u64::from(e.hypot(n) <= expected.point_95_m);
+            total += 1;
+        }
+    }
+    (transform as f64 / total as f64, point as f64 / total as f64)
+}
+
+#[test]
+fn over_500_cases_95_of_100_places_lie_inside_the_stated_radius() {
+    // 500 cases in all: every kind of noise, three to forty points.
+    let kinds = [Noise::Equal, Noise::Stated, Noise::StatedAndCommon];
+    let points = [3, 4, 5, 6, 8, 12, 20, 40];
+    let (mut transform, mut point, mut cases) = (0.0, 0.0, 0);
+    for (i, noise) in kinds.into_iter().enumerate() {
+        for (j, points) in points.into_iter().enumerate() {
+            let share = 500 / 24 + u64::from((i * 8 + j) < 500 % 24);
+            let (t, p) = coverage(share, points, noise, 7 + (i * 8 + j) as u64);
+            (transform, point, cases) = (transform + t * share as f64, point + p * share as f64, cases + share);
+        }
+    }
+    let (transform, point) = (transform / cases as f64, point / cases as f64);
+    println!("{cases} cases: transform {transform:.4}, point {point:.4}");
+    assert_eq!(cases, 500);
+    assert!((0.93..=0.97).contains(&transform) && (0.93..=0.97).contains(&point), "{transform} {point}");
+}
+
+#[test]
+fn the_radii_are_honest_for_few_points_and_unequal_weights_too() {
+    let cases = if common::large() { 40_000 } else { 6000 };
+    for noise in [Noise::Equal, Noise::Stated, Noise::StatedAndCommon] {
+        for points in [3, 4, 5, 6, 12, 40] {
+            let (transform, point) = coverage(cases, points, noise, 1);
+            println!("{noise:?}, {points} points: transform {transform:.4}, point {point:.4}");
+            assert!((0.93..=0.97).contains(&transform) && (0.93..=0.97).contains(&point));
+        }
+    }
+    // Two points have no residuals: honest when all noise is stated.
+    let (transform, point) = coverage(cases, 2, Noise::Stated, 1);
+    assert!((0.93..=0.97).contains(&transform) && (0.93..=0.97).contains(&point), "{transform} {point}");
+}
+
+/// Errors whose figures come out by hand: Σe² = Σn² = 18 cm² over four points, so RMSE_x = RMSE_y = √4.5 cm and
+/// RMSE_H1 = 3 cm; Σh² = 40 cm², so RMSE_V1 = √10 cm.
+fn worked(rounds: usize, survey: Option<(f64, f64)>, heights: bool) -> Vec<CheckError> {
+    let errors = [(0.03, -0.01, 0.04), (-0.02, 0.02, -0.04), (0.01, 0.03, 0.02), (0.02, -0.02, -0.02)];
+    (0..rounds * errors.len())
+        .map(|i| {
+            let (e, n, h) = errors[i % errors.len()];
+            CheckError {
+                name: format!("C{i}"),
+                easting_m: e,
+                northing_m: n,
+                height_m: heights.then_some(h),
+                survey_sigma_m: survey.map(|s| s.0),
+                survey_sigma_height_m: survey.map(|s| s.1),
+            }
+        })
+        .collect()
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() < 1e-12
+}
+
+#[test]
+fn asprs_statement_without_survey_error_and_with_32_points() {
+    let s = statement(&worked(8, None, false), &[], &StatementOptions::default());
+    let h = s.figures.horizontal.expect("there are check points");
+    assert!(close(h.rmse_e_m, 0.00045f64.sqrt()) && close(h.rmse_n_m, 0.00045f64.sqrt()));
+    assert!(close(h.mean_e_m, 0.01) && close(h.mean_n_m, 0.005));
+    assert!(close(h.rmse_h1_m, 0.03) && close(h.rmse_h_m, 0.03) && h.rmse_h2_m.is_none());
+    assert_eq!((h.check_points, s.figures.basis), (32, Basis::Tested));
+    assert_eq!(
+        s.sentences,
+        [
+            "This data set was tested to meet ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023) \
+          for a 3 (cm) RMSE_H Horizontal Positional Accuracy Class. The tested horizontal positional accuracy was found to \
+          be RMSE_H = 3.0 (cm)."
+        ]
+    );
+    let said = s.reservations.join("\n");
+    assert!(said.contains("survey's own error is not stated") && said.contains("exceeds a quarter"), "{said}");
+    assert!(!said.contains("the standard asks for 30"), "{said}");
+}
+
+#[test]
+fn asprs_statement_with_survey_error_and_32_points() {
+    // σ = 2 cm in each coordinate: RMSE_H2 = √8 cm, RMSE_H = √(9 + 8) = √17 cm = 4.1 cm. σ_h = 3 cm: RMSE_V = √19 cm.
+    let s = statement(&worked(8, Some((0.02, 0.03)), true), &[], &StatementOptions::default());
+    let h = s.figures.horizontal.expect("there are check points");
+    assert!(close(h.rmse_h2_m.expect("stated"), 0.0008f64.sqrt()) && close(h.rmse_h_m, 0.0017f64.sqrt()));
+    let v = s.figures.vertical.expect("there are heights");
+    assert!(close(v.rmse_v1_m, 0.001f64.sqrt()) && close(v.rmse_v_m, 0.0019f64.sqrt()) && close(v.mean_m, 0.0));
+    // √(17 + 19) = 6 cm.
+    assert!(close(s.figures.rmse_3d_m.expect("both"), 0.06));
+    assert!(s.sentences[0].contains("for a 5 (cm) RMSE_H") && s.sentences[0].ends_with("RMSE_H = 4.1 (cm)."));
+    assert!(s.sentences[1].contains("for a 5 (cm) RMSE_V") && s.sentences[1].ends_with("RMSE_V = 4.4 (cm)."));
+    // Half the class is 2.5 cm, the survey 2.8.
+    assert!(s.reservations.iter().any(|r| r.contains("not twice as accurate")), "{:?}", s.reservations);
+}
+
+#[test]
+fn asprs_statement_with_12_points_makes_the_reservation_that_is_demanded() {
+    for survey in [None, Some((0.02, 0.03))] {
+        let options = StatementOptions { class_h_m: Some(0.05), nssda: true, ..StatementOptions::default() };
+        let s = statement(&worked(3, survey, false), &[], &options);
+        let h = s.figures.horizontal.expect("there are check points");
+        assert!(close(h.rmse_h_m, if survey.is_some() { 0.0017f64.sqrt() } else { 0.03 }));
+        assert_eq!(s.figures.basis, Basis::TestedReduced);
+        let value = if survey.is_some() { "4.1" } else { "3.0" };
+        assert_eq!(
+            s.sentences[0],
+            format!(
+                "This data set was tested as required by ASPRS Positional Accuracy Standards for Digital Geospatial Data, \
+                 Edition 2 (2023). Although the Standards call for a minimum of thirty (30) checkpoints, this test was \
+                 performed using ONLY 12 checkpoints. This data set was produced to meet a 5 (cm) RMSE_H Horizontal \
+                 Positional Accuracy Class. The tested horizontal positional accuracy was found to be RMSE_H = {value} \
+                 (cm) using the reduced number of checkpoints."
+            )
+        );
+        assert!(s.reservations.iter().any(|r| r.contains("the standard asks for 30")));
+        // 1.7308 · 3 cm, without the survey's error; 12 are too few here too.
+        let nssda = s.figures.nssda.expect("asked for");
+        assert!((nssda.horizontal_95_m - 1.7308 * 0.03).abs() < 1e-6);
+        assert_eq!(s.sentences[1], "NSSDA: Tested 0.052 meters horizontal accuracy at 95% confidence level.");
+        assert!(s.reservations.iter().any(|r| r.starts_with("NSSDA: asks for at least 20")));
+    }
+}
+
+#[test]
+fn what_is_not_met_or_not_tested_is_not_claimed() {
+    let options = StatementOptions { class_h_m: Some(0.02), ..StatementOptions::default() };
+    for rounds in [3, 8] {
+        let s = statement(&worked(rounds, None, false), &[], &options);
+        assert!(s.sentences[0].contains("does NOT meet the 2 (cm) RMSE_H"), "{}", s.sentences[0]);
+        assert!(!s.sentences[0].contains("to meet ASPRS") && !s.sentences[0].contains("produced to meet"));
+    }
+    let s = statement(&[], &[(0.03, 0.0), (0.0, 0.03)], &StatementOptions::default());
+    assert_eq!(s.figures.basis, Basis::Produced);
+    assert!(s.sentences[0].starts_with("This data set was produced to meet ASPRS"), "{:?}", s.sentences);
+    assert!(s.sentences[0].contains("for a 3 (cm) RMSE_H") && !s.sentences[0].contains("tested"));
+    assert!(s.reservations[0].contains("nothing was tested") && s.figures.horizontal.is_none());
+    // Nothing known at all: nothing said.
+    let s = statement(&[], &[], &StatementOptions { nssda: true, ..StatementOptions::default() });
+    assert!(s.sentences.is_empty() && s.figures.nssda.is_none() && !s.reservations.is_empty());
+    // One point far off is named.
+    let mut checks = worked(8, Some((0.005, 0.005)), false);
+    checks[5].easting_m = 0.5;
+    let s = statement(&checks, &[], &StatementOptions { class_h_m: Some(0.1), ..StatementOptions::default() });
+    assert!(s.reservations.iter().any(|r| r.contains("blunders: C5")), "{:?}", s.reservations);
+}
