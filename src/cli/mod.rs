@@ -18,6 +18,7 @@ pub mod replay;
 pub mod report;
 pub mod run;
 pub mod sample;
+pub mod shell;
 pub mod solve;
 pub mod solving;
 pub mod synth;
@@ -61,6 +62,8 @@ pub enum Command {
     Distance(distance::Args),
     Apply(Box<apply::ApplyArgs>),
     Undo(undo::UndoArgs),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
     Plan(plan::PlanArgs),
     Fiducials(fiducials::FiducialsArgs),
 }
@@ -75,6 +78,8 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Completions(args)) => shell::completions(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Man(args)) => shell::man(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         None => run::run(&cli.run),

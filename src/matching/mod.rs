@@ -3,6 +3,28 @@
 //! [`robust`] is the default: hypotheses from pairs, verified against all GCPs, accepted only when an accident is unlikely
 //! enough ([`evidence`]). [`tpp`] is the topological point pattern of the 2016 thesis, kept for comparison; what it proposes
 //! must pass the same test of evidence.
+//!
+//! ```
+//! use autoref_stream::candidate::Candidate;
+//! use autoref_stream::coords::{GeoTransform, PixelPoint};
+//! use autoref_stream::gcp::Gcp;
+//! use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
+//! let transform = GeoTransform([570_000.0, 0.03, 0.004, 7_032_000.0, 0.004, -0.03]);
+//! let pixels = [(120.0, 80.0), (3900.0, 400.0), (2200.0, 2900.0), (700.0, 2100.0), (3100.0, 1700.0), (1500.0, 600.0)];
+//! let mut candidates = Vec::new();
+//! let mut gcps = Vec::new();
+//! for (i, (x, y)) in pixels.into_iter().enumerate() {
+//!     let centre = PixelPoint { x, y };
+//!     let ground = transform.apply(centre);
+//!     gcps.insert(0, Gcp::control(format!("P{i}"), ground.easting, ground.northing)); // in any order
+//!     let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
+//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m });
+//! }
+//! let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
+//!     panic!("six points in a pattern of their own");
+//! };
+//! assert!(solved.pattern.pairs.iter().all(|&(candidate, gcp)| candidate == 5 - gcp));
+//! ```
 
 mod bitmap;
 pub mod doctor;

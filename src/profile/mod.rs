@@ -1,5 +1,13 @@
 //! What a mark looks like: colour, size, shape, and the limits of every gate. A profile is a small TOML file; the shipped
 //! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
+//!
+//! ```
+//! use autoref_stream::profile::Profile;
+//! let orange = Profile::load("orange")?; // or the name of a TOML file
+//! let again = Profile::parse(&orange.to_toml()).expect("what it writes it reads");
+//! assert_eq!(orange, again);
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 pub mod colour;
 mod learn;

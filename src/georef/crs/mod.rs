@@ -161,9 +161,15 @@ impl Crs {
         self.epsg.map_or_else(|| self.wkt.clone(), |code| format!("EPSG:{code}"))
     }
 
-    /// EPSG's number, when it is one of theirs.
+    /// The code, when it is one of EPSG's.
     pub fn epsg(&self) -> Option<u32> {
         self.epsg
+    }
+
+    /// As a PROJ string, for programs that read nothing else. `None` when PROJ has no such string.
+    pub fn proj_string(&self) -> Option<String> {
+        let text = self.spatial_ref().ok()?.to_proj4().ok()?;
+        Some(text.trim().to_string()).filter(|text| !text.is_empty())
     }
 
     /// Length on the grid over length on the ellipsoid (GRS 80) at a point, along the y axis; the same in all directions for
@@ -184,12 +190,6 @@ impl Crs {
         let north = SEMI_MAJOR_M * (1.0 - ECCENTRICITY2) / w2.powf(1.5) * (lat_b - lat_a).to_radians();
         let east = SEMI_MAJOR_M / w2.sqrt() * latitude.cos() * (lon_b - lon_a).to_radians();
         Some(2.0 * STEP_M / north.hypot(east))
-    }
-
-    /// As a PROJ string, for programs that read nothing else. `None` when PROJ has no such string.
-    pub fn proj_string(&self) -> Option<String> {
-        let text = self.spatial_ref().ok()?.to_proj4().ok()?;
-        Some(text.trim().to_string()).filter(|text| !text.is_empty())
     }
 
     /// For messages: "EPSG:n (name)", or the name alone.
