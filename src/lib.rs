@@ -27,6 +27,7 @@ pub mod profile;
 pub mod raster;
 pub mod rematch;
 pub mod segment;
+pub mod selftest;
 pub mod solve;
 pub mod synth;
 pub mod window;

@@ -228,6 +228,8 @@ pub struct Prepared {
     pub source: Arc<dyn RasterSource>,
     pub detector: PaintDetector,
     pub plan: ScanPlan,
+    /// What the plan was made with.
+    pub options: PlanOptions,
 }
 
 /// Opens the image, builds the detector, and plans before the first read.
@@ -266,7 +268,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         info.reader
     );
     tracing::info!("memory plan: {}", plan.line());
-    Ok(Prepared { source, detector, plan })
+    Ok(Prepared { source, detector, plan, options })
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {

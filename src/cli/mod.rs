@@ -12,6 +12,7 @@ pub mod distance;
 pub mod plan;
 pub mod run;
 pub mod sample;
+pub mod selftest;
 pub mod solve;
 pub mod synth;
 
@@ -51,6 +52,7 @@ pub enum Command {
     Chips(chips::Args),
     Distance(distance::Args),
     Plan(plan::PlanArgs),
+    Selftest(selftest::SelftestArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -62,6 +64,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
+        Some(Command::Selftest(args)) => selftest::run(&args),
         None => run::run(&cli.run),
     }
 }

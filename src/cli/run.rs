@@ -84,7 +84,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
     let list = gcp::read(gcp_file, &args.gcps.options())?;
-    let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let outputs = prepare_outputs(image, args)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
