@@ -174,6 +174,12 @@ fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
         "False finds: {} in {:.1} megapixels, {:.3} per megapixel (95 % interval {low:.3}–{high:.3}); real marks count as such",
         result.false_finds, result.megapixels, result.false_per_megapixel
     ));
+    if result.exposure < 0.9 {
+        line(format!(
+            "The image's brightest samples reach {:.0} % of full white, and the paint was dimmed alike; stretching the image may help",
+            100.0 * result.exposure
+        ));
+    }
     if result.marks_missing > 0 {
         line(format!("{} marks less than asked for: the image has no room for more", result.marks_missing));
     }

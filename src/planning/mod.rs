@@ -3,7 +3,7 @@
 
 pub mod ambiguity;
 mod moves;
-mod paint;
+pub(crate) mod paint;
 mod strength;
 
 pub use ambiguity::{Ambiguity, Freedom};

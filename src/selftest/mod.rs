@@ -83,6 +83,8 @@ pub struct Selftest {
     pub advice: Option<SizeAdvice>,
     /// Fewer marks than asked for found room.
     pub marks_missing: usize,
+    /// How bright the paint was made, over full white: as the image's own brightest, where it has more than 8 bits.
+    pub exposure: f64,
     pub rounds: usize,
 }
 
@@ -97,8 +99,15 @@ pub fn selftest(
     options: &SelftestOptions,
     progress: &dyn Progress,
 ) -> Result<Selftest> {
-    let cells: Vec<Cell> =
-        options.sizes_px.iter().map(|&side_px| Cell { side_px, ..options.conditions.clone() }).collect();
+    let exposure = exposure(source.as_ref())?;
+    let dimmed = |paint: [u8; 3]| paint.map(|v| (f64::from(v) * exposure).round() as u8);
+    let conditions = Cell {
+        paint: dimmed(options.conditions.paint),
+        second: dimmed(options.conditions.second),
+        noise: options.conditions.noise * exposure,
+        ..options.conditions.clone()
+    };
+    let cells: Vec<Cell> = options.sizes_px.iter().map(|&side_px| Cell { side_px, ..conditions.clone() }).collect();
     let mut tallies = vec![Tally::default(); cells.len()];
     let mut false_finds: Vec<Candidate> = Vec::new();
     let mut rounds = 0;
@@ -136,8 +145,22 @@ pub fn selftest(
         false_per_megapixel: count as f64 / megapixels,
         false_per_megapixel_95: (low / megapixels, high / megapixels),
         false_list: false_finds,
+        exposure,
         rounds,
     })
+}
+
+/// What the brightest half per cent of the samples reach, over full white, in images of more than 8 bits: sensors seldom use
+/// the whole range, and paint that is brighter than all else would be found too easily. 1 for 8 bits, which are developed
+/// pictures.
+fn exposure(source: &dyn RasterSource) -> Result<f64> {
+    if source.info().sample == SampleType::U8 {
+        return Ok(1.0);
+    }
+    let mut samples: Vec<u8> = crate::planning::paint::sample(source)?.into_iter().flatten().collect();
+    samples.sort_unstable();
+    let brightest = samples.get(samples.len() * 995 / 1000).copied().unwrap_or(255);
+    Ok(f64::from(brightest.max(1)) / 255.0)
 }
 
 /// As many marks of every size as the budget for chips allows.
