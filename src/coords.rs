@@ -40,6 +40,19 @@ impl GeoTransform {
         Some(PixelPoint { x: (g[5] * de - g[2] * dn) / det, y: (g[1] * dn - g[4] * de) / det })
     }
 
+    /// How far apart, in pixels of `self`, two transforms put the points of the first 10,000 × 10,000 pixels at most;
+    /// infinite when `self` has no inverse.
+    pub fn differs_px(&self, other: &GeoTransform) -> f64 {
+        // Affine, so the largest difference is at a corner.
+        [(0.0, 0.0), (1e4, 0.0), (0.0, 1e4), (1e4, 1e4)]
+            .into_iter()
+            .map(|(x, y)| {
+                let back = self.invert(other.apply(PixelPoint { x, y }));
+                back.map_or(f64::INFINITY, |p| (p.x - x).hypot(p.y - y))
+            })
+            .fold(0.0, f64::max)
+    }
+
     /// Ground size of a pixel, in map units: √|det|.
     pub fn scale(&self) -> f64 {
         (self.0[1] * self.0[5] - self.0[2] * self.0[4]).abs().sqrt()

@@ -1,8 +1,8 @@
 //! Joining regions that straddle tile edges.
 //!
 //! Each tile hands over its open regions and, for every face it shares with another tile, the runs of pixels along it.
-//! When two neighbouring tiles have both been fed, their facing runs are compared and touching regions united; when all
-//! tiles of a united region have met all their neighbours, the region is complete. Everything in a [`Region`] is an
+//! When two neighbouring tiles have both been fed, their facing runs are compared and touching regions united; when every
+//! piece of a united region has met all the tiles that it reaches, the region is complete. Everything in a [`Region`] is an
 //! integer and every operation on it commutes, so the result does not depend on the order in which tiles arrive, nor on
 //! the tiling itself.
 //!
@@ -12,23 +12,28 @@
 use std::collections::HashMap;
 
 use crate::segment::label::{FaceRun, Faces, Region, TileRegions};
-use crate::window::TileGrid;
+use crate::window::{TileGrid, Window};
 
 struct Entry {
     parent: u32,
     region: Region,
     /// Entries of this set, when this is its root.
     members: Vec<u32>,
-    /// Tiles of this set that have not met all their neighbours yet, counted once an entry; kept at the root.
+    /// Tiles that pieces of this set reach and have not met yet, counted once a piece; kept at the root.
     waiting: u64,
 }
 
 struct WaitingTile {
     faces: Faces,
-    /// Entry of each open region.
+    /// Entry of each open region. It is gone when the region has met all tiles that it reaches; no face names it then.
     entries: Vec<u32>,
+    /// Of each open region, which of [`AROUND`] it reaches: a bit each.
+    reaches: Vec<u8>,
     neighbours_left: u32,
 }
+
+/// The neighbours of a tile as steps (down, right).
+const AROUND: [(i64, i64); 8] = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)];
 
 /// Feeds on tiles in any order and gives out the regions that cross their edges.
 pub struct RegionMerger {
@@ -50,18 +55,52 @@ impl RegionMerger {
     /// When a tile is fed twice.
     pub fn feed(&mut self, id: u64, regions: TileRegions, emit: &mut impl FnMut(Region)) {
         let neighbours = self.neighbours(id);
-        let entries = regions.open.into_iter().map(|region| self.new_entry(region)).collect::<Vec<_>>();
-        let tile = WaitingTile { faces: regions.faces, entries, neighbours_left: neighbours.len() as u32 };
+        let core = self.grid.tile(id).core;
+        let there = neighbours.iter().fold(0u8, |bits, (side, _)| bits | 1 << side);
+        let reaches: Vec<u8> = regions.open.iter().map(|region| reach(&region.bounds, &core) & there).collect();
+        let entries: Vec<u32> = regions
+            .open
+            .into_iter()
+            .zip(&reaches)
+            .map(|(region, reaches)| self.new_entry(region, u64::from(reaches.count_ones())))
+            .collect();
+        let neighbours_left = neighbours.len() as u32;
+        let tile = WaitingTile { faces: regions.faces, entries, reaches, neighbours_left };
         assert!(self.tiles.insert(id, tile).is_none(), "tile {id} was fed twice");
         self.fed += 1;
-        let present: Vec<u64> = neighbours.into_iter().filter(|n| self.tiles.contains_key(n)).collect();
-        for &other in &present {
-            self.join(id, other);
-            self.tiles.get_mut(&other).expect("filtered for presence").neighbours_left -= 1;
+        for (side, other) in neighbours {
+            if self.tiles.contains_key(&other) {
+                self.join(id, other);
+                self.have_met(id, side, emit);
+                // Steps lie in the list as their opposites do from the end.
+                self.have_met(other, AROUND.len() - 1 - side, emit);
+            }
         }
-        self.tiles.get_mut(&id).expect("inserted above").neighbours_left -= present.len() as u32;
-        for tile in present.into_iter().chain([id]) {
-            self.close_if_complete(tile, emit);
+        if self.tiles.get(&id).is_some_and(|tile| tile.neighbours_left == 0) {
+            self.tiles.remove(&id);
+        }
+    }
+
+    /// What of tile `id` reaches the neighbour on `side` waits for one less.
+    fn have_met(&mut self, id: u64, side: usize, emit: &mut impl FnMut(Region)) {
+        let tile = self.tiles.get_mut(&id).expect("a tile stays until it has met all its neighbours");
+        tile.neighbours_left -= 1;
+        let left = tile.neighbours_left;
+        let reaching = tile.entries.iter().zip(&tile.reaches).filter(|(_, bits)| **bits >> side & 1 == 1);
+        for entry in reaching.map(|(&entry, _)| entry).collect::<Vec<_>>() {
+            let root = self.root(entry);
+            self.entry(root).waiting -= 1;
+            if self.entry(root).waiting == 0 {
+                let done = self.entries[root as usize].take().expect("a root in use holds an entry");
+                for member in done.members {
+                    self.entries[member as usize] = None;
+                    self.free.push(member);
+                }
+                emit(done.region);
+            }
+        }
+        if left == 0 {
+            self.tiles.remove(&id);
         }
     }
 
@@ -79,25 +118,24 @@ impl RegionMerger {
         self.entries.len() - self.free.len()
     }
 
-    fn neighbours(&self, id: u64) -> Vec<u64> {
+    /// Which of [`AROUND`] there are, and their tiles.
+    fn neighbours(&self, id: u64) -> Vec<(usize, u64)> {
         let (columns, rows) = (self.grid.columns() as i64, self.grid.rows() as i64);
         let (row, column) = ((id as i64) / columns, (id as i64) % columns);
-        let mut found = Vec::with_capacity(8);
-        for (dy, dx) in [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)] {
+        let tile = |(dy, dx)| {
             let (y, x) = (row + dy, column + dx);
-            if (0..rows).contains(&y) && (0..columns).contains(&x) {
-                found.push((y * columns + x) as u64);
-            }
-        }
-        found
+            ((0..rows).contains(&y) && (0..columns).contains(&x)).then_some((y * columns + x) as u64)
+        };
+        AROUND.into_iter().enumerate().filter_map(|(side, step)| Some((side, tile(step)?))).collect()
     }
 
-    fn new_entry(&mut self, region: Region) -> u32 {
+    fn new_entry(&mut self, region: Region, waiting: u64) -> u32 {
+        debug_assert!(waiting > 0, "an open region reaches another tile");
         let index = self.free.pop().unwrap_or_else(|| {
             self.entries.push(None);
             (self.entries.len() - 1) as u32
         });
-        self.entries[index as usize] = Some(Entry { parent: index, region, members: vec![index], waiting: 1 });
+        self.entries[index as usize] = Some(Entry { parent: index, region, members: vec![index], waiting });
         index
     }
 
@@ -158,25 +196,16 @@ impl RegionMerger {
         kept.waiting += waiting;
         kept.members.extend(members);
     }
+}
 
-    fn close_if_complete(&mut self, id: u64, emit: &mut impl FnMut(Region)) {
-        if self.tiles.get(&id).is_none_or(|tile| tile.neighbours_left > 0) {
-            return;
-        }
-        let tile = self.tiles.remove(&id).expect("looked up above");
-        for entry in tile.entries {
-            let root = self.root(entry);
-            self.entry(root).waiting -= 1;
-            if self.entry(root).waiting == 0 {
-                let done = self.entries[root as usize].take().expect("a root in use holds an entry");
-                for member in done.members {
-                    self.entries[member as usize] = None;
-                    self.free.push(member);
-                }
-                emit(done.region);
-            }
-        }
-    }
+/// Which of [`AROUND`] a region with these bounds may touch from inside a tile: a bit each.
+fn reach(bounds: &Window, core: &Window) -> u8 {
+    let down = [bounds.y == core.y, true, bounds.bottom() == core.bottom()];
+    let right = [bounds.x == core.x, true, bounds.right() == core.right()];
+    AROUND
+        .iter()
+        .enumerate()
+        .fold(0, |bits, (side, &(dy, dx))| bits | u8::from(down[(dy + 1) as usize] && right[(dx + 1) as usize]) << side)
 }
 
 #[cfg(test)]
@@ -184,7 +213,6 @@ mod tests {
     use super::*;
     use crate::segment::label::Labeller;
     use crate::segment::mask::Mask;
-    use crate::window::Window;
     use proptest::prelude::*;
 
     /// The oracle: flood fill over the whole mask, counting everything pixel by pixel.

@@ -27,6 +27,9 @@ const FIT_REACH_PX: u8 = 4;
 /// And this far inside: deeper pixels of a large mark say nothing about its place.
 const FIT_DEPTH_PX: u8 = 6;
 
+/// A first fit may leave this much more over than the last may.
+const SLACK: f64 = 1.5;
+
 /// How far a patch must reach beyond a region's bounds.
 pub fn patch_margin_px(_profile: &Profile) -> u64 {
     u64::from(RING_TO_PX) + 1
@@ -135,7 +138,8 @@ fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, pr
     if evidence.hopeless {
         return evidence;
     }
-    if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0)) {
+    let rms_limit = SLACK * largest_rms(contrast, profile.examine.min_score);
+    if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
         let origin = (patch.window.x as f64, patch.window.y as f64);
         evidence.centre = (origin.0 + best.x, origin.1 + best.y);
         evidence.covariance_px2 = inflate(&best);
@@ -168,7 +172,7 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
     (shares, contrast2.sqrt())
 }
 
-fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64) -> Option<Fit> {
+fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {
     let mut samples = Vec::new();
     let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
     for (i, &share) in shares.iter().enumerate() {
@@ -210,7 +214,7 @@ fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64) -> 
             let cost = |s: &(Form, f64, f64)| start_cost(s.0, &samples, start, s.2, s.1, priors);
             cost(a).total_cmp(&cost(b))
         })?;
-    fit(form, &samples, start, side, angle, priors)
+    fit(form, &samples, start, side, angle, priors, rms_limit)
 }
 
 /// The fit's covariance with what it cannot see. Chroma is stored at half resolution and quantised in blocks, which moves
@@ -263,7 +267,17 @@ fn likelihood_ratio(contrast: f64, rms: f64) -> f64 {
 
 /// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly fit.
 fn best_possible_score(contrast: f64) -> f64 {
-    (0..=40).map(|i| likelihood_ratio(contrast, (-4.0 + 0.1 * f64::from(i)).exp())).fold(f64::NEG_INFINITY, f64::max)
+    rms_steps().map(|rms| likelihood_ratio(contrast, rms)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// What a fit may leave over at most to reach `min_score` at this contrast.
+fn largest_rms(contrast: f64, min_score: f64) -> f64 {
+    rms_steps().filter(|&rms| likelihood_ratio(contrast, rms) >= min_score).fold(0.0, f64::max)
+}
+
+/// From better than any fit to as bad as none.
+fn rms_steps() -> impl Iterator<Item = f64> {
+    (0..=40).map(|i| (-4.0 + 0.1 * f64::from(i)).exp())
 }
 
 /// A Gaussian over (ln contrast, ln rms).

@@ -85,34 +85,52 @@ fn bar(u: f64, a: f64, sigma: f64) -> [f64; 4] {
     [cp - cm, (gp - gm) / sigma, 0.5 * a * (gp + gm) / sigma, tm * gm - tp * gp]
 }
 
-/// Value of the shape (0..=1) and its gradient by the first six parameters.
-fn shape(form: Form, p: &Vector, x: f64, y: f64) -> (f64, [f64; 6]) {
-    let (dx, dy) = (x - p[0], y - p[1]);
-    let (a, b, sigma) = (p[2].exp(), p[3].exp(), p[5].exp());
-    match form {
-        Form::Rectangle => {
-            let (sin, cos) = p[4].sin_cos();
-            let (u, v) = (cos * dx + sin * dy, cos * dy - sin * dx);
-            let [fu, fu_u, fu_a, fu_s] = bar(u, a, sigma);
-            let [fv, fv_v, fv_b, fv_s] = bar(v, b, sigma);
-            let (gu, gv) = (fu_u * fv, fu * fv_v);
-            (
-                fu * fv,
-                [
-                    sin * gv - cos * gu,
-                    -sin * gu - cos * gv,
-                    fu_a * fv,
-                    fu * fv_b,
-                    gu * v - gv * u,
-                    fu_s * fv + fu * fv_s,
-                ],
-            )
-        }
-        Form::Disc => {
-            let radius = ((dx * dx + dy * dy) + 1e-12).sqrt();
-            let t = (a / 2.0 - radius) / sigma;
-            let (g, c) = normal(t);
-            (c, [g * dx / radius / sigma, g * dy / radius / sigma, g * a / 2.0 / sigma, 0.0, 0.0, -t * g])
+/// A shape in its place: what of the parameters is the same for all pixels.
+struct Posed {
+    form: Form,
+    x: f64,
+    y: f64,
+    a: f64,
+    b: f64,
+    sigma: f64,
+    sin: f64,
+    cos: f64,
+}
+
+impl Posed {
+    fn new(form: Form, p: &Vector) -> Posed {
+        let (sin, cos) = p[4].sin_cos();
+        Posed { form, x: p[0], y: p[1], a: p[2].exp(), b: p[3].exp(), sigma: p[5].exp(), sin, cos }
+    }
+
+    /// Value of the shape (0..=1) and its gradient by the first six parameters.
+    fn at(&self, x: f64, y: f64) -> (f64, [f64; 6]) {
+        let (dx, dy) = (x - self.x, y - self.y);
+        let (sigma, sin, cos) = (self.sigma, self.sin, self.cos);
+        match self.form {
+            Form::Rectangle => {
+                let (u, v) = (cos * dx + sin * dy, cos * dy - sin * dx);
+                let [fu, fu_u, fu_a, fu_s] = bar(u, self.a, sigma);
+                let [fv, fv_v, fv_b, fv_s] = bar(v, self.b, sigma);
+                let (gu, gv) = (fu_u * fv, fu * fv_v);
+                (
+                    fu * fv,
+                    [
+                        sin * gv - cos * gu,
+                        -sin * gu - cos * gv,
+                        fu_a * fv,
+                        fu * fv_b,
+                        gu * v - gv * u,
+                        fu_s * fv + fu * fv_s,
+                    ],
+                )
+            }
+            Form::Disc => {
+                let radius = ((dx * dx + dy * dy) + 1e-12).sqrt();
+                let t = (self.a / 2.0 - radius) / sigma;
+                let (g, c) = normal(t);
+                (c, [g * dx / radius / sigma, g * dy / radius / sigma, g * self.a / 2.0 / sigma, 0.0, 0.0, -t * g])
+            }
         }
     }
 }
@@ -133,8 +151,13 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    fn residual(&self, p: &Vector, s: &Sample) -> (f64, Vector, f64) {
-        let (value, g) = shape(self.form, p, s.x, s.y);
+    fn pose(&self, p: &Vector) -> Posed {
+        Posed::new(self.form, p)
+    }
+
+    /// What is left over of a sample, its gradient by the parameters, and the value of the shape there.
+    fn residual(&self, p: &Vector, pose: &Posed, s: &Sample) -> (f64, Vector, f64) {
+        let (value, g) = pose.at(s.x, s.y);
         let (rx, ry) = (s.x - self.start.0, s.y - self.start.1);
         let plane = p[7] + p[8] * rx + p[9] * ry;
         // Paint covers the ground: the plane shows where the shape does not.
@@ -174,17 +197,20 @@ impl Problem<'_> {
     }
 
     fn cost(&self, p: &Vector) -> f64 {
-        let data: f64 = self.samples.iter().zip(&self.weights).map(|(s, w)| w * self.residual(p, s).0.powi(2)).sum();
+        let pose = self.pose(p);
+        let data: f64 =
+            self.samples.iter().zip(&self.weights).map(|(s, w)| w * self.residual(p, &pose, s).0.powi(2)).sum();
         data + self.priors(p).iter().map(|(r, _)| r * r).sum::<f64>()
     }
 
     fn normal_equations(&self, p: &Vector) -> (Matrix, Vector, f64) {
         let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::zeros(), 0.0);
+        let pose = self.pose(p);
         for (s, &w) in self.samples.iter().zip(&self.weights) {
             if w == 0.0 {
                 continue;
             }
-            let (r, j, _) = self.residual(p, s);
+            let (r, j, _) = self.residual(p, &pose, s);
             cost += w * r * r;
             for a in 0..PARAMETERS {
                 let wj = w * j[a];
@@ -249,11 +275,12 @@ impl Problem<'_> {
         // Residuals beyond this many standard deviations lose their weight; 4.7 is 95 % efficient on Gaussian noise.
         const CUT: f64 = 4.7;
         let (ground, paint, edge) = (self.priors.ground_sd, self.paint_sd, self.edge_sd);
+        let pose = self.pose(p);
         let weights = self
             .samples
             .iter()
             .map(|s| {
-                let (r, _, v) = self.residual(p, s);
+                let (r, _, v) = self.residual(p, &pose, s);
                 let variance =
                     ground * ground * (1.0 - v) * (1.0 - v) + paint * paint * v * v + 4.0 * edge * edge * v * (1.0 - v);
                 let z = r * r / variance / (CUT * CUT);
@@ -270,13 +297,21 @@ impl Problem<'_> {
         self.weights = weights;
     }
 
+    /// Root mean square of what is left over, all samples alike.
+    fn rms(&self, p: &Vector) -> f64 {
+        let pose = self.pose(p);
+        let squares: f64 = self.samples.iter().map(|s| self.residual(p, &pose, s).0.powi(2)).sum();
+        (squares / self.samples.len() as f64).sqrt()
+    }
+
     /// Robust standard deviation of the residuals of the samples whose shape value lies in a range.
     fn spread(&self, p: &Vector, low: f64, high: f64) -> Option<f64> {
+        let pose = self.pose(p);
         let r: Vec<f64> = self
             .samples
             .iter()
             .filter_map(|s| {
-                let (r, _, v) = self.residual(p, s);
+                let (r, _, v) = self.residual(p, &pose, s);
                 (low..=high).contains(&v).then_some(r.abs())
             })
             .collect();
@@ -295,10 +330,13 @@ pub fn start_cost(
 ) -> f64 {
     let side = side_px.max(1.0).ln();
     let p = Vector::from([start.0, start.1, side, side, angle_rad, priors.blur_px.ln(), 1.0, 0.0, 0.0, 0.0]);
-    samples.iter().map(|s| (s.share - shape(form, &p, s.x, s.y).0).powi(2)).sum()
+    let pose = Posed::new(form, &p);
+    samples.iter().map(|s| (s.share - pose.at(s.x, s.y).0).powi(2)).sum()
 }
 
 /// Fits `form` to the samples from a start (centre, side, angle).
+///
+/// A first fit that leaves more than `rms_limit` over is not refined: robust weights do not make what is left over smaller.
 ///
 /// `None` when there are fewer than 12 samples or the normal equations break down.
 pub fn fit(
@@ -308,6 +346,7 @@ pub fn fit(
     side_px: f64,
     angle_rad: f64,
     priors: Priors,
+    rms_limit: f64,
 ) -> Option<Fit> {
     if samples.len() < 12 {
         return None;
@@ -326,7 +365,8 @@ pub fn fit(
     };
     problem.reweigh(&p, false);
     p = problem.descend(p, 12)?;
-    for round in 0..2 {
+    let rounds = if problem.rms(&p) > rms_limit { 0 } else { 2 };
+    for round in 0..rounds {
         problem.paint_sd = problem.spread(&p, 0.9, 1.1).unwrap_or(problem.paint_sd).clamp(0.012, 0.25);
         problem.edge_sd = problem.spread(&p, 0.15, 0.85).unwrap_or(problem.edge_sd).clamp(0.015, 0.25);
         problem.reweigh(&p, true);
@@ -341,8 +381,9 @@ fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
     let covariance = sandwich(problem, p, &inverse);
     let (mut chi2, mut weight_sum, mut square, mut count) = (0.0, 0.0, 0.0, 0.0);
     let (mut lost, mut all) = (0.0, 0.0);
+    let pose = problem.pose(p);
     for (s, &w) in problem.samples.iter().zip(&problem.weights) {
-        let (r, _, v) = problem.residual(p, s);
+        let (r, _, v) = problem.residual(p, &pose, s);
         chi2 += w * r * r;
         weight_sum += 1.0;
         square += r * r;
@@ -374,6 +415,7 @@ fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
 /// H⁻¹ (Σ_ij K(d_ij) wᵢ rᵢ jᵢ wⱼ rⱼ jⱼᵀ) H⁻¹ for the centre, with a Bartlett kernel of 4 px on a side.
 fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
     const REACH: i64 = 4;
+    let pose = problem.pose(p);
     // What each sample moves the centre by.
     let pushes: Vec<(i64, i64, f64, f64)> = problem
         .samples
@@ -381,7 +423,7 @@ fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
         .zip(&problem.weights)
         .filter(|(_, w)| **w > 0.0)
         .map(|(s, &w)| {
-            let (r, j, _) = problem.residual(p, s);
+            let (r, j, _) = problem.residual(p, &pose, s);
             let mut push = [0.0; 2];
             for (axis, out) in push.iter_mut().enumerate() {
                 for k in 0..PARAMETERS {
@@ -432,12 +474,13 @@ mod tests {
         for form in [Form::Rectangle, Form::Disc] {
             let p = Vector::from([0.3, -0.2, 1.6, 1.5, 0.4, 0.1, 1.0, 0.0, 0.0, 0.0]);
             for (x, y) in [(2.0, 1.0), (-2.5, 0.5), (0.1, 3.0)] {
-                let (_, g) = shape(form, &p, x, y);
+                let (_, g) = Posed::new(form, &p).at(x, y);
                 for k in 0..6 {
                     let (mut up, mut down) = (p, p);
                     up[k] += 1e-3;
                     down[k] -= 1e-3;
-                    let slope = (shape(form, &up, x, y).0 - shape(form, &down, x, y).0) / 2e-3;
+                    let value = |p: &Vector| Posed::new(form, p).at(x, y).0;
+                    let slope = (value(&up) - value(&down)) / 2e-3;
                     assert!((slope - g[k]).abs() < 3e-4, "{form:?} {k}: {slope} {}", g[k]);
                 }
             }
@@ -451,9 +494,9 @@ mod tests {
             let truth = Vector::from([20.37, 19.81, 8f64.ln(), 8f64.ln(), angle, 0.0, 1.0, 0.0, 0.0, 0.0]);
             let samples: Vec<Sample> = (0..40 * 40)
                 .map(|i| (f64::from(i % 40) + 0.5, f64::from(i / 40) + 0.5))
-                .map(|(x, y)| Sample { x, y, share: shape(form, &truth, x, y).0 })
+                .map(|(x, y)| Sample { x, y, share: Posed::new(form, &truth).at(x, y).0 })
                 .collect();
-            let f = fit(form, &samples, (20.0, 20.2), 7.0, 0.2, priors).expect("well posed");
+            let f = fit(form, &samples, (20.0, 20.2), 7.0, 0.2, priors, f64::INFINITY).expect("well posed");
             assert!((f.x - 20.37).abs() < 0.005 && (f.y - 19.81).abs() < 0.005, "{f:?}");
             assert!((f.sides_px[0] - 8.0).abs() < 0.05, "{f:?}");
         }

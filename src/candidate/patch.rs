@@ -1,7 +1,5 @@
 //! Geometry and colour statistics of the small window around one candidate.
 
-use std::collections::VecDeque;
-
 use nalgebra::{Matrix3, Vector3};
 
 use crate::raster::{Block, Patch, RasterInfo, Samples};
@@ -26,6 +24,8 @@ pub struct Scene<'a> {
     pub inside_px: Vec<u8>,
     /// The same to the nearest other paint.
     pub other_px: Vec<u8>,
+    /// From samples to the scale 0..=255.
+    scale: f64,
 }
 
 impl<'a> Scene<'a> {
@@ -61,15 +61,16 @@ impl<'a> Scene<'a> {
         let outside_px = distance(&own, width, height);
         let not_own: Vec<bool> = own.iter().map(|o| !o).collect();
         let inside_px = distance(&not_own, width, height);
-        let other_px = distance(&other, width, height);
-        Some(Scene { patch, width, height, own, other, outside_px, inside_px, other_px })
+        let alone = !other.iter().any(|&b| b);
+        let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
+        let scale = 255.0 / f64::from(patch.white);
+        Some(Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale })
     }
 
     /// Samples on the scale 0..=255, not rounded.
     pub fn colour(&self, i: usize) -> Vector3<f64> {
-        let k = 255.0 / f64::from(self.patch.white);
-        let c = self.patch.rgb[i];
-        Vector3::new(f64::from(c[0]) * k, f64::from(c[1]) * k, f64::from(c[2]) * k)
+        let c = self.patch.rgb[i].map(|sample| f64::from(sample) * self.scale);
+        Vector3::from(c)
     }
 
     /// Ground: valid, at the given distances from the candidate, clear of other paint.
@@ -140,22 +141,44 @@ fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator<Item = usi
 }
 
 /// Chebyshev distance to the nearest set pixel, capped at [`FAR_PX`].
+///
+/// A sweep down and one up give it exactly for this metric: A. Rosenfeld and J. L. Pfaltz, "Distance functions on digital
+/// pictures", Pattern Recognition 1(1), 1968.
 pub(crate) fn distance(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
-    let mut out: Vec<u8> = mask.iter().map(|&b| if b { 0 } else { FAR_PX }).collect();
-    let mut todo: VecDeque<usize> = (0..mask.len()).filter(|&i| mask[i]).collect();
-    while let Some(i) = todo.pop_front() {
-        let next = out[i] + 1;
-        if next >= FAR_PX {
-            continue;
-        }
-        for j in neighbours(i, width, height) {
-            if out[j] > next {
-                out[j] = next;
-                todo.push_back(j);
-            }
-        }
+    let mut out: Vec<u8> = mask.iter().map(|&set| if set { 0 } else { FAR_PX }).collect();
+    let mut before = vec![FAR_PX; width];
+    for y in 0..height {
+        sweep(&mut out[y * width..(y + 1) * width], &mut before);
+    }
+    before.fill(FAR_PX);
+    for y in (0..height).rev() {
+        sweep(&mut out[y * width..(y + 1) * width], &mut before);
     }
     out
+}
+
+/// Lowers a row by what the row before it knows; `before` holds the least of the three neighbours there, and gets those of
+/// this row.
+fn sweep(row: &mut [u8], before: &mut [u8]) {
+    for (value, near) in row.iter_mut().zip(before.iter()) {
+        *value = (*value).min(near + 1);
+    }
+    let mut side = FAR_PX;
+    for value in row.iter_mut() {
+        side = (*value).min(side + 1);
+        *value = side;
+    }
+    for value in row.iter_mut().rev() {
+        side = (*value).min(side + 1);
+        *value = side;
+    }
+    before.copy_from_slice(row);
+    for (near, value) in before.iter_mut().zip(&row[1..]) {
+        *near = (*near).min(*value);
+    }
+    for (near, value) in before[1..].iter_mut().zip(row.iter()) {
+        *near = (*near).min(*value);
+    }
 }
 
 /// Mean and covariance of a set of colours with its outliers left out.
@@ -217,14 +240,16 @@ mod tests {
         assert_eq!(median(vec![7.0]), 7.0);
     }
 
-    #[test]
-    fn distances_are_chebyshev() {
-        let mut mask = vec![false; 49];
-        mask[24] = true;
-        let d = distance(&mask, 7, 7);
-        for (i, &got) in d.iter().enumerate() {
-            let want = (i % 7).abs_diff(3).max((i / 7).abs_diff(3));
-            assert_eq!(usize::from(got), want);
+    proptest::proptest! {
+        #[test]
+        fn distances_are_chebyshev(width in 1usize..40, height in 1usize..40, set in proptest::collection::vec(0usize..1600, 0..6)) {
+            let mut mask = vec![false; width * height];
+            set.iter().for_each(|i| mask[i % (width * height)] = true);
+            for (i, got) in distance(&mask, width, height).into_iter().enumerate() {
+                let to = |j: usize| (i % width).abs_diff(j % width).max((i / width).abs_diff(j / width));
+                let nearest = (0..mask.len()).filter(|&j| mask[j]).map(to).min().unwrap_or(usize::MAX);
+                proptest::prop_assert_eq!(usize::from(got), nearest.min(usize::from(FAR_PX)));
+            }
         }
     }
 

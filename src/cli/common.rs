@@ -232,11 +232,14 @@ pub struct Prepared {
     pub options: PlanOptions,
 }
 
+/// As asked for, else one for each core.
+pub fn threads(asked: Option<u64>) -> usize {
+    asked.map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize)
+}
+
 /// Opens the image, builds the detector, and plans before the first read.
 pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -> anyhow::Result<Prepared> {
-    let threads = read
-        .threads
-        .map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize);
+    let threads = threads(read.threads);
     // Fails only when a pool exists already, which then serves.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let cache_bytes = pipeline::plan::cache_share_bytes(read.memory.0);

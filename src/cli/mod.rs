@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 pub mod accuracy;
+pub mod apply;
 pub mod chips;
 pub mod common;
 pub mod detect;
@@ -15,6 +16,8 @@ pub mod sample;
 pub mod selftest;
 pub mod solve;
 pub mod synth;
+pub mod undo;
+pub mod write;
 
 /// Georeferences very large rasters from painted marks, without a click.
 ///
@@ -51,6 +54,8 @@ pub enum Command {
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
+    Apply(Box<apply::ApplyArgs>),
+    Undo(undo::UndoArgs),
     Plan(plan::PlanArgs),
     Selftest(selftest::SelftestArgs),
 }
@@ -63,6 +68,8 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Sample(args)) => sample::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),
         None => run::run(&cli.run),

@@ -8,10 +8,11 @@ use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::gcp::{self, GcpList};
+use autoref_stream::georef::atomic::{self, Transaction};
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
-use autoref_stream::georef::{atomic, sidecar};
+use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
@@ -19,6 +20,7 @@ use clap::Args;
 
 use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::write::{self, WriteArgs};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -33,12 +35,8 @@ pub struct RunArgs {
     pub marks: MarkArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
-    /// Write here instead of beside the image (and a VRT that refers to it).
-    #[arg(long, value_name = "DIR", help_heading = "Output")]
-    pub out: Option<PathBuf>,
-    /// Replace outputs that exist; without it they are an error before any work.
-    #[arg(long, help_heading = "Output")]
-    pub overwrite: bool,
+    #[command(flatten)]
+    pub write: WriteArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -49,35 +47,6 @@ pub struct RunArgs {
     pub read: ReadArgs,
 }
 
-/// Names of what a run writes.
-struct Outputs {
-    world: PathBuf,
-    aux: PathBuf,
-    json: PathBuf,
-    vrt: Option<PathBuf>,
-}
-
-impl Outputs {
-    fn new(image: &Path, out: Option<&Path>) -> Self {
-        let name = image.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
-        let base = out.map_or_else(|| image.to_path_buf(), |folder| folder.join(name));
-        Outputs {
-            world: sidecar::world_file_path(&base),
-            aux: sidecar::aux_path(&base),
-            json: base.with_extension("autoref.json"),
-            vrt: out.map(|_| base.with_extension("vrt")),
-        }
-    }
-
-    fn all(&self) -> Vec<&Path> {
-        [Some(&self.world), Some(&self.aux), Some(&self.json), self.vrt.as_ref()]
-            .into_iter()
-            .flatten()
-            .map(PathBuf::as_path)
-            .collect()
-    }
-}
-
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
@@ -85,7 +54,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.gcps.path()?;
     let list = gcp::read(gcp_file, &args.gcps.options())?;
     let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
-    let outputs = prepare_outputs(image, args)?;
+    let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    let json = json_path(&request);
+    atomic::check_outputs(&[&json], args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -111,20 +82,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
-    write_outputs(image, args.overwrite, &outputs, &list, &mut document, started)?;
+    write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
 
-/// Checks before any work that every output can be written.
-fn prepare_outputs(image: &Path, args: &RunArgs) -> anyhow::Result<Outputs> {
-    let outputs = Outputs::new(image, args.out.as_deref());
-    if let Some(folder) = &args.out {
-        std::fs::create_dir_all(folder)
-            .map_err(|e| autoref_stream::Error::io(folder, "create the output folder", e))?;
-    }
-    atomic::check_outputs(&outputs.all(), args.overwrite)?;
-    Ok(outputs)
+fn json_path(request: &WriteRequest) -> PathBuf {
+    request.base.with_extension("autoref.json")
 }
 
 fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
@@ -144,49 +108,28 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     })
 }
 
-/// Georeference files first, the JSON that lists them last. What was written is taken back when a later one fails.
+/// All outputs and the JSON that lists them appear together, or nothing does.
 fn write_outputs(
-    image: &Path,
-    overwrite: bool,
-    outputs: &Outputs,
-    list: &GcpList,
+    request: &WriteRequest,
+    json: &Path,
     document: &mut Document,
     started: Instant,
+    quiet: bool,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
-    let mut written: Vec<PathBuf> = Vec::new();
-    let result = (|| -> autoref_stream::Result<()> {
-        if let Some(transform) = document.result.geotransform {
-            let existing = std::fs::read_to_string(&outputs.aux).ok();
-            let existing = existing.as_deref().map(|text| (outputs.aux.as_path(), text));
-            let aux = sidecar::aux_xml(&transform, list.crs.as_ref(), existing)?;
-            atomic::write(&outputs.world, sidecar::world_file(&transform).as_bytes())?;
-            written.push(outputs.world.clone());
-            atomic::write(&outputs.aux, aux.as_bytes())?;
-            written.push(outputs.aux.clone());
-            if let Some(vrt) = &outputs.vrt {
-                atomic::with_temporary(vrt, |temporary| {
-                    sidecar::write_vrt(image, temporary, &transform, list.crs.as_ref())
-                })?;
-                written.push(vrt.clone());
-            }
-        }
-        document.result.files_written =
-            written.iter().chain([&outputs.json]).map(|path| path.display().to_string()).collect();
-        document.result.timings.write_s = writing.elapsed().as_secs_f64();
-        document.finish(started);
-        atomic::write(&outputs.json, document.result.to_json().as_bytes())
-    })();
-    if let Err(error) = result {
-        if !overwrite {
-            for path in &written {
-                // Half a set of outputs would look like a whole one.
-                let _ = std::fs::remove_file(path);
-            }
-        }
-        return Err(error.into());
+    let mut transaction = Transaction::new();
+    if document.result.geotransform.is_some() {
+        let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
+        let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
+        document.result.warnings.extend(warnings);
     }
-    Ok(())
+    let written = transaction.paths();
+    document.result.files_written =
+        written.iter().map(PathBuf::as_path).chain([json]).map(|path| path.display().to_string()).collect();
+    document.result.timings.write_s = writing.elapsed().as_secs_f64();
+    document.finish(started);
+    transaction.stage_bytes(json, document.result.to_json().as_bytes())?;
+    Ok(transaction.commit()?)
 }
 
 /// A result under construction.
@@ -396,6 +339,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         easting: gcp.easting,
         northing: gcp.northing,
         height: gcp.height,
+        survey_sigma_m: gcp.sigma_m,
         residual_e_m: e,
         residual_n_m: n,
         residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,

@@ -38,6 +38,166 @@ fn temporary_name(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{stem}.{}.part{extension}", std::process::id()))
 }
 
+/// An edit that is not a file of its own: done after all files are in place, and taken back when it fails.
+pub trait Edit {
+    /// Does it, whole or not at all.
+    ///
+    /// # Errors
+    /// When the system says no; the file is then as it was.
+    fn apply(self: Box<Self>) -> Result<()>;
+    /// For the list of what was written.
+    fn path(&self) -> &Path;
+}
+
+/// Several files that appear together or not at all.
+///
+/// Each is made under a temporary name; [`Transaction::commit`] renames them. When a renaming or the edit at the end
+/// fails, files that were replaced come back and new ones are removed. Dropped without commit, it leaves nothing.
+#[derive(Default)]
+pub struct Transaction {
+    staged: Vec<Staged>,
+    edits: Vec<Box<dyn Edit>>,
+}
+
+struct Staged {
+    temporary: PathBuf,
+    target: PathBuf,
+    /// A second name of what `target` was, while the commit runs.
+    backup: Option<PathBuf>,
+    in_place: bool,
+}
+
+impl Transaction {
+    pub fn new() -> Self {
+        Transaction::default()
+    }
+
+    /// Lets `produce` make the file under a temporary name in the same folder; the extension is kept.
+    ///
+    /// # Errors
+    /// Those of `produce`, and of bringing the file to disk.
+    pub fn stage(&mut self, target: &Path, produce: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+        self.stage_all(&[target.to_path_buf()], |temporaries| produce(&temporaries[0]))
+    }
+
+    /// The same for several files that one call makes.
+    ///
+    /// # Errors
+    /// Those of `produce`, and of bringing the files to disk.
+    pub fn stage_all(&mut self, targets: &[PathBuf], produce: impl FnOnce(&[PathBuf]) -> Result<()>) -> Result<()> {
+        let temporaries: Vec<PathBuf> = targets.iter().map(|target| temporary_name(target)).collect();
+        for (target, temporary) in targets.iter().zip(&temporaries) {
+            let (temporary, target) = (temporary.clone(), target.clone());
+            self.staged.push(Staged { temporary, target, backup: None, in_place: false });
+        }
+        produce(&temporaries).map_err(|error| renamed(error, &temporaries, targets))?;
+        for (target, temporary) in targets.iter().zip(&temporaries) {
+            std::fs::File::open(temporary)
+                .and_then(|file| file.sync_all())
+                .map_err(|e| Error::io(target, "bring to disk", e))?;
+        }
+        Ok(())
+    }
+
+    /// The same for bytes.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn stage_bytes(&mut self, target: &Path, content: &[u8]) -> Result<()> {
+        self.stage(target, |temporary| std::fs::write(temporary, content).map_err(|e| Error::io(target, "write", e)))
+    }
+
+    /// Adds an edit that is done last.
+    pub fn on_commit(&mut self, edit: impl Edit + 'static) {
+        self.edits.push(Box::new(edit));
+    }
+
+    /// What will be written, edited files last.
+    pub fn paths(&self) -> Vec<PathBuf> {
+        let files = self.staged.iter().map(|staged| staged.target.clone());
+        files.chain(self.edits.iter().map(|edit| edit.path().to_path_buf())).collect()
+    }
+
+    /// Puts everything in place.
+    ///
+    /// # Errors
+    /// When the system says no; what was there before is there again then.
+    pub fn commit(mut self) -> Result<()> {
+        for staged in &mut self.staged {
+            staged.keep_old()?;
+        }
+        for staged in &mut self.staged {
+            std::fs::rename(&staged.temporary, &staged.target)
+                .map_err(|e| Error::io(&staged.target, "put in place", e))?;
+            staged.in_place = true;
+        }
+        // At most one image is edited in place, so the edit itself is the last thing that can fail.
+        for edit in std::mem::take(&mut self.edits) {
+            edit.apply()?;
+        }
+        for staged in self.staged.drain(..) {
+            if let Some(backup) = &staged.backup {
+                // A leftover second name harms nobody; the output itself is good.
+                let _ = std::fs::remove_file(backup);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Staged {
+    /// Gives the file that will be replaced a second name.
+    fn keep_old(&mut self) -> Result<()> {
+        if !self.target.exists() {
+            return Ok(());
+        }
+        let mut backup = temporary_name(&self.target).into_os_string();
+        backup.push(".before");
+        let backup = PathBuf::from(backup);
+        // A leftover of a crashed run with the same process number.
+        let _ = std::fs::remove_file(&backup);
+        std::fs::hard_link(&self.target, &backup)
+            .or_else(|_| std::fs::copy(&self.target, &backup).map(|_| ()))
+            .map_err(|e| Error::io(&self.target, "keep while it is replaced", e))?;
+        self.backup = Some(backup);
+        Ok(())
+    }
+}
+
+impl Drop for Transaction {
+    fn drop(&mut self) {
+        for staged in &self.staged {
+            // Whatever fails here, the first error is the one that was reported.
+            let _ = match (&staged.backup, staged.in_place) {
+                (Some(backup), true) => std::fs::rename(backup, &staged.target),
+                (None, true) => std::fs::remove_file(&staged.target),
+                (Some(backup), false) => std::fs::remove_file(backup),
+                (None, false) => Ok(()),
+            };
+            if !staged.in_place {
+                let _ = std::fs::remove_file(&staged.temporary);
+            }
+        }
+    }
+}
+
+/// Messages speak of the file that was asked for, not of its temporary name.
+fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error {
+    let real = |path: PathBuf| temporaries.iter().position(|t| *t == path).map_or(path, |index| targets[index].clone());
+    let words = |mut text: String| {
+        for (temporary, target) in temporaries.iter().zip(targets) {
+            text = text.replace(&temporary.display().to_string(), &target.display().to_string());
+        }
+        text
+    };
+    match error {
+        Error::Io { path, action, source } => Error::Io { path: real(path), action, source },
+        Error::Gdal { path, what } => Error::Gdal { path: real(path), what: words(what) },
+        Error::Format { path, place, what } => Error::Format { path: real(path), place, what: words(what) },
+        other => other,
+    }
+}
+
 /// Refuses, before any work, to write over what is there.
 ///
 /// # Errors
@@ -77,6 +237,40 @@ mod tests {
         });
         assert!(failed.is_err());
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
+    }
+
+    #[test]
+    fn files_come_together_or_what_was_there_comes_back() {
+        struct Fails(PathBuf);
+        impl Edit for Fails {
+            fn apply(self: Box<Self>) -> Result<()> {
+                Err(Error::usage("no", "none"))
+            }
+            fn path(&self) -> &Path {
+                &self.0
+            }
+        }
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (old, new) = (folder.path().join("old.txt"), folder.path().join("new.txt"));
+        std::fs::write(&old, "before").expect("writable");
+        for fail in [true, false] {
+            let mut transaction = Transaction::new();
+            transaction.stage_bytes(&old, b"after").expect("writable");
+            transaction.stage_bytes(&new, b"after").expect("writable");
+            if fail {
+                transaction.on_commit(Fails(old.clone()));
+            }
+            assert_eq!(transaction.commit().is_err(), fail);
+            let content = std::fs::read_to_string(&old).expect("still there");
+            assert_eq!(content, if fail { "before" } else { "after" });
+            assert_eq!(new.exists(), !fail);
+            let names = std::fs::read_dir(folder.path()).expect("readable").count();
+            assert_eq!(names, if fail { 1 } else { 2 }, "temporary files were left");
+        }
+        let mut dropped = Transaction::new();
+        dropped.stage_bytes(&folder.path().join("c"), b"x").expect("writable");
+        drop(dropped);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 2);
     }
 
     #[test]

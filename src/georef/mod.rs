@@ -3,5 +3,10 @@
 pub mod atomic;
 pub mod candidate_list;
 pub mod crs;
+pub mod dialects;
+pub mod gcps_vrt;
 pub mod result;
 pub mod sidecar;
+pub mod tags;
+pub mod warp;
+pub mod write;

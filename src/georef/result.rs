@@ -1,9 +1,12 @@
 //! The result of a run as JSON: everything that was asked, seen, solved and written. `docs/formats.md` documents it.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::coords::GeoTransform;
+use crate::error::{Error, Result};
 use crate::matching::{Effort, Pattern};
 use crate::solve::Solution;
 
@@ -19,7 +22,7 @@ pub enum Status {
 }
 
 /// The document. Absent values are `null`; no number is ever NaN or infinite.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunResult {
     pub schema_version: u32,
     pub program: String,
@@ -76,7 +79,7 @@ pub struct RunResult {
     pub elapsed_s: f64,
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ImageInfo {
     pub path: String,
     pub width: u64,
@@ -95,6 +98,8 @@ pub struct MatchRow {
     pub easting: f64,
     pub northing: f64,
     pub height: Option<f64>,
+    /// 1σ of the survey in each of easting and northing, metres.
+    pub survey_sigma_m: Option<f64>,
     /// Surveyed − computed.
     pub residual_e_m: f64,
     pub residual_n_m: f64,
@@ -110,7 +115,7 @@ pub struct MatchRow {
 }
 
 /// A georeference that the image already had.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PriorGeoreference {
     pub geotransform: GeoTransform,
     pub crs: Option<String>,
@@ -118,7 +123,7 @@ pub struct PriorGeoreference {
     pub moved_m: Option<f64>,
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reading {
     pub blocks_in_file: u64,
     /// Decoded during the scan.
@@ -131,7 +136,7 @@ pub struct Reading {
 }
 
 /// Wall-clock seconds of the stages.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Timings {
     pub open_s: f64,
     pub scan_s: f64,
@@ -142,6 +147,27 @@ pub struct Timings {
 }
 
 impl RunResult {
+    /// Reads a document that a run has written.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document, [`Error::Unsupported`]
+    /// when it is of a later version.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());
+        let value: serde_json::Value =
+            serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), format!("no JSON: {e}")))?;
+        match value.get("schema_version").and_then(serde_json::Value::as_u64) {
+            None => return Err(Error::format(path, "schema_version", "it is missing: this is no result of a run")),
+            Some(version) if version > u64::from(SCHEMA_VERSION) => {
+                let what = format!("a result of schema version {version}");
+                return Err(Error::unsupported(path, what, "use the program that wrote it, or a later one"));
+            }
+            Some(_) => {}
+        }
+        serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), e.to_string()))
+    }
+
     /// The document as text.
     pub fn to_json(&self) -> String {
         let mut text = serde_json::to_string_pretty(self).expect("no map keys but strings, no failing serialiser");

@@ -60,8 +60,15 @@ pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&P
     Ok(out)
 }
 
+/// The six numbers that an `.aux.xml` holds.
+pub(super) fn transform_of_aux(text: &str) -> Option<GeoTransform> {
+    let inner = text.split_once("<GeoTransform>")?.1.split_once("</GeoTransform>")?.0;
+    let numbers: Vec<f64> = inner.split(',').map(|number| number.trim().parse().ok()).collect::<Option<_>>()?;
+    Some(GeoTransform(numbers.try_into().ok()?))
+}
+
 /// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
-fn axis_mapping(crs: &Crs) -> &'static str {
+pub(super) fn axis_mapping(crs: &Crs) -> &'static str {
     let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {
         reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
         let key = if crs.is_geographic() { "GEOGCS" } else { "PROJCS" };
@@ -114,16 +121,38 @@ fn ours(name: &str) -> bool {
 /// # Errors
 /// When GDAL cannot open the image or write the VRT.
 pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
+    vrt_of(image, vrt, |copy| {
+        copy.set_geo_transform(&transform.0)?;
+        copy.set_projection(crs.map_or("", Crs::wkt))
+    })
+}
+
+/// Writes a VRT that refers to the image and has neither transform, CRS nor GCPs.
+///
+/// # Errors
+/// When GDAL cannot open the image or write the VRT.
+pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
+    vrt_of(image, vrt, |_| Ok(()))?;
+    let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
+    let (Some(start), Some(end)) = (text.find("<VRTDataset"), text.rfind("</VRTDataset>")) else {
+        return Err(Error::gdal(vrt, "its VRT has no root element"));
+    };
+    let open = text[start..].find('>').map_or(start, |at| start + at + 1);
+    let kept = other_elements(&text[start..]).map_err(|e| Error::gdal(vrt, e))?;
+    std::fs::write(vrt, format!("{}\n{kept}{}", &text[start..open], &text[end..]))
+        .map_err(|e| Error::io(vrt, "write", e))
+}
+
+/// Lets GDAL make a VRT of the image and `change` it.
+fn vrt_of(image: &Path, vrt: &Path, change: impl FnOnce(&mut gdal::Dataset) -> gdal::errors::Result<()>) -> Result<()> {
+    crate::raster::initialise_gdal(0);
     let error = |e| Error::gdal(vrt, e);
     let image = std::fs::canonicalize(image).map_err(|e| Error::io(image, "resolve", e))?;
+    // It must outlive the copy, which refers to it.
     let source = gdal::Dataset::open(&image).map_err(error)?;
     let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
     let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
-    copy.set_geo_transform(&transform.0).map_err(error)?;
-    if let Some(crs) = crs {
-        copy.set_projection(crs.wkt()).map_err(error)?;
-    }
-    copy.close().map_err(error)
+    change(&mut copy).and_then(|()| copy.close()).map_err(error)
 }
 
 #[cfg(test)]

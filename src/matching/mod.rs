@@ -11,7 +11,7 @@ pub mod field;
 pub mod robust;
 pub mod tpp;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
@@ -32,7 +32,7 @@ pub struct Priors {
 }
 
 /// A pattern that was found, accepted or not.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pattern {
     /// Index of the candidate and of the GCP, in order of the GCPs.
     pub pairs: Vec<(usize, usize)>,
@@ -46,7 +46,7 @@ pub struct Pattern {
 }
 
 /// What the search did.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Effort {
     /// Hypotheses that the priors allow: what the chance of an accident is multiplied by.
     pub hypotheses_possible: f64,

@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::raster::{BlockLayout, RasterInfo};
@@ -41,7 +41,7 @@ pub struct PlanOptions {
 }
 
 /// What will be done, with its price.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ScanPlan {
     pub tile_width_px: u64,
     pub tile_height_px: u64,
@@ -57,8 +57,13 @@ pub struct ScanPlan {
     pub memory_budget_bytes: u64,
     /// What was changed to make it fit, in words.
     pub notes: Vec<String>,
-    #[serde(skip)]
+    /// Empty in a plan that was read back from a result: the numbers above are what it keeps.
+    #[serde(skip, default = "no_tiles")]
     pub grid: TileGrid,
+}
+
+fn no_tiles() -> TileGrid {
+    TileGrid::new(0, 0, 1, 1, 0)
 }
 
 impl ScanPlan {
@@ -85,8 +90,9 @@ impl ScanPlan {
 /// Share of the budget that a raster source may keep of decoded blocks, so that neighbouring tiles need not decode them
 /// again. Known before the source is opened.
 pub fn cache_share_bytes(memory_budget_bytes: u64) -> u64 {
-    // 8 MiB at the smallest budget, 64 MiB at the default, more only where there is plenty.
-    (memory_budget_bytes.saturating_sub(SMALLEST_BUDGET_BYTES) / 7 + (8 << 20)).min(memory_budget_bytes / 8)
+    // 8 MiB at the smallest budget; at the default 88 MiB, which hold the file blocks along the faces of a row of tiles of
+    // an image 30,000 pixels wide.
+    (memory_budget_bytes.saturating_sub(SMALLEST_BUDGET_BYTES) / 5 + (8 << 20)).min(memory_budget_bytes / 5)
 }
 
 /// Fits the scan into the budget.

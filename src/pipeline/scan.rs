@@ -2,9 +2,11 @@
 //!
 //! Workers take tiles from a bounded channel, each does one tile at a time from reading to labelling, and the calling
 //! thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
-//! there; those that straddle tiles are examined after the scan through small windows of their own. Either way the
-//! examination sees the same pixels, so that no candidate depends on the tiling.
+//! there; those that straddle tiles are examined through small windows of their own as soon as the last of these tiles is
+//! read, while the file blocks at its faces are still kept. Either way the examination sees the same pixels, so that no
+//! candidate depends on the tiling.
 
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -147,13 +149,8 @@ fn difference(after: ReadStats, before: ReadStats) -> ReadStats {
 #[derive(Default)]
 struct Collected {
     examined: Vec<Examined>,
+    /// Not examined yet.
     straddling: Vec<Region>,
-}
-
-impl Collected {
-    fn len(&self) -> usize {
-        self.examined.len() + self.straddling.len()
-    }
 }
 
 fn scan_tiles(
@@ -165,6 +162,7 @@ fn scan_tiles(
     let stop = AtomicBool::new(false);
     let in_order = Mutex::new(());
     let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
+    let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Region>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let stop = &stop;
@@ -177,16 +175,22 @@ fn scan_tiles(
             }
         });
         for index in 0..plan.workers {
-            let worker = Worker { source, plan, detector, progress, in_order: &in_order };
+            let straddlers = straddlers.clone();
+            let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers };
             let (tiles, outputs) = (tiles.clone(), output_sender.clone());
             spawn_named(scope, format!("worker {index}"), move || worker.run(&tiles, &outputs, stop));
         }
         drop((tiles, output_sender));
-        let result = collect(plan, detector, &outputs);
+        let mut collector = Collector::new(source, plan, detector);
+        let result = collector.run(&outputs, &straddler_sender);
         // On an error the workers and the tiler must not wait for us for ever.
         stop.store(true, Ordering::Relaxed);
         while outputs.recv().is_ok() {}
-        result
+        result?;
+        collector.merger.finalize();
+        let mut collected = collector.collected;
+        collected.straddling.extend(straddlers.try_iter());
+        Ok(collected)
     })
 }
 
@@ -201,34 +205,108 @@ fn spawn_named<'scope>(
         .expect("the system can start a handful of threads");
 }
 
-fn collect(
-    plan: &ScanPlan,
-    detector: &dyn Detector,
-    outputs: &crossbeam_channel::Receiver<Result<TileOutput>>,
-) -> Result<Collected> {
-    let mut merger = RegionMerger::new(plan.grid);
-    let mut collected = Collected::default();
-    for output in outputs {
-        let output = output?;
-        collected.examined.extend(output.examined);
-        collected.straddling.extend(output.straddling);
-        let straddling = &mut collected.straddling;
-        merger.feed(output.id, output.open, &mut |region| {
-            if detector.gate(&region) {
-                straddling.push(region);
-            }
-        });
-        if collected.len() > MAX_CANDIDATES {
-            return Err(Error::Limit {
-                what: "the image is full of regions that look like marks".into(),
-                needed: collected.len() as u64,
-                allowed: MAX_CANDIDATES as u64,
-                remedy: "use a stricter profile (--profile) or the size of the marks".into(),
-            });
+/// Brings together what the workers found, in whatever order the tiles come.
+struct Collector<'a> {
+    source: &'a dyn RasterSource,
+    plan: &'a ScanPlan,
+    detector: &'a dyn Detector,
+    merger: RegionMerger,
+    collected: Collected,
+    /// Complete regions by the last tile that their surroundings reach into.
+    waiting: BTreeMap<u64, Vec<Region>>,
+    /// Of each tile, whether it has come.
+    done: Vec<bool>,
+}
+
+impl<'a> Collector<'a> {
+    fn new(source: &'a dyn RasterSource, plan: &'a ScanPlan, detector: &'a dyn Detector) -> Self {
+        Collector {
+            source,
+            plan,
+            detector,
+            merger: RegionMerger::new(plan.grid),
+            collected: Collected::default(),
+            waiting: BTreeMap::new(),
+            done: vec![false; plan.grid.len() as usize],
         }
     }
-    merger.finalize();
-    Ok(collected)
+
+    /// Until there are no more outputs. What is complete goes to the workers through `straddlers`; what is left in the end
+    /// is in `collected`.
+    fn run(
+        &mut self,
+        outputs: &crossbeam_channel::Receiver<Result<TileOutput>>,
+        straddlers: &crossbeam_channel::Sender<Region>,
+    ) -> Result<()> {
+        let in_order = self.source.info().sequential;
+        let mut found = 0;
+        for output in outputs {
+            let output = output?;
+            let id = output.id;
+            found += output.examined.len();
+            self.collected.examined.extend(output.examined);
+            let mut complete = output.straddling;
+            let detector = self.detector;
+            self.merger.feed(id, output.open, &mut |region| {
+                if detector.gate(&region) {
+                    complete.push(region);
+                }
+            });
+            found += complete.len();
+            if in_order {
+                // A window would take the reader back to the top.
+                self.collected.straddling.extend(complete);
+            } else {
+                self.done[id as usize] = true;
+                for region in complete {
+                    let last = self.last_tile(&region);
+                    let ready = if self.done[last as usize] { id } else { last };
+                    self.waiting.entry(ready).or_default().push(region);
+                }
+                for region in self.waiting.remove(&id).into_iter().flatten() {
+                    // Nobody listens when all workers have ended: then it is examined after the scan.
+                    let _ = straddlers.send(region);
+                }
+            }
+            self.release_behind(id);
+            if found > MAX_CANDIDATES {
+                return Err(Error::Limit {
+                    what: "the image is full of regions that look like marks".into(),
+                    needed: found as u64,
+                    allowed: MAX_CANDIDATES as u64,
+                    remedy: "use a stricter profile (--profile) or the size of the marks".into(),
+                });
+            }
+        }
+        self.collected.straddling.extend(std::mem::take(&mut self.waiting).into_values().flatten());
+        Ok(())
+    }
+
+    /// The tile that holds the last pixel of a region's surroundings.
+    fn last_tile(&self, region: &Region) -> u64 {
+        let window = patch_window(region, self.detector, self.source.info());
+        let grid = &self.plan.grid;
+        let (column, row) = ((window.right() - 1) / grid.tile_width(), (window.bottom() - 1) / grid.tile_height());
+        row * grid.columns() + column
+    }
+
+    /// Lets go of what nobody will ask for again, give or take the tiles under way. What straddles the left and upper faces
+    /// of a tile is examined soon after it is read; what straddles the others, when the tiles below it are.
+    fn release_behind(&self, id: u64) {
+        let grid = &self.plan.grid;
+        let under_way = 2 * self.plan.workers as u64;
+        let reach = self.detector.patch_margin_px() + self.detector.largest_mark_px() + 2 * self.plan.halo_px;
+        if let Some(near) = id.checked_sub(under_way) {
+            let core = grid.tile(near).core;
+            let (width, height) = (core.width.saturating_sub(reach), core.height.saturating_sub(reach));
+            if width > 0 && height > 0 {
+                self.source.release(Window::new(core.x, core.y, width, height));
+            }
+        }
+        if let Some(far) = id.checked_sub(grid.columns() + under_way) {
+            self.source.release(grid.tile(far).core);
+        }
+    }
 }
 
 struct Worker<'a> {
@@ -238,6 +316,8 @@ struct Worker<'a> {
     progress: &'a dyn Progress,
     /// Held from taking a tile until it is read, when the source can only be read from the top down.
     in_order: &'a Mutex<()>,
+    /// Regions whose surroundings reach over tiles that have all been read.
+    straddlers: crossbeam_channel::Receiver<Region>,
 }
 
 impl Worker<'_> {
@@ -251,15 +331,14 @@ impl Worker<'_> {
         let mut labeller = Labeller::new();
         while !stop.load(Ordering::Relaxed) {
             let Some((tile, block)) = self.next_block(tiles) else { return };
-            let output = block.map(|block| {
-                let output = self.process(&tile, &block, &mut mask, &mut labeller);
+            let output = block.and_then(|block| {
+                let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
                 drop(block);
-                if self.plan.halo_px == 0 {
-                    // Nobody will ask for these pixels again but the windows of a few marks.
-                    self.source.release(tile.core);
+                for region in self.straddlers.try_iter() {
+                    output.examined.push(examine_window(self.source, self.detector, &region)?);
                 }
                 self.progress.scanned(tile.core.area());
-                output
+                Ok(output)
             });
             if outputs.send(output).is_err() {
                 return;
@@ -307,15 +386,16 @@ fn patch_window(region: &Region, detector: &dyn Detector, info: &RasterInfo) -> 
 
 /// Region → Candidate through windows of their own.
 fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: &[Region]) -> Result<Vec<Examined>> {
-    let info = source.info();
-    let examine = |region: &Region| {
-        let window = patch_window(region, detector, info);
-        let patch = source.read(window)?.patch(window, info);
-        Ok((region.first, detector.examine(region, &patch)))
-    };
-    if info.sequential {
+    let examine = |region: &Region| examine_window(source, detector, region);
+    if source.info().sequential {
         // One pass from the top down: in parallel the reader would have to go back and forth.
         return regions.iter().map(examine).collect();
     }
     regions.par_iter().map(examine).collect()
+}
+
+fn examine_window(source: &dyn RasterSource, detector: &dyn Detector, region: &Region) -> Result<Examined> {
+    let window = patch_window(region, detector, source.info());
+    let patch = source.read(window)?.patch(window, source.info());
+    Ok((region.first, detector.examine(region, &patch)))
 }

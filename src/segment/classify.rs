@@ -8,6 +8,7 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -70,35 +71,83 @@ impl PaintTest {
         self.relative_distance2(colour) <= 1.0
     }
 
-    /// Can any colour of the cube `low..=high` be paint? A bound: never false when one can.
-    fn cube_may_hold_paint(&self, low: [u8; 3], high: [u8; 3]) -> bool {
+    /// What holds for every colour of the cube `low..=high`. A bound: [`Verdict::Mixed`] when in doubt.
+    fn judge(&self, low: [u8; 3], high: [u8; 3]) -> Verdict {
         if (0..3).any(|i| high[i] < self.low[i] || low[i] > self.high[i]) {
-            return false;
+            return Verdict::Ground;
         }
-        let (lo, hi) = match self.space {
-            Space::Rgb => (low.map(|v| f64::from(v) / 255.0), high.map(|v| f64::from(v) / 255.0)),
+        let boxed = (0..3).all(|i| low[i] >= self.low[i] && high[i] <= self.high[i]);
+        let rough = match &self.rough {
+            None => Verdict::Paint,
+            Some((space, limit2, cloud)) => {
+                judge_clouds(std::slice::from_ref(cloud), *limit2, &Extent::new(*space, low, high))
+            }
+        };
+        if rough == Verdict::Ground {
+            return Verdict::Ground;
+        }
+        match judge_clouds(&self.clouds, self.limit2, &Extent::new(self.space, low, high)) {
+            Verdict::Paint if boxed && rough == Verdict::Paint => Verdict::Paint,
+            Verdict::Ground => Verdict::Ground,
+            _ => Verdict::Mixed,
+        }
+    }
+}
+
+/// What is known of a cube of colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// All are.
+    Paint,
+    /// None is.
+    Ground,
+    Mixed,
+}
+
+/// A box, in the space that distances are taken in, around all colours of a cube.
+struct Extent {
+    middle: Vector3<f64>,
+    half: Vector3<f64>,
+}
+
+impl Extent {
+    fn new(space: Space, low: [u8; 3], high: [u8; 3]) -> Extent {
+        let unit = |c: [u8; 3]| c.map(|v| f64::from(v) / 255.0);
+        let (lo, hi) = match space {
+            Space::Rgb => (unit(low), unit(high)),
             Space::Lab => {
-                // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it. A hair of
-                // slack covers a cube root that is not exactly monotone.
-                let f = |c: [u8; 3]| xyz_from_linear(c.map(|v| linear_from_srgb(f64::from(v) / 255.0))).map(lab_f);
+                // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it.
+                let f = |c: [u8; 3]| xyz_from_linear(unit(c).map(linear_from_srgb)).map(lab_f);
                 let (f0, f1) = (f(low), f(high));
-                let slack = 1e-9;
-                let least = lab_from_f([f0[0], f0[1], f1[2]]);
-                let most = lab_from_f([f1[0], f1[1], f0[2]]);
                 (
-                    [least[0] - slack, 500.0 * (f0[0] - f1[1]) - slack, 200.0 * (f0[1] - f1[2]) - slack],
-                    [most[0] + slack, 500.0 * (f1[0] - f0[1]) + slack, 200.0 * (f1[1] - f0[2]) + slack],
+                    [116.0 * f0[1] - 16.0, 500.0 * (f0[0] - f1[1]), 200.0 * (f0[1] - f1[2])],
+                    [116.0 * f1[1] - 16.0, 500.0 * (f1[0] - f0[1]), 200.0 * (f1[1] - f0[2])],
                 )
             }
         };
-        let limit = self.limit2.sqrt();
-        self.clouds.iter().any(|cloud| {
-            (0..3).all(|i| {
-                let reach = cloud.reach[i] * limit * (1.0 + 1e-9);
-                hi[i] >= cloud.mean[i] - reach && lo[i] <= cloud.mean[i] + reach
-            })
-        })
+        let (lo, hi) = (Vector3::from(lo), Vector3::from(hi));
+        // A hair of slack covers rounding and a cube root that is not exactly monotone.
+        Extent { middle: (lo + hi) / 2.0, half: ((hi - lo) / 2.0).add_scalar(1e-9) }
     }
+}
+
+/// The distance from a cloud is a norm, so inside the box it differs from that of the middle by at most the norm of the half
+/// diagonal, for which the absolute weights give an upper bound.
+fn judge_clouds(clouds: &[Cloud], limit2: f64, extent: &Extent) -> Verdict {
+    const SLACK: f64 = 1e-6;
+    let limit = limit2.sqrt();
+    let mut verdict = Verdict::Ground;
+    for cloud in clouds {
+        let at_middle = cloud.distance2(&extent.middle).max(0.0).sqrt();
+        let reach = extent.half.dot(&(cloud.weight.abs() * extent.half)).sqrt();
+        if at_middle + reach < limit * (1.0 - SLACK) {
+            return Verdict::Paint;
+        }
+        if at_middle - reach <= limit * (1.0 + SLACK) {
+            verdict = Verdict::Mixed;
+        }
+    }
+    verdict
 }
 
 /// One bit for each 8-bit colour, red most significant.
@@ -129,27 +178,65 @@ impl ColourTable {
 
 /// The colours with red `16·slab .. 16·slab + 16`.
 fn fill_slab(test: &PaintTest, slab: usize, words: &mut [u64]) -> Bounds {
-    const SIDE: usize = 8;
-    let linear: Vec<f64> = (0..256).map(|v| linear_from_srgb(f64::from(v) / 255.0)).collect();
-    let mut bounds = Bounds::NOTHING;
-    let steps = || (0..256usize).step_by(SIDE);
-    for r0 in (0..16).step_by(SIDE) {
-        for (g0, b0) in steps().flat_map(|g| steps().map(move |b| (g, b))) {
-            let low = [(16 * slab + r0) as u8, g0 as u8, b0 as u8];
-            if !test.cube_may_hold_paint(low, low.map(|v| v + (SIDE - 1) as u8)) {
-                continue;
+    let mut fill = Fill {
+        test,
+        linear: (0..256).map(|v| linear_from_srgb(f64::from(v) / 255.0)).collect(),
+        red: 16 * slab,
+        words,
+        bounds: Bounds::NOTHING,
+    };
+    for (g, b) in (0..256).step_by(16).flat_map(|g| (0..256).step_by(16).map(move |b| (g, b))) {
+        fill.cube([16 * slab, g, b], 16);
+    }
+    fill.bounds
+}
+
+struct Fill<'a> {
+    test: &'a PaintTest,
+    linear: Vec<f64>,
+    /// Of the first word.
+    red: usize,
+    words: &'a mut [u64],
+    bounds: Bounds,
+}
+
+impl Fill<'_> {
+    /// Splits cubes until one answer holds for the whole of each; below a certain size the colours are asked one by one.
+    fn cube(&mut self, [r, g, b]: [usize; 3], side: usize) {
+        const ONE_BY_ONE: usize = 2;
+        let low = [r as u8, g as u8, b as u8];
+        let verdict = self.test.judge(low, low.map(|v| v + (side - 1) as u8));
+        let colours = (0..side * side * side).map(|i| [r + i / (side * side), g + i / side % side, b + i % side]);
+        match verdict {
+            Verdict::Ground => {}
+            Verdict::Paint => {
+                colours.for_each(|colour| self.set(colour));
+                // Samples and their differences are extreme at corners.
+                let far = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { (side - 1) as u8 } else { 0 };
+                (0..8).for_each(|k| self.bounds.admit(std::array::from_fn(|axis| low[axis] + far(k, axis))));
             }
-            for (r, g, b) in (0..SIDE * SIDE * SIDE).map(|i| (r0 + i / 64, g0 + i / 8 % 8, b0 + i % 8)) {
-                let colour = [(16 * slab + r) as u8, g as u8, b as u8];
-                if table_bit(test, &linear, colour) {
-                    let index = r << 16 | g << 8 | b;
-                    words[index >> 6] |= 1 << (index & 63);
-                    bounds.admit(colour);
+            Verdict::Mixed if side > ONE_BY_ONE => {
+                let half = side / 2;
+                for k in 0..8 {
+                    self.cube([r + half * (k >> 2), g + half * (k >> 1 & 1), b + half * (k & 1)], half);
+                }
+            }
+            Verdict::Mixed => {
+                for colour in colours {
+                    let bytes = colour.map(|v| v as u8);
+                    if table_bit(self.test, &self.linear, bytes) {
+                        self.set(colour);
+                        self.bounds.admit(bytes);
+                    }
                 }
             }
         }
     }
-    bounds
+
+    fn set(&mut self, [r, g, b]: [usize; 3]) {
+        let index = (r - self.red) << 16 | g << 8 | b;
+        self.words[index >> 6] |= 1 << (index & 63);
+    }
 }
 
 /// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
@@ -202,9 +289,9 @@ impl Classifier {
         &self.test
     }
 
-    /// The table's answer for an 8-bit colour.
+    /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the nearest caches.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
-        self.table.get(colour)
+        self.table.bounds.passes(colour) && self.table.get(colour)
     }
 
     /// A sample on the 8-bit scale: `(255·v + white/2) / white`, at most 255; bytes with white 255 are themselves.
@@ -267,6 +354,9 @@ impl Classifier {
 }
 
 fn scale(sample: u16, white: u16) -> u8 {
+    if white == 255 {
+        return sample.min(255) as u8;
+    }
     ((255 * u32::from(sample) + u32::from(white) / 2) / u32::from(white)).min(255) as u8
 }
 

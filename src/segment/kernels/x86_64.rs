@@ -2,9 +2,9 @@
 
 use std::arch::x86_64::*;
 
-use super::{Bounds, scalar};
+use super::Bounds;
 
-/// Twin of [`scalar::prefilter`] over the whole row, for pixels of 3 or 4 samples.
+/// Twin of [`super::scalar::prefilter`] over the whole row, for pixels of 3 or 4 samples.
 ///
 /// # Safety
 /// The machine must have AVX2.
@@ -29,16 +29,16 @@ pub unsafe fn prefilter(samples: &[u8], stride: usize, rgb: [usize; 3], len: usi
     let (fall_low, fall_high) = (spread(bounds.fall_low), spread(bounds.fall_high));
     let (rise_low, rise_high) = (spread(bounds.rise_low), spread(bounds.rise_high));
     let half = 4 * stride;
-    // The second load of a group of eight reads 16 bytes from its fifth pixel on, so the last pixels of a slice that ends
-    // here must be left to the scalar kernel.
+    // The second load of a group of eight reads 16 bytes from its fifth pixel on, which the last pixels of a slice that
+    // ends here do not have.
     let safe_groups = if samples.len() >= half + 16 { (samples.len() - half - 16) / (2 * half) + 1 } else { 0 };
     let words = (len / 64).min(safe_groups / 8);
-    for (w, word) in bits[..words].iter_mut().enumerate() {
+    let word_at = |samples: &[u8], first: usize| {
         let mut found = 0u64;
         for group in 0..8 {
-            let at = (w * 8 + group) * 2 * half;
-            debug_assert!(at + half + 16 <= samples.len());
-            // SAFETY: group index `w * 8 + group` is below `safe_groups`, so both 16-byte loads end inside the slice.
+            let at = first + group * 2 * half;
+            assert!(at + half + 16 <= samples.len());
+            // SAFETY: both 16-byte loads end inside the slice, as just asserted.
             let raw = unsafe {
                 let p = samples.as_ptr().add(at);
                 _mm256_inserti128_si256(
@@ -60,9 +60,18 @@ pub unsafe fn prefilter(samples: &[u8], stride: usize, rgb: [usize; 3], len: usi
             let eight = _mm256_movemask_ps(_mm256_castsi256_ps(good)) as u32 as u64;
             found |= eight << (8 * group);
         }
-        *word = found;
+        found
+    };
+    for (w, word) in bits[..words].iter_mut().enumerate() {
+        *word = word_at(samples, w * 16 * half);
     }
-    scalar::prefilter(samples, stride, rgb, words * 64..len, bounds, bits);
+    // The last pixels go through a copy with room behind them.
+    let mut rest = [0u8; 64 * 4 + 16];
+    for (w, word) in bits[..len.div_ceil(64)].iter_mut().enumerate().skip(words) {
+        let pixels = (len - w * 64).min(64);
+        rest[..pixels * stride].copy_from_slice(&samples[w * 64 * stride..][..pixels * stride]);
+        *word = word_at(&rest, 0) & (u64::MAX >> (64 - pixels));
+    }
 }
 
 #[target_feature(enable = "avx2")]

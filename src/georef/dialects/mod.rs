@@ -1,0 +1,103 @@
+//! Tie points as other programs read them.
+//!
+//! A dialect that carries tie points returns exactly the pairs of pixel and surveyed point that were matched; numbers are
+//! written in the shortest form that reads back to the same double wherever the format allows it.
+
+use std::path::{Path, PathBuf};
+
+use crate::coords::{GeoTransform, PixelPoint};
+use crate::error::{Error, Result};
+use crate::georef::crs::Crs;
+use crate::georef::result::RunResult;
+use crate::georef::write::Output;
+
+/// What was matched, ready for any dialect.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TiePoints {
+    /// File name of the image, without folders.
+    pub image_name: String,
+    /// Width and height of the image; `None` when the orientation was solved from lists alone.
+    pub image_size_px: Option<(u64, u64)>,
+    /// CRS of eastings and northings; `None` for local coordinates.
+    pub crs: Option<Crs>,
+    /// Control points of the fit first, then the check points.
+    pub pairs: Vec<TiePoint>,
+    pub transform: Option<GeoTransform>,
+}
+
+/// A surveyed point and where it was found in the image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TiePoint {
+    pub name: String,
+    /// (0, 0) is the outer corner of the first pixel.
+    pub pixel: PixelPoint,
+    /// In the units of the CRS, as surveyed.
+    pub easting: f64,
+    pub northing: f64,
+    pub height: Option<f64>,
+    /// 1σ of the survey in each of easting and northing, metres.
+    pub sigma_m: Option<f64>,
+    /// Surveyed − computed.
+    pub residual_e_m: f64,
+    pub residual_n_m: f64,
+    /// Kept out of the fit.
+    pub check: bool,
+}
+
+impl TiePoints {
+    /// Those of a result. `image` gives the name.
+    pub fn of(result: &RunResult, image: &Path, crs: Option<&Crs>) -> Self {
+        let rows = result.matches.iter().map(|row| (row, false));
+        let pairs = rows
+            .chain(result.check_points.iter().map(|row| (row, true)))
+            .map(|(row, check)| TiePoint {
+                name: row.gcp.clone(),
+                pixel: PixelPoint { x: row.x, y: row.y },
+                easting: row.easting,
+                northing: row.northing,
+                height: row.height,
+                sigma_m: row.survey_sigma_m,
+                residual_e_m: row.residual_e_m,
+                residual_n_m: row.residual_n_m,
+                check,
+            })
+            .collect();
+        TiePoints {
+            image_name: image.file_name().map_or_else(|| "image".into(), |name| name.to_string_lossy().into_owned()),
+            image_size_px: result.image.as_ref().map(|image| (image.width, image.height)),
+            crs: crs.cloned(),
+            pairs,
+            transform: result.geotransform,
+        }
+    }
+}
+
+/// The files of a dialect beside `base`, the path of the image (or what takes its place in `--out`); the writer gets a
+/// temporary name for each of them, in this order.
+pub fn files(output: Output, base: &Path) -> Vec<PathBuf> {
+    let with = |ending: &str| base.with_extension(ending);
+    match output {
+        Output::Points => {
+            // QGIS appends to the whole name.
+            let mut name = base.as_os_str().to_owned();
+            name.push(".points");
+            vec![PathBuf::from(name)]
+        }
+        Output::GcpList => vec![with("gcp_list.txt")],
+        Output::GeoJson => vec![with("gcps.geojson")],
+        Output::Csv => vec![with("gcps.csv")],
+        Output::MicMac => vec![with("appuis.xml"), with("mesures.xml")],
+        Output::Metashape => vec![with("metashape.csv")],
+        Output::Pix4d => vec![with("pix4d-gcps.csv"), with("pix4d-marks.csv")],
+        _ => Vec::new(),
+    }
+}
+
+/// Writes a dialect. `paths` are those of [`files`], under temporary names that are put in place later.
+///
+/// # Errors
+/// When a file cannot be written, or the dialect cannot hold the points; the message says which.
+pub fn write(output: Output, paths: &[PathBuf], _points: &TiePoints) -> Result<()> {
+    let path = paths.first().cloned().unwrap_or_default();
+    Err(Error::unsupported(path, format!("--write {output}"), "choose another kind"))
+}

@@ -1,0 +1,482 @@
+//! A north-up copy: a Cloud Optimized GeoTIFF by GDAL's warper.
+//!
+//! For programs that refuse rotated GeoTIFFs or draw them unrotated. The copy is warped block by block while GDAL's COG
+//! driver asks for it, so memory does not grow with the image; overviews are part of a COG.
+
+mod create_copy;
+mod vrt;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use gdal::cpl::CslStringList;
+use gdal::{Dataset, DriverManager, Metadata};
+
+use crate::coords::{GeoTransform, PixelPoint};
+use crate::error::{Error, Result};
+use crate::georef::crs::Crs;
+use crate::georef::sidecar::axis_mapping;
+use crate::pipeline::plan;
+use crate::raster::tiff::Directories;
+
+/// How a pixel is made of its neighbours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resampling {
+    Near,
+    #[default]
+    Bilinear,
+    Cubic,
+    CubicSpline,
+    Lanczos,
+    Average,
+    Mode,
+}
+
+impl Resampling {
+    pub const ALL: [Resampling; 7] = [
+        Resampling::Near,
+        Resampling::Bilinear,
+        Resampling::Cubic,
+        Resampling::CubicSpline,
+        Resampling::Lanczos,
+        Resampling::Average,
+        Resampling::Mode,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Resampling::Near => "near",
+            Resampling::Bilinear => "bilinear",
+            Resampling::Cubic => "cubic",
+            Resampling::CubicSpline => "cubicspline",
+            Resampling::Lanczos => "lanczos",
+            Resampling::Average => "average",
+            Resampling::Mode => "mode",
+        }
+    }
+
+    /// As a warped VRT names it.
+    fn in_vrt(self) -> &'static str {
+        match self {
+            Resampling::Near => "NearestNeighbour",
+            Resampling::Bilinear => "Bilinear",
+            Resampling::Cubic => "Cubic",
+            Resampling::CubicSpline => "CubicSpline",
+            Resampling::Lanczos => "Lanczos",
+            Resampling::Average => "Average",
+            Resampling::Mode => "Mode",
+        }
+    }
+
+    /// For the overviews: values that must not be mixed are not.
+    fn of_overviews(self) -> &'static str {
+        match self {
+            Resampling::Near => "NEAREST",
+            Resampling::Mode => "MODE",
+            _ => "AVERAGE",
+        }
+    }
+}
+
+/// How the copy is compressed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compression {
+    None,
+    Lzw,
+    #[default]
+    Deflate,
+    Zstd,
+    Jpeg,
+    Webp,
+}
+
+impl Compression {
+    pub const ALL: [Compression; 6] = [
+        Compression::None,
+        Compression::Lzw,
+        Compression::Deflate,
+        Compression::Zstd,
+        Compression::Jpeg,
+        Compression::Webp,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Compression::None => "none",
+            Compression::Lzw => "lzw",
+            Compression::Deflate => "deflate",
+            Compression::Zstd => "zstd",
+            Compression::Jpeg => "jpeg",
+            Compression::Webp => "webp",
+        }
+    }
+
+    fn lossy(self) -> bool {
+        matches!(self, Compression::Jpeg | Compression::Webp)
+    }
+}
+
+/// What is where no image is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Border {
+    /// Nodata when the image has a nodata value or is an elevation model (samples that can be negative or fractional),
+    /// else alpha.
+    #[default]
+    Auto,
+    /// One more band that says how much of a pixel is covered.
+    Alpha,
+    /// This value in every band.
+    Nodata(f64),
+}
+
+impl Border {
+    /// Of elevation models that name none.
+    const ELEVATION_NODATA: f64 = -9999.0;
+}
+
+macro_rules! named {
+    ($kind:ty, $what:literal) => {
+        impl fmt::Display for $kind {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(self.name())
+            }
+        }
+
+        impl FromStr for $kind {
+            type Err = String;
+            fn from_str(text: &str) -> std::result::Result<Self, String> {
+                <$kind>::ALL.into_iter().find(|one| one.name() == text).ok_or_else(|| {
+                    let names = <$kind>::ALL.map(<$kind>::name).join(", ");
+                    format!("`{text}` is no {}; choose from {names}", $what)
+                })
+            }
+        }
+    };
+}
+
+named!(Resampling, "resampling");
+named!(Compression, "compression");
+
+impl FromStr for Border {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "auto" => Ok(Border::Auto),
+            "alpha" => Ok(Border::Alpha),
+            number => number
+                .parse()
+                .map(Border::Nodata)
+                .map_err(|_| format!("`{text}` is no border: write alpha, auto, or the nodata value")),
+        }
+    }
+}
+
+/// What `--write warp` makes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WarpOptions {
+    pub resampling: Resampling,
+    pub compression: Compression,
+    /// 1 to 100, of JPEG and WebP; GDAL's 75 when `None`.
+    pub quality: Option<u8>,
+    /// Side of a pixel in map units; that of the image when `None`.
+    pub resolution: Option<f64>,
+    pub border: Border,
+    pub memory_budget_bytes: u64,
+    pub threads: usize,
+}
+
+impl Default for WarpOptions {
+    fn default() -> Self {
+        WarpOptions {
+            resampling: Resampling::default(),
+            compression: Compression::default(),
+            quality: None,
+            resolution: None,
+            border: Border::default(),
+            memory_budget_bytes: plan::DEFAULT_BUDGET_BYTES,
+            threads: 1,
+        }
+    }
+}
+
+/// Where the copy lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    pub transform: GeoTransform,
+    pub width: u64,
+    pub height: u64,
+}
+
+impl Grid {
+    /// The smallest north-up grid that holds an image of `width` × `height` pixels. A north-up image keeps its own grid
+    /// unless another `resolution` is asked for.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the copy would have no pixels, or more than a GeoTIFF can hold across.
+    pub fn around(transform: &GeoTransform, width: u64, height: u64, resolution: Option<f64>) -> Result<Grid> {
+        let g = transform.0;
+        if resolution.is_none() && g[2] == 0.0 && g[4] == 0.0 && g[1] > 0.0 && g[5] < 0.0 {
+            return Ok(Grid { transform: *transform, width, height });
+        }
+        let corners = [(0, 0), (width, 0), (0, height), (width, height)]
+            .map(|(x, y)| transform.apply(PixelPoint { x: x as f64, y: y as f64 }));
+        let low = |f: fn(&crate::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::INFINITY, f64::min);
+        let high = |f: fn(&crate::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
+        let (west, east) = (low(|c| c.easting), high(|c| c.easting));
+        let (south, north) = (low(|c| c.northing), high(|c| c.northing));
+        let pixel = resolution.unwrap_or_else(|| transform.scale());
+        // A thousandth of a pixel is no reason for another column.
+        let count = |length: f64| (length / pixel - 1e-3).ceil().max(1.0);
+        let (columns, rows) = (count(east - west), count(north - south));
+        if !(columns * rows).is_finite() || columns.max(rows) > f64::from(i32::MAX) {
+            return Err(Error::usage(
+                format!("a warped copy of {columns} × {rows} pixels"),
+                "give a larger --resolution",
+            ));
+        }
+        let transform = GeoTransform([west, pixel, 0.0, north, 0.0, -pixel]);
+        Ok(Grid { transform, width: columns as u64, height: rows as u64 })
+    }
+}
+
+/// Kept free of the budget.
+const RESERVE_BYTES: u64 = 24 << 20;
+/// The compressor's threads hold a few blocks each.
+const THREAD_BYTES: u64 = 8 << 20;
+/// The least with which GDAL makes headway.
+const SMALLEST_CACHE_BYTES: u64 = 16 << 20;
+const WARP_BYTES: u64 = 16 << 20;
+
+impl WarpOptions {
+    /// Refuses, before any work, what GDAL cannot do with this image.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] for a compression that GDAL lacks or that cannot hold such samples, and for palettes;
+    /// [`Error::Usage`] for numbers out of range; [`Error::Limit`] when the memory does not suffice.
+    pub fn check(&self, image: &Path, page: usize) -> Result<()> {
+        if self.resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
+            return Err(Error::usage("--resolution is not a positive length", "give the side of a pixel in map units"));
+        }
+        if self.quality.is_some_and(|q| !(1..=100).contains(&q)) {
+            return Err(Error::usage("--quality is not between 1 and 100", "75 is a good value"));
+        }
+        self.cache_bytes()?;
+        let (_dataset, source) = open(image, page)?;
+        self.border_of(&source)?;
+        self.check_compression(image, &source)
+    }
+
+    fn check_compression(&self, image: &Path, source: &vrt::Source) -> Result<()> {
+        let driver = DriverManager::get_driver_by_name("COG").map_err(|e| Error::gdal(image, e))?;
+        let offered = driver.metadata_item("DMD_CREATIONOPTIONLIST", "").unwrap_or_default();
+        let name = self.compression.name().to_uppercase();
+        if !offered.contains(&format!("<Value>{name}</Value>")) {
+            let what = format!("{name} compression by this GDAL, which was built without it");
+            return Err(Error::unsupported(image, what, "choose another --compress, such as deflate"));
+        }
+        let kinds: Vec<&str> = source.colours().map(|(_, band)| band.kind.as_str()).collect();
+        if self.compression.lossy() && kinds.iter().any(|kind| *kind != "Byte") {
+            let what = format!("{name} compression of {} samples", kinds[0]);
+            return Err(Error::unsupported(image, what, "choose deflate, zstd or lzw"));
+        }
+        let fits = match self.compression {
+            Compression::Jpeg => matches!(kinds.len(), 1 | 3),
+            Compression::Webp => kinds.len() == 3,
+            _ => true,
+        };
+        if !fits {
+            let what = format!("{name} compression of {} bands", kinds.len());
+            return Err(Error::unsupported(image, what, "choose deflate, zstd or lzw"));
+        }
+        Ok(())
+    }
+
+    /// What GDAL's block cache may take: half of what the process does not hold yet.
+    fn cache_bytes(&self) -> Result<u64> {
+        let held = plan::baseline_bytes();
+        let fixed = held + RESERVE_BYTES + WARP_BYTES + THREAD_BYTES * self.threads as u64;
+        let left = self.memory_budget_bytes.saturating_sub(fixed);
+        if left < SMALLEST_CACHE_BYTES {
+            return Err(Error::Limit {
+                what: "warping does not fit --memory".into(),
+                needed: fixed + SMALLEST_CACHE_BYTES,
+                allowed: self.memory_budget_bytes,
+                remedy: format!("give --memory {}M", (fixed + SMALLEST_CACHE_BYTES).div_ceil(1 << 20)),
+            });
+        }
+        Ok(left / 2)
+    }
+
+    /// What the border is in this image.
+    fn border_of(&self, source: &vrt::Source) -> Result<Border> {
+        let first = source.colours().next().map(|(_, band)| band);
+        let border = match (self.border, first) {
+            (Border::Auto, Some(band)) => match band.nodata {
+                _ if source.alpha.is_some() => Border::Alpha,
+                Some(value) if !self.compression.lossy() => Border::Nodata(value),
+                None if !band.kind.starts_with("UInt") && band.kind != "Byte" => {
+                    Border::Nodata(Border::ELEVATION_NODATA)
+                }
+                _ => Border::Alpha,
+            },
+            (asked, _) => asked,
+        };
+        if let (Border::Nodata(value), Some(band)) = (border, first) {
+            let holds = match band.kind.as_str() {
+                "Byte" => (0.0..=255.0).contains(&value) && value.fract() == 0.0,
+                "UInt16" => (0.0..=65_535.0).contains(&value) && value.fract() == 0.0,
+                "Int16" => (-32_768.0..=32_767.0).contains(&value) && value.fract() == 0.0,
+                "UInt32" => (0.0..=f64::from(u32::MAX)).contains(&value) && value.fract() == 0.0,
+                "Int32" => (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) && value.fract() == 0.0,
+                _ => true,
+            };
+            if !holds {
+                return Err(Error::usage(
+                    format!("{value} as nodata does not fit {} samples", band.kind),
+                    "give --border alpha or another value",
+                ));
+            }
+            if self.compression.lossy() {
+                return Err(Error::usage(
+                    format!("a nodata value does not survive {} compression", self.compression),
+                    "give --border alpha, or --compress deflate",
+                ));
+            }
+        }
+        Ok(border)
+    }
+}
+
+/// Warps image `page` of `image` into the file `out`, which is replaced when it exists.
+///
+/// `progress` gets numbers from 0 to 1 and answers whether to go on.
+///
+/// # Errors
+/// Those of [`WarpOptions::check`]; [`Error::Gdal`] when GDAL cannot read the image or write the copy (a full disk). Nothing
+/// is left behind but what is at `out` itself.
+pub fn write(
+    image: &Path,
+    page: usize,
+    out: &Path,
+    transform: &GeoTransform,
+    crs: Option<&Crs>,
+    options: &WarpOptions,
+    progress: &dyn Fn(f64) -> bool,
+) -> Result<()> {
+    options.check(image, page)?;
+    let (dataset, source) = open(image, page)?;
+    let grid = Grid::around(transform, source.width, source.height, options.resolution)?;
+    let border = options.border_of(&source)?;
+    let xml = vrt::xml(&source, transform, &grid, crs, border, options.resampling.in_vrt(), WARP_BYTES)?;
+    drop(dataset);
+    create_copy::set_cache_bytes(options.cache_bytes()?);
+    let warped = Dataset::open(&xml).map_err(|e| Error::gdal(image, e))?;
+    let driver = DriverManager::get_driver_by_name("COG").map_err(|e| Error::gdal(out, e))?;
+    let creation = creation_options(options).map_err(|e| Error::gdal(out, e))?;
+    let made = create_copy::create_copy(&warped, &driver, out, &creation, progress)
+        .map_err(|what| Error::gdal(out, what))
+        .and_then(|()| complete(out));
+    remove_leftovers(out);
+    made
+}
+
+fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList> {
+    let mut list = CslStringList::new();
+    list.add_name_value("COMPRESS", &options.compression.name().to_uppercase())?;
+    list.add_name_value("BIGTIFF", "IF_SAFER")?;
+    list.add_name_value("OVERVIEW_RESAMPLING", options.resampling.of_overviews())?;
+    list.add_name_value("NUM_THREADS", &options.threads.max(1).to_string())?;
+    if matches!(options.compression, Compression::Lzw | Compression::Deflate | Compression::Zstd) {
+        list.add_name_value("PREDICTOR", "YES")?;
+    }
+    if options.compression.lossy() {
+        let quality = options.quality.unwrap_or(75).to_string();
+        list.add_name_value("QUALITY", &quality)?;
+        list.add_name_value("OVERVIEW_QUALITY", &quality)?;
+    }
+    Ok(list)
+}
+
+fn open(image: &Path, page: usize) -> Result<(Dataset, vrt::Source)> {
+    crate::raster::initialise_gdal(0);
+    let path = std::fs::canonicalize(image).map_err(|e| Error::io(image, "open", e))?;
+    let directory = match crate::raster::tiff::is_tiff(&path)? {
+        true => Directories::read(&path)?.page(page)?,
+        false => 0,
+    };
+    let name = match directory {
+        0 => path,
+        later => PathBuf::from(format!("GTIFF_DIR:{}:{}", later + 1, path.display())),
+    };
+    let dataset = Dataset::open(&name).map_err(|e| Error::gdal(image, e))?;
+    let source = vrt::Source::of(image, &name, &dataset)?;
+    Ok((dataset, source))
+}
+
+/// Every block of every directory must lie in the file: GDAL does not always notice a full disk.
+fn complete(out: &Path) -> Result<()> {
+    use crate::raster::tiff::container::tag;
+    let file = Directories::read(out)?;
+    if let Some(what) = &file.broken_tail {
+        return Err(Error::format(out, "the copy", what.clone()));
+    }
+    for index in 0..file.list.len() {
+        let offsets = file.numbers(index, tag::TILE_OFFSETS)?.unwrap_or_default();
+        let counts = file.numbers(index, tag::TILE_BYTE_COUNTS)?.unwrap_or_default();
+        let inside = |(at, count): (&u64, &u64)| at.checked_add(*count).is_some_and(|end| end <= file.len);
+        if offsets.is_empty() || offsets.len() != counts.len() || !offsets.iter().zip(&counts).all(inside) {
+            return Err(Error::format(out, format!("directory {index}"), "the copy is cut off; is the disk full?"));
+        }
+    }
+    Ok(())
+}
+
+/// GDAL's COG driver keeps overviews in files beside the output while it works, and leaves them when it fails.
+fn remove_leftovers(out: &Path) {
+    let (Some(folder), Some(name)) = (out.parent(), out.file_name()) else { return };
+    let Ok(entries) = std::fs::read_dir(if folder.as_os_str().is_empty() { Path::new(".") } else { folder }) else {
+        return;
+    };
+    let name = name.to_string_lossy();
+    for entry in entries.flatten() {
+        let other = entry.file_name().to_string_lossy().into_owned();
+        if other.strip_prefix(name.as_ref()).is_some_and(|rest| rest.ends_with(".tmp") || rest == ".aux.xml") {
+            // What cannot be removed is GDAL's temporary file, no output.
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_grid_holds_all_corners_and_a_north_up_image_keeps_its_own() {
+        let turned = GeoTransform([100.0, 0.3, -0.4, 200.0, -0.4, -0.3]);
+        let grid = Grid::around(&turned, 1000, 500, None).expect("sensible");
+        assert!((grid.transform.0[1] - 0.5).abs() < 1e-12, "a pixel keeps its area");
+        for (x, y) in [(0.0, 0.0), (1000.0, 0.0), (0.0, 500.0), (1000.0, 500.0)] {
+            let p = grid.transform.invert(turned.apply(PixelPoint { x, y })).expect("not singular");
+            let slack = 2e-3;
+            assert!((-slack..=grid.width as f64 + slack).contains(&p.x), "{p:?} in {grid:?}");
+            assert!((-slack..=grid.height as f64 + slack).contains(&p.y), "{p:?} in {grid:?}");
+        }
+        let up = GeoTransform([100.0, 0.5, 0.0, 200.0, 0.0, -0.25]);
+        assert_eq!(Grid::around(&up, 10, 20, None).expect("sensible"), Grid { transform: up, width: 10, height: 20 });
+        assert!(Grid::around(&turned, 1000, 500, Some(1e-9)).is_err());
+    }
+
+    #[test]
+    fn names_read_back() {
+        for resampling in Resampling::ALL {
+            assert_eq!(resampling.name().parse(), Ok(resampling));
+        }
+        for compression in Compression::ALL {
+            assert_eq!(compression.name().parse(), Ok(compression));
+        }
+        assert_eq!("-32767".parse(), Ok(Border::Nodata(-32767.0)));
+        assert!("alfa".parse::<Border>().is_err());
+    }
+}

@@ -1,0 +1,270 @@
+//! Everything a solved orientation can be written as, checked before the work and put in place all together.
+//!
+//! Files are made under temporary names first ([`WriteRequest::stage`]); only when all of them exist are they renamed, and
+//! the image's own tags switched ([`Transaction::commit`]). A failure at any point leaves what was there before.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use crate::error::{Error, Result};
+use crate::georef::atomic::{self, Transaction};
+use crate::georef::crs::Crs;
+use crate::georef::dialects::{self, TiePoints};
+use crate::georef::result::RunResult;
+use crate::georef::{gcps_vrt, sidecar, tags, warp};
+
+/// One kind of output: `--write KIND,…`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Output {
+    World,
+    Aux,
+    Vrt,
+    Tags,
+    Warp,
+    Gcps,
+    Points,
+    GcpList,
+    GeoJson,
+    Csv,
+    MicMac,
+    Metashape,
+    Pix4d,
+}
+
+impl Output {
+    /// All of them, in the order in which they are written.
+    pub const ALL: [Output; 13] = [
+        Output::World,
+        Output::Aux,
+        Output::Vrt,
+        Output::Tags,
+        Output::Warp,
+        Output::Gcps,
+        Output::Points,
+        Output::GcpList,
+        Output::GeoJson,
+        Output::Csv,
+        Output::MicMac,
+        Output::Metashape,
+        Output::Pix4d,
+    ];
+
+    /// As the command line names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Output::World => "world",
+            Output::Aux => "aux",
+            Output::Vrt => "vrt",
+            Output::Tags => "tags",
+            Output::Warp => "warp",
+            Output::Gcps => "gcps",
+            Output::Points => "points",
+            Output::GcpList => "gcp-list",
+            Output::GeoJson => "geojson",
+            Output::Csv => "csv",
+            Output::MicMac => "micmac",
+            Output::Metashape => "metashape",
+            Output::Pix4d => "pix4d",
+        }
+    }
+
+    /// One line for the help.
+    pub fn describe(self) -> &'static str {
+        match self {
+            Output::World => "world file (no CRS)",
+            Output::Aux => "GDAL's .aux.xml: transform and CRS",
+            Output::Vrt => "GDAL virtual raster with transform and CRS",
+            Output::Tags => "GeoTIFF tags in the image itself; `autoref-stream undo` takes them back",
+            Output::Warp => "north-up Cloud Optimized GeoTIFF",
+            Output::Gcps => "GDAL virtual raster with the tie points",
+            Output::Points => "QGIS Georeferencer .points",
+            Output::GcpList => "OpenDroneMap gcp_list.txt",
+            Output::GeoJson => "marks, GCPs and residuals as GeoJSON",
+            Output::Csv => "tie points as CSV",
+            Output::MicMac => "MicMac appuis and mesures XML",
+            Output::Metashape => "Agisoft Metashape markers",
+            Output::Pix4d => "Pix4D GCPs and marks",
+        }
+    }
+
+    /// The files of this kind beside `base`. None for tags, which go into the image.
+    pub fn files(self, base: &Path) -> Vec<PathBuf> {
+        match self {
+            Output::World => vec![sidecar::world_file_path(base)],
+            Output::Aux => vec![sidecar::aux_path(base)],
+            Output::Vrt => vec![base.with_extension("vrt")],
+            Output::Tags => Vec::new(),
+            Output::Warp => vec![base.with_extension("warp.tif")],
+            Output::Gcps => vec![base.with_extension("gcps.vrt")],
+            _ => dialects::files(self, base),
+        }
+    }
+}
+
+impl fmt::Display for Output {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Output {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        Output::ALL.into_iter().find(|kind| kind.name().eq_ignore_ascii_case(text.trim())).ok_or_else(|| {
+            let names: Vec<&str> = Output::ALL.iter().map(|kind| kind.name()).collect();
+            format!("`{text}` is no kind of output; choose from {}", names.join(", "))
+        })
+    }
+}
+
+/// What to write, and where. Known before the image is read, so that what cannot be done is refused at once.
+#[derive(Clone, Debug)]
+pub struct WriteRequest {
+    /// The raster that gets the georeference.
+    pub image: PathBuf,
+    /// Its image, counted from 0 over those of full resolution.
+    pub page: usize,
+    /// Output names extend this path: the image's own, or its name in another folder.
+    pub base: PathBuf,
+    pub kinds: Vec<Output>,
+    pub overwrite: bool,
+    pub tags: tags::TagOptions,
+    pub warp: warp::WarpOptions,
+}
+
+impl WriteRequest {
+    /// Outputs beside the image, or in the folder `out`.
+    pub fn new(image: &Path, out: Option<&Path>, kinds: &[Output], overwrite: bool) -> Self {
+        let name = image.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
+        let mut unique: Vec<Output> = Vec::new();
+        for kind in Output::ALL {
+            if kinds.contains(&kind) {
+                unique.push(kind);
+            }
+        }
+        WriteRequest {
+            image: image.to_path_buf(),
+            page: 0,
+            base: out.map_or_else(|| image.to_path_buf(), |folder| folder.join(name)),
+            kinds: unique,
+            overwrite,
+            tags: tags::TagOptions::default(),
+            warp: warp::WarpOptions::default(),
+        }
+    }
+
+    /// Every file that will be written, the image itself not counted.
+    pub fn files(&self) -> Vec<PathBuf> {
+        self.kinds.iter().flat_map(|kind| kind.files(&self.base)).collect()
+    }
+
+    pub fn wants(&self, kind: Output) -> bool {
+        self.kinds.contains(&kind)
+    }
+
+    /// Refuses, before any work, what cannot be written.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for outputs that exist (without `overwrite`) or that are the image itself; whatever speaks against
+    /// tags in this file or against a warped copy.
+    pub fn check(&self) -> Result<()> {
+        let files = self.files();
+        for file in &files {
+            if same_file(file, &self.image) {
+                return Err(Error::usage(
+                    format!("the output {} is the image itself", file.display()),
+                    "give --out DIR, or choose another --write",
+                ));
+            }
+        }
+        atomic::check_outputs(&files.iter().map(PathBuf::as_path).collect::<Vec<_>>(), self.overwrite)?;
+        if self.wants(Output::Tags) {
+            tags::check(&self.image, self.page, &self.tags)?;
+        }
+        if self.wants(Output::Warp) {
+            self.warp.check(&self.image, self.page)?;
+        }
+        Ok(())
+    }
+
+    /// Makes every file under a temporary name and adds it to the transaction. Nothing is in place before
+    /// [`Transaction::commit`]. Returns warnings in plain words.
+    ///
+    /// # Errors
+    /// When the result holds no transform, or a file cannot be made.
+    pub fn stage(
+        &self,
+        result: &RunResult,
+        transaction: &mut Transaction,
+        progress: &dyn Fn(f64) -> bool,
+    ) -> Result<Vec<String>> {
+        let transform = result.geotransform.ok_or_else(|| {
+            Error::usage("the result holds no georeference: it was not solved", "run again with better marks or GCPs")
+        })?;
+        let crs = result.crs.as_deref().map(Crs::parse).transpose()?;
+        let crs = crs.as_ref();
+        let mut warnings = Vec::new();
+        for &kind in &self.kinds {
+            let files = kind.files(&self.base);
+            match kind {
+                Output::World => {
+                    transaction.stage_bytes(&files[0], sidecar::world_file(&transform).as_bytes())?;
+                }
+                Output::Aux => {
+                    let existing = std::fs::read_to_string(&files[0]).ok();
+                    let existing = existing.as_deref().map(|text| (files[0].as_path(), text));
+                    let aux = sidecar::aux_xml(&transform, crs, existing)?;
+                    transaction.stage_bytes(&files[0], aux.as_bytes())?;
+                }
+                Output::Vrt => transaction
+                    .stage(&files[0], |temporary| sidecar::write_vrt(&self.image, temporary, &transform, crs))?,
+                Output::Tags => {
+                    warnings.extend(tags::warnings(self, &transform));
+                    let (edit, lost) = tags::prepare(&self.image, self.page, &transform, crs, &self.tags)?;
+                    warnings.extend(lost);
+                    transaction.on_commit(edit);
+                }
+                Output::Warp => transaction.stage(&files[0], |temporary| {
+                    warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
+                })?,
+                Output::Gcps => {
+                    let points = TiePoints::of(result, &self.image, crs);
+                    transaction.stage(&files[0], |temporary| gcps_vrt::write(&self.image, temporary, &points))?;
+                }
+                _ => {
+                    let points = TiePoints::of(result, &self.image, crs);
+                    transaction.stage_all(&files, |temporaries| dialects::write(kind, temporaries, &points))?;
+                }
+            }
+        }
+        Ok(warnings)
+    }
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_read_back_and_files_do_not_collide() {
+        let mut files: Vec<PathBuf> = Vec::new();
+        for kind in Output::ALL {
+            assert_eq!(kind.name().parse::<Output>(), Ok(kind));
+            files.extend(kind.files(Path::new("a/e6.tif")));
+        }
+        let count = files.len();
+        files.sort();
+        files.dedup();
+        assert_eq!(files.len(), count, "two kinds share a file");
+        let message = "wolrd".parse::<Output>().expect_err("a typing error");
+        assert!(message.contains("gcp-list"), "{message}");
+    }
+}
