@@ -211,3 +211,66 @@ fn what_is_not_met_or_not_tested_is_not_claimed() {
     let s = statement(&checks, &[], &StatementOptions { class_h_m: Some(0.1), ..StatementOptions::default() });
     assert!(s.reservations.iter().any(|r| r.contains("blunders: C5")), "{:?}", s.reservations);
 }
+
+/// A list, its candidates and survey errors in a folder, and `solve` run over them.
+fn solved(check_shift_m: f64, extra: &[&str]) -> (serde_json::Value, String) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name);
+    let mut random = Random::new(77);
+    let truth = Similarity { a_re: 0.03, a_im: 0.001, easting_0: 570_000.0, northing_0: 7_032_000.0 };
+    let (mut list, mut candidates, mut errors) =
+        ("name,easting,northing\n".to_string(), "x,y\n".to_string(), "name,sigma_e,sigma_n,sigma_h\n".to_string());
+    for i in 0..14 {
+        let p = PixelPoint { x: random.uniform(100.0, 7900.0), y: random.uniform(100.0, 5900.0) };
+        let m = truth.apply(p);
+        let (shift, sigma) = if i < 4 { (check_shift_m, 0.01) } else { (0.0, if i == 5 { 0.5 } else { 0.005 }) };
+        let noise = [random.normal(), random.normal()].map(|v| 0.01 * v);
+        list += &format!("P{i},{:.4},{:.4}\n", m.easting + noise[0] + shift, m.northing + noise[1]);
+        candidates += &format!("{:.3},{:.3}\n", p.x, p.y);
+        errors += &format!("P{i},{sigma},{sigma},0.02\n");
+    }
+    for (name, text) in [("list.csv", list), ("marks.csv", candidates), ("errors.csv", errors)] {
+        std::fs::write(path(name), text).expect("writable");
+    }
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
+    command.args(["solve"]).arg(path("marks.csv")).arg("--gcps").arg(path("list.csv"));
+    command.arg("--accuracy").arg(path("errors.csv"));
+    let output = command
+        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--crs", "EPSG:25832"])
+        .args(extra)
+        .output()
+        .expect("the program starts");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    (serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {text}")), text)
+}
+
+#[test]
+fn the_run_states_it_and_check_points_never_touch_the_fit() {
+    let (result, text) = solved(0.0, &["--nssda", "--accuracy-class", "0.05"]);
+    assert_eq!(result["status"], "solved");
+    let h = &result["accuracy"]["figures"]["horizontal"];
+    assert_eq!(h["check_points"], 4);
+    let number = |v: &serde_json::Value| v.as_f64().expect("a number");
+    // The figures follow from the rows.
+    let rows = result["check_points"].as_array().expect("rows");
+    let squares: f64 =
+        rows.iter().map(|r| number(&r["residual_e_m"]).powi(2) + number(&r["residual_n_m"]).powi(2)).sum();
+    assert!(close(number(&h["rmse_h1_m"]), (squares / 4.0).sqrt()));
+    assert!((number(&h["rmse_h2_m"]) - 0.01 * 2f64.sqrt()).abs() < 1e-12);
+    assert!(close(number(&h["rmse_h_m"]), number(&h["rmse_h1_m"]).hypot(number(&h["rmse_h2_m"]))));
+    assert!(text.contains("ONLY 4 checkpoints") && text.contains("NSSDA: Tested"), "{text}");
+    assert!(text.contains("Expected error") && text.contains("produced to meet a 5 (cm)"), "{text}");
+    assert_eq!(result["expected_errors"].as_array().expect("corners").len(), 4);
+    // The survey's errors are weights: a coarse point counts for next to nothing.
+    let matches = result["matches"].as_array().expect("rows");
+    let coarse = matches.iter().position(|m| m["gcp"] == "P5").expect("a control point");
+    let pairs = result["solution"]["pairs"].as_array().expect("pairs");
+    let heaviest = pairs.iter().map(|p| number(&p["weight"])).fold(0.0, f64::max);
+    assert!(number(&pairs[coarse]["weight"]) < 0.01 * heaviest);
+    // Check points that are off by 4 cm change the statement, and not one bit of the fit.
+    let (shifted, text) = solved(0.04, &["--nssda", "--accuracy-class", "0.05"]);
+    assert_eq!(shifted["geotransform"], result["geotransform"]);
+    assert_eq!(shifted["solution"], result["solution"]);
+    assert!(number(&shifted["accuracy"]["figures"]["horizontal"]["mean_e_m"]) < -0.02);
+    assert!(text.contains("mean error"), "{text}");
+}
