@@ -73,7 +73,9 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     let info = prepared.source.info().clone();
     let sizes_px = sizes(args, prepared.detector.largest_mark_px() as f64)?;
     let bar = Bar::new(&info, args.quiet || args.json);
-    let chip_budget_bytes = (args.read.memory.0 / 8).min(64 << 20);
+    // What is above the smallest budget is shared with tiles and cache.
+    let spare = args.read.memory.0.saturating_sub(pipeline::plan::SMALLEST_BUDGET_BYTES);
+    let chip_budget_bytes = (spare / 4 + (2 << 20)).min(64 << 20);
     let options = SelftestOptions {
         sizes_px,
         marks_per_size: args.marks as usize,
@@ -181,7 +183,7 @@ fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
         ));
     }
     if result.marks_missing > 0 {
-        line(format!("{} marks less than asked for: the image has no room for more", result.marks_missing));
+        line(format!("{} marks less than asked for: image or --memory have no room for more", result.marks_missing));
     }
     let percent = 100.0 * WANTED_RECALL;
     line(match &result.advice {
