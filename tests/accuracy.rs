@@ -226,7 +226,7 @@ fn what_is_not_met_or_not_tested_is_not_claimed() {
 }
 
 /// A list, its candidates and survey errors in a folder, and `solve` run over them.
-fn solved(check_shift_m: f64, extra: &[&str]) -> (serde_json::Value, String) {
+fn solved(check_shift_m: f64, crs: &str, extra: &[&str]) -> (serde_json::Value, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
     let mut random = Random::new(77);
@@ -249,7 +249,7 @@ fn solved(check_shift_m: f64, extra: &[&str]) -> (serde_json::Value, String) {
     command.args(["solve"]).arg(path("marks.csv")).arg("--gcps").arg(path("list.csv"));
     command.arg("--accuracy").arg(path("errors.csv"));
     let output = command
-        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--crs", "EPSG:25832"])
+        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--crs", crs])
         .args(extra)
         .output()
         .expect("the program starts");
@@ -259,7 +259,7 @@ fn solved(check_shift_m: f64, extra: &[&str]) -> (serde_json::Value, String) {
 
 #[test]
 fn the_run_states_it_and_check_points_never_touch_the_fit() {
-    let (result, text) = solved(0.0, &["--nssda", "--accuracy-class", "0.05"]);
+    let (result, text) = solved(0.0, "EPSG:25832", &["--nssda", "--accuracy-class", "0.05"]);
     assert_eq!(result["status"], "solved");
     let h = &result["accuracy"]["figures"]["horizontal"];
     assert_eq!(h["check_points"], 4);
@@ -281,9 +281,13 @@ fn the_run_states_it_and_check_points_never_touch_the_fit() {
     let heaviest = pairs.iter().map(|p| number(&p["weight"])).fold(0.0, f64::max);
     assert!(number(&pairs[coarse]["weight"]) < 0.01 * heaviest);
     // Check points that are off by 4 cm change the statement, and not one bit of the fit.
-    let (shifted, text) = solved(0.04, &["--nssda", "--accuracy-class", "0.05"]);
+    let (shifted, text) = solved(0.04, "EPSG:25832", &["--nssda", "--accuracy-class", "0.05"]);
     assert_eq!(shifted["geotransform"], result["geotransform"]);
     assert_eq!(shifted["solution"], result["solution"]);
     assert!(number(&shifted["accuracy"]["figures"]["horizontal"]["mean_e_m"]) < -0.02);
     assert!(text.contains("mean error"), "{text}");
+    // The same list counted in US survey feet: the statement is in metres all the same.
+    let (feet, _) = solved(0.0, "EPSG:2263", &[]);
+    let in_feet = number(&feet["accuracy"]["figures"]["horizontal"]["rmse_h1_m"]);
+    assert!((in_feet / number(&h["rmse_h1_m"]) - 1200.0 / 3937.0).abs() < 1e-9);
 }

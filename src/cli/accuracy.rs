@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use autoref_stream::accuracy::{self, CheckError, StatementOptions};
+use autoref_stream::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
 use autoref_stream::georef::result::{RunResult, Status};
@@ -31,6 +31,8 @@ fn positive(text: &str) -> Result<f64, String> {
 /// Adds statement and expected errors to a solved result. `size_px` is the image's.
 pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_px: (f64, f64)) {
     let Some(solution) = result.solution.as_ref().filter(|_| result.status == Status::Solved) else { return };
+    // Lists in feet are fitted in feet; statements count in metres.
+    let unit_m = list.crs.as_ref().map_or(1.0, autoref_stream::georef::crs::Crs::metres_per_unit);
     let checks: Vec<CheckError> = result
         .check_points
         .iter()
@@ -39,20 +41,28 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
             CheckError {
                 name: row.gcp.clone(),
                 // Residuals are surveyed − computed.
-                easting_m: -row.residual_e_m,
-                northing_m: -row.residual_n_m,
+                easting_m: -row.residual_e_m * unit_m,
+                northing_m: -row.residual_n_m * unit_m,
                 height_m: None,
                 survey_sigma_m: gcp.and_then(|gcp| gcp.sigma_m),
                 survey_sigma_height_m: gcp.and_then(|gcp| gcp.sigma_height_m),
             }
         })
         .collect();
-    let leave_one_out: Vec<(f64, f64)> =
-        solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect();
+    let leave_one_out: Vec<(f64, f64)> = solution
+        .pairs
+        .iter()
+        .filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m))
+        .map(|(e, n)| (e * unit_m, n * unit_m))
+        .collect();
     let options =
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
     result.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
     result.expected_errors = accuracy::error_map::corners(solution, size_px);
+    for corner in &mut result.expected_errors {
+        corner.expected.transform_95_m *= unit_m;
+        corner.expected.point_95_m *= unit_m;
+    }
 }
 
 /// The image's size, or how far the candidates reach.
@@ -72,19 +82,11 @@ pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
             .map_or(String::new(), |s| format!(", with the survey's own {} RMSE_H {}", cm(s), cm(h.rmse_h_m)));
         line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, cm(h.rmse_h1_m)));
     }
-    let worst = result.expected_errors.iter().max_by(|a, b| a.expected.point_95_m.total_cmp(&b.expected.point_95_m));
-    if let (Some(worst), Some(solution)) = (worst, &result.solution)
-        && let Some(model) = accuracy::ErrorModel::new(solution)
-    {
-        line(
-            "Expected error",
-            format!(
-                "95 % within {} in the middle of the marks, {} in the {} corner",
-                cm(model.at(solution.centre).point_95_m),
-                cm(worst.expected.point_95_m),
-                worst.direction
-            ),
-        );
+    let by_size = |a: &&CornerError, b: &&CornerError| a.expected.point_95_m.total_cmp(&b.expected.point_95_m);
+    let corners = result.expected_errors.iter();
+    if let (Some(best), Some(worst)) = (corners.clone().min_by(by_size), corners.max_by(by_size)) {
+        let at = |c: &CornerError| format!("{} in the {} corner", cm(c.expected.point_95_m), c.direction);
+        line("Expected error", format!("of a point, 95 %: {}, {}", at(best), at(worst)));
     }
     for sentence in &statement.sentences {
         line("Accuracy", sentence.clone());

@@ -104,6 +104,8 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "page": args.read.page,
         "halo_px": job.detector.halo_px(),
         "check": args.gcps.check,
+        "accuracy": args.gcps.accuracy.accuracy,
+        "accuracy_class_m": args.gcps.accuracy.accuracy_class,
         "names": args.gcps.names,
     })
 }
