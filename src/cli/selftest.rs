@@ -173,8 +173,8 @@ fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
     }
     let (low, high) = result.false_per_megapixel_95;
     line(format!(
-        "False finds: {} in {:.1} megapixels, {:.3} per megapixel (95 % interval {low:.3}–{high:.3}); real marks count as such",
-        result.false_finds, result.megapixels, result.false_per_megapixel
+        "False finds: {} in {:.1} megapixels beside the marks, {:.3} per megapixel (95 % interval {low:.3}–{high:.3}); real marks count as such",
+        result.false_finds, result.clear_megapixels, result.false_per_megapixel
     ));
     if result.exposure < 0.9 {
         line(format!(

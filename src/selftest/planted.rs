@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::raster::{
     Block, Piece, PieceData, PooledBytes, RasterInfo, RasterSource, ReadStats, SampleType, Samples, read_patch,
@@ -156,6 +157,17 @@ impl PlantedSource {
             }
         }
         Ok(unusable)
+    }
+
+    /// Whether a place lies in the surroundings of a planted mark, which are not the image's own.
+    pub fn covers(&self, p: PixelPoint) -> bool {
+        let pixel = Window::new(p.x.max(0.0) as u64, p.y.max(0.0) as u64, 1, 1);
+        self.near(&pixel).any(|i| self.chips[i].window.contains(pixel.x, pixel.y))
+    }
+
+    /// Pixels of the image that are its own.
+    pub fn clear_pixels(&self) -> u64 {
+        self.info().pixels() - self.chips.iter().map(|chip| chip.window.area()).sum::<u64>()
     }
 
     /// Chips that may meet a window.
