@@ -16,6 +16,7 @@
 pub mod accuracy;
 pub mod candidate;
 pub mod coords;
+pub mod doctor;
 pub mod error;
 pub mod gcp;
 pub mod georef;

@@ -31,8 +31,6 @@ fn positive(text: &str) -> Result<f64, String> {
 /// Adds statement and expected errors to a solved result. `size_px` is the image's.
 pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_px: (f64, f64)) {
     let Some(solution) = result.solution.as_ref().filter(|_| result.status == Status::Solved) else { return };
-    // Lists in feet are fitted in feet; statements count in metres.
-    let unit_m = list.crs.as_ref().map_or(1.0, autoref_stream::georef::crs::Crs::metres_per_unit);
     let checks: Vec<CheckError> = result
         .check_points
         .iter()
@@ -41,28 +39,20 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
             CheckError {
                 name: row.gcp.clone(),
                 // Residuals are surveyed − computed.
-                easting_m: -row.residual_e_m * unit_m,
-                northing_m: -row.residual_n_m * unit_m,
+                easting_m: -row.residual_e_m,
+                northing_m: -row.residual_n_m,
                 height_m: None,
                 survey_sigma_m: gcp.and_then(|gcp| gcp.sigma_m),
                 survey_sigma_height_m: gcp.and_then(|gcp| gcp.sigma_height_m),
             }
         })
         .collect();
-    let leave_one_out: Vec<(f64, f64)> = solution
-        .pairs
-        .iter()
-        .filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m))
-        .map(|(e, n)| (e * unit_m, n * unit_m))
-        .collect();
+    let leave_one_out: Vec<(f64, f64)> =
+        solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect();
     let options =
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
     result.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
     result.expected_errors = accuracy::error_map::corners(solution, size_px);
-    for corner in &mut result.expected_errors {
-        corner.expected.transform_95_m *= unit_m;
-        corner.expected.point_95_m *= unit_m;
-    }
 }
 
 /// The image's size, or how far the candidates reach.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use autoref_stream::gcp::GcpOptions;
+use autoref_stream::georef::crs::Crs;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
 use autoref_stream::pipeline::{self, Detector, PaintDetector, PlanOptions, Progress, ScanPlan};
 use autoref_stream::profile::Profile;
@@ -14,6 +15,7 @@ use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
+use crate::cli::frame::{self, FrameArgs};
 
 /// How the image is read and with what means.
 #[derive(Args, Debug)]
@@ -80,24 +82,27 @@ pub struct MatchArgs {
 /// How the list of GCPs is read.
 #[derive(Args, Debug)]
 pub struct GcpArgs {
-    /// Surveyed points: GeoJSON, CSV with a header, or KOF.
+    /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML, GPX.
     #[arg(long, value_name = "FILE", required = true, help_heading = "Ground control points")]
     // An option only because a subcommand does without; clap demands it otherwise.
     pub gcps: Option<PathBuf>,
-    /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says.
+    /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says, else the image's.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
     pub crs: Option<String>,
-    /// Bring the points into this CRS before anything is fitted.
+    /// CRS of the outputs, when it is not that of the points.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
     pub to_crs: Option<String>,
-    /// Use only these points.
+    /// Use only these points: names, patterns (G*), attributes (COLUMN=VALUE).
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
     pub names: Vec<String>,
-    /// Keep these points out of matching and fit, and compare them afterwards.
+    /// Keep these points out of matching and fit, and compare them afterwards: names, patterns (C*), attributes
+    /// (COLUMN=VALUE). A column `role` or `check` does the same.
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
     pub check: Vec<String>,
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
+    #[command(flatten)]
+    pub frame: FrameArgs,
 }
 
 impl GcpArgs {
@@ -105,14 +110,19 @@ impl GcpArgs {
         self.gcps.as_deref().context("no list of GCPs: give --gcps FILE")
     }
 
-    pub fn options(&self) -> GcpOptions {
-        GcpOptions {
+    /// `image`: where the points are, when the list names no CRS.
+    pub fn options(&self, image: Option<&RasterInfo>) -> GcpOptions {
+        let mut options = GcpOptions {
             crs: self.crs.clone(),
             to_crs: self.to_crs.clone(),
             names: self.names.clone(),
             check: self.check.clone(),
             accuracy: self.accuracy.accuracy.clone(),
-        }
+            image: image.and_then(frame::of_image),
+            ..GcpOptions::default()
+        };
+        self.frame.fill(&mut options);
+        options
     }
 }
 
@@ -297,16 +307,18 @@ fn known_gsd(info: &RasterInfo) -> Option<f64> {
 
 /// Scale range by an existing georeference in metres (±10 %), or the resolution tags (±20 %).
 fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
-    let georeferenced = info.geotransform.as_ref().filter(|_| !is_geographic(info)).map(|t| t.scale());
+    let crs = info.crs_wkt.as_deref().and_then(|wkt| Crs::parse(wkt).ok());
+    let unit_m = match &crs {
+        Some(crs) if crs.is_geographic() => None,
+        Some(crs) => Some(crs.metres_per_unit()),
+        None => Some(1.0),
+    };
+    let georeferenced = info.geotransform.as_ref().zip(unit_m).map(|(t, unit_m)| t.scale() * unit_m);
     match (georeferenced, info.resolution_m_per_px) {
         (Some(gsd), _) if (1e-4..1e4).contains(&gsd) => Some((gsd * 0.9, gsd * 1.1)),
         (_, Some(gsd)) => Some((gsd * 0.8, gsd * 1.2)),
         _ => None,
     }
-}
-
-fn is_geographic(info: &RasterInfo) -> bool {
-    info.crs_wkt.as_deref().is_some_and(|wkt| wkt.starts_with("GEOGCS") || wkt.starts_with("GEOGCRS"))
 }
 
 /// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's part.

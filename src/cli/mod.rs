@@ -10,6 +10,7 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod frame;
 pub mod plan;
 pub mod run;
 pub mod sample;

@@ -7,12 +7,15 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
+use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
+use autoref_stream::georef::crs::Crs;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
+use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
@@ -20,6 +23,7 @@ use clap::Args;
 
 use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::frame;
 use crate::cli::write::{self, WriteArgs};
 
 /// Flags of the main job.
@@ -52,8 +56,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
-    let list = gcp::read(gcp_file, &args.gcps.options())?;
     let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     let json = json_path(&request);
     atomic::check_outputs(&[&json], args.write.overwrite)?;
@@ -79,12 +83,23 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
+    document.diagnose(&run.outcome, &list, &[], matcher.as_ref(), &priors[0], own_georeference(info).as_ref());
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
+    frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     write_outputs(&request, &json, &mut document, started, args.quiet || args.json)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// What the image says of where it lies, when that can be compared with a list.
+fn own_georeference(info: &RasterInfo) -> Option<OwnGeoreference> {
+    Some(OwnGeoreference {
+        geotransform: info.geotransform?,
+        crs: Crs::parse(info.crs_wkt.as_deref()?).ok()?,
+        image_size_px: (info.width as f64, info.height as f64),
+    })
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
@@ -175,6 +190,7 @@ impl Document {
             search: None,
             prior_georeference: None,
             warnings: list.notes.clone(),
+            diagnoses: Vec::new(),
             candidates,
             files_written: Vec::new(),
             reading: None,
@@ -224,12 +240,34 @@ impl Document {
         timings.rematch_s = run.rematch_s;
     }
 
+    /// Which classic mistake in the list would explain what does not fit.
+    pub fn diagnose(
+        &mut self,
+        outcome: &Outcome,
+        list: &GcpList,
+        labels: &[Option<String>],
+        matcher: &dyn Matcher,
+        priors: &Priors,
+        own: Option<&OwnGeoreference>,
+    ) {
+        let case = doctor::Case {
+            candidates: &self.result.candidates,
+            labels,
+            gcps: &list.gcps,
+            crs: list.crs.as_ref(),
+            matcher,
+            priors,
+            own,
+        };
+        self.result.diagnoses = doctor::diagnose(&case, outcome);
+    }
+
     /// An existing georeference is reported, with how far the new one moves the image.
     fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
         let Some(old) = info.geotransform else { return };
         let same_crs = match (&info.crs_wkt, &list.crs) {
-            (Some(wkt), Some(crs)) => {
-                autoref_stream::georef::crs::Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+            (Some(wkt), Some(crs)) if !crs.is_geographic() => {
+                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
             }
             _ => false,
         };
@@ -237,6 +275,7 @@ impl Document {
         let moved_m = self.result.geotransform.filter(|_| same_crs).map(|new| {
             let (a, b) = (old.apply(centre), new.apply(centre));
             (a.easting - b.easting).hypot(a.northing - b.northing)
+                * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
         });
         if self.result.geotransform.is_some() {
             self.result.warnings.push(match moved_m {
@@ -265,7 +304,7 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     let solution = &orientation.solution;
     result.status = Status::Solved;
     result.geotransform = Some(solution.geotransform);
-    result.crs = list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label);
+    result.crs = list.crs.as_ref().map(Crs::label);
     result.rmse_m = Some(solution.rmse_m);
     result.rmse_e_m = Some(solution.rmse_e_m);
     result.rmse_n_m = Some(solution.rmse_n_m);
@@ -404,6 +443,9 @@ fn summary(result: &RunResult) -> String {
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("Chance of accident", format!("{figure} such patterns expected by chance"));
+    }
+    for diagnosis in &result.diagnoses {
+        line("Diagnosis", diagnosis.sentence.clone());
     }
     for warning in &result.warnings {
         line("Note", warning.clone());

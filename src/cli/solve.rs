@@ -12,6 +12,7 @@ use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::frame;
 use crate::cli::run::{self, Document};
 
 /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
@@ -51,7 +52,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
     }
-    let list = gcp::read(args.gcps.path()?, &args.gcps.options())?;
+    let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
         gsd_m_per_px: args.matching.gsd.map(|g| (g.0, g.1)),
@@ -62,10 +63,13 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let match_started = Instant::now();
     let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
+    let labels = candidate_list::read_labels(&args.candidates)?;
+    document.diagnose(&outcome, &list, &labels, matcher.as_ref(), &priors, None);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
-    let size = extent(size, &document.result.candidates);
-    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, size);
+    let seen = extent(size, &document.result.candidates);
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
+    frame::deliver(&mut document.result, &list, size)?;
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());

@@ -2,15 +2,17 @@
 
 use std::path::Path;
 
-use super::csv_list::{NAMES, parse_number, separator, split};
+use super::csv_list::{NAMES, find, tidy};
+use super::text::{self, SEPARATORS};
 use crate::error::{Error, Result};
 use crate::gcp::Gcp;
 
-const SIGMAS: [&str; 6] = ["sigma", "sigma_m", "accuracy", "accuracy_m", "std", "sigma_xy"];
-const SIGMAS_E: [&str; 5] = ["sigma_e", "sigma_easting", "sigma_x", "std_e", "se"];
-const SIGMAS_N: [&str; 5] = ["sigma_n", "sigma_northing", "sigma_y", "std_n", "sn"];
+// As `tidy` leaves titles: small letters, blanks for underscores.
+const SIGMAS: [&str; 6] = ["sigma", "sigma m", "accuracy", "accuracy m", "std", "sigma xy"];
+const SIGMAS_E: [&str; 5] = ["sigma e", "sigma easting", "sigma x", "std e", "se"];
+const SIGMAS_N: [&str; 5] = ["sigma n", "sigma northing", "sigma y", "std n", "sn"];
 const SIGMAS_H: [&str; 8] =
-    ["sigma_h", "sigma_height", "sigma_height_m", "sigma_z", "std_h", "std_z", "sh", "accuracy_z"];
+    ["sigma h", "sigma height", "sigma height m", "sigma z", "std h", "std z", "sh", "accuracy z"];
 
 /// What a row says, metres.
 struct Row {
@@ -27,8 +29,9 @@ struct Row {
 /// # Errors
 /// When the file cannot be read, has no column of names or no column of σ, or a value is no number of at least zero.
 pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
-    let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let rows = parse(path, &super::read::decode(text))?;
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = text::decode(&bytes).ok_or_else(|| Error::format(path, "row 1", "is no table of text"))?;
+    let rows = parse(path, &text)?;
     let mut unknown = Vec::new();
     let mut named = std::collections::HashSet::new();
     for row in rows {
@@ -59,19 +62,20 @@ pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
 }
 
 fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .map(|(i, line)| (i + 1, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let Some((header_row, header)) = lines.next() else {
+    let lines = text::lines(text);
+    let mut lines = lines.iter().filter(|line| !line.is_comment());
+    let Some(header) = lines.next() else {
         return Err(Error::format(path, "row 1", "the file holds no header and no points"));
     };
-    let cut = separator(header);
-    let titles: Vec<String> =
-        split(header, cut).into_iter().map(|t| t.trim_matches('"').trim().to_lowercase()).collect();
-    let find = |names: &[&str]| names.iter().find_map(|name| titles.iter().position(|t| t == name));
-    let Some(name) = find(&NAMES) else {
+    let header_row = header.row;
+    // The separator that cuts the header into most titles.
+    let cut = SEPARATORS
+        .into_iter()
+        .max_by_key(|&separator| text::split(header.text, separator).len())
+        .expect("there are separators");
+    let titles: Vec<String> = text::split(header.text, cut).iter().map(|title| tidy(title)).collect();
+    let find = |names: &[&str]| find(&titles, names);
+    let Some(name) = find(NAMES) else {
         return Err(Error::format(path, format!("row {header_row}"), "no column of names; call one `name`"));
     };
     let (sigma, e, n, h) = (find(&SIGMAS), find(&SIGMAS_E), find(&SIGMAS_N), find(&SIGMAS_H));
@@ -83,12 +87,13 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
         ));
     }
     lines
-        .map(|(row, line)| {
-            let fields = split(line, cut);
+        .map(|line| {
+            let row = line.row;
+            let fields = text::split(line.text, cut);
             let number = |column: Option<usize>| -> Result<Option<f64>> {
                 let text = column.and_then(|c| fields.get(c)).map(|t| t.trim()).filter(|t| !t.is_empty());
                 let Some(text) = text else { return Ok(None) };
-                parse_number(text, cut).filter(|v| *v >= 0.0).map(Some).ok_or_else(|| {
+                text::number(text).filter(|v| *v >= 0.0).map(Some).ok_or_else(|| {
                     Error::format(path, format!("row {row}"), format!("`{text}` is no error in metres of at least 0"))
                 })
             };

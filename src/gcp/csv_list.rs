@@ -1,14 +1,18 @@
-//! GCPs as a table with a header: columns in any order, under the names that surveyors use; comma, semicolon, tab or
-//! blanks between them, decimal commas where the separator is another.
+//! GCPs as a table: comma, semicolon, tab or blanks between the columns.
+//!
+//! With a header the columns may stand in any order, under the names that surveyors use. Without one (Pix4D, total
+//! stations) they are: a name, unless every column is a number and the first is no running one; two coordinates; a
+//! height; one or two accuracies. Which of the coordinates is the easting is decided later, by the CRS and the values.
 
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::gcp::read::{RawList, RawPoint};
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{Gcp, GcpRole};
 use crate::georef::crs::Crs;
 
-pub(super) const NAMES: [&str; 14] = [
+pub(super) const NAMES: &[&str] = &[
     "name",
     "id",
     "point",
@@ -18,25 +22,112 @@ pub(super) const NAMES: [&str; 14] = [
     "navn",
     "punkt",
     "punktnavn",
+    "punktnr",
     "nr",
     "no",
     "number",
     "pointid",
-    "gcp_id",
+    "point id",
+    "point name",
+    "gcp id",
+    "gcp name",
+    "gcp label",
+    "point number",
+    "punktnummer",
+    "nom",
+    "nome",
+    "nombre",
+    "pktnr",
+    "fid",
+    "station",
 ];
-const EASTINGS: [&str; 12] =
-    ["easting", "east", "e", "x", "øst", "ost", "utm_e", "x_easting", "e_m", "easting_m", "rechtswert", "rw"];
-const NORTHINGS: [&str; 12] =
-    ["northing", "north", "n", "y", "nord", "utm_n", "y_northing", "n_m", "northing_m", "hochwert", "hw", "nor"];
-const HEIGHTS: [&str; 12] =
-    ["height", "h", "z", "elevation", "elev", "alt", "altitude", "høyde", "hoyde", "height_m", "kote", "z_m"];
-const LONGITUDES: [&str; 4] = ["lon", "long", "longitude", "lng"];
-const LATITUDES: [&str; 2] = ["lat", "latitude"];
-const SIGMAS: [&str; 5] = ["sigma_m", "sigma", "accuracy", "accuracy_m", "std"];
-const SIGMA_HEIGHTS: [&str; 3] = ["sigma_height_m", "sigma_h", "accuracy_z"];
-const ROLES: [&str; 3] = ["role", "type", "use"];
+/// Titles that say which is which.
+const EASTINGS: &[&str] = &[
+    "easting",
+    "east",
+    "e",
+    "øst",
+    "ost",
+    "aust",
+    "utm e",
+    "x easting",
+    "e m",
+    "easting m",
+    "rechtswert",
+    "rw",
+    "ostwert",
+    "est",
+    "este",
+    "ø",
+    "hoyre",
+    "local easting",
+];
+const NORTHINGS: &[&str] = &[
+    "northing",
+    "north",
+    "n",
+    "nord",
+    "utm n",
+    "y northing",
+    "n m",
+    "northing m",
+    "hochwert",
+    "hw",
+    "nordwert",
+    "nor",
+    "norte",
+    "local northing",
+];
+/// Titles that do not: x is north in some countries.
+const XS: &[&str] = &["x", "geo x", "coord x", "x m", "mapx", "x coordinate", "xcoord", "pos x"];
+const YS: &[&str] = &["y", "geo y", "coord y", "y m", "mapy", "y coordinate", "ycoord", "pos y"];
+const HEIGHTS: &[&str] = &[
+    "height",
+    "h",
+    "z",
+    "elevation",
+    "elev",
+    "alt",
+    "altitude",
+    "høyde",
+    "hoyde",
+    "height m",
+    "kote",
+    "z m",
+    "geo z",
+    "ele",
+    "höhe",
+    "hoehe",
+    "quota",
+    "cota",
+    "ortho height",
+    "ellipsoidal height",
+    "altitude m",
+    "elevation m",
+];
+const LONGITUDES: &[&str] =
+    &["lon", "long", "longitude", "lng", "lengdegrad", "longitude deg", "lon deg", "länge", "laenge", "longitud"];
+const LATITUDES: &[&str] = &["lat", "latitude", "breddegrad", "latitude deg", "lat deg", "breite", "latitud"];
+const SIGMAS: &[&str] = &[
+    "sigma m",
+    "sigma",
+    "accuracy",
+    "accuracy m",
+    "std",
+    "accuracy horz",
+    "xy accuracy",
+    "horizontal accuracy",
+    "hrms",
+];
+const SIGMA_HEIGHTS: &[&str] =
+    &["sigma height m", "sigma h", "accuracy z", "accuracy vert", "z accuracy", "vertical accuracy", "vrms"];
+const ROLES: &[&str] = &["role", "type", "use", "point type"];
+const CHECKS: &[&str] = &["check", "checkpoint", "check point", "is check", "kontrollpunkt"];
+const ENABLED: &[&str] = &["enabled", "enable"];
 
-struct Columns {
+/// Where the columns of a table are.
+pub(super) struct Columns {
+    titles: Vec<String>,
     name: Option<usize>,
     easting: usize,
     northing: usize,
@@ -44,121 +135,300 @@ struct Columns {
     sigma: Option<usize>,
     sigma_height: Option<usize>,
     role: Option<usize>,
-    geographic: bool,
+    check: Option<usize>,
+    enabled: Option<usize>,
+    pub geographic: bool,
+    pub order: ColumnOrder,
 }
 
-pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
-    let mut lines = text
-        .lines()
-        .enumerate()
-        .map(|(i, line)| (i + 1, line.trim()))
-        .filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let Some((header_row, header)) = lines.next() else {
-        return Err(Error::format(path, "row 1", "the file holds no header and no points"));
-    };
-    let separator = separator(header);
-    let titles: Vec<String> =
-        split(header, separator).into_iter().map(|t| t.trim_matches('"').trim().to_lowercase()).collect();
-    let columns = columns(path, header_row, &titles)?;
-    let mut points = Vec::new();
-    for (row, line) in lines {
-        points.push(point(path, row, &split(line, separator), &columns, separator)?);
-    }
-    let crs = columns.geographic.then(|| Crs::from_epsg(4326)).transpose()?;
-    Ok(RawList { points, crs, may_be_degrees: false, notes: Vec::new() })
-}
-
-pub(super) fn separator(header: &str) -> char {
-    // The one that cuts the header most often; blanks only when there is nothing else.
-    [';', '\t', ','].into_iter().find(|&c| header.contains(c)).unwrap_or(' ')
-}
-
-pub(super) fn split(line: &str, separator: char) -> Vec<String> {
-    if separator == ' ' {
-        return line.split_whitespace().map(str::to_string).collect();
-    }
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .delimiter(separator as u8)
-        .trim(csv::Trim::All)
-        .flexible(true)
-        .from_reader(line.as_bytes());
-    reader
-        .records()
-        .next()
-        .and_then(std::result::Result::ok)
-        .map(|record| record.iter().map(str::to_string).collect())
-        .unwrap_or_default()
-}
-
-fn columns(path: &Path, row: usize, titles: &[String]) -> Result<Columns> {
-    let find = |names: &[&str]| {
-        // In order of the names: "northing" before "n".
-        names.iter().find_map(|name| {
-            titles.iter().position(|t| t == name || t.split(['[', '(']).next().is_some_and(|head| head.trim() == *name))
-        })
-    };
-    let (longitude, latitude) = (find(&LONGITUDES), find(&LATITUDES));
-    let geographic = longitude.is_some() && latitude.is_some();
-    let (easting, northing) = if geographic { (longitude, latitude) } else { (find(&EASTINGS), find(&NORTHINGS)) };
-    let (Some(easting), Some(northing)) = (easting, northing) else {
-        let missing = if easting.is_none() { "easting" } else { "northing" };
+pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+    let Some(first) = lines.iter().find(|line| !line.is_comment()) else {
         return Err(Error::format(
             path,
-            format!("row {row}"),
-            format!(
-                "no column for the {missing} in the header `{}`; name one easting and one northing",
-                titles.join(",")
-            ),
+            "row 1",
+            "the file holds no points; a header and one line for each are expected",
         ));
     };
-    Ok(Columns {
-        name: find(&NAMES),
-        easting,
-        northing,
-        height: find(&HEIGHTS),
-        sigma: find(&SIGMAS),
-        sigma_height: find(&SIGMA_HEIGHTS),
-        role: find(&ROLES),
-        geographic,
+    match header(lines) {
+        Some((at, separator, columns)) => with_header(path, lines, at, separator, &columns),
+        None if has_numbers(first.text) => headerless(path, lines),
+        None => Err(no_header(path, first)),
+    }
+}
+
+/// The line among the first ones that names both coordinates; it may be a comment, as in Metashape's exports.
+fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
+    lines.iter().take(12).enumerate().find_map(|(at, line)| {
+        let titles = line.text.trim_start_matches(['#', '!', '/']).trim();
+        SEPARATORS.iter().find_map(|&separator| {
+            let columns = columns(split(titles, separator))?;
+            Some((at, separator, columns))
+        })
     })
 }
 
-fn point(path: &Path, row: usize, fields: &[String], columns: &Columns, separator: char) -> Result<RawPoint> {
-    let place = format!("row {row}");
-    let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
-    let number = |column: usize, what: &str| -> Result<Option<f64>> {
-        let Some(text) = text(column) else { return Ok(None) };
-        parse_number(text, separator)
-            .map(Some)
-            .ok_or_else(|| Error::format(path, &place, format!("`{text}` is no number for the {what}")))
-    };
-    let required = |column: usize, what: &str| -> Result<f64> {
-        number(column, what)?.ok_or_else(|| Error::format(path, &place, format!("the {what} is missing")))
-    };
-    let optional = |column: Option<usize>, what: &str| column.map_or(Ok(None), |c| number(c, what));
-    let gcp = Gcp {
-        name: columns.name.and_then(text).map_or_else(|| row.to_string(), str::to_string),
-        easting: required(columns.easting, "easting")?,
-        northing: required(columns.northing, "northing")?,
-        height: optional(columns.height, "height")?,
-        sigma_m: optional(columns.sigma, "accuracy")?,
-        sigma_height_m: optional(columns.sigma_height, "accuracy of the height")?,
-        role: match columns.role.and_then(text).map(str::to_lowercase).as_deref() {
-            Some("check" | "checkpoint" | "check point") => GcpRole::Check,
-            _ => GcpRole::Control,
-        },
-    };
-    Ok(RawPoint { gcp, place })
+fn has_numbers(line: &str) -> bool {
+    SEPARATORS.iter().any(|&separator| split(line, separator).iter().filter(|f| text::angle(f).is_some()).count() >= 2)
 }
 
-/// A decimal point, or a decimal comma where commas do not separate columns.
-pub(super) fn parse_number(text: &str, separator: char) -> Option<f64> {
-    let plain = text.trim_matches('"').replace(['\u{a0}', '\u{202f}', '\''], "");
-    let value = match plain.parse::<f64>() {
-        Ok(value) => value,
-        Err(_) if separator != ',' || text.starts_with('"') => plain.replace(',', ".").parse().ok()?,
-        Err(_) => return None,
+fn no_header(path: &Path, line: &Line<'_>) -> Error {
+    let shown: String = line.text.chars().take(80).collect();
+    let titles = SEPARATORS.iter().map(|&s| split(line.text, s)).max_by_key(Vec::len).unwrap_or_default();
+    let titles: Vec<String> = titles.iter().map(|t| tidy(t)).collect();
+    let missing = if find(&titles, &[EASTINGS, XS, LONGITUDES].concat()).is_none() { "easting" } else { "northing" };
+    Error::format(
+        path,
+        line.place(),
+        format!("no column for the {missing} in the header `{shown}`; name one easting and one northing"),
+    )
+}
+
+/// "Easting [m]" and "EASTING_(m)" are "easting"; underscores and hyphens are blanks.
+pub(super) fn tidy(title: &str) -> String {
+    let lower = title.trim_matches(['"', '\'', ' ', '\u{feff}']).to_lowercase();
+    let head = lower.split(['[', '(']).next().unwrap_or_default();
+    head.replace(['_', '-', '.', ':'], " ").split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves.
+pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
+    names.iter().find_map(|name| titles.iter().position(|t| t == name || t.split('/').any(|half| half.trim() == *name)))
+}
+
+/// Whether a title is one of those for the horizontal coordinates.
+pub(super) fn is_coordinate(title: &str) -> bool {
+    let tidied = [tidy(title)];
+    [EASTINGS, NORTHINGS, XS, YS, LONGITUDES, LATITUDES].iter().any(|names| find(&tidied, names).is_some())
+}
+
+/// The columns that titles name, when both coordinates are among them.
+pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
+    let tidied: Vec<String> = titles.iter().map(|t| tidy(t)).collect();
+    let find = |names: &[&str]| find(&tidied, names);
+    let pair = |a: &[&str], b: &[&str]| find(a).zip(find(b)).filter(|(a, b)| a != b);
+    let (easting, northing, geographic, order) = if let Some((e, n)) = pair(EASTINGS, NORTHINGS) {
+        (e, n, false, ColumnOrder::Stated)
+    } else if let Some((e, n)) = pair(LONGITUDES, LATITUDES) {
+        (e, n, true, ColumnOrder::Stated)
+    } else {
+        let (x, y) = pair(XS, YS)?;
+        (x, y, false, ColumnOrder::Assumed)
     };
-    value.is_finite().then_some(value)
+    Some(Columns {
+        name: find(NAMES).filter(|i| *i != easting && *i != northing),
+        easting,
+        northing,
+        height: find(HEIGHTS),
+        sigma: find(SIGMAS),
+        sigma_height: find(SIGMA_HEIGHTS),
+        role: find(ROLES),
+        check: find(CHECKS),
+        enabled: find(ENABLED),
+        geographic,
+        order,
+        titles,
+    })
+}
+
+fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: &Columns) -> Result<RawList> {
+    let mut points = Vec::new();
+    for line in lines[at + 1..].iter().filter(|line| !line.is_comment()) {
+        points.push(columns.point(path, line.place(), &split(line.text, separator), &line.row.to_string())?);
+    }
+    let stated = coordinate_system_comment(path, &lines[..at])?;
+    let crs = match stated {
+        CrsClaim::None if columns.geographic => CrsClaim::Known(Crs::from_epsg(4326)?),
+        stated => stated,
+    };
+    let mut list = RawList::new(points, crs);
+    list.order = columns.order;
+    if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
+        list.notes.push(format!(
+            "{}: row {} and what is above the header was passed over",
+            path.display(),
+            skipped.row
+        ));
+    }
+    Ok(list)
+}
+
+/// Metashape writes "#CoordinateSystem: WKT" above its header.
+fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim> {
+    for line in lines.iter().filter(|line| line.is_comment()) {
+        let content = line.text.trim_start_matches(['#', '!', '/']).trim();
+        let Some((key, value)) = content.split_once(':') else { continue };
+        let key = key.to_lowercase().replace([' ', '_'], "");
+        if matches!(key.as_str(), "coordinatesystem" | "crs") && !value.trim().is_empty() {
+            return Ok(CrsClaim::read(path, line.place(), value.trim().trim_matches('"')));
+        }
+    }
+    Ok(CrsClaim::None)
+}
+
+impl Columns {
+    /// One point from the fields of a row; `number` stands in for a name.
+    pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
+        let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
+        let read = |column: usize, what: &str| -> Result<Option<f64>> {
+            let Some(text) = text(column) else { return Ok(None) };
+            let value = if self.geographic { text::angle(text) } else { text::number(text) };
+            value.map(Some).ok_or_else(|| {
+                Error::format(path, &place, format!("`{text}` is no number for the {what}; correct or remove the row"))
+            })
+        };
+        let required = |column: usize, what: &str| -> Result<f64> {
+            read(column, what)?.ok_or_else(|| {
+                Error::format(path, &place, format!("the {what} is missing; complete or remove the row"))
+            })
+        };
+        let optional = |column: Option<usize>, what: &str| column.map_or(Ok(None), |c| read(c, what));
+        let sigma = |column: Option<usize>, what: &str| match optional(column, what)? {
+            Some(sigma) if sigma < 0.0 => {
+                Err(Error::format(path, &place, format!("the {what} {sigma} is negative; it is a standard deviation")))
+            }
+            // Zero is what programs write for "unknown".
+            sigma => Ok(sigma.filter(|s| *s > 0.0)),
+        };
+        let said = |column: Option<usize>| column.and_then(text).map(str::to_lowercase);
+        let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");
+        let check = said(self.role).is_some_and(|role| is_check(&role))
+            || said(self.check).is_some_and(|text| yes(&text))
+            // A marker that is switched off in Metashape is a check point.
+            || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
+        let gcp = Gcp {
+            name: self.name.and_then(text).unwrap_or(number).to_string(),
+            easting: required(self.easting, if self.geographic { "longitude" } else { "easting" })?,
+            northing: required(self.northing, if self.geographic { "latitude" } else { "northing" })?,
+            height: optional(self.height, "height")?,
+            sigma_m: sigma(self.sigma, "accuracy")?,
+            sigma_height_m: sigma(self.sigma_height, "accuracy of the height")?,
+            role: if check { GcpRole::Check } else { GcpRole::Control },
+        };
+        let attributes = self.titles.iter().cloned().zip(fields.iter().cloned()).collect();
+        Ok(RawPoint { gcp, place, attributes })
+    }
+}
+
+/// Words for a point that is kept out of the fit, as in Pix4D's and Metashape's lists.
+pub(super) fn is_check(role: &str) -> bool {
+    let role = role.to_lowercase().replace(['_', '-', ' '], "");
+    matches!(role.as_str(), "check" | "checkpoint" | "3dcheckpoint" | "cp" | "kontrollpunkt" | "kontroll")
+}
+
+/// Columns of numbers, with or without a name in front or behind.
+pub(super) fn headerless(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+    let rows: Vec<&Line<'_>> = lines.iter().filter(|line| !line.is_comment()).collect();
+    let separator = SEPARATORS
+        .into_iter()
+        .max_by_key(|&separator| {
+            // The one under which most rows look like points; of equals the first in the list.
+            let good = rows.iter().filter(|line| Shape::of(&split(line.text, separator)).is_some()).count();
+            (good, SEPARATORS.len() - SEPARATORS.iter().position(|s| *s == separator).expect("one of them"))
+        })
+        .expect("there are four");
+    let table: Vec<(&Line<'_>, Vec<String>)> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
+    let Some(shape) = table.iter().find_map(|(_, fields)| Shape::of(fields)) else {
+        let line = rows.first().map_or("row 1".into(), |line| line.place());
+        return Err(Error::format(path, line, "no point: a name, two coordinates and perhaps a height are expected"));
+    };
+    let numbered = shape.first_is_a_number && shape.first_is_a_name(&table);
+    let columns = shape.columns(numbered);
+    let mut points = Vec::new();
+    for (line, fields) in &table {
+        if fields.len() <= columns.easting.max(columns.northing) {
+            return Err(Error::format(
+                path,
+                line.place(),
+                format!("`{}` is no point: {} columns are expected as in the rows before", line.text, shape.fields),
+            ));
+        }
+        let mut point = columns.point(path, line.place(), fields, &line.row.to_string())?;
+        point.gcp.name = point.gcp.name.trim_end_matches(':').to_string();
+        points.push(point);
+    }
+    let mut list = RawList::new(points, CrsClaim::None);
+    list.order = ColumnOrder::Assumed;
+    Ok(list)
+}
+
+fn fields(line: &str, separator: Separator) -> Vec<String> {
+    let fields = split(line, separator);
+    match separator {
+        // Excel ends rows with separators.
+        Separator::Letter(_) if fields.last().is_some_and(|f| f.is_empty()) => {
+            let kept = fields.iter().rposition(|f| !f.is_empty()).map_or(0, |at| at + 1);
+            fields[..kept].to_vec()
+        }
+        _ => fields,
+    }
+}
+
+/// What the first good row of a table without a header looks like.
+#[derive(Clone, Copy, Debug)]
+struct Shape {
+    fields: usize,
+    /// Numbers that follow one another.
+    first_number: usize,
+    numbers: usize,
+    first_is_a_number: bool,
+}
+
+impl Shape {
+    fn of(fields: &[String]) -> Option<Shape> {
+        let is_number = |field: &String| text::number(field).is_some();
+        // "P1 7032516.8 570406.9 80.3", "1001 GCP 7032516.8 570406.9", "7032516.8 570406.9 P1".
+        let (first_number, numbers) = (0..fields.len())
+            .map(|at| (at, fields[at..].iter().take_while(|f| is_number(f)).count()))
+            .max_by_key(|(at, count)| (*count, usize::MAX - at))?;
+        let first_is_a_number = first_number == 0;
+        (numbers >= 2).then_some(Shape { fields: fields.len(), first_number, numbers, first_is_a_number })
+    }
+
+    /// Whether the first of only numbers is a running number: four or more numbers, or whole numbers beside decimals.
+    fn first_is_a_name(&self, table: &[(&Line<'_>, Vec<String>)]) -> bool {
+        let whole =
+            |field: Option<&String>| field.is_some_and(|f| !f.is_empty() && f.bytes().all(|b| b.is_ascii_digit()));
+        let running = table.iter().all(|(_, fields)| whole(fields.first()));
+        // Whole numbers throughout: a running number is small beside coordinates.
+        let value = |field: Option<&String>| field.and_then(|f| text::number(f)).map_or(0.0, f64::abs);
+        let all_whole = table.iter().all(|(_, fields)| fields.iter().take(self.numbers).all(|f| whole(Some(f))));
+        let small = table.iter().all(|(_, fields)| {
+            value(fields.first()) < 1e4 && value(fields.get(1)) >= 1e4 && value(fields.get(2)) >= 1e4
+        });
+        let behind = self.first_number + self.numbers;
+        let named = table.iter().all(|(_, fields)| fields.len() > behind);
+        match self.numbers {
+            0..=2 => false,
+            3 => running && (!all_whole || small) && !named,
+            _ => running,
+        }
+    }
+
+    fn columns(&self, numbered: bool) -> Columns {
+        let first = if numbered { 1 } else { self.first_number };
+        let left = self.numbers - usize::from(numbered);
+        let behind = self.first_number + self.numbers;
+        let name = match () {
+            () if numbered => Some(0),
+            () if self.first_number > 0 => Some(0),
+            () if self.fields > behind => Some(behind),
+            () => None,
+        };
+        let role = (self.fields > behind && name != Some(behind)).then_some(behind);
+        let extra = |i: usize| (left > i).then_some(first + i);
+        Columns {
+            titles: Vec::new(),
+            name,
+            easting: first,
+            northing: first + 1,
+            height: extra(2),
+            sigma: extra(3),
+            sigma_height: extra(4),
+            role,
+            check: None,
+            enabled: None,
+            geographic: false,
+            order: ColumnOrder::Assumed,
+        }
+    }
 }

@@ -8,9 +8,9 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::error::{Error, Result};
-use crate::gcp::read::{RawList, RawPoint};
+use crate::gcp::csv_list::is_check;
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::{Gcp, GcpRole};
-use crate::georef::crs::Crs;
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let document: Value = serde_json::from_str(text).map_err(|e| {
@@ -33,10 +33,12 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     };
     let points = features.iter().enumerate().map(|(i, f)| point(path, i, f)).collect::<Result<Vec<_>>>()?;
     let crs = match &document["crs"]["properties"]["name"] {
-        Value::String(name) => Some(Crs::parse(name)?),
-        _ => None,
+        Value::String(name) => CrsClaim::read(path, "`crs`".into(), name),
+        _ => CrsClaim::None,
     };
-    Ok(RawList { points, crs, may_be_degrees: true, notes: Vec::new() })
+    let mut list = RawList::new(points, crs);
+    list.may_be_degrees = true;
+    Ok(list)
 }
 
 fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
@@ -56,13 +58,15 @@ fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
     }
     let coordinates: Vec<f64> = feature["geometry"]["coordinates"]
         .as_array()
-        .map(|values| values.iter().filter_map(Value::as_f64).collect())
+        .map(|values| values.iter().map_while(Value::as_f64).collect())
         .unwrap_or_default();
     if !(2..=4).contains(&coordinates.len()) {
         return Err(Error::format(path, place, format!("point `{name}` needs two or three numbers as coordinates")));
     }
     let number = |key: &str| properties[key].as_f64();
-    let check = properties["role"].as_str() == Some("check") || properties["check"].as_bool() == Some(true);
+    let yes = |value: &Value| value.as_bool() == Some(true) || value.as_i64() == Some(1);
+    let check = ["role", "type", "use"].iter().filter_map(|key| properties[*key].as_str()).any(is_check)
+        || yes(&properties["check"]);
     let gcp = Gcp {
         name,
         easting: coordinates[0],
@@ -72,5 +76,7 @@ fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
         sigma_height_m: number("sigma_height_m"),
         role: if check { GcpRole::Check } else { GcpRole::Control },
     };
-    Ok(RawPoint { gcp, place })
+    let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_string);
+    let attributes = properties.as_object().into_iter().flatten().map(|(key, value)| (key.clone(), text(value)));
+    Ok(RawPoint { gcp, place, attributes: attributes.collect() })
 }

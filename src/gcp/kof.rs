@@ -9,7 +9,8 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 use crate::gcp::Gcp;
-use crate::gcp::read::{RawList, RawPoint};
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::text;
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let lines: Vec<(usize, &str)> =
@@ -20,6 +21,10 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
         if line.trim_start().starts_with(['#', '!']) || (standard && record_type(line) != Some("05")) {
             continue;
         }
+        // The description of the columns that many programs put in front, with or without its hyphen.
+        if line.contains("XXXX") && line.contains("YYYY") {
+            continue;
+        }
         let gcp = fixed_columns(line).or_else(|| at_blanks(line)).ok_or_else(|| {
             Error::format(
                 path,
@@ -27,9 +32,9 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
                 format!("`{}` is no coordinate record: name, northing, easting and height are expected", line.trim()),
             )
         })?;
-        points.push(RawPoint { gcp, place: format!("row {row}") });
+        points.push(RawPoint::bare(gcp, format!("row {row}")));
     }
-    Ok(RawList { points, crs: None, may_be_degrees: false, notes: Vec::new() })
+    Ok(RawList::new(points, CrsClaim::None))
 }
 
 fn record_type(line: &str) -> Option<&str> {
@@ -73,7 +78,7 @@ fn at_blanks(line: &str) -> Option<Gcp> {
 }
 
 fn number(text: &str) -> Option<f64> {
-    text.replace(',', ".").parse::<f64>().ok().filter(|v| v.is_finite())
+    text::number(text)
 }
 
 #[cfg(test)]

@@ -1,12 +1,33 @@
 //! Reading lists of ground control points.
+//!
+//! ```
+//! use autoref_stream::gcp::{self, GcpOptions, GcpRole};
+//! let folder = tempfile::tempdir().expect("a temporary folder");
+//! let file = folder.path().join("points.csv");
+//! std::fs::write(&file, "Navn;Nord;Øst;role\nP1;7032516,80;570406,86;\nP2;7032503,48;570413,37;check\n").expect("writable");
+//! let options = GcpOptions { crs: Some("EPSG:25832".into()), ..GcpOptions::default() };
+//! let list = gcp::read(&file, &options)?;
+//! assert_eq!((list.gcps[0].easting, list.gcps[0].northing), (570406.86, 7032516.80));
+//! assert_eq!(list.gcps[1].role, GcpRole::Check);
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 mod accuracy_list;
 mod csv_list;
+mod frame;
 mod geojson;
 mod kof;
+mod odm;
+mod ogr;
+mod qgis;
+mod raw;
 mod read;
+mod select;
+mod text;
+mod xml;
 
-pub use read::{GcpList, GcpOptions, read};
+pub use frame::{Delivered, Frame, Reproject};
+pub use read::{GcpList, GcpOptions, ImageGeoreference, read};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,87 +1,182 @@
-//! Lists of GCPs as files: GeoJSON, CSV with a header, Norwegian KOF.
+//! Lists of GCPs as files, of any format: recognised, chosen from, and brought into metres.
 
 use std::path::{Path, PathBuf};
 
+use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
-use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof};
-use crate::georef::crs::Crs;
+use crate::gcp::frame::{Frame, Reproject};
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::select::chosen;
+use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, qgis, text, xml};
+use crate::georef::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
+
+/// Lists are small; what is larger is another file.
+const LARGEST_LIST_BYTES: u64 = 64 << 20;
 
 /// What the caller says about the list.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct GcpOptions {
     /// CRS of the coordinates, overriding what the file says.
     pub crs: Option<String>,
-    /// CRS to bring them into before anything is fitted.
+    /// CRS to bring them, or the result, into.
     pub to_crs: Option<String>,
-    /// Use only these points.
+    pub reproject: Reproject,
+    /// Worst accuracy of a change of datum that is taken, metres.
+    pub datum_accuracy_m: f64,
+    /// Layer of a file with several.
+    pub layer: Option<String>,
+    /// Use only these points: names, patterns with `*` and `?`, or `COLUMN=PATTERN`.
     pub names: Vec<String>,
-    /// Keep these out of the fit.
+    /// Keep these out of the fit, in the same words.
     pub check: Vec<String>,
+    /// What the image says of itself, for lists that name no CRS.
+    pub image: Option<ImageGeoreference>,
     /// A table of the survey's errors, point by point.
     pub accuracy: Option<PathBuf>,
 }
 
-/// A list as it will be used: projected coordinates in metres.
+impl Default for GcpOptions {
+    fn default() -> Self {
+        GcpOptions {
+            crs: None,
+            to_crs: None,
+            reproject: Reproject::Before,
+            datum_accuracy_m: DEFAULT_DATUM_ACCURACY_M,
+            layer: None,
+            names: Vec::new(),
+            check: Vec::new(),
+            image: None,
+            accuracy: None,
+        }
+    }
+}
+
+/// A georeference that the image already has.
+#[derive(Clone, Debug)]
+pub struct ImageGeoreference {
+    pub crs_wkt: String,
+    pub transform: GeoTransform,
+    pub size_px: (u64, u64),
+}
+
+/// A list as it will be used: coordinates in metres.
 #[derive(Clone, Debug)]
 pub struct GcpList {
+    /// Easting, northing and height in metres, whatever the CRS counts in; see [`Frame`].
     pub gcps: Vec<Gcp>,
+    /// CRS of the outputs.
     pub crs: Option<Crs>,
+    /// From the metres of the fit to the outputs.
+    pub frame: Frame,
     /// What was assumed or looks odd, in plain words.
     pub notes: Vec<String>,
 }
 
-/// A point as the file has it.
-pub(super) struct RawPoint {
-    pub gcp: Gcp,
-    /// "row 7", "feature 3".
-    pub place: String,
-}
-
-/// What a format's reader returns.
-pub(super) struct RawList {
-    pub points: Vec<RawPoint>,
-    pub crs: Option<Crs>,
-    /// The format says longitude, latitude when nothing else is said (GeoJSON).
-    pub may_be_degrees: bool,
-    pub notes: Vec<String>,
-}
-
-/// Reads a list; the format follows from the file's name and, failing that, its content.
+/// Reads a list; the format follows from the content, and from the file's name where the content leaves it open.
+/// `docs/gcp-lists.md` has all of them.
 ///
 /// # Errors
 /// When the file cannot be read, is of no known format, has a row that is no point (the message names it), two points
-/// of one name, or fewer than two points; when its coordinates cannot be brought into a projected CRS.
+/// of one name, or fewer than two points; when its coordinates cannot be brought into metres as surely as is demanded.
 pub fn read(path: &Path, options: &GcpOptions) -> Result<GcpList> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let text = decode(bytes);
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let raw = match extension.as_str() {
-        "geojson" | "json" => geojson::parse(path, &text)?,
-        "kof" => kof::parse(path, &text)?,
-        _ if text.trim_start().starts_with('{') => geojson::parse(path, &text)?,
-        _ => csv_list::parse(path, &text)?,
-    };
+    let raw = parse(path, options)?;
     finish(path, raw, options)
 }
 
-/// UTF-8 with or without a byte order mark; else Latin-1, as old survey software writes.
-pub(super) fn decode(bytes: Vec<u8>) -> String {
-    match String::from_utf8(bytes) {
-        Ok(text) => text.trim_start_matches('\u{feff}').to_string(),
-        Err(error) => error.into_bytes().into_iter().map(char::from).collect(),
+fn parse(path: &Path, options: &GcpOptions) -> Result<RawList> {
+    const OGR: [&str; 18] = [
+        "gpkg", "shp", "shz", "zip", "kml", "kmz", "gpx", "gml", "fgb", "dxf", "tab", "mif", "sqlite", "xlsx", "xls",
+        "ods", "gdb", "dbf",
+    ];
+    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let layer = options.layer.as_deref();
+    if metadata.is_dir() || OGR.contains(&extension.as_str()) || layer.is_some() {
+        return ogr::parse(path, layer);
     }
+    if metadata.len() > LARGEST_LIST_BYTES {
+        return Err(Error::Limit {
+            what: format!("{}: a list of points", path.display()),
+            needed: metadata.len(),
+            allowed: LARGEST_LIST_BYTES,
+            remedy: "is this the list?".into(),
+        });
+    }
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let Some(text) = text::decode(&bytes) else {
+        return ogr::parse(path, layer);
+    };
+    let start = text.trim_start();
+    if matches!(extension.as_str(), "geojson" | "json") || start.starts_with('{') {
+        return geojson::parse(path, &text);
+    }
+    if start.starts_with('<') {
+        return match xml::dialect(start) {
+            Some(dialect) => xml::parse(path, &text, dialect),
+            None => ogr::parse(path, layer),
+        };
+    }
+    if extension == "kof" {
+        return kof::parse(path, &text);
+    }
+    let lines = text::lines(&text);
+    if extension == "points" || qgis::is_points(&lines) {
+        return qgis::parse(path, &lines);
+    }
+    let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
+    if content.first().is_some_and(|first| odm::is_crs_line(first.text)) || odm::has_observations(&content) {
+        return odm::parse(path, &content);
+    }
+    csv_list::parse(path, &lines)
 }
 
 fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
-    let RawList { mut points, crs, may_be_degrees, mut notes } = raw;
+    let RawList { mut points, crs, may_be_degrees, order, mut notes } = raw;
     check_points(path, &points, &mut notes)?;
-    if !options.names.is_empty() {
-        require_known(path, &points, &options.names)?;
-        points.retain(|p| options.names.contains(&p.gcp.name));
+    let image_crs = options.image.as_ref();
+    let stated = match (options.crs.as_deref(), crs) {
+        (Some(crs), _) => Some(Crs::parse(crs)?),
+        (None, CrsClaim::Unclear(error)) => return Err(error),
+        (None, CrsClaim::Known(crs)) => Some(crs),
+        (None, CrsClaim::None) if may_be_degrees && within_degrees(&points) => Some(Crs::from_epsg(4326)?),
+        (None, CrsClaim::None) => None,
+    };
+    if order == ColumnOrder::Assumed {
+        settle_order(path, &mut points, stated.as_ref(), &mut notes);
     }
-    require_known(path, &points, &options.check)?;
-    for point in &mut points {
-        if options.check.contains(&point.gcp.name) {
+    let source = match stated {
+        Some(crs) => Some(crs),
+        None => match image_crs.map(|image| crs_of_image(path, &points, image, &mut notes)).transpose()?.flatten() {
+            Some(crs) => Some(crs),
+            None => {
+                refuse_degrees(path, &points)?;
+                notes.push(format!(
+                    "{} names no coordinate reference system: its coordinates are taken as local metres; give --crs",
+                    path.display()
+                ));
+                None
+            }
+        },
+    };
+    if let Some(crs) = &source {
+        check_place(path, &points, crs, &mut notes)?;
+    }
+    let gcps = choose(path, points, options)?;
+    let mut list = enter(path, gcps, source, options, notes)?;
+    if let Some(table) = &options.accuracy {
+        list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
+    }
+    Ok(list)
+}
+
+fn choose(path: &Path, mut points: Vec<RawPoint>, options: &GcpOptions) -> Result<Vec<Gcp>> {
+    if !options.names.is_empty() {
+        let mut used = chosen(path, &points, &options.names)?.into_iter();
+        points.retain(|_| used.next().expect("one for each"));
+    }
+    let checks = chosen(path, &points, &options.check)?;
+    for (point, check) in points.iter_mut().zip(checks) {
+        if check {
             point.gcp.role = GcpRole::Check;
         }
     }
@@ -92,25 +187,32 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
             format!("{} point(s) to use; an orientation needs at least 2, a believable match 4 or more", points.len()),
         ));
     }
-    let stated = options.crs.as_deref().map(Crs::parse).transpose()?.or(crs);
-    let degrees = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 90.0);
-    let source = match stated {
-        None if may_be_degrees && degrees => Some(Crs::from_epsg(4326)?),
-        None => {
-            notes.push(format!(
-                "{} names no coordinate reference system: its coordinates are taken as local metres; give --crs",
-                path.display()
-            ));
-            None
-        }
-        stated => stated,
+    Ok(points.into_iter().map(|p| p.gcp).collect())
+}
+
+fn enter(
+    path: &Path,
+    mut gcps: Vec<Gcp>,
+    source: Option<Crs>,
+    options: &GcpOptions,
+    mut notes: Vec<String>,
+) -> Result<GcpList> {
+    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
+    let Some(source) = source else {
+        return match target {
+            None => Ok(GcpList { gcps, crs: None, frame: Frame::local(), notes }),
+            Some(_) => Err(Error::usage(
+                format!("{}: --to-crs needs to know where the coordinates come from", path.display()),
+                "give --crs too",
+            )),
+        };
     };
-    let mut gcps: Vec<Gcp> = points.into_iter().map(|p| p.gcp).collect();
-    if let Some(table) = &options.accuracy {
-        notes.extend(accuracy_list::apply(table, &mut gcps)?);
+    if options.datum_accuracy_m.is_nan() || options.datum_accuracy_m < 0.0 {
+        return Err(Error::usage("--datum-accuracy is no length", "give metres, 0 or more"));
     }
-    let crs = project(path, &mut gcps, source, options.to_crs.as_deref(), &mut notes)?;
-    Ok(GcpList { gcps, crs, notes })
+    let (frame, crs) =
+        Frame::enter(path, &mut gcps, source, target, options.reproject, options.datum_accuracy_m, &mut notes)?;
+    Ok(GcpList { gcps, crs: Some(crs), frame, notes })
 }
 
 /// Duplicate names are an error, duplicate places a note.
@@ -136,70 +238,119 @@ fn check_points(path: &Path, points: &[RawPoint], notes: &mut Vec<String>) -> Re
     Ok(())
 }
 
-fn require_known(path: &Path, points: &[RawPoint], names: &[String]) -> Result<()> {
-    match names.iter().find(|name| !points.iter().any(|p| p.gcp.name == **name)) {
-        None => Ok(()),
-        Some(name) => Err(Error::usage(
-            format!("{}: no point is called `{name}`", path.display()),
-            format!("it has {}", points.iter().map(|p| p.gcp.name.as_str()).take(12).collect::<Vec<_>>().join(", ")),
-        )),
+fn within_degrees(points: &[RawPoint]) -> bool {
+    points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 90.0)
+}
+
+/// Points within one metre of each other are no survey: they are degrees without a CRS.
+fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
+    let small = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 180.0);
+    let spread = |f: fn(&Gcp) -> f64| {
+        let values = points.iter().map(|p| f(&p.gcp));
+        values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
+    };
+    if points.len() > 1 && small && spread(|g| g.easting) < 1.0 && spread(|g| g.northing) < 1.0 {
+        return Err(Error::format(
+            path,
+            "the coordinates",
+            "they look like degrees, in which nothing can be fitted; give --crs EPSG:4326, or the CRS they are in",
+        ));
+    }
+    Ok(())
+}
+
+fn swap(points: &mut [RawPoint]) {
+    for point in points {
+        std::mem::swap(&mut point.gcp.easting, &mut point.gcp.northing);
     }
 }
 
-/// Into metres: geographic coordinates are projected, feet refused unless a CRS to project to is given.
-fn project(
+/// East first or north first, where the file does not say: the CRS's area of use decides, else the size of the numbers. What
+/// is not certain is said; a wrong order mirrors the pattern, which is never matched.
+fn settle_order(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: &mut Vec<String>) {
+    let all = |test: &dyn Fn(f64, f64) -> bool| points.iter().all(|p| test(p.gcp.easting, p.gcp.northing));
+    let swapped = format!("{}: northing comes before easting in its columns", path.display());
+    match crs {
+        Some(crs) => {
+            let covers = |x: f64, y: f64| crs.covers(x, y);
+            let as_is = all(&|x, y| covers(x, y) != Some(false));
+            let other = all(&|x, y| covers(y, x) != Some(false));
+            if !as_is && other {
+                swap(points);
+                notes.push(format!("{swapped}, by the area of use of {}", crs.title()));
+            } else if as_is && other {
+                notes.push(format!(
+                    "{}: its columns were taken as east, north; both orders would lie in the area of use of {}",
+                    path.display(),
+                    crs.title()
+                ));
+            }
+        }
+        None => {
+            let utm =
+                |e: f64, n: f64| (100_000.0..1_000_000.0).contains(&e) && (1_000_000.0..10_000_000.0).contains(&n);
+            if all(&|x, y| utm(y, x)) {
+                swap(points);
+                notes.push(format!("{swapped}, by the size of the numbers"));
+            } else if !all(&|x, y| utm(x, y)) {
+                notes.push(format!(
+                    "{}: its columns do not say which is which and were taken as east, north",
+                    path.display()
+                ));
+            }
+        }
+    }
+}
+
+/// Points far from where their CRS is used have a wrong CRS or exchanged columns.
+fn check_place(path: &Path, points: &[RawPoint], crs: &Crs, notes: &mut Vec<String>) -> Result<()> {
+    if crs.is_geographic() && !crs.unit_name().to_lowercase().contains("grad") && !within_degrees(points) {
+        let bad = points.iter().find(|p| p.gcp.easting.abs() > 180.0 || p.gcp.northing.abs() > 90.0);
+        // A longitude may count from 0 to 360.
+        if let Some(bad) = bad.filter(|p| p.gcp.easting.abs() > 360.0 || p.gcp.northing.abs() > 90.0) {
+            return Err(Error::format(
+                path,
+                &bad.place,
+                format!(
+                    "{}, {} are no degrees, but {} counts in them; give the --crs that the coordinates are in",
+                    bad.gcp.easting,
+                    bad.gcp.northing,
+                    crs.title()
+                ),
+            ));
+        }
+    }
+    let outside = points.iter().filter(|p| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false)).count();
+    if outside > 0 {
+        notes.push(format!(
+            "{}: {outside} of {} points lie outside the area of use of {}; CRS or columns may be wrong",
+            path.display(),
+            points.len(),
+            crs.title()
+        ));
+    }
+    Ok(())
+}
+
+/// The image's CRS, when the points lie where the image says it is.
+fn crs_of_image(
     path: &Path,
-    gcps: &mut [Gcp],
-    source: Option<Crs>,
-    to_crs: Option<&str>,
+    points: &[RawPoint],
+    image: &ImageGeoreference,
     notes: &mut Vec<String>,
 ) -> Result<Option<Crs>> {
-    let target = to_crs.map(Crs::parse).transpose()?;
-    let Some(source) = source else {
-        return match target {
-            None => Ok(None),
-            Some(_) => Err(Error::usage(
-                format!("{}: --to-crs needs to know where the coordinates come from", path.display()),
-                "give --crs too",
-            )),
-        };
+    let crs = Crs::parse(&image.crs_wkt)?;
+    let (width, height) = (image.size_px.0 as f64, image.size_px.1 as f64);
+    let reach = 1000.0 / crs.metres_per_unit() / image.transform.scale();
+    let near = |p: &&RawPoint| {
+        image.transform.invert(p.gcp.position()).is_some_and(|pixel| {
+            (-width - reach..=2.0 * width + reach).contains(&pixel.x)
+                && (-height - reach..=2.0 * height + reach).contains(&pixel.y)
+        })
     };
-    let target = match target {
-        Some(target) => target,
-        None if source.is_geographic() => {
-            let n = gcps.len() as f64;
-            let mean = |f: fn(&Gcp) -> f64| gcps.iter().map(f).sum::<f64>() / n;
-            let utm = Crs::utm_of(mean(|g| g.easting), mean(|g| g.northing))?;
-            notes.push(format!(
-                "{}: longitude and latitude were projected to {} ({}), the UTM zone of their mean",
-                path.display(),
-                utm.label(),
-                utm.name()
-            ));
-            utm
-        }
-        None => source.clone(),
-    };
-    if target.is_geographic() {
-        return Err(Error::usage(
-            format!("{} counts in degrees, in which nothing can be fitted", target.label()),
-            "give a projected --to-crs",
-        ));
+    if crs.is_geographic() || crs.is_local() || points.iter().filter(near).count() * 2 < points.len() {
+        return Ok(None);
     }
-    if (target.metres_per_unit() - 1.0).abs() > 1e-12 {
-        notes.push(format!(
-            "{} counts in {} ({} m): figures called metres are in that unit; --to-crs gives metres",
-            target.label(),
-            target.unit_name(),
-            target.metres_per_unit()
-        ));
-    }
-    if target != source {
-        let mut points: Vec<(f64, f64)> = gcps.iter().map(|g| (g.easting, g.northing)).collect();
-        source.project(&mut points, &target)?;
-        for (gcp, (easting, northing)) in gcps.iter_mut().zip(points) {
-            (gcp.easting, gcp.northing) = (easting, northing);
-        }
-    }
-    Ok(Some(target))
+    notes.push(format!("{} names no CRS: it was taken to be the image's, {}", path.display(), crs.title()));
+    Ok(Some(crs))
 }

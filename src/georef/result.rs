@@ -70,6 +70,9 @@ pub struct RunResult {
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
     pub warnings: Vec<String>,
+    /// Mistakes in the list that would explain what does not fit; nothing was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::doctor::Diagnosis>,
     pub candidates: Vec<Candidate>,
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,

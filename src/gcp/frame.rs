@@ -1,0 +1,257 @@
+//! The frame in which a fit is made, metres, and the way from there to the CRS of the outputs.
+
+use std::path::Path;
+
+use crate::coords::{GeoTransform, MapPoint, PixelPoint};
+use crate::error::{Error, Result};
+use crate::gcp::Gcp;
+use crate::georef::crs::{Accuracy, Coordinate, Crs};
+
+/// When `--to-crs` is applied.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Reproject {
+    /// To the surveyed points, before anything is fitted.
+    #[default]
+    Before,
+    /// To the fitted transform, which stays in the CRS of the points until then.
+    After,
+}
+
+/// How coordinates of the fit become those of the outputs. Everything between reading and writing is in metres: points in
+/// feet are scaled before the fit, and the transform is scaled back after it, exactly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// System of the points, in its own units; `None` for local coordinates.
+    crs: Option<Crs>,
+    metres_per_unit: f64,
+    height_metres_per_unit: f64,
+    /// System of the outputs, when it is another.
+    to: Option<Crs>,
+    worst_accuracy_m: f64,
+}
+
+/// A transform as the outputs have it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Delivered {
+    pub transform: GeoTransform,
+    /// Largest distance between this transform and the exact one in the image, pixels; 0 when only units were changed.
+    pub departure_px: f64,
+    pub notes: Vec<String>,
+}
+
+impl Frame {
+    /// Local coordinates in metres.
+    pub fn local() -> Self {
+        Frame { crs: None, metres_per_unit: 1.0, height_metres_per_unit: 1.0, to: None, worst_accuracy_m: 0.0 }
+    }
+
+    /// Brings surveyed points into metres, in place; says what was done in `notes`.
+    pub(super) fn enter(
+        path: &Path,
+        gcps: &mut [Gcp],
+        source: Crs,
+        target: Option<Crs>,
+        reproject: Reproject,
+        worst_accuracy_m: f64,
+        notes: &mut Vec<String>,
+    ) -> Result<(Frame, Crs)> {
+        let before = |wanted: &Option<Crs>| match reproject {
+            Reproject::Before => wanted.clone(),
+            Reproject::After => None,
+        };
+        let fit_crs = match before(&target) {
+            Some(crs) if crs.is_geographic() => {
+                return Err(Error::usage(
+                    format!("{} counts in {}s, in which nothing can be fitted", crs.title(), crs.unit_name()),
+                    "give a projected --to-crs, or --reproject after",
+                ));
+            }
+            Some(crs) => crs,
+            None if source.is_geographic() => utm_of_mean(path, gcps, &source, notes)?,
+            None => source.clone(),
+        };
+        change(path, gcps, &source, &fit_crs, worst_accuracy_m, notes)?;
+        let unit = fit_crs.metres_per_unit();
+        let height_unit = fit_crs.height_metres_per_unit().unwrap_or(unit);
+        if (unit - 1.0).abs() > 1e-12 {
+            notes.push(format!(
+                "{} counts in {} of {unit:.9} m: the fit is made in metres and written in {}; residuals are in metres{}",
+                fit_crs.title(),
+                fit_crs.unit_name(),
+                fit_crs.unit_name(),
+                if fit_crs.height_metres_per_unit().is_none() { "; heights are taken to be in the same unit" } else { "" }
+            ));
+        }
+        for gcp in gcps.iter_mut() {
+            gcp.easting *= unit;
+            gcp.northing *= unit;
+            gcp.height = gcp.height.map(|h| h * height_unit);
+        }
+        let to = target.filter(|to| *to != fit_crs);
+        let output = to.clone().unwrap_or_else(|| fit_crs.clone());
+        let frame = Frame {
+            crs: Some(fit_crs),
+            metres_per_unit: unit,
+            height_metres_per_unit: height_unit,
+            to,
+            worst_accuracy_m,
+        };
+        Ok((frame, output))
+    }
+
+    /// Whether outputs differ from the fit.
+    pub fn is_plain(&self) -> bool {
+        self.metres_per_unit == 1.0 && self.height_metres_per_unit == 1.0 && self.to.is_none()
+    }
+
+    /// Points of the fit as the outputs have them.
+    ///
+    /// # Errors
+    /// Those of [`Crs::transform`].
+    pub fn leave(&self, points: &mut [Coordinate]) -> Result<()> {
+        for point in points.iter_mut() {
+            point.x /= self.metres_per_unit;
+            point.y /= self.metres_per_unit;
+            point.height = point.height.map(|h| h / self.height_metres_per_unit);
+        }
+        if let (Some(from), Some(to)) = (&self.crs, &self.to) {
+            from.transform(points, to, self.worst_accuracy_m)?;
+        }
+        Ok(())
+    }
+
+    /// The fitted transform as the outputs have it: scaled exactly when only units differ; else the affine transform that
+    /// comes nearest to the exact one on a grid over the image, with what that leaves out.
+    ///
+    /// # Errors
+    /// Those of [`Crs::transform`]; when the image is empty.
+    pub fn deliver(&self, fitted: &GeoTransform, size_px: (f64, f64)) -> Result<Delivered> {
+        if self.to.is_none() {
+            let transform = GeoTransform(fitted.0.map(|value| value / self.metres_per_unit));
+            return Ok(Delivered { transform, departure_px: 0.0, notes: Vec::new() });
+        }
+        const STEPS: usize = 16;
+        let (width, height) = (size_px.0.max(1.0), size_px.1.max(1.0));
+        let mut pixels = Vec::with_capacity((STEPS + 1) * (STEPS + 1));
+        for row in 0..=STEPS {
+            for column in 0..=STEPS {
+                let share = |i: usize| i as f64 / STEPS as f64;
+                pixels.push(PixelPoint { x: width * share(column), y: height * share(row) });
+            }
+        }
+        let mut points: Vec<Coordinate> = pixels
+            .iter()
+            .map(|p| fitted.apply(*p))
+            .map(|m| Coordinate { x: m.easting, y: m.northing, height: None })
+            .collect();
+        self.leave(&mut points)?;
+        let transform = nearest_affine(&pixels, &points, (width, height))
+            .ok_or_else(|| Error::usage("the image has no area to reproject", "give --reproject before"))?;
+        let departure_px = pixels
+            .iter()
+            .zip(&points)
+            .filter_map(|(pixel, point)| {
+                let back = transform.invert(MapPoint { easting: point.x, northing: point.y })?;
+                Some((back.x - pixel.x).hypot(back.y - pixel.y))
+            })
+            .fold(0.0, f64::max);
+        let to = self.to.as_ref().map(Crs::title).unwrap_or_default();
+        let notes = vec![format!(
+            "the fitted transform was brought into {to} after the fit; as an affine transform it departs from the exact \
+             one by up to {departure_px:.3} px"
+        )];
+        Ok(Delivered { transform, departure_px, notes })
+    }
+}
+
+/// Longitude and latitude are never fitted.
+fn utm_of_mean(path: &Path, gcps: &[Gcp], source: &Crs, notes: &mut Vec<String>) -> Result<Crs> {
+    let n = gcps.len() as f64;
+    // Longitudes across the antimeridian: taken next to the first one.
+    let first = gcps.first().map_or(0.0, |g| g.easting);
+    let longitude = gcps.iter().map(|g| first + (g.easting - first + 180.0).rem_euclid(360.0) - 180.0).sum::<f64>() / n;
+    let latitude = gcps.iter().map(|g| g.northing).sum::<f64>() / n;
+    // Grads and other meridians than Greenwich become degrees from Greenwich; the datum does not matter for a zone.
+    let (longitude, latitude) = source.longitude_latitude(longitude, latitude).unwrap_or((longitude, latitude));
+    let utm = source.utm_zone(longitude, latitude)?;
+    notes.push(format!(
+        "{}: longitude and latitude were projected to {}, the UTM zone of their mean; --to-crs chooses another",
+        path.display(),
+        utm.title()
+    ));
+    Ok(utm)
+}
+
+fn change(
+    path: &Path,
+    gcps: &mut [Gcp],
+    source: &Crs,
+    target: &Crs,
+    worst_accuracy_m: f64,
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let heights = gcps.iter().any(|g| g.height.is_some());
+    match (source.height_metres_per_unit(), target.height_metres_per_unit()) {
+        (None, Some(_)) if heights => {
+            return Err(Error::usage(
+                format!(
+                    "{}: the heights cannot be brought into {}: {} does not say what they count from",
+                    path.display(),
+                    target.title(),
+                    source.title()
+                ),
+                "give --crs with a vertical part (EPSG:25832+5941 for NN2000), or a --to-crs without one",
+            ));
+        }
+        (Some(_), None) if heights => notes.push(format!(
+            "heights stay as they are, in the vertical system of {}: {} has none",
+            source.title(),
+            target.title()
+        )),
+        _ => {}
+    }
+    let mut points: Vec<Coordinate> =
+        gcps.iter().map(|g| Coordinate { x: g.easting, y: g.northing, height: g.height }).collect();
+    match source.transform(&mut points, target, worst_accuracy_m)? {
+        Accuracy::Exact => {}
+        Accuracy::Metres(metres) => notes.push(format!(
+            "from {} to {} the datum changes, which the authority states as good to {metres} m; within one datum nothing \
+             is lost",
+            source.title(),
+            target.title()
+        )),
+        Accuracy::Unstated => notes.push(format!(
+            "from {} to {} the datum changes by the definition's own parameters; how good they are is not stated",
+            source.title(),
+            target.title()
+        )),
+    }
+    for (gcp, point) in gcps.iter_mut().zip(points) {
+        (gcp.easting, gcp.northing, gcp.height) = (point.x, point.y, point.height);
+    }
+    Ok(())
+}
+
+/// Least squares over the grid, in centred coordinates so that seven-digit northings lose nothing.
+fn nearest_affine(pixels: &[PixelPoint], points: &[Coordinate], size_px: (f64, f64)) -> Option<GeoTransform> {
+    let n = pixels.len() as f64;
+    let (cx, cy) = (size_px.0 / 2.0, size_px.1 / 2.0);
+    let (mx, my) = (points.iter().map(|p| p.x).sum::<f64>() / n, points.iter().map(|p| p.y).sum::<f64>() / n);
+    let (mut xx, mut yy) = (0.0, 0.0);
+    let mut sums = [0.0; 4];
+    for (pixel, point) in pixels.iter().zip(points) {
+        let (u, v) = (pixel.x - cx, pixel.y - cy);
+        xx += u * u;
+        yy += v * v;
+        sums[0] += u * (point.x - mx);
+        sums[1] += v * (point.x - mx);
+        sums[2] += u * (point.y - my);
+        sums[3] += v * (point.y - my);
+    }
+    // The grid is symmetric about its centre: the cross products vanish.
+    if xx <= 0.0 || yy <= 0.0 {
+        return None;
+    }
+    let [g1, g2, g4, g5] = [sums[0] / xx, sums[1] / yy, sums[2] / xx, sums[3] / yy];
+    Some(GeoTransform([mx - g1 * cx - g2 * cy, g1, g2, my - g4 * cx - g5 * cy, g4, g5]))
+}

@@ -1,0 +1,151 @@
+//! GCPs in whatever GDAL's vector library (OGR) opens: GeoPackage, Shapefile (also zipped), KML, GPX, GML, DXF, and tables of
+//! a spreadsheet.
+
+use std::path::{Path, PathBuf};
+
+use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
+use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
+
+use crate::error::{Error, Result};
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::{Gcp, csv_list};
+use crate::georef::crs::Crs;
+
+/// Titles without which a table has no points; OGR has the coordinates of geometries itself.
+const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
+
+pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
+    crate::raster::initialise_gdal(0);
+    let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
+    let name = if zipped { PathBuf::from("/vsizip/").join(path) } else { path.to_path_buf() };
+    let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
+    let dataset =
+        Dataset::open_ex(&name, DatasetOptions { open_flags: flags, ..Default::default() }).map_err(|_| {
+            Error::unsupported(
+                path,
+                "no list of points that this program or GDAL's OGR reads",
+                "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
+            )
+        })?;
+    let index = layer(path, &dataset, wanted)?;
+    let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
+    let crs = match layer.spatial_ref().and_then(|reference| reference.to_wkt().ok()) {
+        Some(wkt) if !wkt.is_empty() => CrsClaim::Known(Crs::parse(&wkt)?),
+        _ => CrsClaim::None,
+    };
+    let titles: Vec<String> = layer.defn().fields().map(|field| field.name()).collect();
+    if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
+        return table(path, &mut layer, titles);
+    }
+    let titled = titles.into_iter().chain(PLACEHOLDERS.map(str::to_string)).collect::<Vec<_>>();
+    let mut points = Vec::new();
+    for (i, feature) in layer.features().enumerate() {
+        points.push(point(path, i + 1, &feature, &titled)?);
+    }
+    Ok(RawList::new(points, crs))
+}
+
+/// The layer that is named, or the only one with points; of GPX's the waypoints.
+fn layer(path: &Path, dataset: &Dataset, wanted: Option<&str>) -> Result<usize> {
+    let names: Vec<String> = dataset.layers().map(|layer| layer.name()).collect();
+    let listed = || names.join(", ");
+    if let Some(wanted) = wanted {
+        return names.iter().position(|name| name.eq_ignore_ascii_case(wanted)).ok_or_else(|| {
+            Error::usage(format!("{}: there is no layer `{wanted}`", path.display()), format!("it has {}", listed()))
+        });
+    }
+    let kinds: Vec<(bool, u64)> = dataset
+        .layers()
+        .map(|layer| {
+            let kind = geometry_type_flatten(layer.defn().geometry_type());
+            let may = matches!(
+                kind,
+                OGRwkbGeometryType::wkbPoint | OGRwkbGeometryType::wkbMultiPoint | OGRwkbGeometryType::wkbUnknown
+            ) || layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone;
+            (may, layer.feature_count())
+        })
+        .collect();
+    if let Some(waypoints) = names.iter().position(|name| name == "waypoints").filter(|i| kinds[*i].1 > 0) {
+        return Ok(waypoints);
+    }
+    let filled: Vec<usize> = (0..names.len()).filter(|&i| kinds[i].0 && kinds[i].1 > 0).collect();
+    match filled.as_slice() {
+        [one] => Ok(*one),
+        [] => Err(Error::format(path, "the file", format!("no layer with points; it has {}", listed()))),
+        _ => Err(Error::usage(
+            format!("{}: several layers hold points: {}", path.display(), listed()),
+            "name one with --gcp-layer",
+        )),
+    }
+}
+
+fn text(value: Option<FieldValue>) -> String {
+    match value {
+        Some(FieldValue::StringValue(text)) => text.trim().to_string(),
+        Some(FieldValue::IntegerValue(value)) => value.to_string(),
+        Some(FieldValue::Integer64Value(value)) => value.to_string(),
+        Some(FieldValue::RealValue(value)) => value.to_string(),
+        _ => String::new(),
+    }
+}
+
+fn fields(feature: &Feature<'_>) -> Vec<String> {
+    (0..feature.field_count()).map(|i| text(feature.field(i).ok().flatten())).collect()
+}
+
+/// A layer without geometry: a sheet of a spreadsheet, or a table with columns for the coordinates.
+fn table<'a>(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
+    let named = titles.join(", ");
+    let columns = csv_list::columns(titles).ok_or_else(|| {
+        Error::format(path, "its columns", format!("no easting and northing among {named}; name one of each"))
+    })?;
+    let mut points = Vec::new();
+    for (i, feature) in layer.features().enumerate() {
+        let row = fields(&feature);
+        if row.iter().all(String::is_empty) {
+            continue;
+        }
+        // The header is a row of its own.
+        points.push(columns.point(path, format!("row {}", i + 2), &row, &(i + 1).to_string())?);
+    }
+    let crs = if columns.geographic { CrsClaim::Known(Crs::from_epsg(4326)?) } else { CrsClaim::None };
+    let mut list = RawList::new(points, crs);
+    list.order = columns.order;
+    Ok(list)
+}
+
+fn point(path: &Path, number: usize, feature: &Feature<'_>, titles: &[String]) -> Result<RawPoint> {
+    let place = format!("feature {number}");
+    let Some(geometry) = feature.geometry() else {
+        return Err(Error::format(path, place, "it has no geometry; points are expected"));
+    };
+    let kind = geometry_type_flatten(geometry.geometry_type());
+    let (x, y, z) = match kind {
+        OGRwkbGeometryType::wkbPoint if !geometry.is_empty() => geometry.get_point(0),
+        OGRwkbGeometryType::wkbMultiPoint if geometry.geometry_count() == 1 => geometry.get_geometry(0).get_point(0),
+        _ => {
+            let found = geometry.geometry_name();
+            return Err(Error::format(
+                path,
+                place,
+                format!("it must be a point, it is {found}; give a layer of points"),
+            ));
+        }
+    };
+    // The attributes go through the same reading as a table's, with the geometry for the coordinates.
+    let own = fields(feature);
+    let row: Vec<String> = own.iter().cloned().chain([x.to_string(), y.to_string()]).collect();
+    let mut titles = titles.to_vec();
+    // Columns that repeat the coordinates must not win over the geometry.
+    for (i, title) in titles.iter_mut().enumerate().take(own.len()) {
+        if csv_list::is_coordinate(title) {
+            *title = format!("attribute {i}");
+        }
+    }
+    let columns = csv_list::columns(titles).expect("the placeholders are among the titles");
+    let mut point = columns.point(path, place, &row, &number.to_string())?;
+    point.attributes.truncate(own.len());
+    let height = geometry_type_has_z(geometry.geometry_type()).then_some(z);
+    point.gcp = Gcp { easting: x, northing: y, height: height.or(point.gcp.height), ..point.gcp };
+    Ok(point)
+}

@@ -1,0 +1,63 @@
+//! A list as a file has it, before anything is chosen or projected.
+
+use std::path::Path;
+
+use crate::error::Error;
+use crate::gcp::Gcp;
+use crate::georef::crs::Crs;
+
+/// A point as the file has it.
+pub(super) struct RawPoint {
+    pub gcp: Gcp,
+    /// "row 7", "feature 3".
+    pub place: String,
+    /// Everything that the file says of it, by column.
+    pub attributes: Vec<(String, String)>,
+}
+
+impl RawPoint {
+    pub fn bare(gcp: Gcp, place: impl Into<String>) -> Self {
+        RawPoint { gcp, place: place.into(), attributes: Vec::new() }
+    }
+}
+
+/// What a file says of its coordinate reference system.
+pub(super) enum CrsClaim {
+    None,
+    Known(Crs),
+    /// It names one that is not understood: an error unless `--crs` overrides it.
+    Unclear(Error),
+}
+
+impl CrsClaim {
+    pub fn read(path: &Path, place: String, definition: &str) -> Self {
+        match Crs::parse(definition) {
+            Ok(crs) => CrsClaim::Known(crs),
+            Err(error) => CrsClaim::Unclear(Error::format(path, place, format!("{error}; --crs overrides it"))),
+        }
+    }
+}
+
+/// Whether the file says which coordinate is the easting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ColumnOrder {
+    Stated,
+    /// East before north by custom, which is not everybody's.
+    Assumed,
+}
+
+/// What a format's reader returns.
+pub(super) struct RawList {
+    pub points: Vec<RawPoint>,
+    pub crs: CrsClaim,
+    /// The format says longitude, latitude when nothing else is said (GeoJSON).
+    pub may_be_degrees: bool,
+    pub order: ColumnOrder,
+    pub notes: Vec<String>,
+}
+
+impl RawList {
+    pub fn new(points: Vec<RawPoint>, crs: CrsClaim) -> Self {
+        RawList { points, crs, may_be_degrees: false, order: ColumnOrder::Stated, notes: Vec::new() }
+    }
+}

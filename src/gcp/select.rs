@@ -1,0 +1,99 @@
+//! Which points are used, and which of them are kept for checking.
+
+use std::path::Path;
+
+use crate::error::{Error, Result};
+use crate::gcp::raw::RawPoint;
+
+/// A choice of points: a name; a pattern of names with `*` and `?`; or `COLUMN=PATTERN` for an attribute.
+pub(super) struct Choice<'a>(pub &'a str);
+
+impl Choice<'_> {
+    fn takes(&self, point: &RawPoint) -> bool {
+        if point.gcp.name == self.0 {
+            return true;
+        }
+        match self.0.split_once('=') {
+            Some((column, pattern)) => point
+                .attributes
+                .iter()
+                .any(|(title, value)| title.eq_ignore_ascii_case(column.trim()) && like(pattern.trim(), value)),
+            None => self.0.contains(['*', '?']) && like(self.0, &point.gcp.name),
+        }
+    }
+}
+
+/// Whether a text fits a pattern, letters of either case: `*` any letters, `?` any one.
+fn like(pattern: &str, text: &str) -> bool {
+    let pattern: Vec<char> = pattern.to_lowercase().chars().collect();
+    let text: Vec<char> = text.to_lowercase().chars().collect();
+    let (mut p, mut t) = (0, 0);
+    let mut star: Option<(usize, usize)> = None;
+    while t < text.len() {
+        match pattern.get(p) {
+            Some('*') => {
+                star = Some((p, t));
+                p += 1;
+            }
+            Some(c) if *c == '?' || *c == text[t] => {
+                p += 1;
+                t += 1;
+            }
+            // Let the last star take one letter more.
+            _ => match star {
+                Some((at, from)) => {
+                    star = Some((at, from + 1));
+                    p = at + 1;
+                    t = from + 1;
+                }
+                None => return false,
+            },
+        }
+    }
+    pattern[p..].iter().all(|c| *c == '*')
+}
+
+/// For every point whether one of the choices takes it.
+///
+/// # Errors
+/// When a choice takes no point: it would be a slip.
+pub(super) fn chosen(path: &Path, points: &[RawPoint], choices: &[String]) -> Result<Vec<bool>> {
+    let mut chosen = vec![false; points.len()];
+    for choice in choices {
+        let mut any = false;
+        for (point, chosen) in points.iter().zip(&mut chosen) {
+            if Choice(choice).takes(point) {
+                *chosen = true;
+                any = true;
+            }
+        }
+        if !any {
+            let names = points.iter().map(|p| p.gcp.name.as_str()).take(12).collect::<Vec<_>>().join(", ");
+            return Err(Error::usage(
+                format!("{}: no point is called `{choice}`", path.display()),
+                format!("it has {names}; patterns take * and ?, attributes COLUMN=VALUE"),
+            ));
+        }
+    }
+    Ok(chosen)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns() {
+        for (pattern, text, fits) in [
+            ("C*", "C12", true),
+            ("c*", "C12", true),
+            ("C?", "C12", false),
+            ("*1*2", "C112", true),
+            ("*", "", true),
+            ("P1", "P12", false),
+            ("*GUL", "13GUL", true),
+        ] {
+            assert_eq!(like(pattern, text), fits, "{pattern} {text}");
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! GCPs in XML: the markers that Metashape exports, and MicMac's `DicoAppuisFlottant`.
+//!
+//! Sources: an export of Metashape (`document/chunk/markers/marker/reference`), and `include/XML_GEN/ParamChantierPhotogram.xml`
+//! of MicMac. In Metashape a marker that is switched off is a check point.
+
+use std::path::Path;
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use crate::error::{Error, Result};
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::text::number;
+use crate::gcp::{Gcp, GcpRole};
+
+/// The dialects of XML that are read here; all others are OGR's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Dialect {
+    Metashape,
+    MicMac,
+}
+
+pub(super) fn dialect(text: &str) -> Option<Dialect> {
+    let start: String = text.chars().take(4096).collect();
+    if text.contains("<OneAppuisDAF>") {
+        return Some(Dialect::MicMac);
+    }
+    (start.contains("<document") && text.contains("<marker")).then_some(Dialect::Metashape)
+}
+
+pub(super) fn parse(path: &Path, text: &str, dialect: Dialect) -> Result<RawList> {
+    match dialect {
+        Dialect::Metashape => metashape(path, text),
+        Dialect::MicMac => micmac(path, text),
+    }
+}
+
+/// Line of a byte, counted from 1.
+fn row(text: &str, position: u64) -> String {
+    let end = (position as usize).min(text.len());
+    format!("row {}", text.as_bytes()[..end].iter().filter(|b| **b == b'\n').count() + 1)
+}
+
+fn broken(path: &Path, text: &str, reader: &Reader<&[u8]>, error: impl std::fmt::Display) -> Error {
+    Error::format(path, row(text, reader.error_position()), format!("the XML is broken: {error}"))
+}
+
+fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
+    let attribute = start.attributes().flatten().find(|a| a.key.as_ref() == name)?;
+    Some(quick_xml::escape::unescape(&attribute.value).ok()?.into_owned())
+}
+
+fn metashape(path: &Path, text: &str) -> Result<RawList> {
+    let mut reader = Reader::from_str(text);
+    let mut elements: Vec<String> = Vec::new();
+    let mut points: Vec<RawPoint> = Vec::new();
+    let mut label: Option<String> = None;
+    let mut crs = CrsClaim::None;
+    let mut without = 0;
+    loop {
+        let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
+        let place = || row(text, reader.buffer_position());
+        match &event {
+            Event::Start(start) | Event::Empty(start) => {
+                let name = start.name().as_ref().to_string();
+                let parent = elements.last().map_or("", String::as_str);
+                if name == "marker" && parent == "markers" && !elements.iter().any(|e| e == "frame") {
+                    label = attribute(start, "label");
+                    without += usize::from(matches!(event, Event::Empty(_)) && label.is_some());
+                } else if name == "reference" && parent == "marker" {
+                    let name = label.clone().unwrap_or_else(|| (points.len() + 1).to_string());
+                    match marker(path, &place(), start, name)? {
+                        Some(point) => points.push(point),
+                        None => without += 1,
+                    }
+                }
+                if matches!(event, Event::Start(_)) {
+                    elements.push(name);
+                }
+            }
+            Event::Text(content) => {
+                if elements.last().is_some_and(|e| e == "reference")
+                    && elements.len() >= 2
+                    && elements[elements.len() - 2] == "chunk"
+                {
+                    let definition = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default();
+                    if !definition.trim().is_empty() {
+                        crs = CrsClaim::read(path, place(), definition.trim());
+                    }
+                }
+            }
+            Event::End(_) => {
+                elements.pop();
+            }
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    let mut list = RawList::new(points, crs);
+    if without > 0 {
+        list.notes
+            .push(format!("{}: {without} markers have no surveyed coordinates and were left out", path.display()));
+    }
+    Ok(list)
+}
+
+fn marker(path: &Path, place: &str, start: &BytesStart<'_>, name: String) -> Result<Option<RawPoint>> {
+    let value = |key: &str| -> Result<Option<f64>> {
+        let Some(text) = attribute(start, key) else { return Ok(None) };
+        number(&text).map(Some).ok_or_else(|| {
+            Error::format(path, place, format!("marker `{name}`: `{text}` is no number for {key}; correct it"))
+        })
+    };
+    let (Some(easting), Some(northing)) = (value("x")?, value("y")?) else { return Ok(None) };
+    let off = attribute(start, "enabled").is_some_and(|text| matches!(text.as_str(), "0" | "false"));
+    let gcp = Gcp {
+        height: value("z")?,
+        sigma_m: value("sx")?.filter(|s| *s > 0.0),
+        sigma_height_m: value("sz")?.filter(|s| *s > 0.0),
+        role: if off { GcpRole::Check } else { GcpRole::Control },
+        ..Gcp::control(name, easting, northing)
+    };
+    Ok(Some(RawPoint::bare(gcp, place)))
+}
+
+fn micmac(path: &Path, text: &str) -> Result<RawList> {
+    let mut reader = Reader::from_str(text);
+    let mut element = String::new();
+    let mut points = Vec::new();
+    let (mut name, mut position, mut sigma) = (None::<String>, None::<Vec<f64>>, None::<Vec<f64>>);
+    loop {
+        let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
+        let place = row(text, reader.buffer_position());
+        match event {
+            Event::Start(start) => element = start.name().as_ref().to_string(),
+            Event::Text(content) => {
+                let content = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default().trim().to_string();
+                let numbers = || -> Result<Option<Vec<f64>>> {
+                    let values: Option<Vec<f64>> = content.split_whitespace().map(number).collect();
+                    values.filter(|v| v.len() == 3).map(Some).ok_or_else(|| {
+                        Error::format(
+                            path,
+                            &place,
+                            format!("`{content}` are not three numbers for {element}; correct it"),
+                        )
+                    })
+                };
+                match element.as_str() {
+                    "NamePt" if !content.is_empty() => name = Some(content),
+                    "Pt" if !content.is_empty() => position = numbers()?,
+                    "Incertitude" if !content.is_empty() => sigma = numbers()?,
+                    _ => {}
+                }
+            }
+            Event::End(end) => {
+                element.clear();
+                if end.name().as_ref() == "OneAppuisDAF" {
+                    let (Some(at), name) = (position.take(), name.take()) else {
+                        return Err(Error::format(path, &place, "a point without Pt; three numbers are expected"));
+                    };
+                    // MicMac's files carry 1 1 1 or 10 10 10 where nothing is known.
+                    let sigma = sigma.take().filter(|s| s.iter().all(|v| *v > 0.0 && *v < 1.0));
+                    let gcp = Gcp {
+                        height: Some(at[2]),
+                        sigma_m: sigma.as_ref().map(|s| s[0].max(s[1])),
+                        sigma_height_m: sigma.as_ref().map(|s| s[2]),
+                        ..Gcp::control(name.unwrap_or_else(|| (points.len() + 1).to_string()), at[0], at[1])
+                    };
+                    points.push(RawPoint::bare(gcp, place));
+                }
+            }
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    Ok(RawList::new(points, CrsClaim::None))
+}
