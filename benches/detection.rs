@@ -9,8 +9,6 @@
 //! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;
 //! `AUTOREF_BENCH_ONLY=covered` measures the conditions whose label holds that word only. The photographs are looked for in `../shared/data`.
 
-#[path = "detection/plant.rs"]
-mod plant;
 #[path = "detection/scan.rs"]
 mod scan;
 
@@ -21,8 +19,9 @@ use autoref_stream::candidate::examine::measure;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::Patch;
+use autoref_stream::selftest::Tally;
+use autoref_stream::synth::plant::{self, Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
-use plant::{Cell, Picture, Random, plant};
 use rayon::prelude::*;
 use scan::Detector;
 
@@ -100,48 +99,17 @@ fn cells() -> Vec<Cell> {
     cells
 }
 
-#[derive(Default)]
-struct Tally {
-    marks: usize,
-    errors: Vec<[f64; 2]>,
-    normalised: Vec<f64>,
-}
-
-impl Tally {
-    fn add(&mut self, truth: &[(f64, f64)], found: &[Candidate], side_px: f64) {
-        self.marks += truth.len();
-        for &(x, y) in truth {
-            let error = |c: &Candidate| (c.centre.x - x).hypot(c.centre.y - y);
-            let Some(best) = found.iter().min_by(|a, b| error(a).total_cmp(&error(b))) else { continue };
-            if error(best) < (side_px / 2.0).max(2.0) {
-                let e = [best.centre.x - x, best.centre.y - y];
-                self.errors.push(e);
-                if let Some(v) = best.covariance_px2 {
-                    self.normalised.extend([e[0] / v[0].sqrt(), e[1] / v[2].sqrt()]);
-                }
-            }
-        }
-    }
-
-    fn row(&self) -> String {
-        let n = self.errors.len().max(1) as f64;
-        let mean = |k: usize| self.errors.iter().map(|e| e[k]).sum::<f64>() / n;
-        let rmse = (self.errors.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum::<f64>() / (2.0 * n)).sqrt();
-        let mut absolute: Vec<f64> = self.errors.iter().flatten().map(|v| v.abs()).collect();
-        absolute.sort_by(f64::total_cmp);
-        let median = absolute.get(absolute.len() / 2).copied().unwrap_or(f64::NAN);
-        let z = (self.normalised.iter().map(|v| v * v).sum::<f64>() / self.normalised.len().max(1) as f64).sqrt();
-        format!(
-            "{} | {:.2} % | {:+.3} {:+.3} | {:.3} | {:.3} | {:.2}",
-            self.marks,
-            100.0 * self.errors.len() as f64 / self.marks.max(1) as f64,
-            mean(0),
-            mean(1),
-            rmse,
-            median,
-            z
-        )
-    }
+fn row(tally: &Tally) -> String {
+    format!(
+        "{} | {:.2} % | {:+.3} {:+.3} | {:.3} | {:.3} | {:.2}",
+        tally.marks,
+        100.0 * tally.recall(),
+        tally.bias_px()[0],
+        tally.bias_px()[1],
+        tally.rmse_px(),
+        tally.median_px().unwrap_or(f64::NAN),
+        tally.normalised()
+    )
 }
 
 /// The prototype's options with a colour taught from marks of the base case: its own reference is another paint's.
@@ -290,11 +258,11 @@ fn main() {
                 break;
             }
         }
-        let old = theirs.row();
+        let old = row(&theirs);
         let old: Vec<&str> = old.split(" | ").collect();
-        let other = python.row();
+        let other = row(&python);
         let other: Vec<&str> = if python.marks == 0 { vec!["–"; 4] } else { other.split(" | ").collect() };
-        println!("| {} | {} | {} | {} | {} | {} |", cell.label, mine.row(), old[1], old[3], other[1], other[3]);
+        println!("| {} | {} | {} | {} | {} | {} |", cell.label, row(&mine), old[1], old[3], other[1], other[3]);
     }
 
     println!("\n| cover | megapixels | false candidates per megapixel | 2016 | scikit-image |");

@@ -3,9 +3,6 @@
 //!
 //! `cargo run --release --example target_scores` (photographs in `../shared/data`).
 
-#[path = "../benches/detection/plant.rs"]
-#[allow(dead_code)]
-mod plant;
 #[path = "../benches/detection/targets.rs"]
 mod targets;
 
@@ -15,8 +12,8 @@ use autoref_stream::raster::memory::MemorySource;
 use autoref_stream::raster::{Block, Patch, RasterSource};
 use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
+use autoref_stream::synth::plant::{Picture, Random};
 use autoref_stream::target::TargetDetector;
-use plant::{Picture, Random};
 use std::sync::Mutex;
 
 /// Writes down what the detector sees and keeps everything.

@@ -30,6 +30,7 @@ pub mod rematch;
 pub mod report;
 pub mod review;
 pub mod segment;
+pub mod selftest;
 pub mod solve;
 pub mod synth;
 pub mod target;

@@ -1,7 +1,5 @@
 //! Detection on real photographs with planted marks: the always-on, small twin of `benches/detection.rs`.
 
-#[path = "../benches/detection/plant.rs"]
-mod plant;
 #[path = "../benches/detection/scan.rs"]
 mod scan;
 
@@ -11,8 +9,8 @@ use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::{Patch, SampleType};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::segment::mask::Mask;
+use autoref_stream::synth::plant::{self, Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
-use plant::{Cell, Picture, Random, plant};
 use scan::Detector;
 
 fn photo(name: &str) -> Option<Picture> {

@@ -1,8 +1,5 @@
 //! A deliberately hard real scene: hundreds of pumpkins, 4 to 8 px wide, on soil, straw and leaves.
 
-#[path = "../benches/detection/plant.rs"]
-#[allow(dead_code)]
-mod plant;
 #[path = "../benches/detection/scan.rs"]
 #[allow(dead_code)]
 mod scan;
@@ -13,8 +10,8 @@ mod targets;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::Patch;
+use autoref_stream::synth::plant::Picture;
 use autoref_stream::window::Window;
-use plant::Picture;
 use scan::Detector;
 
 /// Upper left corner and side of the window of `pumpkin_field_13.jpg` that was counted.

@@ -1,8 +1,5 @@
 //! Black and white targets found by their shape: real plates in photographs, planted ones, any tiling.
 
-#[path = "../benches/detection/plant.rs"]
-#[allow(dead_code)]
-mod plant;
 #[path = "../benches/detection/targets.rs"]
 #[allow(dead_code)]
 mod targets;
@@ -14,8 +11,8 @@ use autoref_stream::pipeline::{Detector, MarkDetector, NoProgress, PlanOptions, 
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::memory::MemorySource;
 use autoref_stream::raster::{self, RasterSource, ReaderChoice};
+use autoref_stream::synth::plant::{Picture, Random};
 use autoref_stream::window::TileGrid;
-use plant::{Picture, Random};
 use targets::{Kind, middle, photo, plant_targets};
 
 fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads: usize) -> Vec<Candidate> {

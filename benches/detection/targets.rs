@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::plant::{Picture, Random, blurred};
+use autoref_stream::synth::plant::{Picture, Random, blurred};
 
 /// Photographs of ordinary ground. `IMG_0046` holds two cross plates of its own.
 pub const COVERS: [&str; 7] = [

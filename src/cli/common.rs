@@ -251,6 +251,8 @@ pub struct Prepared {
     pub source: Arc<dyn RasterSource>,
     pub detector: MarkDetector,
     pub plan: ScanPlan,
+    /// What the plan was made with.
+    pub options: PlanOptions,
 }
 
 /// As asked for, else one for each core.
@@ -292,7 +294,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         info.reader
     );
     tracing::info!("memory plan: {}", plan.line());
-    Ok(Prepared { source, detector, plan })
+    Ok(Prepared { source, detector, plan, options })
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {

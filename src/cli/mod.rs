@@ -18,6 +18,7 @@ pub mod replay;
 pub mod report;
 pub mod run;
 pub mod sample;
+pub mod selftest;
 pub mod shell;
 pub mod solve;
 pub mod solving;
@@ -66,6 +67,7 @@ pub enum Command {
     Man(shell::ManArgs),
     Plan(plan::PlanArgs),
     Fiducials(fiducials::FiducialsArgs),
+    Selftest(selftest::SelftestArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -82,6 +84,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Man(args)) => shell::man(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
+        Some(Command::Selftest(args)) => selftest::run(&args),
         None => run::run(&cli.run),
     }
 }

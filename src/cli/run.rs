@@ -62,7 +62,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
-    let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
@@ -130,6 +130,8 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "page": args.read.page,
         "halo_px": job.detector.halo_px(),
         "check": args.gcps.check,
+        "accuracy": args.gcps.accuracy.accuracy,
+        "accuracy_class_m": args.gcps.accuracy.accuracy_class,
         "names": args.gcps.names,
     })
 }

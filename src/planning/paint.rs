@@ -67,8 +67,8 @@ fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
     }
 }
 
-/// Colours of valid pixels as 8-bit sRGB, from the top down.
-fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
+/// Colours of valid pixels of up to 64 windows, as 8-bit sRGB, from the top down.
+pub(crate) fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
     let info = source.info();
     let aspect = info.width as f64 / info.height.max(1) as f64;
     let columns = ((WINDOWS as f64 * aspect).sqrt().round() as u64).clamp(1, WINDOWS);

@@ -514,6 +514,34 @@ impl Profile {
     }
 }
 
+/// One fresh paint of each shipped profile, in full sun: of those that `examples/derive_profiles.rs` makes the clouds from,
+/// but for orange, which is the benchmark's.
+const FRESH: [(&str, [u8; 3]); 6] = [
+    ("orange", [255, 110, 20]),
+    ("pink", [255, 20, 147]),
+    ("green", [0, 230, 60]),
+    ("yellow", [255, 230, 0]),
+    ("blue", [0, 80, 255]),
+    ("white-on-dark", [255, 255, 255]),
+];
+
+impl Profile {
+    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
+    /// or the middle of the first cloud.
+    pub fn fresh_paint(&self) -> [u8; 3] {
+        let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
+        if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
+            return *paint;
+        }
+        match (&self.learned, self.colour.clouds.first(), self.colour.space) {
+            (Some(learned), _, _) => byte(learned.mean_srgb),
+            (None, Some(cloud), Space::Rgb) => byte(cloud.mean),
+            (None, Some(cloud), Space::Lab) => byte(colour::srgb_from_lab(cloud.mean)),
+            (None, None, _) => FRESH[0].1,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -527,6 +555,16 @@ mod tests {
             assert_eq!(Profile::parse(&profile.to_toml()).expect(name), profile);
         }
         assert_eq!(Profile::names()[0], "orange");
+    }
+
+    #[test]
+    fn the_fresh_paint_of_every_shipped_paint_is_paint() {
+        for (name, _) in FRESH {
+            let profile = Profile::builtin(name).expect("shipped");
+            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            let distance = test.nearest2(profile.fresh_paint().map(|v| f64::from(v) / 255.0)).sqrt();
+            assert!(distance <= profile.colour.limit, "{name}: {:?} at {distance:.2}", profile.fresh_paint());
+        }
     }
 
     #[test]

@@ -259,9 +259,10 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     }
     let squares: f64 = pairs.iter().map(|pair| residual(first, pair)).map(|(e, n)| e * e + n * n).sum();
     let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
-    // One standard deviation above its estimate: what few residuals say of the common part is coarse, and too small a
-    // value gives single points more weight than they deserve, and the map of expected errors too much trust.
-    let coarse = 1.0 + (2.0 / freedom as f64).sqrt();
+    // Above its estimate, the more so the fewer the residuals: what few say of the common part is coarse, and too small a
+    // value gives single points more weight than they deserve, and the expected errors too much trust. With 1 + 4/ν the
+    // radii of 95 % hold 93 to 96 % over all that tests/accuracy.rs draws; with the estimate itself 92.7 % of four points.
+    let coarse = 1.0 + 4.0 / freedom as f64;
     let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
     let floor = (0.02 * first.scale_m_per_px()).powi(2);
     let weights: Vec<f64> = prior.iter().map(|v| 1.0 / (v + common).max(floor)).collect();

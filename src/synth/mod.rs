@@ -25,6 +25,7 @@ mod objects;
 mod paint;
 mod photo;
 mod plan;
+pub mod plant;
 mod rng;
 mod scene;
 mod shape;
