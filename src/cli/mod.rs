@@ -13,6 +13,7 @@ pub mod run;
 pub mod sample;
 pub mod solve;
 pub mod synth;
+pub mod synth_film;
 
 /// Georeferences very large rasters from painted marks, without a click.
 ///
@@ -49,7 +50,8 @@ pub enum Command {
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
-    Fiducials(fiducials::FiducialsArgs),
+    Fiducials(Box<fiducials::FiducialsArgs>),
+    SynthFilm(synth_film::SynthFilmArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -61,6 +63,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Chips(args)) => chips::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
+        Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         None => run::run(&cli.run),
     }
 }
