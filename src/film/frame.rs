@@ -260,11 +260,11 @@ impl Finder {
         let mut measured: Vec<Option<Measured>> = vec![None; self.film.len()];
         // Twice: the first round's pose is that of coarse peaks.
         for round in 0..2 {
-            for k in 0..self.film.len() {
-                if measured[k].as_ref().is_some_and(|m| m.reason.is_none()) && round > 0 {
+            for (k, slot) in measured.iter_mut().enumerate() {
+                if slot.as_ref().is_some_and(|m| m.reason.is_none()) && round > 0 {
                     continue;
                 }
-                measured[k] = self.measure(source, &pose, k)?;
+                *slot = self.measure(source, &pose, k)?;
             }
             let sound = |m: &Measured| m.reason.is_none();
             let points: Vec<_> = (0..self.film.len())
