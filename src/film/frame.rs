@@ -34,7 +34,7 @@ pub struct FindOptions {
 }
 
 impl Default for FindOptions {
-    /// The box is that of the 2017 thesis. Film keeps its marks within 10 to 20 µm of a similarity; 2.5 px leave room for that on
+    /// The box is that of the 2017 thesis. The real Wild frame keeps its corners within 20 µm of an affine transform; 2.5 px leave room for that on
     /// coarse scans and still show an error of 5 px in one mark.
     fn default() -> Self {
         FindOptions {
