@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::film::learn::{Pointed, learn};
 use autoref_stream::film::template::LearnedTemplate;
-use autoref_stream::film::{Camera, FindOptions, Finder, FrameResult, MarkKind, MarkStatus, find_frame, load_camera};
+use autoref_stream::film::{
+    Camera, FindOptions, Finder, FrameResult, FrameStatus, MarkKind, MarkStatus, find_frame, load_camera,
+};
 use autoref_stream::raster::RasterSource;
 use autoref_stream::synth::{FilmGround, FilmScene, FilmSpec, GreyPhoto};
 use rayon::prelude::*;
@@ -47,7 +49,6 @@ struct Tally {
     good: usize,
     undamaged: usize,
     square_px2: f64,
-    /// Cut marks passed as good although off.
     seconds: f64,
 }
 
@@ -157,9 +158,7 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool) -> Tally {
 
 #[test]
 fn svalbard_marks_are_found_and_no_gross_error_is_passed() {
-    let (pixel_um, frames) = if large() { (20.0, 1_260) } else { (27.0, 16) };
-    let frames = std::env::var("AUTOREF_FILM_FRAMES").ok().and_then(|n| n.parse().ok()).unwrap_or(frames);
-    let pixel_um = std::env::var("AUTOREF_FILM_UM").ok().and_then(|n| n.parse().ok()).unwrap_or(pixel_um);
+    let (pixel_um, frames) = if large() { (20.0, 1_320) } else { (27.0, 10) };
     let t = trial("svalbard-zeiss-1936", pixel_um, frames, true);
     assert_eq!(t.unflagged, 0);
     assert!(t.share() >= 0.999 || t.marks - t.within_2px <= usize::from(!large()), "{t:?}");
@@ -265,9 +264,9 @@ fn real_shapes(family: &str, pixel_um: f64, folder: &Path) -> Option<Camera> {
 fn real_windows_are_found_by_a_template_learned_on_other_placements() {
     let folder = tempfile::tempdir().expect("a folder");
     let ground = ground();
-    for (family, pixel_um, window_mm) in
-        [("ee_block", 30.0, [10.0, 10.0]), ("nagap_arc", 30.0, [11.0, 11.0]), ("nagap_notch", 50.0, [7.0, 7.0])]
-    {
+    let families: [(&str, f64, [f64; 2]); 3] =
+        [("nagap_notch", 50.0, [7.0, 7.0]), ("ee_block", 30.0, [10.0, 10.0]), ("nagap_arc", 30.0, [11.0, 11.0])];
+    for &(family, pixel_um, window_mm) in if large() { &families[..] } else { &families[..1] } {
         let Some(camera) = real_shapes(family, pixel_um, folder.path()) else {
             println!("film/shapes/{family} is absent: skipped");
             continue;
@@ -295,7 +294,7 @@ fn real_windows_are_found_by_a_template_learned_on_other_placements() {
             mark.kind = MarkKind::Learned { template: path };
         }
         let finder = Finder::new(&learned).expect("templates can be read");
-        for seed in if large() { 200..240 } else { 200..202 } {
+        for seed in if large() { 200..220 } else { 200..201 } {
             let other = scene(seed);
             let found = finder.find(&other, &options).expect("in memory");
             for truth in &other.truth().marks {
@@ -306,4 +305,79 @@ fn real_windows_are_found_by_a_template_learned_on_other_placements() {
             }
         }
     }
+}
+
+/// A roll through the program: exit codes, what is written, resuming, a broken frame.
+#[test]
+fn a_roll_is_examined_resumed_and_never_stopped_by_a_bad_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (scans, out) = (folder.path().join("scans"), folder.path().join("out"));
+    let program = || assert_cmd::Command::cargo_bin("autoref-stream").expect("built");
+    for (camera, extra) in [("wild-15-4", vec!["--frames", "2"]), ("rmk-cross", vec![])] {
+        program()
+            .arg("synth-film")
+            .arg(&scans)
+            .args(["--camera", camera, "--pixel-um", "80", "--tiles", "256"])
+            .args(extra)
+            .assert()
+            .success();
+    }
+    let roll = |list: &[&str], code: i32| {
+        let paths: Vec<PathBuf> = list.iter().map(|n| scans.join(n)).collect();
+        let run = program()
+            .arg("fiducials")
+            .args(&paths)
+            .args(["--camera", "wild-15-4", "--quiet", "-o"])
+            .arg(&out)
+            .assert()
+            .code(code);
+        String::from_utf8(run.get_output().stdout.clone()).expect("text")
+    };
+    let good = ["wild-15-4-1.tif", "wild-15-4-2.tif"];
+    assert!(roll(&good, 0).contains("2 frames: 2 OK"));
+    assert!(roll(&good, 0).contains("(2 from an earlier run)"), "unchanged frames are not examined again");
+    std::fs::write(scans.join("broken.tif"), b"II*\0 no TIFF").expect("writable");
+    let mixed = ["wild-15-4-1.tif", "broken.tif", "rmk-cross-1.tif"];
+    let said = roll(&mixed, 1);
+    assert!(said.contains("3 frames: 1 OK"), "{said}");
+    let frame: FrameResult =
+        serde_json::from_str(&std::fs::read_to_string(out.join("wild-15-4-1.fiducials.json")).expect("written"))
+            .expect("a frame's result");
+    let truth: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(scans.join("wild-15-4-1.truth.json")).expect("written"))
+            .expect("the truth");
+    for (mark, t) in frame.marks.iter().zip(truth["marks"].as_array().expect("a list")) {
+        let c = mark.centre.expect("found");
+        let (x, y) = (t["x"].as_f64().expect("a number"), t["y"].as_f64().expect("a number"));
+        assert!((c.x - x).hypot(c.y - y) < 1.0, "{mark:?} {t}");
+    }
+    let table = std::fs::read_to_string(out.join("fiducials.csv")).expect("written");
+    assert!(table.lines().count() >= 1 + 8 + 1, "{table}");
+    program().args(["fiducials", "x.tif", "--camera", "no-such-camera"]).assert().code(2);
+}
+
+/// A scan that shows the film half off centre, and one that lost a mark.
+#[test]
+fn the_search_grows_and_three_marks_solve_with_the_reservation() {
+    let camera = load_camera("svalbard-zeiss-1936").expect("built in");
+    let finder = Finder::new(&camera).expect("drawn shapes");
+    let ground = ground();
+    let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(false), ..FindOptions::default() };
+    let mut spec = FilmSpec::plain(&camera, 27.0, 5);
+    (spec.margin_mm, spec.offset_mm) = (14.0, [12.0, -11.0]);
+    let scene = FilmScene::new(&spec, &ground).expect("drawable");
+    let found = finder.find(&scene, &FindOptions { pixel_um: Some(27.0), ..options.clone() }).expect("in memory");
+    assert!(found.is_ok(), "{:?}", found.status);
+    let t = score(&scene, &found);
+    assert_eq!((t.within_2px, t.unflagged), (4, 0));
+
+    let mut spec = FilmSpec::plain(&camera, 27.0, 6);
+    spec.crop_mm = [8.0, 0.0, 0.0, 0.0];
+    let scene = FilmScene::new(&spec, &ground).expect("drawable");
+    let found = finder.find(&scene, &FindOptions { pixel_um: Some(27.0), ..options }).expect("in memory");
+    let FrameStatus::Doubtful { reasons } = &found.status else { panic!("{:?}", found.status) };
+    assert!(reasons[0].contains("solved with 3 of 4 marks"), "{reasons:?}");
+    let left = found.marks.iter().find(|m| m.mark == "LEFT").expect("reported");
+    assert!(left.status == MarkStatus::Missing && left.centre.is_none() && left.predicted.is_some());
+    assert_eq!(score(&scene, &found).within_2px, 3);
 }

@@ -10,7 +10,7 @@ use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
 use autoref_stream::window::Window;
 
-use super::plant::Picture;
+use autoref_stream::synth::plant::Picture;
 
 pub struct Detector {
     pub profile: Profile,

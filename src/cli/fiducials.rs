@@ -188,6 +188,7 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         let known = ["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt"];
         let mut inside: Vec<PathBuf> = list
             .filter_map(|e| e.ok().map(|e| e.path()))
+            .filter(|p| p.file_name().is_some_and(|n| !n.to_string_lossy().starts_with('.')))
             .filter(|p| p.extension().and_then(|e| e.to_str()).is_some_and(|e| known.contains(&&*e.to_lowercase())))
             .collect();
         if inside.is_empty() {

@@ -25,6 +25,7 @@ pub mod solving;
 pub mod synth;
 pub mod undo;
 pub mod write;
+pub mod synth_film;
 
 /// Georeferences very large rasters from painted marks, without a click.
 ///
@@ -68,6 +69,8 @@ pub enum Command {
     Plan(plan::PlanArgs),
     Fiducials(fiducials::FiducialsArgs),
     Selftest(selftest::SelftestArgs),
+    Fiducials(Box<fiducials::FiducialsArgs>),
+    SynthFilm(synth_film::SynthFilmArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -85,6 +88,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),
+        Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         None => run::run(&cli.run),
     }
 }

@@ -34,7 +34,7 @@ pub struct FindOptions {
 }
 
 impl Default for FindOptions {
-    /// The box is that of the 2017 thesis. Film keeps its marks within 10 to 20 µm of a similarity; 2.5 px leave room for that on
+    /// The box is that of the 2017 thesis. The real Wild frame keeps its corners within 20 µm of an affine transform; 2.5 px leave room for that on
     /// coarse scans and still show an error of 5 px in one mark.
     fn default() -> Self {
         FindOptions {
@@ -260,11 +260,11 @@ impl Finder {
         let mut measured: Vec<Option<Measured>> = vec![None; self.film.len()];
         // Twice: the first round's pose is that of coarse peaks.
         for round in 0..2 {
-            for k in 0..self.film.len() {
-                if measured[k].as_ref().is_some_and(|m| m.reason.is_none()) && round > 0 {
+            for (k, slot) in measured.iter_mut().enumerate() {
+                if slot.as_ref().is_some_and(|m| m.reason.is_none()) && round > 0 {
                     continue;
                 }
-                measured[k] = self.measure(source, &pose, k)?;
+                *slot = self.measure(source, &pose, k)?;
             }
             let sound = |m: &Measured| m.reason.is_none();
             let points: Vec<_> = (0..self.film.len())

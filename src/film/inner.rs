@@ -186,14 +186,7 @@ fn covariance(inner: &InnerOrientation, marks: &[Observation], sign: f64) -> Opt
         let w = h[6] * m.pixel.x + h[7] * m.pixel.y + h[8];
         let at = inner.to_mm(m.pixel)?;
         let rows: [Vec<f64>; 2] = match inner.model {
-            InnerModel::Similarity => [
-                vec![mirror * x, -y, 1.0, 0.0]
-                    .into_iter()
-                    .enumerate()
-                    .map(|(k, v)| if k == 1 { v * sign * sign } else { v })
-                    .collect(),
-                vec![sign * y, sign * mirror * x, 0.0, 1.0],
-            ],
+            InnerModel::Similarity => [vec![mirror * x, -y, 1.0, 0.0], vec![sign * y, sign * mirror * x, 0.0, 1.0]],
             InnerModel::Affine => [vec![x, y, 1.0, 0.0, 0.0, 0.0], vec![0.0, 0.0, 0.0, x, y, 1.0]],
             InnerModel::Projective => [
                 vec![x / w, y / w, 1.0 / w, 0.0, 0.0, 0.0, -at[0] * x / w, -at[0] * y / w],

@@ -185,8 +185,9 @@ pub struct InnerOrientation {
     pub rmse_um: f64,
     /// Standard deviation of unit weight of one coordinate, micrometres: √(v'v / redundancy); `None` without redundancy.
     pub sigma0_um: Option<f64>,
-    /// Covariance of the free entries of `pixel_to_mm` in their order (similarity: a, b, X₀, Y₀ with h0 = a, h1 = −b·s,
-    /// h3 = b, h4 = a·s, s = −1 for y up), row by row; from the marks' covariances, scaled by sigma0 when that is larger.
+    /// Covariance of the free coefficients, row by row: of a similarity (a, b, X₀, Y₀) with h0 = m·a, h1 = −b, h3 = s·m·b,
+    /// h4 = s·a, s = −1 for y up, m = −1 when mirrored; else h0 to h5 (affine) or h0 to h7. From the marks' covariances, scaled
+    /// by the variance of unit weight when that is above 1.
     pub covariance: Vec<Vec<f64>>,
     /// Names of the marks used.
     pub marks: Vec<String>,

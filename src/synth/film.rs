@@ -205,8 +205,11 @@ impl FilmScene {
     pub fn new(spec: &FilmSpec, ground: &FilmGround) -> Result<FilmScene> {
         let camera = &spec.camera;
         let unit = 1e3 / spec.pixel_um;
-        let film_size =
-            if spec.quarters % 2 == 0 { camera.film_size_mm } else { [camera.film_size_mm[1], camera.film_size_mm[0]] };
+        let film_size = if spec.quarters.is_multiple_of(2) {
+            camera.film_size_mm
+        } else {
+            [camera.film_size_mm[1], camera.film_size_mm[0]]
+        };
         let film_size = film_size.map(|v| v + 2.0 * spec.margin_mm);
         let [left, top, right, bottom] = spec.crop_mm;
         let width = ((film_size[0] - left - right) * unit).round().max(64.0) as u64;
@@ -288,7 +291,7 @@ impl RasterSource for FilmScene {
 /// # Errors
 /// [`Error::Usage`] for tiles that are no multiple of 16, [`Error::Io`] and [`Error::Gdal`] when writing fails.
 pub fn write_film(scene: &FilmScene, path: &Path, tile: u64) -> Result<()> {
-    if tile % 16 != 0 || tile > 4096 {
+    if !tile.is_multiple_of(16) || tile > 4096 {
         return Err(Error::usage(
             "tiles must be a multiple of 16 pixels, up to 4096",
             "use 256 or 512, or 0 for strips",
