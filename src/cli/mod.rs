@@ -9,6 +9,7 @@ pub mod common;
 pub mod detect;
 pub mod distance;
 pub mod fiducials;
+pub mod film_outputs;
 pub mod run;
 pub mod sample;
 pub mod solve;

@@ -11,6 +11,7 @@
 pub mod camera;
 pub mod check;
 pub mod constellation;
+pub mod contact_sheet;
 pub mod frame;
 pub mod inner;
 pub mod micmac;
