@@ -41,3 +41,47 @@ pub fn image_xml(frame: &FrameResult) -> Option<String> {
 pub fn file_name(frame: &FrameResult) -> String {
     frame.path.file_name().map_or_else(|| frame.name.clone(), |n| n.to_string_lossy().into_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::film::load_camera;
+
+    /// Element names in order of opening, and the text of each.
+    fn read_back(xml: &str) -> Vec<(String, String)> {
+        let mut reader = quick_xml::Reader::from_str(xml);
+        let mut seen: Vec<(String, String)> = vec![];
+        loop {
+            match reader.read_event().expect("well-formed") {
+                quick_xml::events::Event::Start(e) => {
+                    seen.push((
+                        std::str::from_utf8(e.name().into_inner().as_ref()).expect("UTF-8").to_owned(),
+                        String::new(),
+                    ));
+                }
+                quick_xml::events::Event::Text(t) => {
+                    if let Some(last) = seen.last_mut().filter(|l| l.1.is_empty()) {
+                        last.1 = t.trim().to_owned();
+                    }
+                }
+                quick_xml::events::Event::Eof => return seen,
+                _ => {}
+            }
+        }
+    }
+
+    #[test]
+    fn the_camera_file_reads_back_in_order_with_y_down() {
+        let camera = load_camera("wild-15-4").expect("built in");
+        let seen = read_back(&camera_xml(&camera));
+        assert_eq!((seen[0].0.as_str(), seen[1].0.as_str()), ("MesureAppuiFlottant1Im", "NameIm"));
+        assert_eq!(seen.len(), 2 + 3 * camera.marks.len());
+        for (group, (mark, mm)) in seen[2..].chunks(3).zip(camera.marks.iter().zip(camera.film_points())) {
+            assert_eq!(group[0].0, "OneMesureAF1I");
+            assert_eq!(group[1], ("NamePt".into(), mark.name.clone()));
+            let xy: Vec<f64> = group[2].1.split(' ').map(|v| v.parse().expect("a number")).collect();
+            assert_eq!((group[2].0.as_str(), xy.as_slice()), ("PtIm", mm.as_slice()));
+            assert_eq!(Some(-xy[1]), mark.y_mm);
+        }
+    }
+}
