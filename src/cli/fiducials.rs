@@ -67,6 +67,8 @@ pub struct FiducialsArgs {
     /// No progress bar.
     #[arg(long, help_heading = "Running")]
     quiet: bool,
+    #[command(flatten)]
+    outputs: super::film_outputs::FilmOutputArgs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -154,6 +156,14 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
         }
     })?;
     bar.finish_and_clear();
+    let outputs = &args.outputs;
+    let mut reviewed_ok = None;
+    if outputs.exports || outputs.resample || outputs.patch.is_some() {
+        let read = |scan: &PathBuf| roll::read_frame(&roll::frame_json(&args.output, scan));
+        let mut frames = scans.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+        super::film_outputs::write_outputs(&args.output, &camera, &mut frames, options.model, outputs)?;
+        reviewed_ok = outputs.patch.as_ref().map(|_| frames.iter().all(FrameResult::is_ok));
+    }
     if !args.json {
         println!(
             "{} frames: {} OK, {} doubtful, {} failed ({} from an earlier run); results in {}",
@@ -165,7 +175,7 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
             args.output.display()
         );
     }
-    Ok(if summary.all_ok() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if reviewed_ok.unwrap_or(summary.all_ok()) { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
 fn line(frame: &FrameResult) -> String {

@@ -12,6 +12,7 @@ pub mod detect;
 pub mod distance;
 pub mod doctor;
 pub mod fiducials;
+pub mod film_outputs;
 pub mod frame;
 pub mod plan;
 pub mod replay;
@@ -23,9 +24,9 @@ pub mod shell;
 pub mod solve;
 pub mod solving;
 pub mod synth;
+pub mod synth_film;
 pub mod undo;
 pub mod write;
-pub mod synth_film;
 
 /// Georeferences very large rasters from painted marks, without a click.
 ///
