@@ -16,8 +16,8 @@
 pub mod accuracy;
 pub mod candidate;
 pub mod coords;
-pub mod doctor;
 pub mod error;
+pub mod film;
 pub mod gcp;
 pub mod georef;
 pub mod matching;

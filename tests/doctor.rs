@@ -1,83 +1,97 @@
-//! The blunder doctor on the lists of Lerkendal and E6: it names each mistake, and none where there is none.
+//! The blunder doctor: every mistake it knows, made in the two lists of the thesis, and correct lists, about which it must
+//! say nothing.
 
 mod common;
 
 use autoref_stream::candidate::Candidate;
-use autoref_stream::coords::PixelPoint;
-use autoref_stream::doctor::{Axis, Case, Diagnosis, Mistake, OwnGeoreference, diagnose};
+use autoref_stream::coords::{MapPoint, PixelPoint};
 use autoref_stream::gcp::Gcp;
 use autoref_stream::georef::crs::{Coordinate, Crs};
-use autoref_stream::matching::{Priors, RobustMatcher};
-use autoref_stream::pipeline::georeference::{Outcome, solve_candidates};
+use autoref_stream::matching::doctor::{
+    Certainty, Diagnosis, Doctor, FOOT_M, KnownPlace, Mistake, US_SURVEY_FOOT_M, exchanged_labels,
+};
+use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
 use autoref_stream::solve::Similarity;
 use common::{Random, bare_candidate};
 
-/// A list, candidates in which its pattern is, and what was known before.
+/// A list, what was found in the image, and what is known of the image.
 #[derive(Clone)]
-struct Scene {
-    name: &'static str,
+struct Setting {
+    what: &'static str,
     gcps: Vec<Gcp>,
     candidates: Vec<Candidate>,
-    size: (f64, f64),
-    priors: Priors,
-    /// GCPs whose marks are among the candidates.
+    /// GCPs that have a mark.
     visible: Vec<usize>,
+    gsd: f64,
+    size: (f64, f64),
     truth: Similarity,
 }
 
-impl Scene {
-    fn run(&self, crs: Option<&Crs>, labels: &[Option<String>], own: Option<&OwnGeoreference>) -> Vec<Diagnosis> {
-        let matcher = RobustMatcher::default();
-        let mut outcome = solve_candidates(&self.candidates, &self.gcps, &matcher, &self.priors).expect("no image");
-        if matches!(outcome, Outcome::Refused(_)) && own.is_some() {
-            // What the program does when what the image says of itself does not help.
-            let free = Priors { gsd_m_per_px: None, ..self.priors.clone() };
-            outcome = solve_candidates(&self.candidates, &self.gcps, &matcher, &free).expect("no image");
+impl Setting {
+    fn priors(&self) -> Priors {
+        Priors {
+            gsd_m_per_px: Some((self.gsd * 0.9, self.gsd * 1.1)),
+            rotation_deg: None,
+            image_size_px: Some(self.size),
         }
-        let case = Case {
-            candidates: &self.candidates,
-            labels,
-            gcps: &self.gcps,
-            crs,
-            matcher: &matcher,
-            priors: &self.priors,
-            own,
-        };
-        diagnose(&case, &outcome)
     }
 
-    fn changed(&self, change: impl Fn(usize, &mut Gcp)) -> Scene {
-        let mut scene = self.clone();
-        scene.gcps.iter_mut().enumerate().for_each(|(i, gcp)| change(i, gcp));
-        scene
+    fn known(&self) -> KnownPlace {
+        let centre_px = PixelPoint { x: self.size.0 / 2.0, y: self.size.1 / 2.0 };
+        KnownPlace { centre: self.truth.apply(centre_px), centre_px }
     }
 
-    fn own(&self, crs: &Crs) -> OwnGeoreference {
-        OwnGeoreference { geotransform: self.truth.geotransform(), crs: crs.clone(), image_size_px: self.size }
+    fn edit(&self, edit: impl Fn(&mut Gcp)) -> Setting {
+        let mut setting = self.clone();
+        setting.gcps.iter_mut().for_each(edit);
+        setting
+    }
+
+    fn ask(&self, priors: &Priors, crs: Option<&Crs>, known: Option<KnownPlace>) -> (bool, Vec<Diagnosis>) {
+        let matcher = RobustMatcher::default();
+        let outcome = matcher.find(&self.candidates, &self.gcps, priors);
+        let doctor = Doctor { candidates: &self.candidates, gcps: &self.gcps, priors, crs, known, matcher };
+        match outcome {
+            MatchOutcome::Solved(solved) => (true, doctor.on_solution(&solved.pattern)),
+            MatchOutcome::NoMatch(evidence) => (false, doctor.on_refusal(evidence.best.as_ref())),
+        }
+    }
+
+    #[track_caller]
+    fn must_name(&self, mistake: Mistake, answer: &(bool, Vec<Diagnosis>), gcps: &[usize]) {
+        let names: Vec<&str> = gcps.iter().map(|&g| self.gcps[g].name.as_str()).collect();
+        let found =
+            answer.1.iter().find(|d| d.mistake == mistake && names.iter().all(|n| d.gcps.iter().any(|g| g == n)));
+        println!("{}: {answer:?}", self.what);
+        assert!(found.is_some(), "{}: {mistake:?} of {names:?} is not named: {answer:?}", self.what);
     }
 }
 
-/// The 294 real detections.
-fn lerkendal() -> Option<Scene> {
-    let gcps = common::thesis_gcps("thesis/b1_lerkendal_gcps.csv")?;
+/// The real detections of Lerkendal: 14 of 20 GCPs among 294 candidates.
+fn lerkendal() -> Option<Setting> {
     let candidates = common::thesis_candidates("thesis/b3_candidates.csv")?;
-    let size = (22_039.0, 20_051.0);
-    let priors = Priors { gsd_m_per_px: Some((0.029, 0.0352)), rotation_deg: None, image_size_px: Some(size) };
-    let outcome = solve_candidates(&candidates, &gcps, &RobustMatcher::default(), &priors).expect("no image");
-    let Outcome::Solved(orientation) = outcome else { panic!("the list is right") };
-    let visible = orientation.marks.iter().map(|mark| mark.gcp).collect();
-    let truth = orientation.solution.similarity;
-    Some(Scene { name: "Lerkendal", gcps, candidates, size, priors, visible, truth })
+    let gcps = common::thesis_gcps("thesis/b1_lerkendal_gcps.csv")?;
+    let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
+        panic!("the correct list fits")
+    };
+    Some(Setting {
+        what: "Lerkendal",
+        visible: solved.pattern.pairs.iter().map(|pair| pair.1).collect(),
+        gcps,
+        candidates,
+        gsd: 0.032,
+        size: (22_039.0, 20_051.0),
+        truth: solved.pattern.similarity,
+    })
 }
 
-/// Marks planted for the E6 list.
-fn e6(seed: u64, visible: usize, clutter: usize) -> Option<Scene> {
+/// An image somewhere over the E6 list, `visible` marks with 0.5 px of error, and false candidates.
+fn e6(random: &mut Random, visible: usize, false_candidates: usize) -> Option<Setting> {
     let gcps = common::thesis_gcps("thesis/b2_e6_gcps.csv")?;
-    let mut random = Random::new(seed);
-    let size = (15_828.0, 47_619.0);
+    let (size, gsd) = ((15_828.0, 47_619.0), 0.03);
     loop {
-        let angle = random.uniform(-20f64, 20.0).to_radians();
-        let (a_re, a_im) = (0.03 * angle.cos(), 0.03 * angle.sin());
+        let angle = random.uniform(-20.0, 20.0).to_radians();
+        let (a_re, a_im) = (gsd * angle.cos(), gsd * angle.sin());
         let anchor = gcps[random.below(gcps.len())].position();
         let (x, y) = (random.uniform(0.0, size.0), -random.uniform(0.0, size.1));
         let truth = Similarity {
@@ -86,230 +100,219 @@ fn e6(seed: u64, visible: usize, clutter: usize) -> Option<Scene> {
             easting_0: anchor.easting - (a_re * x - a_im * y),
             northing_0: anchor.northing - (a_im * x + a_re * y),
         };
-        let inside = |p: PixelPoint| p.x > 0.0 && p.y > 0.0 && p.x < size.0 && p.y < size.1;
-        let mut seen: Vec<usize> = (0..gcps.len()).filter(|&i| inside(truth.invert(gcps[i].position()))).collect();
-        if seen.len() < visible {
+        let inside: Vec<usize> = (0..gcps.len())
+            .filter(|&i| {
+                let p = truth.invert(gcps[i].position());
+                p.x >= 0.0 && p.y >= 0.0 && p.x < size.0 && p.y < size.1
+            })
+            .collect();
+        if inside.len() < visible {
             continue;
         }
-        let order = random.order(seen.len());
-        seen = order.into_iter().take(visible).map(|i| seen[i]).collect();
-        let mut candidates: Vec<Candidate> = seen
+        let visible: Vec<usize> = random.order(inside.len()).into_iter().take(visible).map(|i| inside[i]).collect();
+        let mut candidates: Vec<Candidate> = visible
             .iter()
             .map(|&i| {
                 let p = truth.invert(gcps[i].position());
                 bare_candidate(p.x + 0.5 * random.normal(), p.y + 0.5 * random.normal())
             })
             .collect();
-        candidates
-            .extend((0..clutter).map(|_| bare_candidate(random.uniform(0.0, size.0), random.uniform(0.0, size.1))));
-        let priors = Priors { gsd_m_per_px: Some((0.027, 0.033)), rotation_deg: None, image_size_px: Some(size) };
-        return Some(Scene { name: "E6", gcps, candidates, size, priors, visible: seen, truth });
+        candidates.extend(
+            (0..false_candidates).map(|_| bare_candidate(random.uniform(0.0, size.0), random.uniform(0.0, size.1))),
+        );
+        return Some(Setting { what: "E6", gcps, candidates, visible, gsd, size, truth });
     }
 }
 
-fn scenes() -> Vec<Scene> {
-    [lerkendal(), e6(11, 9, 60)].into_iter().flatten().collect()
-}
-
-fn utm32() -> Crs {
-    Crs::from_epsg(25832).expect("known")
-}
-
-fn mistakes(diagnoses: &[Diagnosis]) -> Vec<Mistake> {
-    diagnoses.iter().map(|d| d.mistake.clone()).collect()
+fn settings(visible: usize, false_candidates: usize) -> Vec<Setting> {
+    [lerkendal(), e6(&mut Random::new(31), visible, false_candidates)].into_iter().flatten().collect()
 }
 
 #[test]
-fn correct_lists_are_left_alone() {
-    let trials = if common::large() { 500 } else { 40 };
-    let scenes = scenes().into_iter().chain((0..trials).filter_map(|seed| {
-        let visible = 6 + seed as usize % 6;
-        e6(1000 + seed, visible, 20 + 40 * (seed as usize % 5))
-    }));
-    let (mut runs, mut claimed) = (0, 0);
-    for scene in scenes {
-        let found = scene.run(Some(&utm32()), &[], Some(&scene.own(&utm32())));
-        runs += 1;
-        if !found.is_empty() {
-            claimed += 1;
-            println!("{}: {found:?}", scene.name);
+fn swapped_columns_and_mirrored_images_are_told_apart() {
+    for setting in settings(7, 300) {
+        let swapped = setting.edit(|g| std::mem::swap(&mut g.easting, &mut g.northing));
+        let answer = swapped.ask(&swapped.priors(), None, None);
+        assert!(!answer.0);
+        swapped.must_name(Mistake::EastingNorthingSwapped, &answer, &[]);
+        let mut mirrored = setting.clone();
+        mirrored.candidates.iter_mut().for_each(|c| c.centre.x = setting.size.0 - c.centre.x);
+        let answer = mirrored.ask(&mirrored.priors(), None, None);
+        assert!(!answer.0);
+        mirrored.must_name(Mistake::MirroredImage, &answer, &[]);
+        assert_eq!(answer.1[0].certainty, Certainty::Claimed);
+    }
+}
+
+#[test]
+fn feet_show_in_the_scale_and_their_kind_in_the_place() {
+    for setting in settings(7, 300) {
+        for (foot, kind) in [(FOOT_M, Mistake::InternationalFeet), (US_SURVEY_FOOT_M, Mistake::UsSurveyFeet)] {
+            let feet = setting.edit(|g| (g.easting, g.northing) = (g.easting / foot, g.northing / foot));
+            let answer = feet.ask(&feet.priors(), None, None);
+            assert!(!answer.0, "feet for metres must not fit a known scale");
+            feet.must_name(Mistake::Feet, &answer, &[]);
+            // Without the scale it fits, and the image's own place tells.
+            let unknown = Priors { gsd_m_per_px: Some((0.02, 0.2)), ..feet.priors() };
+            let answer = feet.ask(&unknown, None, Some(setting.known()));
+            assert!(answer.0);
+            // The international and the US survey foot are 14 m apart here: a smaller image would tell them from each other
+            // as well as a place that is right to a few metres, which this one is.
+            feet.must_name(kind, &answer, &[]);
         }
+        let priors = Priors {
+            gsd_m_per_px: Some((0.09 * setting.gsd / 0.0305, 0.11 * setting.gsd / 0.0305)),
+            ..setting.priors()
+        };
+        let answer = setting.ask(&priors, None, None);
+        assert!(!answer.0);
+        setting.must_name(Mistake::GsdInFeet, &answer, &[]);
     }
-    println!("{claimed} of {runs} correct lists were doubted");
-    assert_eq!(claimed, 0);
 }
 
 #[test]
-fn a_pattern_that_is_not_there_is_no_mistake_of_the_list() {
-    let Some(mut scene) = e6(5, 6, 0) else { return };
+fn exchanged_coordinates_of_two_points_are_named() {
+    for setting in settings(9, 200) {
+        let (i, j) = (setting.visible[1], setting.visible[4]);
+        let mut wrong = setting.clone();
+        (wrong.gcps[i].easting, wrong.gcps[j].easting) = (setting.gcps[j].easting, setting.gcps[i].easting);
+        let answer = wrong.ask(&wrong.priors(), None, None);
+        wrong.must_name(Mistake::CoordinatesExchanged, &answer, &[i, j]);
+    }
+}
+
+#[test]
+fn a_mistyped_or_transposed_digit_is_named() {
+    for setting in settings(7, 30) {
+        let i = setting.visible[2];
+        let mut wrong = setting.clone();
+        let tens = (setting.gcps[i].northing / 10.0).floor() as i64 % 10;
+        wrong.gcps[i].northing += if tens < 5 { 40.0 } else { -40.0 };
+        let answer = wrong.ask(&wrong.priors(), None, None);
+        wrong.must_name(Mistake::MistypedDigit, &answer, &[i]);
+        // Digits that differ, in the easting: tens and ones.
+        let digits = |g: usize| {
+            let e = setting.gcps[g].easting.floor() as i64;
+            (e / 10 % 10, e % 10)
+        };
+        let &j = setting.visible.iter().find(|&&g| digits(g).0 != digits(g).1).expect("some number has two digits");
+        let mut wrong = setting.clone();
+        let (tens, ones) = digits(j);
+        wrong.gcps[j].easting += 9.0 * (ones - tens) as f64;
+        let answer = wrong.ask(&wrong.priors(), None, None);
+        wrong.must_name(Mistake::TransposedDigits, &answer, &[j]);
+    }
+}
+
+#[test]
+fn a_wrong_zone_shows_in_the_place_and_in_single_rows() {
+    let (zone_32, zone_33) = (Crs::from_epsg(25832).expect("a zone"), Crs::from_epsg(25833).expect("a zone"));
+    let to_33 = |g: &mut Gcp| {
+        let mut point = [Coordinate { x: g.easting, y: g.northing, height: None }];
+        zone_32.transform(&mut point, &zone_33, 1.0).expect("a projection");
+        (g.easting, g.northing) = (point[0].x, point[0].y);
+    };
+    for setting in settings(9, 200) {
+        let all = setting.edit(to_33);
+        let answer = all.ask(&all.priors(), Some(&zone_32), Some(setting.known()));
+        assert!(answer.0, "another zone is the same pattern");
+        all.must_name(Mistake::WrongUtmZone, &answer, &[]);
+        let mut some = setting.clone();
+        let rows = &setting.visible[..2];
+        rows.iter().for_each(|&g| to_33(&mut some.gcps[g]));
+        let answer = some.ask(&some.priors(), Some(&zone_32), None);
+        some.must_name(Mistake::WrongUtmZone, &answer, rows);
+        // A sharp idea of north does not agree with another zone's meridian.
+        let north = Priors { rotation_deg: Some((setting.truth.rotation_deg(), 1.0)), ..all.priors() };
+        let answer = all.ask(&north, Some(&zone_32), None);
+        assert!(!answer.0);
+        all.must_name(Mistake::WrongUtmZone, &answer, &[]);
+    }
+}
+
+#[test]
+fn a_ground_factor_shows_in_the_place() {
+    for setting in settings(7, 200) {
+        let ground = setting.edit(|g| (g.easting, g.northing) = (g.easting * 1.0004, g.northing * 1.0004));
+        let answer = ground.ask(&ground.priors(), None, Some(setting.known()));
+        assert!(answer.0);
+        ground.must_name(Mistake::GridToGround, &answer, &[]);
+    }
+}
+
+#[test]
+fn single_rows_with_swapped_columns_or_in_feet_are_named() {
+    for setting in settings(9, 200) {
+        let rows = &setting.visible[..2];
+        let mut swapped = setting.clone();
+        for &g in rows {
+            let gcp = &mut swapped.gcps[g];
+            std::mem::swap(&mut gcp.easting, &mut gcp.northing);
+        }
+        let answer = swapped.ask(&swapped.priors(), None, None);
+        swapped.must_name(Mistake::EastingNorthingSwapped, &answer, rows);
+        let mut feet = setting.clone();
+        for &g in rows {
+            let gcp = &mut feet.gcps[g];
+            (gcp.easting, gcp.northing) = (gcp.easting / FOOT_M, gcp.northing / FOOT_M);
+        }
+        let answer = feet.ask(&feet.priors(), None, None);
+        feet.must_name(Mistake::InternationalFeet, &answer, rows);
+    }
+}
+
+#[test]
+fn exchanged_labels_show_when_marks_carry_names() {
+    for setting in settings(7, 100) {
+        let MatchOutcome::Solved(solved) =
+            RobustMatcher::default().find(&setting.candidates, &setting.gcps, &setting.priors())
+        else {
+            panic!("the correct list fits")
+        };
+        let mut labels: Vec<(usize, String)> =
+            solved.pattern.pairs.iter().map(|&(c, g)| (c, setting.gcps[g].name.clone())).collect();
+        assert_eq!(exchanged_labels(&labels, &solved.pattern, &setting.gcps), []);
+        let (one, other) = (labels[1].1.clone(), labels[3].1.clone());
+        (labels[1].1, labels[3].1) = (other.clone(), one.clone());
+        let told = exchanged_labels(&labels, &solved.pattern, &setting.gcps);
+        assert_eq!(told.len(), 1);
+        assert_eq!(told[0].mistake, Mistake::LabelsExchanged);
+        assert!(told[0].gcps.contains(&one) && told[0].gcps.contains(&other));
+    }
+}
+
+/// Correct lists: with the pattern in the image, with a part of it, and without it.
+#[test]
+fn nothing_is_claimed_about_correct_lists() {
+    let count = if common::large() { 600 } else { 48 };
+    let crs = Crs::from_epsg(25832).expect("a zone");
     let mut random = Random::new(77);
-    for clutter in [50, 300] {
-        scene.candidates = (0..clutter)
-            .map(|_| bare_candidate(random.uniform(0.0, scene.size.0), random.uniform(0.0, scene.size.1)))
-            .collect();
-        assert_eq!(scene.run(Some(&utm32()), &[], None), []);
+    let (mut solved, mut possible) = (0, 0);
+    for trial in 0..count {
+        let visible = [7, 0, 5, 4][trial % 4];
+        let false_candidates = 20 + random.below(if trial % 4 == 1 { 300 } else { 600 });
+        let Some(setting) = e6(&mut random, visible, false_candidates) else { return };
+        // A place as good as a consumer receiver's.
+        let mut known = setting.known();
+        known.centre = MapPoint {
+            easting: known.centre.easting + 5.0 * random.normal(),
+            northing: known.centre.northing + 5.0 * random.normal(),
+        };
+        let known = (trial % 3 != 0).then_some(known);
+        let (fits, told) = setting.ask(&setting.priors(), Some(&crs), known);
+        solved += usize::from(fits);
+        possible += usize::from(!told.is_empty());
+        assert!(told.iter().all(|d| d.certainty == Certainty::Possible), "trial {trial}, {visible} visible: {told:?}");
     }
+    println!("{count} correct lists, {solved} solved: 0 mistakes claimed, {possible} mentioned as possible");
+    // The figure that is printed with a possibility is at most POSSIBLE_LOG10 for each kind of slip, of which there are three.
+    assert!(possible as f64 <= 3.0 + 0.06 * count as f64, "{possible} of {count}");
 }
 
 #[test]
-fn swapped_axes_and_mirrored_images_are_told_apart() {
-    for scene in scenes() {
-        let swapped = scene.changed(|_, gcp| std::mem::swap(&mut gcp.easting, &mut gcp.northing));
-        assert_eq!(mistakes(&swapped.run(Some(&utm32()), &[], None)), [Mistake::SwappedAxes], "{}", scene.name);
-        assert_eq!(mistakes(&swapped.run(None, &[], None)), [Mistake::SwappedAxes], "{} by size", scene.name);
-        let mut flipped = scene.clone();
-        flipped.candidates.iter_mut().for_each(|c| c.centre.x = scene.size.0 - c.centre.x);
-        assert_eq!(mistakes(&flipped.run(Some(&utm32()), &[], None)), [Mistake::MirroredImage], "{}", scene.name);
-        // Local coordinates do not tell which.
-        let local = swapped.changed(|_, gcp| {
-            gcp.easting -= 7_000_000.0;
-            gcp.northing -= 560_000.0;
-        });
-        assert_eq!(mistakes(&local.run(None, &[], None)), [Mistake::SwappedAxesOrMirroredImage], "{}", scene.name);
-    }
-}
-
-#[test]
-fn feet_are_named_and_of_which_kind_when_the_image_knows_its_place() {
-    for scene in scenes() {
-        for (foot, survey) in [(0.3048, false), (1200.0 / 3937.0, true)] {
-            let feet = scene.changed(|_, gcp| {
-                gcp.easting /= foot;
-                gcp.northing /= foot;
-            });
-            let blind = mistakes(&feet.run(None, &[], None));
-            assert_eq!(blind, [Mistake::FeetForMetres { survey: None }], "{}", scene.name);
-            let placed = mistakes(&feet.run(Some(&utm32()), &[], Some(&scene.own(&utm32()))));
-            assert_eq!(placed, [Mistake::FeetForMetres { survey: Some(survey) }], "{}", scene.name);
-        }
-        let metres = scene.changed(|_, gcp| {
-            gcp.easting *= 0.3048;
-            gcp.northing *= 0.3048;
-        });
-        assert_eq!(mistakes(&metres.run(None, &[], None)), [Mistake::MetresForFeet], "{}", scene.name);
-    }
-}
-
-#[test]
-fn exchanged_labels_and_coordinates_are_named() {
-    for scene in scenes() {
-        let (a, b) = (scene.visible[0], scene.visible[2]);
-        let mut labels: Vec<Option<String>> = vec![None; scene.candidates.len()];
-        for &gcp in &scene.visible {
-            let place = scene.truth.invert(scene.gcps[gcp].position());
-            let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
-            let nearest = (0..labels.len())
-                .min_by(|&i, &j| distance(&scene.candidates[i]).total_cmp(&distance(&scene.candidates[j])))
-                .expect("there are candidates");
-            let called = if gcp == a {
-                b
-            } else if gcp == b {
-                a
-            } else {
-                gcp
-            };
-            labels[nearest] = Some(scene.gcps[called].name.clone());
-        }
-        let mut names = [scene.gcps[a].name.clone(), scene.gcps[b].name.clone()];
-        names.sort();
-        assert_eq!(
-            mistakes(&scene.run(None, &labels, None)),
-            [Mistake::ExchangedLabels { gcps: names }],
-            "{}",
-            scene.name
-        );
-        let eastings = (scene.gcps[a].easting, scene.gcps[b].easting);
-        let exchanged = scene.changed(|i, gcp| {
-            if i == a {
-                gcp.easting = eastings.1;
-            } else if i == b {
-                gcp.easting = eastings.0;
-            }
-        });
-        let gcps = [scene.gcps[a.min(b)].name.clone(), scene.gcps[a.max(b)].name.clone()];
-        assert_eq!(
-            mistakes(&exchanged.run(None, &[], None)),
-            [Mistake::ExchangedCoordinates { gcps }],
-            "{}",
-            scene.name
-        );
-    }
-}
-
-#[test]
-fn a_mistyped_digit_is_named() {
-    for scene in scenes() {
-        let (mut named, mut wrong, mut tried) = (0, 0, 0);
-        for &gcp in &scene.visible {
-            // Ten metres, a kilometre, and two digits turned round.
-            for (axis, step) in [(Axis::Easting, 20.0), (Axis::Northing, -3000.0), (Axis::Easting, 0.0)] {
-                let original = scene.gcps[gcp].easting;
-                let step = if step == 0.0 { turned(original) - original } else { step };
-                if step == 0.0 {
-                    continue;
-                }
-                let typed = scene.changed(|i, g| match axis {
-                    _ if i != gcp => {}
-                    Axis::Easting => g.easting += step,
-                    Axis::Northing => g.northing += step,
-                });
-                let listed = match axis {
-                    Axis::Easting => typed.gcps[gcp].easting,
-                    Axis::Northing => typed.gcps[gcp].northing,
-                };
-                tried += 1;
-                for found in typed.run(None, &[], None) {
-                    match found.mistake {
-                        Mistake::MistypedDigit { gcp: name, axis: a, fits, .. }
-                            if name == scene.gcps[gcp].name && a == axis && (fits - (listed - step)).abs() < 1e-6 =>
-                        {
-                            named += 1;
-                        }
-                        other => {
-                            println!("{}: {other:?}", scene.name);
-                            wrong += 1;
-                        }
-                    }
-                }
-            }
-        }
-        println!("{}: {named} of {tried} slips named, {wrong} others claimed", scene.name);
-        assert_eq!(wrong, 0);
-        assert!(named * 10 >= tried * 9, "{}: {named} of {tried}", scene.name);
-    }
-}
-
-/// The tens and the hundreds turned round.
-fn turned(value: f64) -> f64 {
-    let digit = |unit: f64| (value / unit).floor() % 10.0;
-    value + (digit(10.0) - digit(100.0)) * 90.0
-}
-
-#[test]
-fn another_zone_and_distances_on_the_ground_show_beside_the_image_s_own_georeference() {
-    for scene in scenes() {
-        let (here, next) = (utm32(), Crs::from_epsg(25833).expect("known"));
-        let own = scene.own(&here);
-        let moved = scene.changed(|_, gcp| {
-            let mut point = [Coordinate { x: gcp.easting, y: gcp.northing, height: None }];
-            here.transform(&mut point, &next, 0.001).expect("one datum");
-            (gcp.easting, gcp.northing) = (point[0].x, point[0].y);
-        });
-        let zone = Mistake::WrongZone { listed: "EPSG:25832".into(), fits: "EPSG:25833".into() };
-        assert_eq!(mistakes(&moved.run(Some(&here), &[], Some(&own))), [zone], "{}", scene.name);
-        assert_eq!(mistakes(&moved.run(Some(&next), &[], Some(&own))), [], "{}", scene.name);
-    }
-    let Some(scene) = e6(3, 10, 20) else { return };
-    let grid = utm32().point_scale(568_000.0, 7_023_000.0).expect("projected");
-    assert!((grid - 0.99966).abs() < 2e-5, "0.9996 on the central meridian, more beside it: {grid}");
-    let middle = scene.gcps[0].position();
-    let ground = scene.changed(|_, gcp| {
-        gcp.easting = middle.easting + (gcp.easting - middle.easting) / grid;
-        gcp.northing = middle.northing + (gcp.northing - middle.northing) / grid;
-    });
-    let found = mistakes(&ground.run(Some(&utm32()), &[], Some(&scene.own(&utm32()))));
-    assert!(
-        matches!(found.as_slice(), [Mistake::GridToGround { factor }] if (factor * grid - 1.0).abs() < 1e-4),
-        "{found:?}"
-    );
+fn the_real_lerkendal_list_is_correct() {
+    let Some(setting) = lerkendal() else { return };
+    let crs = Crs::from_epsg(25832).expect("a zone");
+    let (fits, told) = setting.ask(&setting.priors(), Some(&crs), Some(setting.known()));
+    assert!(fits && told.iter().all(|d| d.certainty == Certainty::Possible), "{told:?}");
 }

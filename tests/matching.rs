@@ -209,7 +209,7 @@ fn e6_five_visible_among_three_hundred() {
 #[test]
 fn e6_with_the_scale_known_within_a_factor_of_two() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = if common::large() { 200 } else { 5 };
+    let count = if common::large() { 1000 } else { 5 };
     let score = trials(&kind(6, 1000, 180.0), &priors((0.015, 0.06)), &gcps, count, 3);
     assert_eq!(score.wrong, 0);
     assert!(score.right * 10 >= count * 9, "{score:?}");
@@ -232,7 +232,7 @@ fn nothing_there_is_refused() {
     let mut random = Random::new(5);
     for trial in 0..count {
         let candidates: Vec<Candidate> = match trial % 4 {
-            0 => (0..200 + random.below(if trial % 20 == 0 { 4800 } else { 800 }))
+            0 => (0..200 + random.below(if common::large() || trial % 20 == 0 { 4800 } else { 800 }))
                 .map(|_| bare_candidate(random.uniform(0.0, E6.0), random.uniform(0.0, E6.1)))
                 .collect(),
             1 => lattice(random.uniform(600.0, 1500.0), random.uniform(600.0, 1500.0), random.uniform(0.0, 3.0)),
@@ -245,6 +245,49 @@ fn nothing_there_is_refused() {
             println!("kind {}, {} candidates: {:.2} s", trial % 4, candidates.len(), started.elapsed().as_secs_f64());
         }
         assert!(matches!(outcome, MatchOutcome::NoMatch(_)), "trial {trial}: {outcome:?}");
+        if (trial + 1) % 50 == 0 || trial + 1 == count {
+            println!("nothing there: {} lists, 0 accepted", trial + 1);
+        }
+    }
+}
+
+/// Random fields without the pattern, small enough that thousands are cheap: how often is the best pattern as rare as a limit
+/// says? The printed chance must not promise more than that.
+#[test]
+fn the_printed_chance_is_no_promise_too_much() {
+    let count = if common::large() { 20_000 } else { 400 };
+    let mut random = Random::new(8);
+    let limits = [0.01, 0.03, 0.1, 0.3, 1.0];
+    let mut accepted = [0usize; 5];
+    for trial in 0..count {
+        let size = (6000.0, 4000.0);
+        let gcps: Vec<Gcp> = (0..8)
+            .map(|i| Gcp::control(format!("{i}"), random.uniform(0.0, 180.0), random.uniform(0.0, 120.0)))
+            .collect();
+        // Uniform, and in clumps.
+        let candidates: Vec<Candidate> = (0..30)
+            .map(|i| match trial % 2 {
+                0 => bare_candidate(random.uniform(0.0, size.0), random.uniform(0.0, size.1)),
+                _ => {
+                    let (x, y) = (1000.0 + 1000.0 * f64::from(i % 4), 1000.0 * f64::from(1 + i % 3));
+                    bare_candidate(x + 300.0 * random.normal(), y + 300.0 * random.normal())
+                }
+            })
+            .filter(|c| c.centre.x > 0.0 && c.centre.y > 0.0 && c.centre.x < size.0 && c.centre.y < size.1)
+            .collect();
+        let priors = Priors { gsd_m_per_px: Some((0.024, 0.036)), rotation_deg: None, image_size_px: Some(size) };
+        let best = match RobustMatcher::default().find(&candidates, &gcps, &priors) {
+            MatchOutcome::Solved(solved) => Some(solved.pattern.log10_false_alarms),
+            MatchOutcome::NoMatch(evidence) => evidence.best.map(|best| best.log10_false_alarms),
+        };
+        for (accepted, limit) in accepted.iter_mut().zip(limits) {
+            *accepted += usize::from(best.is_some_and(|best| best <= f64::log10(limit)));
+        }
+    }
+    println!("{count} fields with nothing there; accepted at limits {limits:?}: {accepted:?}");
+    for (accepted, limit) in accepted.into_iter().zip(limits) {
+        let expected = limit * count as f64;
+        assert!(accepted as f64 <= expected + 3.0 * expected.sqrt(), "limit {limit}: {accepted} of {count}");
     }
 }
 
@@ -285,14 +328,11 @@ fn mirrored(random: &mut Random, gcps: &[Gcp]) -> Vec<Candidate> {
 }
 
 #[test]
-fn a_mirrored_image_is_named() {
+fn a_mirrored_image_is_not_matched() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
     let candidates = mirrored(&mut Random::new(11), &gcps);
-    let MatchOutcome::NoMatch(evidence) = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)))
-    else {
-        panic!("a mirrored image was matched")
-    };
-    assert!(evidence.reason.contains("mirrored"), "{}", evidence.reason);
+    let outcome = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
+    assert!(matches!(outcome, MatchOutcome::NoMatch(_)), "a mirrored image was matched");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use anyhow::{Context, bail};
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::georef::crs::Crs;
+use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
 use autoref_stream::pipeline::{self, Detector, PaintDetector, PlanOptions, Progress, ScanPlan};
 use autoref_stream::profile::Profile;
@@ -74,6 +75,18 @@ pub struct MatchArgs {
     /// With --matcher tpp: fewest matched points of a proposal.
     #[arg(long, value_name = "N", default_value_t = 5, help_heading = "Matching")]
     pub tpp_minimum: usize,
+    /// With --matcher tpp: one anchor, the candidate of this number in the list (from 0), instead of all.
+    #[arg(long, value_name = "N", help_heading = "Matching")]
+    pub tpp_anchor: Option<usize>,
+    /// With --matcher tpp: leave out image points farther from their anchor than any GCP from its own.
+    #[arg(long, help_heading = "Matching")]
+    pub tpp_image_limit: bool,
+    /// With --matcher tpp: leave out GCPs farther from their anchor than any image point from its own.
+    #[arg(long, help_heading = "Matching")]
+    pub tpp_gcp_limit: bool,
+    /// With --matcher tpp: leave out points farther from the anchor than this, in units of the distance to its neighbour.
+    #[arg(long, value_name = "R", help_heading = "Matching")]
+    pub tpp_distance: Option<f64>,
     /// Nothing is written when chance alone would produce more patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
@@ -350,8 +363,11 @@ pub fn matcher(matching: &MatchArgs, tries: usize) -> anyhow::Result<Box<dyn Mat
             radius_threshold: matching.tpp_radius,
             angle_threshold: matching.tpp_angle,
             minimum_matches: matching.tpp_minimum,
+            anchors: matching.tpp_anchor.map_or(Anchors::All, Anchors::One),
+            image_limit: matching.tpp_image_limit,
+            gcp_limit: matching.tpp_gcp_limit,
+            max_distance: matching.tpp_distance.unwrap_or(f64::INFINITY),
             max_false_alarms: matching.max_false_alarms / tries as f64,
-            ..TppMatcher::default()
         }));
     }
     Ok(Box::new(RobustMatcher {

@@ -10,13 +10,16 @@ pub mod chips;
 pub mod common;
 pub mod detect;
 pub mod distance;
+pub mod doctor;
 pub mod frame;
 pub mod plan;
 pub mod replay;
 pub mod report;
+pub mod fiducials;
 pub mod run;
 pub mod sample;
 pub mod solve;
+pub mod solving;
 pub mod synth;
 pub mod undo;
 pub mod write;
@@ -59,6 +62,7 @@ pub enum Command {
     Apply(Box<apply::ApplyArgs>),
     Undo(undo::UndoArgs),
     Plan(plan::PlanArgs),
+    Fiducials(fiducials::FiducialsArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -72,6 +76,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
+        Some(Command::Fiducials(args)) => fiducials::run(&args),
         None => run::run(&cli.run),
     }
 }

@@ -39,6 +39,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     let outcome = match replayed {
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
+            diagnoses: Vec::new(),
             reason: format!("the review leaves {points} point(s); an orientation needs 2 in different places"),
             advice: vec!["accept or place more marks".into()],
             best: None,

@@ -7,26 +7,26 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
-use autoref_stream::doctor::{self, OwnGeoreference};
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
 use autoref_stream::georef::crs::Crs;
+use autoref_stream::georef::dialects;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
-use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::plan;
 use autoref_stream::raster::RasterInfo;
 use autoref_stream::report::Gathered;
 use clap::Args;
 
-use crate::cli::accuracy;
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
 use crate::cli::report::{self, ReportArgs, Watch};
+use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::write::{self, WriteArgs};
+use crate::cli::{accuracy, doctor};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -41,6 +41,8 @@ pub struct RunArgs {
     pub marks: MarkArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
     #[command(flatten)]
     pub write: WriteArgs,
     #[command(flatten)]
@@ -63,10 +65,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     let report = args.report.wanted().then(|| report::path(&json));
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, args.write.overwrite)?;
+    args.solving.check(args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -84,33 +88,29 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         priors: &priors,
         progress: &watch,
     };
-    let run = georeference(&job)?;
+    let mut run = georeference(&job)?;
+    let known = doctor::known_place(info, &list);
+    doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.memory_plan = Some(plan.clone());
-    document.diagnose(&run.outcome, &list, &[], matcher.as_ref(), &priors[0], own_georeference(info).as_ref());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
-    frame::deliver(&mut document.result, &list, Some((info.width as f64, info.height as f64)))?;
+    let place = solving::ImagePlace::of(info);
+    let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    frame::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     let report_started = Instant::now();
     let gathered = watch.gather(&mut document.result)?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
     bar.finish();
+    // Its caches make room for what writing needs.
+    drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json)?;
+    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
-}
-
-/// What the image says of where it lies, when that can be compared with a list.
-fn own_georeference(info: &RasterInfo) -> Option<OwnGeoreference> {
-    Some(OwnGeoreference {
-        geotransform: info.geotransform?,
-        crs: Crs::parse(info.crs_wkt.as_deref()?).ok()?,
-        image_size_px: (info.width as f64, info.height as f64),
-    })
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
@@ -142,6 +142,7 @@ fn write_outputs(
     document: &mut Document,
     started: Instant,
     quiet: bool,
+    dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let mut transaction = Transaction::new();
@@ -149,6 +150,9 @@ fn write_outputs(
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
         document.result.warnings.extend(warnings);
+    }
+    if let Some(dem) = dem {
+        dem.stage(&document.result, &mut transaction)?;
     }
     let written = transaction.paths();
     document.result.files_written = written
@@ -209,9 +213,11 @@ impl Document {
             best_pattern: None,
             search: None,
             prior_georeference: None,
+            diagnoses: Vec::new(),
+            heights: None,
+            chosen_model: None,
             warnings: list.notes.clone(),
             patch: None,
-            diagnoses: Vec::new(),
             candidates,
             files_written: Vec::new(),
             reading: None,
@@ -229,6 +235,7 @@ impl Document {
                 result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
                 result.best_pattern = evidence.best.clone();
                 result.runner_up = evidence.runner_up.clone();
+                result.diagnoses = evidence.diagnoses.clone();
             }
         }
         result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
@@ -259,28 +266,6 @@ impl Document {
         timings.examine_s = run.scan.timings.examine_s;
         timings.match_s = run.match_s;
         timings.rematch_s = run.rematch_s;
-    }
-
-    /// Which classic mistake in the list would explain what does not fit.
-    pub fn diagnose(
-        &mut self,
-        outcome: &Outcome,
-        list: &GcpList,
-        labels: &[Option<String>],
-        matcher: &dyn Matcher,
-        priors: &Priors,
-        own: Option<&OwnGeoreference>,
-    ) {
-        let case = doctor::Case {
-            candidates: &self.result.candidates,
-            labels,
-            gcps: &list.gcps,
-            crs: list.crs.as_ref(),
-            matcher,
-            priors,
-            own,
-        };
-        self.result.diagnoses = doctor::diagnose(&case, outcome);
     }
 
     /// An existing georeference is reported, with how far the new one moves the image.
@@ -359,6 +344,8 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
         result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
     result.warnings.extend(near_misses(result, orientation, list));
+    result.diagnoses = orientation.diagnoses.clone();
+    result.advice.extend(result.diagnoses.iter().map(|d| d.message.clone()));
     result.solution = Some(solution.clone());
 }
 
@@ -453,7 +440,11 @@ fn summary(result: &RunResult) -> String {
         {
             line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
         }
+        solving::lines(result, &mut line);
         accuracy::lines(result, &mut line);
+        for diagnosis in &result.diagnoses {
+            line("Mistake?", diagnosis.message.clone());
+        }
     } else {
         line("GCPs listed", result.gcps_listed.to_string());
         line("Not solved", result.reason.clone().unwrap_or_default());
@@ -464,9 +455,6 @@ fn summary(result: &RunResult) -> String {
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("Chance of accident", format!("{figure} such patterns expected by chance"));
-    }
-    for diagnosis in &result.diagnoses {
-        line("Diagnosis", diagnosis.sentence.clone());
     }
     for warning in &result.warnings {
         line("Note", warning.clone());

@@ -12,9 +12,11 @@ use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::doctor;
 use crate::cli::frame;
 use crate::cli::replay;
 use crate::cli::run::{self, Document};
+use crate::cli::solving::{ImagePlace, SolvingArgs};
 
 /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
 #[derive(Args, Debug)]
@@ -44,6 +46,8 @@ pub struct SolveArgs {
     pub gcps: GcpArgs,
     #[command(flatten)]
     pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
 }
 
 pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
@@ -65,6 +69,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
     }
+    args.solving.check(args.overwrite)?;
     let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
@@ -74,15 +79,23 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     };
     let matcher = common::matcher(&args.matching, 1)?;
     let match_started = Instant::now();
-    let outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    doctor::examine(&mut outcome, &candidates, &list, &priors, None, &args.matching);
+    doctor::labels(&args.candidates, &mut outcome, &list)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
-    let labels = candidate_list::read_labels(&args.candidates)?;
-    document.diagnose(&outcome, &list, &labels, matcher.as_ref(), &priors, None);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
     let seen = extent(size, &document.result.candidates);
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
+    let place = ImagePlace { size_px: size, georeference: None };
+    let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
     frame::deliver(&mut document.result, &list, size)?;
+    if let Some(dem) = dem {
+        let mut transaction = autoref_stream::georef::atomic::Transaction::new();
+        dem.stage(&document.result, &mut transaction)?;
+        document.result.files_written.extend(transaction.paths().iter().map(|path| path.display().to_string()));
+        transaction.commit()?;
+    }
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());

@@ -90,7 +90,10 @@ fn text(value: Option<FieldValue>) -> String {
 }
 
 fn fields(feature: &Feature<'_>) -> Vec<String> {
-    (0..feature.field_count()).map(|i| text(feature.field(i).ok().flatten())).collect()
+    let set = |i: usize| feature.field_as_string(i).ok().flatten().is_some_and(|text| !text.is_empty());
+    // A number that was never set reads as 0, as text it is empty.
+    let value = |i: usize| if set(i) { text(feature.field(i).ok().flatten()) } else { String::new() };
+    (0..feature.field_count()).map(value).collect()
 }
 
 /// A layer without geometry: a sheet of a spreadsheet, or a table with columns for the coordinates.

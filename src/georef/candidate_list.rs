@@ -116,28 +116,6 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     Ok(candidates)
 }
 
-/// The names that a list gives its candidates, in the column `name`, `label` or `gcp`; none where there is no such column.
-///
-/// # Errors
-/// When the file cannot be read.
-pub fn read_labels(path: &Path) -> Result<Vec<Option<String>>> {
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .comment(Some(b'#'))
-        .from_path(path)
-        .map_err(|e| csv_error(path, &e))?;
-    let headers = reader.headers().map_err(|e| csv_error(path, &e))?;
-    let column = ["name", "label", "gcp"].iter().find_map(|n| headers.iter().position(|h| h.eq_ignore_ascii_case(n)));
-    let Some(column) = column else { return Ok(Vec::new()) };
-    reader
-        .records()
-        .map(|record| {
-            let record = record.map_err(|e| csv_error(path, &e))?;
-            Ok(record.get(column).filter(|text| !text.is_empty()).map(str::to_string))
-        })
-        .collect()
-}
-
 fn csv_error(path: &Path, error: &csv::Error) -> Error {
     match error.kind() {
         csv::ErrorKind::Io(e) => Error::io(path, "read", std::io::Error::new(e.kind(), e.to_string())),

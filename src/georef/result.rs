@@ -22,7 +22,8 @@ pub enum Status {
     Refused,
 }
 
-/// The document. Absent values are `null`; no number is ever NaN or infinite.
+/// The document. Absent values are `null`; no number is ever NaN or infinite. Lists that an older program did not write are
+/// empty when it is read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunResult {
     pub schema_version: u32,
@@ -31,6 +32,7 @@ pub struct RunResult {
     /// Why it was refused, in plain words.
     pub reason: Option<String>,
     /// What would help.
+    #[serde(default)]
     pub advice: Vec<String>,
     pub image: Option<ImageInfo>,
     pub gcp_file: String,
@@ -59,15 +61,20 @@ pub struct RunResult {
     /// Patterns as good as this that chance alone would produce; see `log10_false_alarms` when it is too small for a double.
     pub false_alarms: Option<f64>,
     pub log10_false_alarms: Option<f64>,
+    #[serde(default)]
     pub matches: Vec<MatchRow>,
+    #[serde(default)]
     pub check_points: Vec<MatchRow>,
     /// What may be claimed of the accuracy; null when nothing was solved.
     pub accuracy: Option<crate::accuracy::AccuracyStatement>,
     /// Expected errors in the image's corners; empty when nothing is known of them.
+    #[serde(default)]
     pub expected_errors: Vec<crate::accuracy::CornerError>,
     /// GCPs inside the image of which no mark was found.
+    #[serde(default)]
     pub not_found: Vec<String>,
     /// GCPs that lie outside the image.
+    #[serde(default)]
     pub outside: Vec<String>,
     pub solution: Option<Solution>,
     pub runner_up: Option<Pattern>,
@@ -75,16 +82,26 @@ pub struct RunResult {
     pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
     pub prior_georeference: Option<PriorGeoreference>,
+    /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
+    /// What was solved of an elevation model.
+    #[serde(default)]
+    pub heights: Option<crate::pipeline::heights::HeightResult>,
+    /// The transform of `--model`, beside the similarity.
+    #[serde(default)]
+    pub chosen_model: Option<serde_json::Value>,
+    #[serde(default)]
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<crate::review::Patch>,
-    /// Mistakes in the list that would explain what does not fit; nothing was corrected.
     #[serde(default)]
-    pub diagnoses: Vec<crate::doctor::Diagnosis>,
     pub candidates: Vec<Candidate>,
+    #[serde(default)]
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,
     pub memory_plan: Option<crate::pipeline::ScanPlan>,
+    #[serde(default)]
     pub timings: Timings,
     pub peak_memory_bytes: Option<u64>,
     pub elapsed_s: f64,

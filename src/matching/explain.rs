@@ -10,7 +10,6 @@ pub(super) fn explain(
     runner_up: Option<Pattern>,
     effort: Effort,
     limit: f64,
-    mirrored: bool,
 ) -> Evidence {
     let mut advice = Vec::new();
     let reason = if candidates < 3 {
@@ -21,9 +20,6 @@ pub(super) fn explain(
     } else if control.len() < 3 {
         advice.push("give at least 3 control points; 4 or 5 visible ones are needed to be sure".to_string());
         format!("{} control point(s) in the list; a pattern needs at least 3", control.len())
-    } else if mirrored {
-        advice.push("the image is mirrored: flip it, or check easting and northing in the list".to_string());
-        "the pattern fits only when the image is mirrored".to_string()
     } else if let Some(best) = &best {
         let beaten = best.log10_false_alarms <= limit;
         if beaten {
@@ -47,10 +43,10 @@ pub(super) fn explain(
         advice
             .push("the ground sample distance, if known (--gsd), and the direction of north (--north-up)".to_string());
     }
-    Evidence { reason, advice, best, runner_up, effort }
+    Evidence { reason, advice, best, runner_up, effort, diagnoses: Vec::new() }
 }
 
 /// 10^x for people.
-fn scientific(log10: f64) -> String {
+pub(super) fn scientific(log10: f64) -> String {
     if (-2.0..6.0).contains(&log10) { format!("{:.3}", 10f64.powf(log10)) } else { format!("1e{log10:.1}") }
 }

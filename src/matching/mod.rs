@@ -5,10 +5,13 @@
 //! must pass the same test of evidence.
 
 mod bitmap;
+pub mod doctor;
 pub mod evidence;
 mod explain;
 pub mod field;
 pub mod robust;
+mod search;
+mod settle;
 pub mod tpp;
 
 use serde::{Deserialize, Serialize};
@@ -82,11 +85,13 @@ pub struct Evidence {
     pub best: Option<Pattern>,
     pub runner_up: Option<Pattern>,
     pub effort: Effort,
+    /// Mistakes in the list that would explain it.
+    pub diagnoses: Vec<doctor::Diagnosis>,
 }
 
 /// Finds the pattern of the GCPs among the candidates.
 pub trait Matcher {
     /// GCPs with the role `check` take no part. The transform is a proper similarity of (x, −y): mirrored images are
-    /// reported in the evidence, never matched.
+    /// never matched; [`doctor`] names them.
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome;
 }

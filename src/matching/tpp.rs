@@ -18,7 +18,8 @@ use rayon::prelude::*;
 use crate::candidate::Candidate;
 use crate::coords::PixelPoint;
 use crate::gcp::Gcp;
-use crate::matching::robust::{Found, RobustMatcher, Search, control_points};
+use crate::matching::robust::{Found, RobustMatcher, control_points};
+use crate::matching::search::Search;
 use crate::matching::{MatchOutcome, Matcher, Priors};
 use crate::solve::similarity::{Pair, fit_equal_weights};
 
@@ -123,7 +124,7 @@ impl Matcher for TppMatcher {
                 found.take(pattern);
             }
         }
-        judge.decide(found, candidates, &control, &positions, priors)
+        judge.decide(found, candidates.len(), &control)
     }
 }
 

@@ -6,7 +6,8 @@ use crate::candidate::Candidate;
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::gcp::{Gcp, GcpRole};
-use crate::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, Solved};
+use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
+use crate::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved};
 use crate::pipeline::{Detector, Progress, ScanOutcome, ScanPlan, scan};
 use crate::raster::RasterSource;
 use crate::rematch::{Expected, SecondLook, rematch};
@@ -72,6 +73,8 @@ pub struct Orientation {
     /// Inside the image, but no mark was found.
     pub not_found: Vec<usize>,
     pub outside: Vec<usize>,
+    /// Mistakes in the list that would explain what the fit does not.
+    pub diagnoses: Vec<Diagnosis>,
 }
 
 /// Runs the job.
@@ -190,10 +193,53 @@ fn orient(
     }
     marks.sort_by_key(|mark| mark.gcp);
     match solve(&pairs(gcps, &marks)) {
-        Ok(solution) => {
-            Ok(Outcome::Solved(Box::new(Orientation { evidence, solution, marks, check_marks, not_found, outside })))
-        }
+        Ok(solution) => Ok(Outcome::Solved(Box::new(Orientation {
+            evidence,
+            solution,
+            marks,
+            check_marks,
+            not_found,
+            outside,
+            diagnoses: Vec::new(),
+        }))),
         Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
+    }
+}
+
+/// What surrounds a matched or refused list, for the doctor.
+pub struct Surroundings<'a> {
+    pub crs: Option<&'a crate::georef::crs::Crs>,
+    pub known: Option<KnownPlace>,
+    pub max_false_alarms: f64,
+}
+
+/// Lets the doctor look at an outcome. A mistake that makes a refused list fit becomes part of the reason.
+pub fn diagnose(
+    outcome: &mut Outcome,
+    candidates: &[Candidate],
+    gcps: &[Gcp],
+    priors: &Priors,
+    surroundings: Surroundings<'_>,
+) {
+    let Surroundings { crs, known, max_false_alarms } = surroundings;
+    let matcher = RobustMatcher { max_false_alarms, ..RobustMatcher::default() };
+    let doctor = Doctor { candidates, gcps, priors, crs, known, matcher };
+    match outcome {
+        Outcome::Solved(orientation) => {
+            orientation.diagnoses = doctor.on_solution(&orientation.evidence.pattern);
+            // The second look found marks that the scan did not have: those points are explained.
+            let marks = || orientation.marks.iter().chain(&orientation.check_marks);
+            let found: Vec<&str> = marks().map(|mark| gcps[mark.gcp].name.as_str()).collect();
+            orientation.diagnoses.retain(|d| !d.gcps.iter().any(|name| found.contains(&name.as_str())));
+        }
+        Outcome::Refused(evidence) => {
+            evidence.diagnoses = doctor.on_refusal(evidence.best.as_ref());
+            if let Some(first) = evidence.diagnoses.first() {
+                evidence.reason = format!("{}; {}", evidence.reason, first.message);
+                let messages = evidence.diagnoses.iter().map(|d| d.message.clone());
+                evidence.advice = messages.chain(std::mem::take(&mut evidence.advice)).collect();
+            }
+        }
     }
 }
 
@@ -224,5 +270,6 @@ fn degenerate(evidence: Solved) -> Evidence {
         best: Some(evidence.pattern),
         runner_up: evidence.runner_up,
         effort: evidence.effort,
+        diagnoses: Vec::new(),
     }
 }

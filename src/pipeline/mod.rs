@@ -3,6 +3,7 @@
 //! [`plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
 
 pub mod georeference;
+pub mod heights;
 pub mod paint;
 pub mod plan;
 pub mod scan;

@@ -48,6 +48,11 @@ impl ElevationModel {
         self.facts.geotransform
     }
 
+    /// The value that stands for "no height".
+    pub fn nodata(&self) -> Option<f64> {
+        self.facts.nodata
+    }
+
     /// WKT of its CRS.
     pub fn crs_wkt(&self) -> Option<&str> {
         self.facts.crs_wkt.as_deref()

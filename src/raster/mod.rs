@@ -10,6 +10,7 @@ mod chunked;
 mod elevation;
 mod gdal;
 pub mod memory;
+pub mod mosaic;
 mod open;
 mod patch;
 mod pool;
@@ -17,7 +18,7 @@ pub mod tiff;
 
 pub use elevation::ElevationModel;
 pub use gdal::{GdalSource, initialise_gdal};
-pub use open::open;
+pub use open::{open, open_dataset, size};
 pub use patch::read_patch;
 pub use pool::BufferPool;
 

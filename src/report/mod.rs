@@ -137,7 +137,7 @@ pub fn page(
         warnings: result
             .warnings
             .iter()
-            .chain(result.diagnoses.iter().map(|d| &d.sentence))
+            .chain(result.diagnoses.iter().map(|d| &d.message))
             .map(String::as_str)
             .collect(),
         sections,

@@ -161,7 +161,15 @@ fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<Fou
         gcps_in_image: marks.len() + check_marks.len() + not_found.len(),
     };
     let evidence = Solved { pattern, runner_up: None, effort: Effort::default() };
-    Replayed::Solved(Box::new(Orientation { evidence, solution, marks, check_marks, not_found, outside }))
+    Replayed::Solved(Box::new(Orientation {
+        evidence,
+        solution,
+        marks,
+        check_marks,
+        not_found,
+        outside,
+        diagnoses: Vec::new(),
+    }))
 }
 
 #[cfg(test)]

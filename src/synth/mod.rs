@@ -6,6 +6,8 @@
 //! pixels, `(0, 0)` at the outer corner of the first pixel (`docs/coordinates.md`); what is modelled and what is not is
 //! in `docs/synth.md`.
 
+mod film;
+mod film_render;
 mod gcps;
 mod jpeg;
 mod landscape;
@@ -21,6 +23,7 @@ mod spec;
 mod truth;
 mod write;
 
+pub use film::{FilmGround, FilmMark, FilmScene, FilmSpec, FilmTruth, GreyPhoto, write_film};
 pub use gcps::{SynthGcp, random_gcps, read_gcp_csv, write_gcp_geojson};
 pub use jpeg::jpeg_round_trip;
 pub use paint::Paint;

@@ -186,6 +186,12 @@ impl Crs {
         Some(2.0 * STEP_M / north.hypot(east))
     }
 
+    /// As a PROJ string, for programs that read nothing else. `None` when PROJ has no such string.
+    pub fn proj_string(&self) -> Option<String> {
+        let text = self.spatial_ref().ok()?.to_proj4().ok()?;
+        Some(text.trim().to_string()).filter(|text| !text.is_empty())
+    }
+
     /// For messages: "EPSG:n (name)", or the name alone.
     pub fn title(&self) -> String {
         match self.epsg {

@@ -1,0 +1,76 @@
+//! A corrected copy of an elevation model, streamed.
+
+use std::path::Path;
+
+use gdal::DriverManager;
+use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::spatial_ref::SpatialRef;
+
+use crate::coords::{GeoTransform, PixelPoint};
+use crate::error::{Error, Result};
+use crate::raster::ElevationModel;
+use crate::solve::heights::HeightCorrection;
+use crate::window::Window;
+
+/// Pixels that are held at a time.
+const CHUNK_PX: u64 = 1 << 20;
+/// Where the model names no value for pixels without a height.
+const NODATA: f64 = -9999.0;
+
+/// How the copy is placed.
+pub struct CopyPlace<'a> {
+    /// From the model's pixels to the positions in which `correction` counts.
+    pub to_positions: GeoTransform,
+    /// The copy's georeference.
+    pub geotransform: GeoTransform,
+    pub crs_wkt: Option<&'a str>,
+}
+
+/// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats. A few rows at a time are held, so memory does not
+/// depend on the model's size. Pixels without a height stay without. To make it appear whole or not at all is the
+/// caller's part ([`crate::georef::atomic`]).
+///
+/// # Errors
+/// When the model cannot be read or the copy cannot be written.
+pub fn write_corrected(
+    model: &ElevationModel,
+    correction: &HeightCorrection,
+    place: &CopyPlace<'_>,
+    path: &Path,
+) -> Result<()> {
+    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let (width, height) = model.size();
+    let options = RasterCreationOptions::from_iter(["COMPRESS=DEFLATE", "PREDICTOR=3", "BIGTIFF=IF_SAFER"]);
+    let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
+    let mut copy = driver
+        .create_with_band_type_with_options::<f32, _>(path, width as usize, height as usize, 1, &options)
+        .map_err(failed)?;
+    copy.set_geo_transform(&place.geotransform.0).map_err(failed)?;
+    if let Some(wkt) = place.crs_wkt.filter(|wkt| !wkt.is_empty()) {
+        copy.set_spatial_ref(&SpatialRef::from_wkt(wkt).map_err(failed)?).map_err(failed)?;
+    }
+    let nodata = model.nodata().unwrap_or(NODATA);
+    let mut band = copy.rasterband(1).map_err(failed)?;
+    band.set_no_data_value(Some(nodata)).map_err(failed)?;
+    let rows_at_a_time = (CHUNK_PX / width.max(1)).clamp(1, height);
+    for y in (0..height).step_by(rows_at_a_time as usize) {
+        let rows = rows_at_a_time.min(height - y);
+        let mut values = Vec::with_capacity((width * rows) as usize);
+        // Very wide rows are read in pieces, too.
+        for row in y..y + rows {
+            for x in (0..width).step_by(CHUNK_PX as usize) {
+                let window = Window::new(x, row, CHUNK_PX.min(width - x), 1);
+                for (i, h) in model.read_f64_window(window)?.into_iter().enumerate() {
+                    let pixel = PixelPoint { x: (x + i as u64) as f64 + 0.5, y: row as f64 + 0.5 };
+                    let corrected = h + correction.at(place.to_positions.apply(pixel));
+                    values.push(if corrected.is_finite() { corrected as f32 } else { nodata as f32 });
+                }
+            }
+        }
+        let size = (width as usize, rows as usize);
+        band.write((0, y as isize), size, &mut Buffer::new(size, values)).map_err(failed)?;
+    }
+    drop(band);
+    copy.flush_cache().map_err(failed)?;
+    copy.close().map_err(failed)
+}

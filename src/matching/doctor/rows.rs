@@ -1,0 +1,319 @@
+//! Single rows: points without a mark where they are listed, but with one where a slip of the pen would have put them.
+
+use std::f64::consts::PI;
+
+use super::{Certainty, Diagnosis, Doctor, FOOT_M, Mistake, POSSIBLE_LOG10, US_SURVEY_FOOT_M};
+use crate::coords::{MapPoint, PixelPoint};
+use crate::matching::Pattern;
+use crate::matching::evidence::log10_tail;
+use crate::matching::field::Field;
+use crate::matching::settle::{centre_and_spread, tolerance_px};
+use crate::solve::Pair;
+
+/// Places of a digit that can be mistyped: 10^−1 m (smaller ones hide in the tolerance) to 10^6 m.
+const PLACES: std::ops::RangeInclusive<i32> = -1..=6;
+/// Mistakes of many rows alike that are tried: swapped, two kinds of feet, two zones.
+const FAMILIES: f64 = 5.0;
+/// No candidate is closer to its GCP than this by merit, pixels.
+const CLOSEST_PX: f64 = 1.0;
+
+/// The marks that are left over, and where a point would have to be.
+struct Rest<'a> {
+    doctor: &'a Doctor<'a>,
+    pattern: &'a Pattern,
+    /// Marks no GCP of the pattern claims, as good as those that are claimed.
+    field: Field,
+    /// Of all candidates as good.
+    density: f64,
+    centre: PixelPoint,
+    spread: f64,
+    /// GCPs, control and check, that have no mark where they are listed.
+    unexplained: Vec<usize>,
+}
+
+/// A repaired position that falls on a mark.
+struct Hit {
+    candidate: PixelPoint,
+    distance_px: f64,
+}
+
+pub(super) fn diagnose(doctor: &Doctor<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
+    let Some(rest) = Rest::new(doctor, pattern) else { return Vec::new() };
+    let mut told = rest.families();
+    told.extend(rest.exchanged());
+    told.extend(rest.digits(&told));
+    told
+}
+
+impl<'a> Rest<'a> {
+    fn new(doctor: &'a Doctor<'a>, pattern: &'a Pattern) -> Option<Self> {
+        let pairs: Vec<Pair> = pattern
+            .pairs
+            .iter()
+            .map(|&(c, g)| Pair {
+                pixel: doctor.candidates[c].centre,
+                covariance_px2: None,
+                map: doctor.gcps[g].position(),
+                survey_sigma_m: None,
+            })
+            .collect();
+        if pairs.len() < 3 {
+            return None;
+        }
+        let (centre, spread) = centre_and_spread(&pairs);
+        // A mark worse than every one that was matched explains nothing.
+        let worst = pattern.pairs.iter().filter_map(|&(c, _)| doctor.candidates[c].score).min_by(f64::total_cmp);
+        let good = |score: Option<f64>| worst.is_none_or(|worst| score.is_none_or(|score| score >= worst));
+        let used = |i: usize| pattern.pairs.iter().any(|&(c, _)| c == i);
+        let left: Vec<PixelPoint> = (0..doctor.candidates.len())
+            .filter(|&i| !used(i) && good(doctor.candidates[i].score))
+            .map(|i| doctor.candidates[i].centre)
+            .collect();
+        if left.is_empty() {
+            return None;
+        }
+        let size = doctor.priors.image_size_px.unwrap_or_else(|| {
+            doctor.candidates.iter().fold((1.0f64, 1.0f64), |(w, h), c| (w.max(c.centre.x), h.max(c.centre.y)))
+        });
+        let count = left.len() as f64;
+        let field = Field::new(left, Some(size));
+        let density = count / field.area_px2();
+        let mut rest = Rest { doctor, pattern, field, density, centre, spread, unexplained: Vec::new() };
+        rest.unexplained = (0..doctor.gcps.len())
+            .filter(|g| !pattern.pairs.iter().any(|(_, h)| h == g))
+            .filter(|&g| rest.mark_at(doctor.gcps[g].position()).is_none())
+            .collect();
+        Some(rest)
+    }
+
+    fn place(&self, position: MapPoint) -> Option<PixelPoint> {
+        let p = self.pattern.similarity.invert(position);
+        self.field.contains(p).then_some(p)
+    }
+
+    fn tolerance(&self, p: PixelPoint) -> f64 {
+        tolerance_px(self.pattern.noise_px.max(1.0), self.pattern.pairs.len(), self.centre, self.spread, p)
+    }
+
+    fn mark_at(&self, position: MapPoint) -> Option<Hit> {
+        let p = self.place(position)?;
+        let (index, distance_px) = self.field.nearest(p, self.tolerance(p))?;
+        Some(Hit { candidate: self.field.points()[index], distance_px })
+    }
+
+    /// Chance of a mark that close to a place.
+    fn chance(&self, hit: &Hit) -> f64 {
+        let density = self.density.max(self.field.density_near(hit.candidate));
+        -(-density * PI * hit.distance_px.max(CLOSEST_PX).powi(2)).exp_m1()
+    }
+
+    fn limit(&self) -> f64 {
+        self.doctor.matcher.max_false_alarms.log10()
+    }
+
+    fn certainty(&self, log10: f64) -> Option<Certainty> {
+        match log10 {
+            l if l <= self.limit() => Some(Certainty::Claimed),
+            l if l <= POSSIBLE_LOG10 => Some(Certainty::Possible),
+            _ => None,
+        }
+    }
+
+    fn name(&self, gcp: usize) -> String {
+        self.doctor.gcps[gcp].name.clone()
+    }
+
+    /// Rows that suffer from the same mistake: the more of them fall on marks, the surer.
+    fn families(&self) -> Vec<Diagnosis> {
+        let mut families: Vec<(Mistake, String, Vec<MapPoint>)> = Vec::new();
+        let of = |to: &dyn Fn(MapPoint) -> MapPoint| -> Vec<MapPoint> {
+            self.doctor.gcps.iter().map(|g| to(g.position())).collect()
+        };
+        let scaled = |f: f64| of(&|p| MapPoint { easting: p.easting * f, northing: p.northing * f });
+        families.push((
+            Mistake::EastingNorthingSwapped,
+            "easting and northing are swapped".into(),
+            of(&|p| MapPoint { easting: p.northing, northing: p.easting }),
+        ));
+        families.push((Mistake::InternationalFeet, "the coordinates are in international feet".into(), scaled(FOOT_M)));
+        families.push((
+            Mistake::UsSurveyFeet,
+            "the coordinates are in US survey feet".into(),
+            scaled(US_SURVEY_FOOT_M),
+        ));
+        for (zone, gcps) in self.doctor.other_zones() {
+            let positions = gcps.iter().map(crate::gcp::Gcp::position).collect();
+            families.push((Mistake::WrongUtmZone, format!("the coordinates belong to {}", zone.title()), positions));
+        }
+        let mut told: Vec<Diagnosis> = Vec::new();
+        for (mistake, what, positions) in families {
+            let (mut probabilities, mut named) = (Vec::new(), Vec::new());
+            for &gcp in &self.unexplained {
+                let Some(p) = self.place(positions[gcp]) else { continue };
+                let radius = self.tolerance(p);
+                let density = self.density.max(self.field.density_near(p));
+                probabilities.push(-(-density * PI * radius * radius).exp_m1());
+                if self.mark_at(positions[gcp]).is_some() {
+                    named.push(self.name(gcp));
+                }
+            }
+            if named.is_empty() {
+                continue;
+            }
+            let log10 = log10_tail(&probabilities, named.len()) + FAMILIES.log10();
+            if let Some(certainty) = self.certainty(log10) {
+                told.push(Diagnosis {
+                    mistake,
+                    certainty,
+                    message: format!(
+                        "{}: {what}; with that undone there is a mark where each must be",
+                        named.join(", ")
+                    ),
+                    gcps: named,
+                    log10_false_alarms: Some(log10),
+                });
+            }
+        }
+        told
+    }
+
+    /// Two rows of which eastings, or northings, changed places.
+    fn exchanged(&self) -> Vec<Diagnosis> {
+        let gcps = self.doctor.gcps;
+        let n = self.unexplained.len();
+        // Pairs of rows, and two columns.
+        let tests = (n * n.saturating_sub(1)) as f64;
+        let mut all: Vec<(f64, usize, usize)> = Vec::new();
+        for (k, &i) in self.unexplained.iter().enumerate() {
+            for &j in &self.unexplained[k + 1..] {
+                let (a, b) = (gcps[i].position(), gcps[j].position());
+                let mixed =
+                    |east: MapPoint, north: MapPoint| MapPoint { easting: east.easting, northing: north.northing };
+                // Both exchanges put the marks at the same two places; what differs is which row is at which. Names cannot be
+                // seen, so they are one hypothesis.
+                if let (Some(one), Some(other)) = (self.mark_at(mixed(b, a)), self.mark_at(mixed(a, b)))
+                    && one.candidate != other.candidate
+                {
+                    // P[product of two uniform numbers ≤ t] = t·(1 − ln t).
+                    let product = self.chance(&one) * self.chance(&other);
+                    all.push(((product * (1.0 - product.ln())).log10(), i, j));
+                }
+            }
+        }
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut taken: Vec<usize> = Vec::new();
+        let mut told = Vec::new();
+        for (chance, i, j) in all {
+            let log10 = chance + tests.log10();
+            if let Some(certainty) = self.certainty(log10)
+                && !taken.contains(&i)
+                && !taken.contains(&j)
+            {
+                taken.extend([i, j]);
+                told.push(Diagnosis {
+                    mistake: Mistake::CoordinatesExchanged,
+                    certainty,
+                    gcps: vec![self.name(i), self.name(j)],
+                    message: format!(
+                        "{} and {}: their eastings (or northings) are exchanged; with that undone there is a mark where each must be",
+                        self.name(i),
+                        self.name(j)
+                    ),
+                    log10_false_alarms: Some(log10),
+                });
+            }
+        }
+        told
+    }
+
+    /// One wrong digit, or two neighbouring ones transposed, in one coordinate of a row.
+    fn digits(&self, told: &[Diagnosis]) -> Vec<Diagnosis> {
+        let explained = |gcp: usize| told.iter().any(|d| d.gcps.contains(&self.doctor.gcps[gcp].name));
+        let mut tests = 0u64;
+        let mut best: Vec<(f64, usize, Mistake, String)> = Vec::new();
+        for &gcp in self.unexplained.iter().filter(|&&g| !explained(g)) {
+            let p = self.doctor.gcps[gcp].position();
+            for (column, value) in [("easting", p.easting), ("northing", p.northing)] {
+                for (mistake, edited) in edits(value) {
+                    let position = match column {
+                        "easting" => MapPoint { easting: edited, ..p },
+                        _ => MapPoint { northing: edited, ..p },
+                    };
+                    if self.place(position).is_none() {
+                        continue;
+                    }
+                    tests += 1;
+                    if let Some(hit) = self.mark_at(position) {
+                        let what = format!("{column} {edited:.3} for {value:.3}");
+                        best.push((self.chance(&hit).log10(), gcp, mistake, what));
+                    }
+                }
+            }
+        }
+        best.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut named: Vec<usize> = Vec::new();
+        let mut diagnoses = Vec::new();
+        for (chance, gcp, mistake, what) in best {
+            let log10 = chance + (tests as f64).log10();
+            let Some(certainty) = self.certainty(log10) else { continue };
+            if named.contains(&gcp) {
+                continue;
+            }
+            named.push(gcp);
+            let slip = if mistake == Mistake::MistypedDigit { "a mistyped digit" } else { "two digits transposed" };
+            let doubt = match certainty {
+                Certainty::Claimed => String::new(),
+                Certainty::Possible => {
+                    format!(" (chance does the same in {:.1} % of lists)", 100.0 * 10f64.powf(log10))
+                }
+            };
+            diagnoses.push(Diagnosis {
+                mistake,
+                certainty,
+                gcps: vec![self.name(gcp)],
+                message: format!("{}: {slip}, {what}? there is a mark then, and none as listed{doubt}", self.name(gcp)),
+                log10_false_alarms: Some(log10),
+            });
+        }
+        diagnoses
+    }
+}
+
+/// Every value that differs by one digit, or by two neighbouring digits transposed.
+fn edits(value: f64) -> Vec<(Mistake, f64)> {
+    let digit = |place: i32| ((value.abs() / 10f64.powi(place) + 1e-6).floor() as i64).rem_euclid(10);
+    // Digits before the number's first are not written, so not mistyped.
+    let first = value.abs().max(1.0).log10().floor() as i32;
+    let mut all = Vec::new();
+    for place in PLACES.filter(|p| *p <= first) {
+        let unit = 10f64.powi(place) * value.signum();
+        for other in (0..10).filter(|&d| d != digit(place)) {
+            all.push((Mistake::MistypedDigit, value + (other - digit(place)) as f64 * unit));
+        }
+        if place < first && digit(place) != digit(place + 1) {
+            let change = (digit(place) - digit(place + 1)) as f64 * 9.0;
+            all.push((Mistake::TransposedDigits, value + change * unit));
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_digit_or_two_neighbours_are_all_that_changes() {
+        let written = |v: f64| format!("{v:.1}");
+        let right = written(570_418.3);
+        for (mistake, edited) in edits(570_418.3) {
+            let edited = written(edited);
+            let differing: Vec<usize> =
+                (0..right.len()).filter(|&i| edited.as_bytes().get(i) != right.as_bytes().get(i)).collect();
+            assert_eq!(edited.len(), right.len(), "{edited}");
+            assert_eq!(differing.len(), if mistake == Mistake::MistypedDigit { 1 } else { 2 }, "{edited}");
+        }
+        assert!(edits(570_418.3).iter().any(|(m, v)| *m == Mistake::TransposedDigits && (v - 570_481.3).abs() < 1e-6));
+        assert!(edits(-12.5).iter().any(|(_, v)| (v + 72.5).abs() < 1e-6));
+    }
+}

@@ -1,0 +1,296 @@
+//! The search through pairs: which hypotheses there are, in what order, and a quick look at each.
+
+use rayon::prelude::*;
+
+use crate::coords::{MapPoint, PixelPoint};
+use crate::matching::Priors;
+use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
+use crate::matching::evidence::{LEVELS_PX, log10_tail, spread_from_pair};
+use crate::matching::field::Field;
+
+/// Marks of a hypothesis closer together than this say nothing about scale and rotation.
+const SMALLEST_BASE_PX: f64 = 16.0;
+/// Search tolerance for the error of one mark, pixels; it grows with the distance from the pair.
+pub(super) const SEARCH_TOLERANCE_PX: f64 = 5.0;
+/// Hypotheses of one GCP pair that are refined.
+const REFINED_PER_PAIR: usize = 6;
+/// More hits than this leave no doubt.
+const MOST_HITS: usize = 32;
+
+/// GCPs a and b and what a hypothesis about them predicts.
+pub(super) struct GcpPair {
+    pub a: usize,
+    pub b: usize,
+    length_m: f64,
+    /// Pixel distances that the scale allows.
+    reach_px: (f64, f64),
+    cost: f64,
+}
+
+/// Another GCP as seen from a pair: its offset from `a`, and tolerance.
+struct Target {
+    east: f64,
+    north: f64,
+    radius_px: f64,
+    bitmap: usize,
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct Hypothesis {
+    score: f64,
+    pub i: u32,
+    pub j: u32,
+}
+
+pub(super) struct Search<'a> {
+    pub field: Field,
+    bitmaps: Vec<Bitmap>,
+    pub gcps: &'a [MapPoint],
+    priors: &'a Priors,
+    pub log10_tests: f64,
+}
+
+/// The pairs of GCPs in the order of trying, and the number of hypotheses that the priors allow.
+fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
+    let diagonal = field.width_px.hypot(field.height_px);
+    let distances = sampled_distances(field.points());
+    let share_below = |d: f64| distances.partition_point(|&x| x <= d) as f64 / distances.len() as f64;
+    let n = field.points().len() as f64;
+    let turn = priors.rotation_deg.map_or(1.0, |(_, half)| (2.0 * half / 360.0).min(1.0));
+    let (finest, coarsest) = priors.gsd_m_per_px.unwrap_or((0.0, f64::INFINITY));
+    let mut pairs = Vec::new();
+    let mut possible = 0.0;
+    for a in 0..gcps.len() {
+        for b in a + 1..gcps.len() {
+            let length_m = (gcps[a].easting - gcps[b].easting).hypot(gcps[a].northing - gcps[b].northing);
+            let reach_px = ((length_m / coarsest).max(SMALLEST_BASE_PX), (length_m / finest).min(diagonal));
+            if length_m <= 0.0 || reach_px.0 >= reach_px.1 {
+                continue;
+            }
+            // At least a few, where the sample says none.
+            let share = (share_below(reach_px.1) - share_below(reach_px.0)).max(1.0 / distances.len() as f64);
+            let cost = n * (n - 1.0) * share * turn;
+            possible += cost;
+            pairs.push(GcpPair { a, b, length_m, reach_px, cost });
+        }
+    }
+    if priors.gsd_m_per_px.is_some() {
+        pairs.sort_by(|p, q| p.cost.total_cmp(&q.cost));
+    } else {
+        // Every pair costs the same: a fixed shuffle keeps one bad point from spoiling the start.
+        pairs.sort_by_key(|p| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    }
+    (pairs, possible)
+}
+
+/// Sorted distances of pairs of points: all of few, a fixed sample of many.
+fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
+    let distance = |i: usize, j: usize| (points[i].x - points[j].x).hypot(points[i].y - points[j].y);
+    let n = points.len();
+    let mut distances = Vec::new();
+    if n <= 400 {
+        for i in 0..n {
+            distances.extend((i + 1..n).map(|j| distance(i, j)));
+        }
+    } else {
+        let mut state = 0x2545_F491_4F6C_DD1Du64;
+        let mut next = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 33) as usize % n
+        };
+        while distances.len() < 100_000 {
+            let (i, j) = (next(), next());
+            if i != j {
+                distances.push(distance(i, j));
+            }
+        }
+    }
+    distances.sort_by(f64::total_cmp);
+    distances
+}
+
+impl<'a> Search<'a> {
+    /// The field ready for searching, the pairs of GCPs in order of trying, and the number of hypotheses that the priors
+    /// allow; `None` when they allow none.
+    pub fn new(
+        points: Vec<PixelPoint>,
+        gcps: &'a [MapPoint],
+        priors: &'a Priors,
+        log10_searches: f64,
+    ) -> Option<(Search<'a>, Vec<GcpPair>, f64)> {
+        let field = Field::new(points, priors.image_size_px);
+        let (pairs, possible) = gcp_pairs(&field, gcps, priors);
+        if possible < 1.0 {
+            return None;
+        }
+        let bitmaps = Bitmap::all(&field);
+        let search = Search { field, bitmaps, gcps, priors, log10_tests: possible.log10() + log10_searches };
+        Some((search, pairs, possible))
+    }
+
+    /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried.
+    pub fn try_pair(&self, pair: &GcpPair) -> (Vec<Hypothesis>, u64) {
+        let targets = self.targets(pair);
+        let fewest = self.fewest_hits(&targets);
+        if targets.len() < fewest {
+            return (Vec::new(), 0);
+        }
+        let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
+        let (mut all, tried) = (0..self.field.points().len()).into_par_iter().map(per_point).reduce(
+            || (Vec::new(), 0),
+            |(mut one, n), (other, m)| {
+                one.extend(other);
+                keep_best(&mut one);
+                (one, n + m)
+            },
+        );
+        keep_best(&mut all);
+        (all, tried)
+    }
+
+    /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
+    fn targets(&self, pair: &GcpPair) -> Vec<Target> {
+        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        // Farther from the pair than the image is long it cannot be in the image.
+        let reach_m = self.field.width_px.hypot(self.field.height_px) * pair.length_m / pair.reach_px.0;
+        let mut targets: Vec<Target> = (0..self.gcps.len())
+            .filter(|&k| k != pair.a && k != pair.b)
+            .filter_map(|k| {
+                let gcp = self.gcps[k];
+                let (east, north) = (gcp.easting - a.easting, gcp.northing - a.northing);
+                let radius_px = SEARCH_TOLERANCE_PX * spread_from_pair(a, b, gcp);
+                let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
+                let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
+                (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
+                    east,
+                    north,
+                    radius_px,
+                    bitmap,
+                })
+            })
+            .collect();
+        targets.sort_by(|s, t| s.radius_px.total_cmp(&t.radius_px));
+        targets
+    }
+
+    /// Fewer further hits than this could never be believed, however close they are.
+    fn fewest_hits(&self, targets: &[Target]) -> usize {
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let closest = |t: &Target| {
+            let radius = t.radius_px / SEARCH_TOLERANCE_PX * LEVELS_PX[0];
+            -(-density * std::f64::consts::PI * radius * radius).exp_m1()
+        };
+        let probabilities: Vec<f64> = targets.iter().map(closest).collect();
+        // A hypothesis sees only the GCPs in the image; the tail over the surest few is the most favourable case.
+        (1..=probabilities.len())
+            .find(|&hits| self.log10_tests + log10_tail(&probabilities[..hits], hits) <= -1.0)
+            .unwrap_or(probabilities.len() + 1)
+            .clamp(1, 4)
+    }
+
+    fn try_point(&self, pair: &GcpPair, targets: &[Target], fewest: usize, i: usize) -> (Vec<Hypothesis>, u64) {
+        let (low, high) = pair.reach_px;
+        let from = self.field.points()[i];
+        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
+        let (de, dn) = (b.easting - a.easting, b.northing - a.northing);
+        let square = de * de + dn * dn;
+        let mut best = Vec::new();
+        let mut tried = 0;
+        let (left, right, up, down) = self.sector(pair);
+        self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
+            let (x, y) = (to.x - from.x, -(to.y - from.y));
+            let d2 = x * x + y * y;
+            if i == j || d2 < low * low || d2 > high * high {
+                return;
+            }
+            // Pixels = from + z · (map offset), z = (to − from) / (b − a).
+            let (z_re, z_im) = ((x * de + y * dn) / square, (y * de - x * dn) / square);
+            if !self.turned_right(z_re, z_im) {
+                return;
+            }
+            tried += 1;
+            if let Some(score) = self.verify(from, (z_re, z_im), targets, fewest) {
+                best.push(Hypothesis { score, i: i as u32, j: j as u32 });
+                if best.len() >= 4 * REFINED_PER_PAIR {
+                    keep_best(&mut best);
+                }
+            }
+        });
+        keep_best(&mut best);
+        (best, tried)
+    }
+
+    /// Bounds of `to − from`, pixels, that scale and rotation priors allow: left, right, up, down.
+    fn sector(&self, pair: &GcpPair) -> (f64, f64, f64, f64) {
+        let (low, high) = pair.reach_px;
+        let Some((centre, half)) = self.priors.rotation_deg.filter(|(_, half)| *half < 90.0) else {
+            return (-high, high, -high, high);
+        };
+        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
+        // Seen in the image, a map direction is turned back by the image's rotation; pixel y runs down.
+        let direction = (b.northing - a.northing).atan2(b.easting - a.easting) - centre.to_radians();
+        let half = half.to_radians();
+        let mut angles = vec![direction - half, direction + half];
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let first = ((direction - half) / quarter).ceil() as i64;
+        let last = ((direction + half) / quarter).floor() as i64;
+        angles.extend((first..=last).map(|k| k as f64 * quarter));
+        let mut bounds = (f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY);
+        for angle in angles {
+            for radius in [low, high] {
+                let (x, y) = (radius * angle.cos(), -radius * angle.sin());
+                bounds = (bounds.0.min(x), bounds.1.max(x), bounds.2.min(y), bounds.3.max(y));
+            }
+        }
+        bounds
+    }
+
+    /// Whether the rotation prior allows map → pixel factor z; the image's rotation is its negative.
+    fn turned_right(&self, z_re: f64, z_im: f64) -> bool {
+        self.priors.rotation_deg.is_none_or(|(centre, half)| {
+            let rotation = (-z_im).atan2(z_re).to_degrees();
+            let off = (rotation - centre).rem_euclid(360.0);
+            off.min(360.0 - off) <= half
+        })
+    }
+
+    /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
+    /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
+    /// into one clump.
+    fn verify(&self, from: PixelPoint, z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
+        let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
+        let mut hit = [u32::MAX; MOST_HITS];
+        for (k, target) in targets.iter().enumerate() {
+            if hits + (targets.len() - k) < fewest || hits == MOST_HITS {
+                break;
+            }
+            let p = PixelPoint {
+                x: from.x + z.0 * target.east - z.1 * target.north,
+                y: from.y - (z.0 * target.north + z.1 * target.east),
+            };
+            if !self.field.contains(p) {
+                continue;
+            }
+            inside += 1;
+            if !self.bitmaps[target.bitmap].may_hold(p) {
+                continue;
+            }
+            if let Some((candidate, _)) = self.field.nearest(p, target.radius_px)
+                && !hit[..hits].contains(&(candidate as u32))
+            {
+                hit[hits] = candidate as u32;
+                hits += 1;
+                let area = std::f64::consts::PI * target.radius_px * target.radius_px;
+                surprise -= (-(-self.field.density_at(candidate) * area).exp_m1()).ln();
+            }
+        }
+        (hits >= fewest).then(|| surprise - hits as f64 * (std::f64::consts::E * inside as f64 / hits as f64).ln())
+    }
+}
+
+fn keep_best(hypotheses: &mut Vec<Hypothesis>) {
+    // A total order, so that the result does not depend on which thread came first.
+    hypotheses.sort_by(|s, t| t.score.total_cmp(&s.score).then((s.i, s.j).cmp(&(t.i, t.j))));
+    hypotheses.truncate(REFINED_PER_PAIR);
+}

@@ -1,0 +1,159 @@
+//! From a hypothesis to a pattern: least squares over all GCPs that have a mark, cleaned, and weighed.
+
+use crate::coords::PixelPoint;
+use crate::matching::Pattern;
+use crate::matching::evidence::{LEVELS_PX, pair_evidence, spread_from_pair};
+use crate::matching::search::{GcpPair, Hypothesis, SEARCH_TOLERANCE_PX, Search};
+use crate::solve::Similarity;
+use crate::solve::similarity::{Pair, fit_equal_weights};
+
+impl Search<'_> {
+    /// A hypothesis as a least-squares pattern with its number of false alarms.
+    pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
+        let points = self.field.points();
+        let ends = [points[hypothesis.i as usize], points[hypothesis.j as usize]];
+        let similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
+        let spread = |k: usize| spread_from_pair(self.gcps[pair.a], self.gcps[pair.b], self.gcps[k]);
+        let pairs = self.assign(&similarity, |k, _| SEARCH_TOLERANCE_PX * spread(k));
+        self.settle(similarity, pairs)
+    }
+
+    /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
+    pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
+        // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
+        // pairs would tilt the whole pattern.
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let widest_px = (0.003 / (std::f64::consts::PI * density)).sqrt();
+        let mut noise_px = 2.0;
+        for _ in 0..16 {
+            if pairs.len() < 3 {
+                return None;
+            }
+            if let Some(odd) = self.odd_one_out(&pairs) {
+                pairs.remove(odd);
+            }
+            let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
+            similarity = fit_equal_weights(&fitted)?;
+            noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+            let (centre, spread) = centre_and_spread(&fitted);
+            let next =
+                self.assign(&similarity, |_, p| tolerance_px(noise_px, fitted.len(), centre, spread, p).min(widest_px));
+            if next == pairs {
+                break;
+            }
+            pairs = next;
+        }
+        while let Some(odd) = self.odd_one_out(&pairs) {
+            pairs.remove(odd);
+            let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
+            similarity = fit_equal_weights(&fitted)?;
+            noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+        }
+        self.weigh(similarity, pairs, noise_px)
+    }
+
+    /// The pair that the others, fitted without it, put farthest beyond where they would look for it.
+    fn odd_one_out(&self, pairs: &[(usize, usize)]) -> Option<usize> {
+        // Of four pairs any one can be made to look odd.
+        if pairs.len() < 5 {
+            return None;
+        }
+        let excess = |i: usize| -> Option<f64> {
+            let others: Vec<Pair> =
+                pairs.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, &(c, g))| self.pair(c, g)).collect();
+            let similarity = fit_equal_weights(&others)?;
+            // The noise of few pairs may come out far too small.
+            let few = 1.0 + 4.0 / (others.len() as f64 - 2.0);
+            let noise_px = few * noise(&similarity, &others).clamp(1.0, 6.0);
+            let (centre, spread) = centre_and_spread(&others);
+            let (p, q) = (similarity.invert(self.gcps[pairs[i].1]), self.field.points()[pairs[i].0]);
+            let allowed = tolerance_px(noise_px, others.len(), centre, spread, p);
+            Some((p.x - q.x).hypot(p.y - q.y) / allowed)
+        };
+        (0..pairs.len())
+            .filter_map(|i| excess(i).filter(|e| *e > 1.0).map(|e| (i, e)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(i, _)| i)
+    }
+
+    fn pair(&self, candidate: usize, gcp: usize) -> Pair {
+        let pixel = self.field.points()[candidate];
+        Pair { pixel, covariance_px2: None, map: self.gcps[gcp], survey_sigma_m: None }
+    }
+
+    /// The nearest candidate to every GCP in the image, each candidate once.
+    fn assign(&self, similarity: &Similarity, radius_px: impl Fn(usize, PixelPoint) -> f64) -> Vec<(usize, usize)> {
+        let mut hits: Vec<(f64, usize, usize)> = (0..self.gcps.len())
+            .filter_map(|k| {
+                let p = similarity.invert(self.gcps[k]);
+                let (candidate, distance) =
+                    self.field.contains(p).then(|| self.field.nearest(p, radius_px(k, p)))??;
+                Some((distance, candidate, k))
+            })
+            .collect();
+        hits.sort_by(|s, t| s.0.total_cmp(&t.0).then(s.2.cmp(&t.2)));
+        let mut taken = std::collections::HashSet::new();
+        hits.retain(|(_, candidate, _)| taken.insert(*candidate));
+        let mut pairs: Vec<(usize, usize)> = hits.into_iter().map(|(_, candidate, k)| (candidate, k)).collect();
+        pairs.sort_by_key(|pair| pair.1);
+        pairs
+    }
+
+    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels.
+    fn weigh(&self, similarity: Similarity, pairs: Vec<(usize, usize)>, noise_px: f64) -> Option<Pattern> {
+        let mut bases: Vec<(f64, usize, usize)> = Vec::new();
+        for i in 0..pairs.len() {
+            for j in i + 1..pairs.len() {
+                let (p, q) = (self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]);
+                bases.push(((p.x - q.x).hypot(p.y - q.y), i, j));
+            }
+        }
+        bases.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
+        bases.truncate(48);
+        let mut best: Option<(f64, usize)> = None;
+        for (_, i, j) in bases {
+            let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
+            for level in LEVELS_PX {
+                let evidence =
+                    pair_evidence(&self.field, self.gcps, (pairs[i].1, pairs[j].1), ends, level, self.log10_tests);
+                if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
+                    best = Some((e.log10_false_alarms, e.gcps_in_image));
+                }
+            }
+        }
+        let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
+        best.map(|(log10_false_alarms, _)| Pattern { pairs, similarity, log10_false_alarms, noise_px, gcps_in_image })
+    }
+}
+
+/// How far from its predicted place a mark may be: the length that a two-dimensional normal error of the mark and of the
+/// fit through `n` others exceeds once in 1,400.
+pub(super) fn tolerance_px(noise_px: f64, n: usize, centre: PixelPoint, spread: f64, p: PixelPoint) -> f64 {
+    let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
+    3.8 * noise_px * (1.0 + 1.0 / n as f64 + arm / spread).sqrt()
+}
+
+/// 1σ of a coordinate, pixels, from the median length of the residuals.
+fn noise(similarity: &Similarity, pairs: &[Pair]) -> f64 {
+    let mut lengths: Vec<f64> = pairs
+        .iter()
+        .map(|pair| {
+            let p = similarity.invert(pair.map);
+            (p.x - pair.pixel.x).hypot(p.y - pair.pixel.y)
+        })
+        .collect();
+    lengths.sort_by(f64::total_cmp);
+    let n = lengths.len();
+    let median = (lengths[(n - 1) / 2] + lengths[n / 2]) / 2.0;
+    median / 1.1774 * (n as f64 / (n as f64 - 2.0).max(0.5)).sqrt()
+}
+
+pub(super) fn centre_and_spread(pairs: &[Pair]) -> (PixelPoint, f64) {
+    let n = pairs.len() as f64;
+    let centre = PixelPoint {
+        x: pairs.iter().map(|p| p.pixel.x).sum::<f64>() / n,
+        y: pairs.iter().map(|p| p.pixel.y).sum::<f64>() / n,
+    };
+    let spread = pairs.iter().map(|p| (p.pixel.x - centre.x).powi(2) + (p.pixel.y - centre.y).powi(2)).sum::<f64>();
+    (centre, spread.max(1.0))
+}
