@@ -1,4 +1,4 @@
-//! Settling doubtful marks by hand, on record: the patch file that a page saves ([`patch`]) and its replay ([`replay`]).
+//! Settling doubtful marks by hand, on record: the patch file that a page saves ([`patch`]) and its replay ([`mod@replay`]).
 //!
 //! The page of `--report` recomputes the fit while the reviewer works, with the formulas of [`crate::solve::similarity`]
 //! in the same order of operations, so that a replay gives the numbers that the page showed. The patch is the audit
