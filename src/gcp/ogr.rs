@@ -97,7 +97,7 @@ fn fields(feature: &Feature<'_>) -> Vec<String> {
 }
 
 /// A layer without geometry: a sheet of a spreadsheet, or a table with columns for the coordinates.
-fn table<'a>(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
+fn table(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
     let named = titles.join(", ");
     let columns = csv_list::columns(titles).ok_or_else(|| {
         Error::format(path, "its columns", format!("no easting and northing among {named}; name one of each"))
