@@ -17,7 +17,8 @@ use autoref_stream::georef::result::{
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::matching::{Matcher, Priors};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::plan;
+use autoref_stream::pipeline::second_pass::second_pass;
+use autoref_stream::pipeline::{MarkDetector, plan};
 use autoref_stream::raster::RasterInfo;
 use clap::Args;
 
@@ -44,6 +45,9 @@ pub struct RunArgs {
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
+    /// Learn the marks from what was found and scan again; done in any case when nothing is solved.
+    #[arg(long, help_heading = "Marks")]
+    pub second_pass: bool,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -77,11 +81,19 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         priors: &priors,
         progress: &bar,
     };
-    let run = georeference(&job)?;
+    let mut run = georeference(&job)?;
+    let mut second = None;
+    let refused = matches!(run.outcome, Outcome::Refused(_));
+    if matches!(detector, MarkDetector::Paint(_)) && (refused || args.second_pass) {
+        // Another chance for an accident: the second pass may only use half of what is allowed.
+        let matcher = common::matcher(&args.matching, 2 * priors.len())?;
+        (run, second) = second_pass(&Job { matcher: matcher.as_ref(), ..job }, run)?;
+    }
     bar.finish();
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
+    document.result.second_pass = second;
     document.result.memory_plan = Some(plan.clone());
     document.diagnose(&run.outcome, &list, &[], matcher.as_ref(), &priors[0], own_georeference(info).as_ref());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
@@ -192,6 +204,7 @@ impl Document {
             candidates,
             files_written: Vec::new(),
             reading: None,
+            second_pass: None,
             memory_plan: None,
             timings: Timings::default(),
             peak_memory_bytes: None,
@@ -413,6 +426,9 @@ fn summary(result: &RunResult) -> String {
     let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
     let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
     line("Marks found", format!("{} candidates", result.candidates_found));
+    if let Some(second) = &result.second_pass {
+        line("Second pass", second.line());
+    }
     if result.status == Status::Solved {
         line(
             "GCPs matched",
