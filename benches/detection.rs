@@ -20,7 +20,7 @@ use autoref_stream::coords::PixelPoint;
 use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::Patch;
 use autoref_stream::selftest::Tally;
-use autoref_stream::synth::plant::{self, Cell, Picture, Random, plant};
+use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
 use rayon::prelude::*;
 use scan::Detector;

@@ -9,7 +9,7 @@ use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::{Patch, SampleType};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::segment::mask::Mask;
-use autoref_stream::synth::plant::{self, Cell, Picture, Random, plant};
+use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
 use scan::Detector;
 

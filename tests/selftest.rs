@@ -13,7 +13,7 @@ use autoref_stream::profile::Profile;
 use autoref_stream::raster::memory::MemorySource;
 use autoref_stream::raster::{RasterInfo, RasterSource, ReaderChoice, open};
 use autoref_stream::selftest::{Selftest, SelftestOptions, Tally, selftest};
-use autoref_stream::synth::plant::{self, Cell, Picture, Random, plant};
+use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
 
 fn run(source: &Arc<dyn RasterSource>, sizes_px: &[f64], marks: usize, tile_px: u64, threads: usize) -> Selftest {

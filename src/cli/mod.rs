@@ -68,7 +68,6 @@ pub enum Command {
     Completions(shell::CompletionsArgs),
     Man(shell::ManArgs),
     Plan(plan::PlanArgs),
-    Fiducials(fiducials::FiducialsArgs),
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
     SynthFilm(synth_film::SynthFilmArgs),

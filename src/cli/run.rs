@@ -16,7 +16,8 @@ use autoref_stream::georef::result::{
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::plan;
+use autoref_stream::pipeline::second_pass::second_pass;
+use autoref_stream::pipeline::{MarkDetector, plan};
 use autoref_stream::raster::RasterInfo;
 use autoref_stream::report::Gathered;
 use clap::Args;
@@ -50,6 +51,9 @@ pub struct RunArgs {
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
+    /// Learn the marks from what was found and scan again; done in any case when nothing is solved.
+    #[arg(long, help_heading = "Marks")]
+    pub second_pass: bool,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -74,7 +78,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
-    let matcher = common::matcher(&args.matching, priors.len())?;
+    // Colours can be learned from the image for a second pass, which is another chance for an accident.
+    let learns = matches!(detector, MarkDetector::Paint(_));
+    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 })?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
@@ -89,11 +95,17 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         progress: &watch,
     };
     let mut run = georeference(&job)?;
+    let mut second = None;
+    let refused = matches!(run.outcome, Outcome::Refused(_));
+    if learns && (refused || args.second_pass) {
+        (run, second) = second_pass(&job, run)?;
+    }
     let known = doctor::known_place(info, &list);
     doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
+    document.result.second_pass = second;
     document.result.memory_plan = Some(plan.clone());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     let place = solving::ImagePlace::of(info);
@@ -223,6 +235,7 @@ impl Document {
             candidates,
             files_written: Vec::new(),
             reading: None,
+            second_pass: None,
             memory_plan: None,
             timings: Timings::default(),
             peak_memory_bytes: None,
@@ -425,6 +438,9 @@ fn summary(result: &RunResult) -> String {
     let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
     let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
     line("Marks found", format!("{} candidates", result.candidates_found));
+    if let Some(second) = &result.second_pass {
+        line("Second pass", second.line());
+    }
     if result.status == Status::Solved {
         line(
             "GCPs matched",

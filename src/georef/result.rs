@@ -100,6 +100,9 @@ pub struct RunResult {
     #[serde(default)]
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,
+    /// What the self-taught second pass did, when there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
     pub memory_plan: Option<crate::pipeline::ScanPlan>,
     #[serde(default)]
     pub timings: Timings,
