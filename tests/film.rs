@@ -209,10 +209,10 @@ fn the_real_wild_frame_shows_all_marks_where_they_were_measured_by_hand() {
     assert_eq!(found.marks.len(), 8);
     // MeasuresIm-15BCC02013_114.jpg.xml of the data set, as GDAL's pixels.
     let by_hand = [
-        ("P1", 5666.83777225829908, 5213.43416799840088),
-        ("P2", 648.746502108926506, 5202.00174926286491),
-        ("P3", 652.643834832399534, 190.350545163999413),
-        ("P4", 5671.95649931225762, 200.506888373784022),
+        ("P1", 5666.837772, 5213.434168),
+        ("P2", 648.746502, 5202.001749),
+        ("P3", 652.643835, 190.350545),
+        ("P4", 5671.956499, 200.506888),
     ];
     for (name, x, y) in by_hand {
         let mark = found.marks.iter().find(|m| m.mark == name).expect("reported");
@@ -352,7 +352,7 @@ fn a_roll_is_examined_resumed_and_never_stopped_by_a_bad_frame() {
         assert!((c.x - x).hypot(c.y - y) < 1.0, "{mark:?} {t}");
     }
     let table = std::fs::read_to_string(out.join("fiducials.csv")).expect("written");
-    assert!(table.lines().count() >= 1 + 8 + 1, "{table}");
+    assert!(table.lines().count() > 1 + 8, "{table}");
     program().args(["fiducials", "x.tif", "--camera", "no-such-camera"]).assert().code(2);
 }
 

@@ -56,9 +56,9 @@ pub struct Cli {
 #[derive(Subcommand, Debug)]
 pub enum Command {
     /// Find the marks in an image and write the candidates as CSV or GeoJSON.
-    Detect(detect::DetectArgs),
+    Detect(Box<detect::DetectArgs>),
     /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
-    Solve(solve::SolveArgs),
+    Solve(Box<solve::SolveArgs>),
     Synth(Box<synth::SynthArgs>),
     Sample(sample::Args),
     Chips(chips::Args),

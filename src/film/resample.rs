@@ -139,7 +139,6 @@ impl<'a> Grid<'a> {
             band.write(at, (w, h), &mut Buffer::new((w, h), pixels)).map_err(failed)?;
             mask_band.write(at, (w, h), &mut Buffer::new((w, h), valid)).map_err(failed)?;
         }
-        drop((band, mask_band));
         out.close().map_err(failed)?;
         out_mask.close().map_err(failed)
     }
