@@ -168,6 +168,7 @@ pub struct Reading {
 
 /// Wall-clock seconds of the stages.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Timings {
     pub open_s: f64,
     pub scan_s: f64,

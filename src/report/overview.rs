@@ -1,5 +1,6 @@
 //! A small picture of the whole raster, gathered while the scan has its pixels in hand.
 
+use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
 
 use crate::raster::{Block, Piece, RasterInfo, Samples};
@@ -47,6 +48,8 @@ pub struct Overview {
     /// Samples of more than 8 bits are divided by four, so that four of them fit in 16 bits.
     shift: u32,
     sums: Mutex<Vec<u16>>,
+    /// Corners of the cores that are in the sums: a second scan shows the same pixels again.
+    added: Mutex<HashSet<(u64, u64)>>,
 }
 
 impl Overview {
@@ -70,11 +73,15 @@ impl Overview {
             white: info.white,
             shift: if info.white > 255 { 2 } else { 0 },
             sums: Mutex::new(vec![0; width * height * 3]),
+            added: Mutex::default(),
         }
     }
 
-    /// Takes what it needs of a tile. Cores must not overlap; `core` lies in the block's window.
+    /// Takes what it needs of a tile, unless it had it before. Cores must not overlap; `core` lies in the block's window.
     pub fn add(&self, block: &Block, core: Window) {
+        if !self.added.lock().unwrap_or_else(PoisonError::into_inner).insert((core.x, core.y)) {
+            return;
+        }
         let columns = range(&self.columns, core.x, core.right());
         let rows = range(&self.rows, core.y, core.bottom());
         if columns.is_empty() || rows.is_empty() {

@@ -407,7 +407,7 @@ mod tests {
         let camera = load_camera("svalbard-zeiss-1936").expect("built in");
         let scene = FilmScene::new(&FilmSpec::archive(&camera, 60.0, 7), &FilmGround::default()).expect("drawable");
         let m = &scene.truth().marks[0];
-        let big = Window::new(m.x as u64 - 60, m.y as u64 - 20, 120, 60);
+        let big = Window::new((m.x as u64).saturating_sub(60), (m.y as u64).saturating_sub(20), 120, 60);
         let small = Window::new(big.x + 31, big.y + 17, 40, 30);
         let (a, b) = (scene.render(big), scene.render(small));
         for y in 0..30usize {

@@ -61,7 +61,7 @@ const Fit = (() => {
     if (freedom <= 0 || prior.every((v) => v === prior[0])) return pairs.map(() => 1);
     const squares = sum(pairs.map((pair) => residual(first, pair)).map(([e, n]) => e * e + n * n));
     const meanPrior = sum(prior) / prior.length;
-    const coarse = 1 + Math.sqrt(2 / freedom);
+    const coarse = 1 + 4 / freedom;
     const common = Math.max(squares / freedom * coarse - meanPrior, 0);
     const floor = 0.02 * scale * (0.02 * scale);
     const weights = prior.map((v) => 1 / Math.max(v + common, floor));
