@@ -51,6 +51,7 @@ pub struct RunResult {
     pub rotation_deg: Option<f64>,
     pub gcps_listed: usize,
     /// The whole list as it was used in the fit, in the order of the file.
+    #[serde(default)]
     pub gcps: Vec<Gcp>,
     /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
     #[serde(default)]
