@@ -104,12 +104,6 @@ fn a_profile_taught_by_five_marks_finds_the_others() {
     let found = Detector::new(profile).list(&picture);
     let hit = truth.iter().filter(|t| found.iter().any(|c| (c.centre.x - t.0).hypot(c.centre.y - t.1) < 1.0)).count();
     assert!(hit as f64 >= 0.97 * truth.len() as f64, "{hit} of {}", truth.len());
-    for c in &found {
-        let d = truth.iter().map(|t| (c.centre.x - t.0).hypot(c.centre.y - t.1)).fold(f64::INFINITY, f64::min);
-        if d > 1.0 {
-            println!("EXTRA {d:.1} from a mark, score {:?} size {:?}", c.score, c.size_px);
-        }
-    }
     assert!(found.len() <= truth.len() + 1, "{} candidates for {} marks", found.len(), truth.len());
     // Ground itself does not stand out.
     let bare = vec![(patch(&full, 30.0, 30.0, 30), PixelPoint { x: 30.5, y: 30.5 })];

@@ -37,11 +37,24 @@ pub fn examine_parts(
             examine_scene(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
         })
         .collect();
+    let parts = apart(parts, gates.mark_side_px().0 / 2.0);
     let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
     match whole {
         Some(whole) if whole.score.is_some_and(|s| s >= best) => vec![whole],
         _ => parts,
     }
+}
+
+/// Two parts of one mark give its centre twice: of candidates closer than `least_px` the likeliest stays, in the old order.
+fn apart(parts: Vec<Candidate>, least_px: f64) -> Vec<Candidate> {
+    let near = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y) < least_px;
+    let beaten = |i: usize| {
+        (0..parts.len()).any(|j| {
+            let (mine, other) = (parts[i].score, parts[j].score);
+            i != j && near(&parts[i], &parts[j]) && (other > mine || other == mine && j < i)
+        })
+    };
+    (0..parts.len()).filter(|&i| !beaten(i)).map(|i| parts[i].clone()).collect()
 }
 
 fn position(scene: &Scene<'_>, i: usize) -> (f64, f64) {
