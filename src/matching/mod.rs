@@ -56,6 +56,24 @@ pub struct Priors {
     pub image_size_px: Option<(f64, f64)>,
 }
 
+/// Smallest and largest side of anything that is put out as a mark, metres.
+const MARK_SIDE_M: (f64, f64) = (0.01, 10.0);
+
+impl Priors {
+    /// The same; where nothing is known of the scale, what the size of the candidates says of it: nobody paints marks of more
+    /// than ten metres. Without it, a clump of clutter can look like the whole list seen from far away.
+    pub fn with_mark_sizes(&self, candidates: &[Candidate]) -> Priors {
+        let mut sides: Vec<f64> =
+            candidates.iter().filter_map(|c| c.size_px).map(|[w, h]| w.max(h)).filter(|side| *side > 0.0).collect();
+        if self.gsd_m_per_px.is_some() || sides.is_empty() {
+            return self.clone();
+        }
+        sides.sort_by(f64::total_cmp);
+        let median = sides[sides.len() / 2];
+        Priors { gsd_m_per_px: Some((MARK_SIDE_M.0 / median, MARK_SIDE_M.1 / median)), ..self.clone() }
+    }
+}
+
 /// A pattern that was found, accepted or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pattern {
@@ -116,4 +134,28 @@ pub trait Matcher {
     /// GCPs with the role `check` take no part. The transform is a proper similarity of (x, −y): mirrored images are
     /// never matched; [`doctor`] names them.
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::coords::PixelPoint;
+
+    #[test]
+    fn the_size_of_marks_bounds_the_scale_unless_something_better_is_known() {
+        let mark = |side: f64| Candidate {
+            centre: PixelPoint { x: 0.0, y: 0.0 },
+            covariance_px2: None,
+            score: None,
+            area_px: None,
+            size_px: Some([side, side / 2.0]),
+            elevation_m: None,
+        };
+        let marks = [mark(10.0), mark(20.0), mark(500.0)];
+        let bounded = Priors::default().with_mark_sizes(&marks);
+        assert_eq!(bounded.gsd_m_per_px, Some((0.0005, 0.5)));
+        let known = Priors { gsd_m_per_px: Some((0.1, 2.0)), ..Priors::default() };
+        assert_eq!(known.with_mark_sizes(&marks), known);
+        assert_eq!(Priors::default().with_mark_sizes(&[]), Priors::default());
+    }
 }

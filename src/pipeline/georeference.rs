@@ -100,13 +100,13 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
 
 /// Tries the priors in order. The limit on accidents holds for all tries together.
 fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
-    let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0]);
+    let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0].with_mark_sizes(candidates));
     for priors in &job.priors[1..] {
         if matches!(outcome, MatchOutcome::Solved(_)) {
             break;
         }
         tracing::info!("nothing found with what the image says of itself; trying without");
-        outcome = job.matcher.find(candidates, job.gcps, priors);
+        outcome = job.matcher.find(candidates, job.gcps, &priors.with_mark_sizes(candidates));
     }
     outcome
 }
@@ -121,7 +121,7 @@ pub fn solve_candidates(
     matcher: &dyn Matcher,
     priors: &Priors,
 ) -> Result<Outcome> {
-    match matcher.find(candidates, gcps, priors) {
+    match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
         MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected| {
             let inside = |p: PixelPoint| {
