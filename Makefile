@@ -8,10 +8,12 @@ SHELL := /bin/bash
 CARGO ?= cargo
 SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 PACKAGES := libgdal-dev gdal-bin pkg-config gcc g++ time
+# For the tests that open pages; without it they are skipped with a message.
+TEST_PACKAGES := chromium
 MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q '^install ok installed' || echo $$p; done)
 DEMO := demo
 
-.PHONY: all deps build demo test check lint doc bench fuzz check-large clean
+.PHONY: all deps test-deps build demo test check lint doc bench fuzz check-large clean
 
 all: build
 
@@ -20,6 +22,11 @@ deps:
 	  echo "Will install with apt-get: $$missing"; \
 	  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; \
 	else echo "Nothing to install: $(PACKAGES) are there."; fi
+
+test-deps:
+	@command -v chromium chromium-browser google-chrome >/dev/null || { echo "Will install with apt-get: $(TEST_PACKAGES)"; \
+	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 300 $(SUDO) apt-get install -y -qq \
+	    --no-install-recommends $(TEST_PACKAGES) >/dev/null; } || echo "No browser: the tests that open pages are skipped."; }
 
 build: deps
 	$(CARGO) build --release
@@ -34,7 +41,7 @@ demo: build
 
 # The random tests draw the same cases in every run; `make check-large` draws new ones.
 test: export PROPTEST_RNG_SEED ?= 2016
-test: deps
+test: deps test-deps
 	$(CARGO) test --quiet -- --format=terse
 	$(CARGO) test --quiet --lib --features force-scalar segment -- --format=terse
 

@@ -5,21 +5,23 @@
 //!
 //! `cargo bench --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
 //! `AUTOREF_BENCH_MARKS=100` is a quick look,
+//! `AUTOREF_BENCH_PYTHON=python3` (with scikit-image) adds the pipeline of `benches/scikit_pipeline.py` on the same pictures;
+//! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;
 //! `AUTOREF_BENCH_ONLY=covered` measures the conditions whose label holds that word only. The photographs are looked for in `../shared/data`.
 
-#[path = "detection/plant.rs"]
-mod plant;
 #[path = "detection/scan.rs"]
 mod scan;
 
 use std::path::PathBuf;
 
 use autoref_stream::candidate::Candidate;
+use autoref_stream::candidate::examine::measure;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::Patch;
+use autoref_stream::selftest::Tally;
+use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
 use autoref_stream::window::Window;
-use plant::{Cell, Picture, Random, plant};
 use rayon::prelude::*;
 use scan::Detector;
 
@@ -97,48 +99,17 @@ fn cells() -> Vec<Cell> {
     cells
 }
 
-#[derive(Default)]
-struct Tally {
-    marks: usize,
-    errors: Vec<[f64; 2]>,
-    normalised: Vec<f64>,
-}
-
-impl Tally {
-    fn add(&mut self, truth: &[(f64, f64)], found: &[Candidate], side_px: f64) {
-        self.marks += truth.len();
-        for &(x, y) in truth {
-            let error = |c: &Candidate| (c.centre.x - x).hypot(c.centre.y - y);
-            let Some(best) = found.iter().min_by(|a, b| error(a).total_cmp(&error(b))) else { continue };
-            if error(best) < (side_px / 2.0).max(2.0) {
-                let e = [best.centre.x - x, best.centre.y - y];
-                self.errors.push(e);
-                if let Some(v) = best.covariance_px2 {
-                    self.normalised.extend([e[0] / v[0].sqrt(), e[1] / v[2].sqrt()]);
-                }
-            }
-        }
-    }
-
-    fn row(&self) -> String {
-        let n = self.errors.len().max(1) as f64;
-        let mean = |k: usize| self.errors.iter().map(|e| e[k]).sum::<f64>() / n;
-        let rmse = (self.errors.iter().map(|e| e[0] * e[0] + e[1] * e[1]).sum::<f64>() / (2.0 * n)).sqrt();
-        let mut absolute: Vec<f64> = self.errors.iter().flatten().map(|v| v.abs()).collect();
-        absolute.sort_by(f64::total_cmp);
-        let median = absolute.get(absolute.len() / 2).copied().unwrap_or(f64::NAN);
-        let z = (self.normalised.iter().map(|v| v * v).sum::<f64>() / self.normalised.len().max(1) as f64).sqrt();
-        format!(
-            "{} | {:.2} % | {:+.3} {:+.3} | {:.3} | {:.3} | {:.2}",
-            self.marks,
-            100.0 * self.errors.len() as f64 / self.marks.max(1) as f64,
-            mean(0),
-            mean(1),
-            rmse,
-            median,
-            z
-        )
-    }
+fn row(tally: &Tally) -> String {
+    format!(
+        "{} | {:.2} % | {:+.3} {:+.3} | {:.3} | {:.3} | {:.2}",
+        tally.marks,
+        100.0 * tally.recall(),
+        tally.bias_px()[0],
+        tally.bias_px()[1],
+        tally.rmse_px(),
+        tally.median_px().unwrap_or(f64::NAN),
+        tally.normalised()
+    )
 }
 
 /// The prototype's options with a colour taught from marks of the base case: its own reference is another paint's.
@@ -163,6 +134,71 @@ fn taught_prototype(covers: &[(&str, Picture)]) -> Detector {
     Detector::new(profile)
 }
 
+/// The pipeline in Python over the same pictures; `None` when it is not asked for.
+fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
+    let python = std::env::var_os("AUTOREF_BENCH_PYTHON")?;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let names: Vec<PathBuf> = (0..pictures.len()).map(|i| folder.path().join(format!("{i}.png"))).collect();
+    for (name, picture) in names.iter().zip(pictures) {
+        let file = std::io::BufWriter::new(std::fs::File::create(name).expect("room for a picture"));
+        let mut png = png::Encoder::new(file, picture.width as u32, picture.height as u32);
+        png.set_color(png::ColorType::Rgb);
+        let mut writer = png.write_header().expect("a header");
+        writer.write_image_data(picture.rgb.as_flattened()).expect("a picture");
+    }
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/scikit_pipeline.py");
+    let output = std::process::Command::new(python).arg(script).args(&names).output().expect("python starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut lists = vec![Vec::new(); pictures.len()];
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let fields: Vec<&str> = line.split('\t').collect();
+        let index = names.iter().position(|n| n.as_os_str() == fields[0]).expect("a name it was given");
+        let number = |i: usize| fields[i].parse::<f64>().expect("a number");
+        lists[index].push(Candidate {
+            centre: PixelPoint { x: number(1), y: number(2) },
+            covariance_px2: None,
+            score: None,
+            area_px: None,
+            size_px: None,
+            elevation_m: None,
+        });
+    }
+    Some(lists)
+}
+
+/// One line a mark found, for whoever models the errors.
+fn write_rows(file: &mut std::fs::File, label: &str, detector: &Detector, picture: &Picture, truth: &[(f64, f64)]) {
+    use std::io::Write;
+    for (region, candidate) in detector.candidates(picture) {
+        let at = candidate.centre;
+        let Some(t) = truth.iter().find(|t| (t.0 - at.x).hypot(t.1 - at.y) < 2.0) else { continue };
+        let seen = measure(&region, &detector.patch(picture, &region), &detector.classifier, &detector.profile);
+        let (Some(seen), Some(v)) = (seen, candidate.covariance_px2) else { continue };
+        let Some(fit) = seen.fit else { continue };
+        let raw = fit.covariance_px2;
+        writeln!(
+            file,
+            "{}\t{:.4}\t{:.4}\t{:.6}\t{:.6}\t{:.6}\t{:.6}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{:.4}\t{:.3}\t{:.3}\t{:.3}",
+            label,
+            at.x - t.0,
+            at.y - t.1,
+            v[0],
+            v[2],
+            raw[0],
+            raw[2],
+            fit.sides_px[0],
+            fit.sides_px[1],
+            fit.rms,
+            fit.blur_px,
+            fit.hidden,
+            fit.angle_rad,
+            seen.contrast,
+            fit.chi2
+        )
+        .expect("room for a line");
+    }
+}
+
 fn middle(picture: &Picture, side: usize) -> Picture {
     let side = side.min(picture.width).min(picture.height);
     picture.crop((picture.width - side) / 2, (picture.height - side) / 2, side, side)
@@ -182,12 +218,13 @@ fn main() {
     let prototype = taught_prototype(&covers);
 
     println!(
-        "| conditions | marks | recall | bias x, y px | RMSE px | median px | normalised | 2016: recall | RMSE px |"
+        "| conditions | marks | recall | bias x, y px | RMSE px | median px | normalised | 2016: recall | RMSE px | scikit-image: recall | RMSE px |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut rows = std::env::var_os("AUTOREF_BENCH_ROWS").map(|p| std::fs::File::create(p).expect("a file of rows"));
     let only = std::env::var("AUTOREF_BENCH_ONLY").unwrap_or_default();
     for (number, cell) in cells().iter().enumerate().filter(|(_, c)| c.label.contains(&only)) {
-        let (mut mine, mut theirs) = (Tally::default(), Tally::default());
+        let (mut mine, mut theirs, mut python) = (Tally::default(), Tally::default(), Tally::default());
         // Larger marks need more ground for the same number.
         for round in 0..6u64 {
             let results: Vec<_> = covers
@@ -203,10 +240,17 @@ fn main() {
                         cell,
                         &mut random,
                     );
-                    (ours.list(&planted), prototype.list(&planted), truth)
+                    (ours.list(&planted), prototype.list(&planted), truth, planted)
                 })
                 .collect();
-            for (a, b, truth) in results {
+            let pictures: Vec<&Picture> = results.iter().map(|r| &r.3).collect();
+            for ((.., truth, _), list) in results.iter().zip(scikit(&pictures).unwrap_or_default()) {
+                python.add(truth, &list, cell.side_px);
+            }
+            for (a, b, truth, planted) in results {
+                if let Some(file) = &mut rows {
+                    write_rows(file, &cell.label, &ours, &planted, &truth);
+                }
                 mine.add(&truth, &a, cell.side_px);
                 theirs.add(&truth, &b, cell.side_px);
             }
@@ -214,17 +258,20 @@ fn main() {
                 break;
             }
         }
-        let old = theirs.row();
+        let old = row(&theirs);
         let old: Vec<&str> = old.split(" | ").collect();
-        println!("| {} | {} | {} | {} |", cell.label, mine.row(), old[1], old[3]);
+        let other = row(&python);
+        let other: Vec<&str> = if python.marks == 0 { vec!["–"; 4] } else { other.split(" | ").collect() };
+        println!("| {} | {} | {} | {} | {} | {} |", cell.label, row(&mine), old[1], old[3], other[1], other[3]);
     }
 
-    println!("\n| cover | megapixels | false candidates per megapixel | 2016 |");
-    println!("|---|---|---|---|");
+    println!("\n| cover | megapixels | false candidates per megapixel | 2016 | scikit-image |");
+    println!("|---|---|---|---|---|");
     let more = load(&MORE);
     for (name, picture) in covers.iter().chain(&more) {
         let size = (picture.width * picture.height) as f64 / 1e6;
         let (a, b) = (ours.list(picture).len() as f64 / size, prototype.list(picture).len() as f64 / size);
-        println!("| {} | {size:.2} | {a:.2} | {b:.2} |", name.split('/').next_back().unwrap_or(name));
+        let c = scikit(&[picture]).map_or("–".into(), |lists| format!("{:.2}", lists[0].len() as f64 / size));
+        println!("| {} | {size:.2} | {a:.2} | {b:.2} | {c} |", name.split('/').next_back().unwrap_or(name));
     }
 }

@@ -1,5 +1,14 @@
 //! Points in the image and on the map, as types that cannot be mixed. The conventions are written once, in
 //! `docs/coordinates.md`.
+//!
+//! ```
+//! use autoref_stream::coords::{GeoTransform, PixelPoint};
+//! let transform = GeoTransform([570_000.0, 0.03, 0.0, 7_032_000.0, 0.0, -0.03]);
+//! let ground = transform.apply(PixelPoint { x: 0.5, y: 0.5 }); // the centre of the first pixel
+//! assert_eq!(ground.easting, 570_000.015);
+//! let back = transform.invert(ground).expect("a rotation and a scale");
+//! assert!((back.x - 0.5).abs() < 1e-6);
+//! ```
 
 use serde::{Deserialize, Serialize};
 

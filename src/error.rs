@@ -1,5 +1,11 @@
 //! The one error type of the library. What is no error but an answer (no match, a refused georeference) is an enum with
 //! data in the room it belongs to.
+//!
+//! ```
+//! use autoref_stream::Error;
+//! let error = Error::format("points.csv", "row 7", "`abc` is no number for the easting");
+//! assert_eq!(error.to_string(), "points.csv: row 7: `abc` is no number for the easting");
+//! ```
 
 use std::path::PathBuf;
 

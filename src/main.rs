@@ -13,7 +13,13 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             // One line: the chain of causes, without the debug noise.
-            let words: Vec<String> = error.chain().map(ToString::to_string).collect();
+            let mut words: Vec<String> = Vec::new();
+            for cause in error.chain().map(ToString::to_string) {
+                // Ours name the system's reason already.
+                if !words.iter().any(|said| said.contains(&cause)) {
+                    words.push(cause);
+                }
+            }
             eprintln!("autoref-stream: {}", words.join(": ").replace('\n', " "));
             ExitCode::from(2)
         }

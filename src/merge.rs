@@ -8,6 +8,26 @@
 //!
 //! After dask-image's `_label.py` (look only at the faces, unite, relabel), but streaming: what is held is the open
 //! regions of tiles that still wait for a neighbour.
+//!
+//! ```
+//! use autoref_stream::merge::RegionMerger;
+//! use autoref_stream::segment::label::Labeller;
+//! use autoref_stream::segment::mask::Mask;
+//! use autoref_stream::window::{TileGrid, Window};
+//! let raster = Window::whole(8, 4);
+//! let grid = TileGrid::new(8, 4, 4, 4, 0); // two tiles side by side
+//! let mut merger = RegionMerger::new(grid);
+//! let (mut labeller, mut found) = (Labeller::new(), Vec::new());
+//! for id in 0..2 {
+//!     let core = grid.tile(id).core;
+//!     let mut mask = Mask::new(core);
+//!     (core.x..core.right()).for_each(|x| mask.set(x, 1, true)); // one line across both
+//!     let regions = labeller.label(&mask, core, raster, |_| true);
+//!     merger.feed(id, regions, &mut |region| found.push(region));
+//! }
+//! merger.finalize();
+//! assert_eq!((found.len(), found[0].area), (1, 8));
+//! ```
 
 use std::collections::HashMap;
 

@@ -3,6 +3,21 @@
 //! The scan's candidates already have sub-pixel centres, so a GCP that has a candidate close to where the transform
 //! puts it keeps that one. The others are looked for again in a small window with a detector that takes less for
 //! granted: where a mark must be, faint paint is worth believing. Each window is read once; nothing else is.
+//!
+//! ```
+//! use autoref_stream::coords::PixelPoint;
+//! use autoref_stream::pipeline::PaintDetector;
+//! use autoref_stream::profile::Profile;
+//! use autoref_stream::raster::RasterSource;
+//! use autoref_stream::raster::memory::MemorySource;
+//! use autoref_stream::rematch::{Expected, SecondLook, rematch};
+//! let bare_ground = MemorySource::rgb8(64, 64, vec![90; 64 * 64 * 3]);
+//! let detector = PaintDetector::new(Profile::load("orange")?, bare_ground.info(), None)?;
+//! let at = |x: f64| Expected { gcp: 0, position: PixelPoint { x, y: 32.0 }, radius_px: 4.0 };
+//! let seen = rematch(&bare_ground, &detector, &[], &[at(32.0), at(900.0)])?;
+//! assert!(matches!(seen[..], [SecondLook::NotFound, SecondLook::Outside]));
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 use rayon::prelude::*;
 

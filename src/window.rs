@@ -1,4 +1,11 @@
 //! Rectangles of pixels and how a raster is cut into them. No input or output here.
+//!
+//! ```
+//! use autoref_stream::window::Window;
+//! let tile = Window::new(4096, 0, 4096, 4096);
+//! assert!(tile.contains(4096, 0) && !tile.contains(8192, 0)); // half-open
+//! assert_eq!(Window::whole(500_000, 500_000).area(), 250_000_000_000); // 64 bits
+//! ```
 
 /// A half-open rectangle of pixels: columns `x..x+width`, rows `y..y+height`.
 ///

@@ -16,6 +16,8 @@ enum Noise {
     Stated,
     /// The same, and a common part that nobody states.
     StatedAndCommon,
+    /// In the image, as the detector states it for every mark, and a common part on the ground.
+    Centres,
 }
 
 /// Shares of check positions within the radii of the transform and of a point.
@@ -35,19 +37,30 @@ fn coverage(cases: u64, points: usize, noise: Noise, seed: u64) -> (f64, f64) {
         let pairs: Vec<Pair> = (0..points)
             .map(|_| {
                 let pixel = PixelPoint { x: random.uniform(0.0, SIZE_PX.0), y: random.uniform(0.0, SIZE_PX.1) };
+                let centre_px = match noise {
+                    Noise::Centres => 0.2 * 6f64.powf(random.uniform(0.0, 1.0)),
+                    _ => 0.0,
+                };
                 let (survey, common) = match noise {
                     Noise::Equal => (None, 0.02),
                     Noise::Stated => (Some(0.01 * 5f64.powf(random.uniform(0.0, 1.0))), 0.0),
                     Noise::StatedAndCommon => (Some(0.01 * 5f64.powf(random.uniform(0.0, 1.0))), 0.03),
+                    Noise::Centres => (None, 0.01),
                 };
                 let sigma = survey.unwrap_or(0.0).hypot(common);
-                precision += 1.0 / (sigma * sigma);
+                precision += 1.0 / (sigma * sigma + (scale * centre_px).powi(2));
                 let exact = truth.apply(pixel);
                 let map = MapPoint {
                     easting: exact.easting + sigma * random.normal(),
                     northing: exact.northing + sigma * random.normal(),
                 };
-                Pair { pixel, covariance_px2: None, map, survey_sigma_m: survey }
+                let off = [random.normal(), random.normal()].map(|v| centre_px * v);
+                Pair {
+                    pixel: PixelPoint { x: pixel.x + off[0], y: pixel.y + off[1] },
+                    covariance_px2: (centre_px > 0.0).then_some([centre_px * centre_px, 0.0, centre_px * centre_px]),
+                    map,
+                    survey_sigma_m: survey,
+                }
             })
             .collect();
         let unit_sigma = (points as f64 / precision).sqrt();
@@ -70,12 +83,12 @@ fn coverage(cases: u64, points: usize, noise: Noise, seed: u64) -> (f64, f64) {
 #[test]
 fn over_500_cases_95_of_100_places_lie_inside_the_stated_radius() {
     // 500 cases in all: every kind of noise, three to forty points.
-    let kinds = [Noise::Equal, Noise::Stated, Noise::StatedAndCommon];
+    let kinds = [Noise::Equal, Noise::Stated, Noise::StatedAndCommon, Noise::Centres];
     let points = [3, 4, 5, 6, 8, 12, 20, 40];
     let (mut transform, mut point, mut cases) = (0.0, 0.0, 0);
     for (i, noise) in kinds.into_iter().enumerate() {
         for (j, points) in points.into_iter().enumerate() {
-            let share = 500 / 24 + u64::from((i * 8 + j) < 500 % 24);
+            let share = 500 / 32 + u64::from((i * 8 + j) < 500 % 32);
             let (t, p) = coverage(share, points, noise, 7 + (i * 8 + j) as u64);
             (transform, point, cases) = (transform + t * share as f64, point + p * share as f64, cases + share);
         }
@@ -89,7 +102,7 @@ fn over_500_cases_95_of_100_places_lie_inside_the_stated_radius() {
 #[test]
 fn the_radii_are_honest_for_few_points_and_unequal_weights_too() {
     let cases = if common::large() { 40_000 } else { 6000 };
-    for noise in [Noise::Equal, Noise::Stated, Noise::StatedAndCommon] {
+    for noise in [Noise::Equal, Noise::Stated, Noise::StatedAndCommon, Noise::Centres] {
         for points in [3, 4, 5, 6, 12, 40] {
             let (transform, point) = coverage(cases, points, noise, 1);
             println!("{noise:?}, {points} points: transform {transform:.4}, point {point:.4}");
@@ -210,4 +223,71 @@ fn what_is_not_met_or_not_tested_is_not_claimed() {
     checks[5].easting_m = 0.5;
     let s = statement(&checks, &[], &StatementOptions { class_h_m: Some(0.1), ..StatementOptions::default() });
     assert!(s.reservations.iter().any(|r| r.contains("blunders: C5")), "{:?}", s.reservations);
+}
+
+/// A list, its candidates and survey errors in a folder, and `solve` run over them.
+fn solved(check_shift_m: f64, crs: &str, extra: &[&str]) -> (serde_json::Value, String) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name);
+    let mut random = Random::new(77);
+    let truth = Similarity { a_re: 0.03, a_im: 0.001, easting_0: 570_000.0, northing_0: 7_032_000.0 };
+    let (mut list, mut candidates, mut errors) =
+        ("name,easting,northing\n".to_string(), "x,y\n".to_string(), "name,sigma_e,sigma_n,sigma_h\n".to_string());
+    for i in 0..14 {
+        let p = PixelPoint { x: random.uniform(100.0, 7900.0), y: random.uniform(100.0, 5900.0) };
+        let m = truth.apply(p);
+        let (shift, sigma) = if i < 4 { (check_shift_m, 0.01) } else { (0.0, if i == 5 { 0.5 } else { 0.005 }) };
+        let noise = [random.normal(), random.normal()].map(|v| 0.01 * v);
+        list += &format!("P{i},{:.4},{:.4}\n", m.easting + noise[0] + shift, m.northing + noise[1]);
+        candidates += &format!("{:.3},{:.3}\n", p.x, p.y);
+        errors += &format!("P{i},{sigma},{sigma},0.02\n");
+    }
+    for (name, text) in [("list.csv", list), ("marks.csv", candidates), ("errors.csv", errors)] {
+        std::fs::write(path(name), text).expect("writable");
+    }
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
+    command.args(["solve"]).arg(path("marks.csv")).arg("--gcps").arg(path("list.csv"));
+    command.arg("--accuracy").arg(path("errors.csv"));
+    let output = command
+        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--crs", crs])
+        .args(extra)
+        .output()
+        .expect("the program starts");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    (serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {text}")), text)
+}
+
+#[test]
+fn the_run_states_it_and_check_points_never_touch_the_fit() {
+    let (result, text) = solved(0.0, "EPSG:25832", &["--nssda", "--accuracy-class", "0.05"]);
+    assert_eq!(result["status"], "solved");
+    let h = &result["accuracy"]["figures"]["horizontal"];
+    assert_eq!(h["check_points"], 4);
+    let number = |v: &serde_json::Value| v.as_f64().expect("a number");
+    // The figures follow from the rows.
+    let rows = result["check_points"].as_array().expect("rows");
+    let squares: f64 =
+        rows.iter().map(|r| number(&r["residual_e_m"]).powi(2) + number(&r["residual_n_m"]).powi(2)).sum();
+    assert!(close(number(&h["rmse_h1_m"]), (squares / 4.0).sqrt()));
+    assert!((number(&h["rmse_h2_m"]) - 0.01 * 2f64.sqrt()).abs() < 1e-12);
+    assert!(close(number(&h["rmse_h_m"]), number(&h["rmse_h1_m"]).hypot(number(&h["rmse_h2_m"]))));
+    assert!(text.contains("ONLY 4 checkpoints") && text.contains("NSSDA: Tested"), "{text}");
+    assert!(text.contains("Expected error") && text.contains("produced to meet a 5 (cm)"), "{text}");
+    assert_eq!(result["expected_errors"].as_array().expect("corners").len(), 4);
+    // The survey's errors are weights: a coarse point counts for next to nothing.
+    let matches = result["matches"].as_array().expect("rows");
+    let coarse = matches.iter().position(|m| m["gcp"] == "P5").expect("a control point");
+    let pairs = result["solution"]["pairs"].as_array().expect("pairs");
+    let heaviest = pairs.iter().map(|p| number(&p["weight"])).fold(0.0, f64::max);
+    assert!(number(&pairs[coarse]["weight"]) < 0.01 * heaviest);
+    // Check points that are off by 4 cm change the statement, and not one bit of the fit.
+    let (shifted, text) = solved(0.04, "EPSG:25832", &["--nssda", "--accuracy-class", "0.05"]);
+    assert_eq!(shifted["geotransform"], result["geotransform"]);
+    assert_eq!(shifted["solution"], result["solution"]);
+    assert!(number(&shifted["accuracy"]["figures"]["horizontal"]["mean_e_m"]) < -0.02);
+    assert!(text.contains("mean error"), "{text}");
+    // The same list counted in US survey feet: the statement is in metres all the same.
+    let (feet, _) = solved(0.0, "EPSG:2263", &[]);
+    let in_feet = number(&feet["accuracy"]["figures"]["horizontal"]["rmse_h1_m"]);
+    assert!((in_feet / number(&h["rmse_h1_m"]) - 1200.0 / 3937.0).abs() < 1e-9);
 }

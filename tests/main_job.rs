@@ -146,7 +146,7 @@ fn out_writes_elsewhere_with_a_vrt() {
         .map(|entry| entry.expect("readable").file_name().to_string_lossy().into_owned())
         .collect();
     names.sort();
-    assert_eq!(names, ["e6.autoref.json", "e6.tfw", "e6.tif.aux.xml", "e6.vrt"]);
+    assert_eq!(names, ["e6.autoref.json", "e6.report.html", "e6.tfw", "e6.tif.aux.xml", "e6.vrt"]);
     let text = std::fs::read_to_string(out.join("e6.autoref.json")).expect("written");
     let result: Value = serde_json::from_str(&text).expect("a document");
     let numbers: Vec<f64> = serde_json::from_value(result["geotransform"].clone()).expect("six numbers");

@@ -118,7 +118,6 @@ fn slope(path: &Path, driver: &str, size: (usize, usize), options: &[&str]) {
         .collect();
     let mut band = dataset.rasterband(1).expect("there");
     band.write((0, 0), size, &mut Buffer::new(size, values)).expect("written");
-    drop(band);
     dataset.close().expect("written");
 }
 
@@ -426,4 +425,254 @@ fn what_must_not_be_written_to_is_not() {
     refused(&sample.apply(&["absent.tif", "--write", "tags"]), &["absent.tif"]);
     refused(&sample.apply(&["absent.tif", "--write", "warp"]), &["absent.tif"]);
     assert_eq!(sample.names(), ["e6.autoref.json", "e6.tif"]);
+}
+
+/// A float32 model with a slope, in `size` pixels.
+fn elevation_model(path: &Path, size: (usize, usize), own: Option<GeoTransform>) {
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let mut dataset = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("created");
+    let heights = (0..size.0 * size.1).map(|i| (i % size.0) as f32 * 0.1).collect();
+    let mut band = dataset.rasterband(1).expect("there");
+    band.write((0, 0), size, &mut Buffer::new(size, heights)).expect("written");
+    if let Some(own) = own {
+        dataset.set_geo_transform(&own.0).expect("settable");
+    }
+    dataset.close().expect("written");
+}
+
+#[test]
+fn the_elevation_model_gets_the_same_outputs() {
+    let sample = Sample::new(TURNED);
+    let dem = sample.path("dem.tif");
+    let name = dem.to_str().expect("plain").to_string();
+    // Half as many pixels over the same ground.
+    elevation_model(&dem, (SIZE.0 / 2, SIZE.1 / 2), None);
+    refused(&sample.apply(&["--to", &name]), &["dem.tif", "not known", "--same-extent"]);
+    refused(&sample.apply(&[&name]), &["350 × 250", "--to"]);
+    succeeded(&sample.apply(&["--to", &name, "--same-extent", "--write", "world,aux,gcps,warp,tags"]));
+    let read = transform_of(&dem);
+    for (x, y) in [(0.0, 0.0), (700.0, 0.0), (0.0, 500.0), (123.0, 321.0)] {
+        let (a, b) = (TURNED.apply(PixelPoint { x, y }), read.apply(PixelPoint { x: x / 2.0, y: y / 2.0 }));
+        assert!((a.easting - b.easting).hypot(a.northing - b.northing) < 1e-8, "{a:?} {b:?}");
+    }
+    let warped = gdal::Dataset::open(sample.path("dem.warp.tif")).expect("opens");
+    let band = warped.rasterband(1).expect("there");
+    assert_eq!((warped.raster_count(), band.no_data_value()), (1, Some(-9999.0)), "heights have no alpha");
+    let gcps = gdal::Dataset::open(sample.path("dem.gcps.vrt")).expect("opens");
+    let first = &gcps.gcps()[0];
+    assert!((first.pixel() - 100.123456789 / 2.0).abs() < 1e-9);
+    // A shape that cannot have the same extent.
+    elevation_model(&sample.path("odd.tif"), (SIZE.0 / 2, SIZE.1), None);
+    let odd = sample.path("odd.tif");
+    refused(&sample.apply(&["--to", odd.to_str().expect("plain"), "--same-extent"]), &["odd.tif", "shape"]);
+}
+
+#[test]
+fn a_model_in_the_photogrammetrys_own_system_is_carried_through_it() {
+    let sample = Sample::new(TURNED);
+    let text = std::fs::read_to_string(sample.path("e6.autoref.json")).expect("there");
+    let mut result: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    // Local coordinates: the image's pixels are 0.5 units, the model's 2, and the model begins 10 pixels up and left.
+    result["prior_georeference"] = serde_json::json!({
+        "geotransform": [100.0, 0.5, 0.0, 900.0, 0.0, -0.5], "crs": null, "moved_m": null,
+    });
+    std::fs::write(sample.path("e6.autoref.json"), result.to_string()).expect("written");
+    let dem = sample.path("dem.tif");
+    let own = GeoTransform([100.0 - 20.0, 2.0, 0.0, 900.0 + 20.0, 0.0, -2.0]);
+    elevation_model(&dem, (240, 170), Some(own));
+    let name = dem.to_str().expect("plain").to_string();
+    succeeded(&sample.apply(&["--to", &name]));
+    let read = transform_of(&dem);
+    for (x, y) in [(0.0, 0.0), (240.0, 0.0), (0.0, 170.0)] {
+        let in_image = PixelPoint { x: (x - 10.0) * 4.0, y: (y - 10.0) * 4.0 };
+        let (a, b) = (TURNED.apply(in_image), read.apply(PixelPoint { x, y }));
+        assert!((a.easting - b.easting).hypot(a.northing - b.northing) < 1e-8, "{a:?} {b:?}");
+    }
+    // Now its own georeference is covered by ours: a second time would move it twice.
+    refused(&sample.apply(&["--to", &name, "--overwrite"]), &["dem.tif", "covered"]);
+}
+
+/// Cuts an image into tiles with a world file each, as photogrammetry programs deliver them.
+fn cut(image: &Path, folder: &Path, side: u64, whole: &GeoTransform) -> Vec<(PathBuf, GeoTransform)> {
+    std::fs::create_dir(folder).expect("a folder");
+    let source = gdal::Dataset::open(image).expect("opens");
+    let (width, height) = source.raster_size();
+    let (bands, driver) = (source.raster_count(), gdal::DriverManager::get_driver_by_name("GTiff").expect("there"));
+    let mut tiles = Vec::new();
+    for y in (0..height).step_by(side as usize) {
+        for x in (0..width).step_by(side as usize) {
+            let size = ((width - x).min(side as usize), (height - y).min(side as usize));
+            let path = folder.join(format!("tile_{}_{}.tif", y / side as usize, x / side as usize));
+            let tile = driver.create_with_band_type::<u8, _>(&path, size.0, size.1, bands).expect("created");
+            for number in 1..=bands {
+                let pixels = source
+                    .rasterband(number)
+                    .and_then(|band| band.read_as::<u8>((x as isize, y as isize), size, size, None))
+                    .expect("read");
+                let mut pixels = pixels;
+                tile.rasterband(number).expect("there").write((0, 0), size, &mut pixels).expect("written");
+            }
+            tile.close().expect("written");
+            let g = whole.0;
+            let corner = whole.apply(PixelPoint { x: x as f64, y: y as f64 });
+            let own = GeoTransform([corner.easting, g[1], g[2], corner.northing, g[4], g[5]]);
+            let text = autoref_stream::georef::sidecar::world_file(&own);
+            std::fs::write(path.with_extension("tfw"), text).expect("written");
+            tiles.push((path, own));
+        }
+    }
+    tiles
+}
+
+#[test]
+fn tiles_with_world_files_are_one_raster() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name);
+    let text = |path: PathBuf| path.to_str().expect("plain").to_string();
+    let size =
+        ["--size", "1500,1100", "--extent-m", "40,30", "--random-gcps", "12", "--visible", "10", "--gsd", "0.03"];
+    let marks = ["--rotation", "6", "--mark-size", "14", "--seed", "5"];
+    let (whole, list) = (text(at("e6.tif")), text(at("e6.geojson")));
+    let mut synth = vec!["synth", &whole, "--write-gcps", &list];
+    synth.extend(size.iter().chain(&marks));
+    succeeded(&autoref(&synth));
+    succeeded(&autoref(&[&whole, "--gcps", &list, "--quiet"]));
+    let expected = RunResult::read(&at("e6.autoref.json")).expect("written").geotransform.expect("solved");
+    // Local coordinates with another origin and unit.
+    let local = GeoTransform([1000.0, 0.5, 0.0, 5000.0, 0.0, -0.5]);
+    let tiles = cut(Path::new(&whole), &at("tiles"), 400, &local);
+    let before: Vec<Vec<u8>> = tiles.iter().map(|(path, _)| std::fs::read(path).expect("there")).collect();
+    let dir = text(at("tiles"));
+    succeeded(&autoref(&[&dir, "--gcps", &list, "--quiet", "--prior", "none"]));
+    let result = RunResult::read(&at("tiles.autoref.json")).expect("written");
+    let image = result.image.as_ref().expect("described");
+    assert_eq!((image.width, image.height), (1500, 1100));
+    let solved = result.geotransform.expect("solved");
+    assert_eq!(solved, expected, "tiles or not, the same answer");
+    assert!(difference_px(&solved, &transform_of(&at("tiles.vrt"))) < 1e-6);
+    assert_eq!(gdal::Dataset::open(at("tiles.vrt")).expect("opens").raster_size(), (1500, 1100));
+    // Everything else from the result; world files and tags go to every tile.
+    let json = text(at("tiles.autoref.json"));
+    refused(&autoref(&["apply", &json, "--write", "world"]), &["tfw", "exists"]);
+    succeeded(&autoref(&["apply", &json, "--write", "warp,gcps,tags,aux", "--quiet"]));
+    is_valid_cog(&at("tiles.warp.tif"));
+    for (path, own) in &tiles {
+        let corner = local.invert(own.apply(PixelPoint { x: 0.0, y: 0.0 })).expect("not singular");
+        let g = solved.0;
+        let map = solved.apply(corner);
+        let new = GeoTransform([map.easting, g[1], g[2], map.northing, g[4], g[5]]);
+        assert!(difference_px(&new, &transform_of(path)) < 1e-6, "{}", path.display());
+        std::fs::remove_file(autoref_stream::georef::sidecar::aux_path(path)).expect("written above");
+        assert!(difference_px(&new, &transform_of(path)) < 1e-6, "{} by its tags", path.display());
+    }
+    // Rotated as they are now, the tiles still lie on one grid.
+    assert_eq!(autoref_stream::raster::size(&at("tiles"), 0).expect("a mosaic"), (1500, 1100));
+    let names: Vec<String> = tiles.iter().map(|(path, _)| text(path.clone())).collect();
+    let mut undo = vec!["undo", "--quiet"];
+    undo.extend(names.iter().map(String::as_str));
+    succeeded(&autoref(&undo));
+    for ((path, _), before) in tiles.iter().zip(&before) {
+        assert!(*before == std::fs::read(path).expect("there"), "{}", path.display());
+    }
+    tiles_that_do_not_fit(&at("tiles"), &at("tiles.txt"));
+}
+
+/// One clear line that names the tile.
+fn tiles_that_do_not_fit(folder: &Path, list: &Path) {
+    let line = || {
+        let message = autoref_stream::raster::size(folder, 0).expect_err("it does not fit").to_string();
+        assert!(!message.contains('\n'), "{message}");
+        message
+    };
+    let world = folder.join("tile_1_1.tfw");
+    let original = std::fs::read_to_string(&world).expect("there");
+    let mut lines: Vec<String> = original.lines().map(String::from).collect();
+    lines[4] = (lines[4].parse::<f64>().expect("a number") + 0.2).to_string();
+    std::fs::write(&world, lines.join("\n")).expect("written");
+    let message = line();
+    assert!(message.contains("tile_1_1.tif") && message.contains("no whole number"), "{message}");
+    std::fs::remove_file(&world).expect("there");
+    assert!(line().contains("no georeference of its own"), "{}", line());
+    std::fs::write(&world, original).expect("written");
+    std::fs::write(list, "# three of them\ntiles/tile_0_0.tif\n\ntiles/tile_0_1.tif\ntiles/tile_1_1.tif\n")
+        .expect("written");
+    assert_eq!(autoref_stream::raster::size(list, 0).expect("a mosaic"), (800, 800));
+    std::fs::write(list, "tiles/tile_0_0.tif\ntiles/none.tif\n").expect("written");
+    let message = autoref_stream::raster::size(list, 0).expect_err("absent").to_string();
+    assert!(message.contains("line 2") && message.contains("none.tif"), "{message}");
+    std::fs::remove_file(list).expect("there");
+}
+
+/// A Python that has rasterio: the system's, or a virtual environment in the build folder. `None` when neither can be had.
+fn python_with_rasterio() -> Option<PathBuf> {
+    let imports = |python: &Path| {
+        Command::new(python).args(["-c", "import rasterio"]).output().is_ok_and(|output| output.status.success())
+    };
+    let system = PathBuf::from("python3");
+    if imports(&system) {
+        return Some(system);
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-rasterio");
+    let own = folder.join("bin/python");
+    if !imports(&own) {
+        let made = Command::new(&system).args(["-m", "venv"]).arg(&folder).output();
+        if !made.is_ok_and(|output| output.status.success()) {
+            return None;
+        }
+        let install = ["-m", "pip", "install", "-q", "--timeout", "15", "--retries", "1", "rasterio", "rio-cogeo"];
+        // A failure shows in the import.
+        let _ = Command::new(&own).args(install).output();
+    }
+    imports(&own).then_some(own)
+}
+
+#[test]
+fn rasterio_reads_every_output_alike() {
+    let Some(python) = python_with_rasterio() else {
+        eprintln!("skipped: rasterio is not installed and cannot be");
+        return;
+    };
+    for transform in [TURNED, NORTH_UP] {
+        let sample = Sample::new(transform);
+        for alone in ["world", "tags"] {
+            std::fs::create_dir(sample.path(alone)).expect("a folder");
+            std::fs::copy(sample.path("e6.tif"), sample.path(alone).join("e6.tif")).expect("copied");
+            let copy = sample.path(alone).join("e6.tif");
+            succeeded(&sample.apply(&[copy.to_str().expect("plain"), "--write", alone]));
+        }
+        succeeded(&sample.apply(&["--write", "aux,vrt,gcps,warp"]));
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_outputs.py");
+        let output = Command::new(&python).arg(script).arg(sample.folder.path()).output().expect("Python starts");
+        let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), stderr(&output));
+        eprintln!("{}", said.trim_end());
+        assert!(output.status.success(), "{said}");
+    }
+}
+
+/// 2 GB on demand, 0.1 GB always.
+#[test]
+fn warping_stays_within_the_budget() {
+    let sample = Sample::new(TURNED);
+    let side = if common::large() { 26_000 } else { 6_000 };
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let options = RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER"]);
+    let dataset = driver
+        .create_with_band_type_with_options::<u8, _>(sample.path("e6.tif"), side, side, 3, &options)
+        .expect("created");
+    for band in 1..=3 {
+        dataset.rasterband(band).expect("there").fill(90.0, None).expect("filled");
+    }
+    dataset.close().expect("written");
+    let text = std::fs::read_to_string(sample.path("e6.autoref.json")).expect("there");
+    let mut result: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    result["image"]["width"] = side.into();
+    result["image"]["height"] = side.into();
+    std::fs::write(sample.path("e6.autoref.json"), result.to_string()).expect("written");
+    let output = sample.apply(&["--write", "warp", "--memory", "176M", "--threads", "8", "--json"]);
+    succeeded(&output);
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one document");
+    let peak = said["peak_memory_bytes"].as_u64().expect("measured");
+    eprintln!("warping {:.1} GB: peak {:.0} MiB of 176", (side * side * 3) as f64 / 1e9, peak as f64 / 1_048_576.0);
+    assert!(peak < 176 << 20, "{peak} bytes");
+    is_valid_cog(&sample.path("e6.warp.tif"));
 }

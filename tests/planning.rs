@@ -83,6 +83,15 @@ fn a_shift_by_one_place_is_found_where_it_matters() {
 }
 
 #[test]
+fn many_points_are_answered_in_time() {
+    let started = std::time::Instant::now();
+    let found = plan(&points((0..300).map(|i| (f64::from(i % 20) * 40.0, f64::from(i / 20) * 40.0))), &request());
+    assert!(!found.unique && found.advice.len() >= 2);
+    assert!(plan(&random_list(7, 400), &request()).unique);
+    println!("{:.1} s", started.elapsed().as_secs_f64());
+}
+
+#[test]
 fn random_lists_are_unique() {
     for seed in 0..20 {
         let n = 8 + seed as usize % 10;

@@ -43,9 +43,9 @@ fn sample(path: &Path, options: &[&str], overviews: bool, prepare: impl FnOnce(&
 }
 
 fn write_tags(path: &Path, page: usize, transform: &GeoTransform, crs: Option<&Crs>, options: TagOptions) {
-    let (edit, lost) = tags::prepare(path, page, transform, crs, &options).expect("it takes tags");
+    let (mut edit, lost) = tags::prepare(path, page, transform, crs, &options).expect("it takes tags");
     assert_eq!(lost, None);
-    Box::new(edit).apply().expect("written");
+    edit.apply().expect("written");
 }
 
 fn bytes(path: &Path) -> Vec<u8> {
@@ -122,9 +122,7 @@ fn every_kind_of_tiff_takes_tags_and_gives_them_back() {
                             // An older georeference, which is replaced; its meaning of a pixel is kept.
                             dataset.set_metadata_item("AREA_OR_POINT", "Point", "").expect("settable");
                             dataset.set_geo_transform(&[1.0, 2.0, 0.0, 3.0, 0.0, -2.0]).expect("settable");
-                            dataset
-                                .set_projection(&Crs::from_epsg(32633).expect("known").wkt().to_string())
-                                .expect("settable");
+                            dataset.set_projection(Crs::from_epsg(32633).expect("known").wkt()).expect("settable");
                         }
                     });
                     one_kind(&path, &transform, &crs, point);

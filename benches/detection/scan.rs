@@ -1,5 +1,6 @@
 //! The detector over a whole picture in memory: classify, label, gate, examine.
 
+use autoref_stream::candidate::split::examine_parts;
 use autoref_stream::candidate::{Candidate, Gates, examine, finish, patch_margin_px};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::{Patch, PixelRow, SampleType, Samples};
@@ -9,7 +10,7 @@ use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
 use autoref_stream::window::Window;
 
-use super::plant::Picture;
+use autoref_stream::synth::plant::Picture;
 
 pub struct Detector {
     pub profile: Profile,
@@ -46,10 +47,15 @@ impl Detector {
         self.regions(picture)
             .into_iter()
             .filter(|r| self.gates.region(r))
-            .filter_map(|r| {
+            .flat_map(|r| {
                 let patch = self.patch(picture, &r);
-                let c = examine(&r, &patch, &self.classifier, &self.profile, &self.gates)?;
-                Some((r, c))
+                let (classifier, profile, gates) = (&self.classifier, &self.profile, &self.gates);
+                let found = if profile.examine.split {
+                    examine_parts(&r, &patch, classifier, profile, gates)
+                } else {
+                    examine(&r, &patch, classifier, profile, gates).into_iter().collect()
+                };
+                found.into_iter().map(|c| (r.clone(), c)).collect::<Vec<_>>()
             })
             .collect()
     }

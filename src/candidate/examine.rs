@@ -62,14 +62,25 @@ pub fn examine(
     gates: &Gates,
 ) -> Option<Candidate> {
     let scene = Scene::new(region, patch, classifier, profile.filters == Filters::default())?;
-    if !super::options::passes(&scene, profile) {
+    examine_scene(&scene, region, classifier, profile, gates)
+}
+
+/// The same once the patch is split into paint and ground.
+pub(super) fn examine_scene(
+    scene: &Scene<'_>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<Candidate> {
+    if !super::options::passes(scene, profile) {
         return None;
     }
-    let mut evidence = measure_scene(&scene, region, classifier, profile);
+    let mut evidence = measure_scene(scene, region, classifier, profile);
     if evidence.hopeless {
         return None;
     }
-    if let Some((x, y)) = super::options::plain_centre(&scene, classifier, profile) {
+    if let Some((x, y)) = super::options::plain_centre(scene, classifier, profile) {
         evidence.centre = (x, y);
     }
     let score = score(&evidence, profile, gates);
@@ -92,7 +103,12 @@ pub fn measure(region: &Region, patch: &Patch, classifier: &Classifier, profile:
     Some(measure_scene(&scene, region, classifier, profile))
 }
 
-fn measure_scene(scene: &Scene<'_>, region: &Region, classifier: &Classifier, profile: &Profile) -> Evidence {
+pub(super) fn measure_scene(
+    scene: &Scene<'_>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+) -> Evidence {
     let patch = scene.patch;
     let colours: Vec<Vector3<f64>> = (0..scene.own.len())
         .filter(|&i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX))
@@ -223,19 +239,35 @@ fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms
 /// of the side.
 fn inflate(fit: &Fit) -> [f64; 3] {
     const FLOOR_PX: f64 = 0.01;
-    const BORDER: f64 = 105.0;
-    const SHIFT: f64 = 0.75;
+    const BORDER: f64 = 67.0;
+    const SHIFT: f64 = 0.542;
+    // The fitted blur holds the smear of coarse quantisation and of chroma at half resolution: 1.5 px in the base case.
+    const USUAL_BLUR_PX: f64 = 1.5;
+    const BLUR_POWER: f64 = 1.26;
     // Below 6 px the formula was not measured to rise further.
     let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt().max(6.0);
-    let border = (BORDER * fit.rms / (side * side)).hypot(SHIFT * fit.rms);
+    let smear = (fit.blur_px.clamp(0.7, 3.0) / USUAL_BLUR_PX).powf(BLUR_POWER);
+    let border = smear * (BORDER * fit.rms / (side * side)).hypot(SHIFT * fit.rms);
     let hidden = (fit.hidden - 0.02).max(0.0) * side * 0.25;
     // A square that fits as a clear rectangle has lost a side to cover, or its paint ran: the middle of what is left is
     // off by up to half the difference, in a direction that the picture does not tell.
     let uneven = (fit.sides_px[0] - fit.sides_px[1]).abs();
     let cut = 0.6 * (uneven - 0.05 * side - 0.2).max(0.0);
-    let extra = FLOOR_PX * FLOOR_PX + border * border + hidden * hidden + cut * cut;
+    let extra = FLOOR_PX * FLOOR_PX + in_step(fit) * border * border + hidden * hidden + cut * cut;
     let [xx, xy, yy] = fit.covariance_px2;
     [xx + extra, xy, yy + extra]
+}
+
+/// How much the errors along a border add up: along edges in step with the pixel grid, or across it at 45°, every pixel of
+/// an edge errs alike. Variance relative to edges at other angles; a disc has some of each.
+fn in_step(fit: &Fit) -> f64 {
+    match fit.form {
+        Form::Rectangle => {
+            let (across, along) = (2.0 * fit.angle_rad).sin_cos();
+            1.0 + 3.5 * along.powi(16) + 2.6 * across.powi(16)
+        }
+        Form::Disc => 2.2,
+    }
 }
 
 /// Log-likelihood ratio of "mark" against "something else of this colour", natural logarithm.

@@ -9,6 +9,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::coords::PixelPoint;
+
 /// Parameters: centre x, y; logarithms of the two sides (disc: of the diameter, twice); angle; logarithm of the blur;
 /// height; plane: constant, slope in x, slope in y.
 pub const PARAMETERS: usize = 10;
@@ -66,9 +68,28 @@ pub struct Fit {
     pub hidden: f64,
 }
 
+impl Fit {
+    /// The border of the shape about a centre, as a closed polygon in the units of the centre: four corners, or a disc in
+    /// steps of 15°.
+    pub fn outline(&self, centre: PixelPoint) -> Vec<PixelPoint> {
+        let [a, b] = self.sides_px;
+        if self.form == Form::Disc {
+            return (0..24)
+                .map(|k| (f64::from(k) * std::f64::consts::PI / 12.0).sin_cos())
+                .map(|(sin, cos)| PixelPoint { x: centre.x + a / 2.0 * cos, y: centre.y + a / 2.0 * sin })
+                .collect();
+        }
+        let (sin, cos) = self.angle_rad.sin_cos();
+        [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+            .map(|(u, v)| (u * a, v * b))
+            .map(|(u, v)| PixelPoint { x: centre.x + cos * u - sin * v, y: centre.y + sin * u + cos * v })
+            .to_vec()
+    }
+}
+
 /// Standard normal density and distribution. The distribution is Abramowitz and Stegun, "Handbook of mathematical
 /// functions" (1964), 7.1.26, good to 1.5e-7, because it shares its exponential with the density.
-fn normal(t: f64) -> (f64, f64) {
+pub(crate) fn normal(t: f64) -> (f64, f64) {
     const INV_SQRT_2PI: f64 = 0.398_942_280_401_432_7;
     let e = (-0.5 * t * t).exp();
     let k = 1.0 / (1.0 + 0.327_591_1 * t.abs() * std::f64::consts::FRAC_1_SQRT_2);
@@ -414,7 +435,6 @@ fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
 
 /// H⁻¹ (Σ_ij K(d_ij) wᵢ rᵢ jᵢ wⱼ rⱼ jⱼᵀ) H⁻¹ for the centre, with a Bartlett kernel of 4 px on a side.
 fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
-    const REACH: i64 = 4;
     let pose = problem.pose(p);
     // What each sample moves the centre by.
     let pushes: Vec<(i64, i64, f64, f64)> = problem
@@ -434,6 +454,13 @@ fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
             (s.x.floor() as i64, s.y.floor() as i64, push[0], push[1])
         })
         .collect();
+    correlated_scatter(&pushes)
+}
+
+/// Scatter (xx, xy, yy) of a sum of pushes, each `(column, row, push x, push y)`, that are correlated with their neighbours:
+/// products of pushes weighted with a Bartlett kernel of 4 cells on a side. Not numbers when there are none.
+pub(crate) fn correlated_scatter(pushes: &[(i64, i64, f64, f64)]) -> [f64; 3] {
+    const REACH: i64 = 4;
     let (x0, y0) = pushes.iter().fold((i64::MAX, i64::MAX), |m, q| (m.0.min(q.0), m.1.min(q.1)));
     let (x1, y1) = pushes.iter().fold((i64::MIN, i64::MIN), |m, q| (m.0.max(q.0), m.1.max(q.1)));
     if pushes.is_empty() {
@@ -441,7 +468,7 @@ fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
     }
     let (width, height) = ((x1 - x0 + 1) as usize, (y1 - y0 + 1) as usize);
     let mut grid = vec![[0.0f64; 2]; width * height];
-    for &(x, y, px, py) in &pushes {
+    for &(x, y, px, py) in pushes {
         grid[(y - y0) as usize * width + (x - x0) as usize] = [px, py];
     }
     // The two-dimensional Bartlett kernel is the autocorrelation of a box, so the sum is that of squared box sums.

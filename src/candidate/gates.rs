@@ -14,7 +14,12 @@ pub struct Gates {
     tightness: (f64, f64),
     area_per_perimeter: (f64, f64),
     mark_side_px: (f64, f64),
+    /// Largest area of one mark; `area.1` may be that of several that touch.
+    single_area: u64,
 }
+
+/// How many marks that touch are looked at as one region when the profile asks for it.
+const MOST_TOUCHING: u64 = 16;
 
 impl Gates {
     /// Absent limits are derived from the range of mark sides. Colour finds a faded or blurred small mark only in part and
@@ -29,19 +34,25 @@ impl Gates {
         let g = &profile.gates;
         let outer = high + 4.0;
         let max_side = g.max_side_px.unwrap_or((outer * std::f64::consts::SQRT_2).ceil() as u64);
+        let single_area = g.max_area_px.unwrap_or((outer * outer).ceil() as u64);
+        // Marks in a row: long, thin and not tight.
+        let split = profile.examine.split;
+        let (area, side, eccentricity, tightness) = if split {
+            (MOST_TOUCHING * single_area, MOST_TOUCHING.isqrt() * max_side, 1.0, 0.05)
+        } else {
+            (single_area, max_side, 0.97, 0.25)
+        };
         Ok(Gates {
-            area: (
-                g.min_area_px.unwrap_or(((low * low / 6.0).floor() as u64).max(3)),
-                g.max_area_px.unwrap_or((outer * outer).ceil() as u64),
-            ),
-            side: (g.min_side_px.unwrap_or(if low >= 3.0 { 2 } else { 1 }), max_side),
-            max_eccentricity: g.max_eccentricity.unwrap_or(0.97),
-            tightness: (g.min_tightness.unwrap_or(0.25), g.max_tightness.unwrap_or(1.0)),
+            area: (g.min_area_px.unwrap_or(((low * low / 6.0).floor() as u64).max(3)), area),
+            side: (g.min_side_px.unwrap_or(if low >= 3.0 { 2 } else { 1 }), side),
+            max_eccentricity: g.max_eccentricity.unwrap_or(eccentricity),
+            tightness: (g.min_tightness.unwrap_or(tightness), g.max_tightness.unwrap_or(1.0)),
             area_per_perimeter: (
                 g.min_area_per_perimeter_px.unwrap_or(0.0),
                 g.max_area_per_perimeter_px.unwrap_or(f64::INFINITY),
             ),
             mark_side_px: (low, high),
+            single_area,
         })
     }
 
@@ -63,6 +74,11 @@ impl Gates {
     /// Smallest and largest side of a mark.
     pub fn mark_side_px(&self) -> (f64, f64) {
         self.mark_side_px
+    }
+
+    /// May the region be one mark?
+    pub fn single(&self, region: &Region) -> bool {
+        region.area <= self.single_area
     }
 
     /// Does the region pass every gate?

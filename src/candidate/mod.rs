@@ -1,11 +1,22 @@
 //! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then a second look at the pixels of
 //! what is left.
+//!
+//! ```
+//! use autoref_stream::georef::candidate_list::read_csv;
+//! let folder = tempfile::tempdir().expect("a temporary folder");
+//! let list = folder.path().join("candidates.csv");
+//! std::fs::write(&list, "x,y,score\n120.25,80.5,17\n").expect("writable");
+//! let candidates = read_csv(&list)?; // what `detect` writes; x and y are enough
+//! assert_eq!((candidates[0].centre.x, candidates[0].score), (120.25, Some(17.0)));
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 pub mod examine;
 pub mod fit;
 pub mod gates;
 pub mod options;
 pub mod patch;
+pub mod split;
 
 use serde::{Deserialize, Serialize};
 

@@ -57,6 +57,12 @@ impl<'a> Scene<'a> {
         if !own.iter().any(|&b| b) {
             return None;
         }
+        Some(Scene::of_pixels(patch, own, paint))
+    }
+
+    /// The scene of a set of pixels of the patch among all that is paint.
+    pub fn of_pixels(patch: &'a Patch, own: Vec<bool>, paint: Vec<bool>) -> Scene<'a> {
+        let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let other: Vec<bool> = paint.iter().zip(&own).map(|(&p, &o)| p && !o).collect();
         let outside_px = distance(&own, width, height);
         let not_own: Vec<bool> = own.iter().map(|o| !o).collect();
@@ -64,7 +70,7 @@ impl<'a> Scene<'a> {
         let alone = !other.iter().any(|&b| b);
         let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
         let scale = 255.0 / f64::from(patch.white);
-        Some(Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale })
+        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale }
     }
 
     /// Samples on the scale 0..=255, not rounded.

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use autoref_stream::accuracy::{self, CheckError, StatementOptions};
+use autoref_stream::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
 use autoref_stream::georef::result::{RunResult, Status};
@@ -72,19 +72,11 @@ pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
             .map_or(String::new(), |s| format!(", with the survey's own {} RMSE_H {}", cm(s), cm(h.rmse_h_m)));
         line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, cm(h.rmse_h1_m)));
     }
-    let worst = result.expected_errors.iter().max_by(|a, b| a.expected.point_95_m.total_cmp(&b.expected.point_95_m));
-    if let (Some(worst), Some(solution)) = (worst, &result.solution)
-        && let Some(model) = accuracy::ErrorModel::new(solution)
-    {
-        line(
-            "Expected error",
-            format!(
-                "95 % within {} in the middle of the marks, {} in the {} corner",
-                cm(model.at(solution.centre).point_95_m),
-                cm(worst.expected.point_95_m),
-                worst.direction
-            ),
-        );
+    let by_size = |a: &&CornerError, b: &&CornerError| a.expected.point_95_m.total_cmp(&b.expected.point_95_m);
+    let corners = result.expected_errors.iter();
+    if let (Some(best), Some(worst)) = (corners.clone().min_by(by_size), corners.max_by(by_size)) {
+        let at = |c: &CornerError| format!("{} in the {} corner", cm(c.expected.point_95_m), c.direction);
+        line("Expected error", format!("of a point, 95 %: {}, {}", at(best), at(worst)));
     }
     for sentence in &statement.sentences {
         line("Accuracy", sentence.clone());

@@ -4,9 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use autoref_stream::georef::atomic::Transaction;
+use autoref_stream::georef::carry;
 use autoref_stream::georef::result::RunResult;
 use autoref_stream::georef::write::Output;
 use autoref_stream::pipeline::plan;
+use autoref_stream::raster;
 use clap::Args;
 
 use crate::cli::common::{Bytes, threads};
@@ -19,6 +21,12 @@ pub struct ApplyArgs {
     pub result: PathBuf,
     /// The image, if it is no longer where the result says.
     pub image: Option<PathBuf>,
+    /// Write for another raster of the same project instead, such as the elevation model.
+    #[arg(long, value_name = "RASTER", conflicts_with = "image")]
+    pub to: Option<PathBuf>,
+    /// With --to: the outer edges of both rasters coincide.
+    #[arg(long, requires = "to")]
+    pub same_extent: bool,
     /// Image of a multi-page file, counted from 0. Default: the one that was solved.
     #[arg(long, value_name = "N", help_heading = "Reading")]
     pub page: Option<usize>,
@@ -45,13 +53,15 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
         let reason = result.reason.as_deref().unwrap_or("it was not solved");
         bail!("{}: there is no georeference to apply: {reason}", args.result.display());
     }
-    let Some(image) = args.image.clone().or_else(|| result.image.as_ref().map(|image| PathBuf::from(&image.path)))
-    else {
-        bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
+    let (image, result, page) = match &args.to {
+        Some(other) => (other.clone(), carry::carry(&result, other, args.same_extent)?, args.page.unwrap_or(0)),
+        None => {
+            let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
+            let page = args.page.unwrap_or(solved as usize);
+            (image_of(args, &result, page)?, result, page)
+        }
     };
-    let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
-    let request =
-        args.write.request(&image, args.page.unwrap_or(solved as usize), args.memory.0, threads(args.threads))?;
+    let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
     let bar = WarpBar::new(request.wants(Output::Warp) && !args.quiet && !args.json);
     let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
@@ -59,7 +69,11 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;
     if args.json {
-        let document = serde_json::json!({"files_written": written, "warnings": warnings});
+        let document = serde_json::json!({
+            "files_written": written,
+            "warnings": warnings,
+            "peak_memory_bytes": plan::peak_resident_bytes(),
+        });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
         for warning in &warnings {
@@ -68,4 +82,25 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
         println!("Written   {}", written.join(", "));
     }
     Ok(())
+}
+
+/// The image that was solved, of the same size as then.
+fn image_of(args: &ApplyArgs, result: &RunResult, page: usize) -> anyhow::Result<PathBuf> {
+    let solved = result.image.as_ref();
+    let Some(image) = args.image.clone().or_else(|| solved.map(|image| PathBuf::from(&image.path))) else {
+        bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
+    };
+    if let Some(solved) = solved
+        && let (width, height) = raster::size(&image, page)?
+        && (width, height) != (solved.width, solved.height)
+    {
+        bail!(
+            "{}: it has {width} × {height} pixels, the image that was solved {} × {}; for another raster of the same project \
+             give --to",
+            image.display(),
+            solved.width,
+            solved.height
+        );
+    }
+    Ok(image)
 }

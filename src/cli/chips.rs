@@ -30,6 +30,9 @@ pub struct Args {
     /// Replace existing pictures.
     #[arg(long)]
     overwrite: bool,
+    /// Print what was done as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
 }
 
 pub fn run(args: &Args) -> Result<()> {
@@ -71,7 +74,12 @@ pub fn run(args: &Args) -> Result<()> {
             sheet[to..to + side * 3].copy_from_slice(&chip[y * side * 3..(y + 1) * side * 3]);
         }
     }
-    write_png(&sheet_path, &sheet, width, height)
+    write_png(&sheet_path, &sheet, width, height)?;
+    if args.json {
+        let files: Vec<String> = paths.iter().chain([&sheet_path]).map(|path| path.display().to_string()).collect();
+        println!("{}", serde_json::to_string_pretty(&serde_json::json!({"files_written": files}))?);
+    }
+    Ok(())
 }
 
 /// A name that is safe in a path.

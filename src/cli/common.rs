@@ -10,7 +10,7 @@ use autoref_stream::gcp::GcpOptions;
 use autoref_stream::georef::crs::Crs;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
-use autoref_stream::pipeline::{self, Detector, PaintDetector, PlanOptions, Progress, ScanPlan};
+use autoref_stream::pipeline::{self, Detector, MarkDetector, PlanOptions, Progress, ScanPlan};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::{self, RasterInfo, RasterSource, ReaderChoice};
 use clap::{Args, ValueEnum};
@@ -96,8 +96,8 @@ pub struct MatchArgs {
 #[derive(Args, Debug)]
 pub struct GcpArgs {
     /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML, GPX.
-    #[arg(long, value_name = "FILE", required = true, help_heading = "Ground control points")]
-    // An option only because a subcommand does without; clap demands it otherwise.
+    #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
+    // Asked for by `path`: a replay takes the points of the result.
     pub gcps: Option<PathBuf>,
     /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says, else the image's.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
@@ -249,8 +249,10 @@ impl FromStr for MarkSize {
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
     pub source: Arc<dyn RasterSource>,
-    pub detector: PaintDetector,
+    pub detector: MarkDetector,
     pub plan: ScanPlan,
+    /// What the plan was made with.
+    pub options: PlanOptions,
 }
 
 /// As asked for, else one for each core.
@@ -273,7 +275,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
     let info = source.info();
     let profile = profile(marks)?;
     let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
-    let detector = PaintDetector::new(profile, info, gsd_m)?;
+    let detector = MarkDetector::new(profile, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,
         threads,
@@ -292,7 +294,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         info.reader
     );
     tracing::info!("memory plan: {}", plan.line());
-    Ok(Prepared { source, detector, plan })
+    Ok(Prepared { source, detector, plan, options })
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
@@ -403,6 +405,18 @@ impl Bar {
             bar.finish_and_clear();
         }
     }
+
+    /// What goes on now: a line that moves, in place of the bar.
+    pub fn stage(&self, what: &str) {
+        tracing::info!("{what}");
+        if let Some(bar) = &self.bar {
+            let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}")
+                .expect("the template is well formed");
+            bar.set_style(style);
+            bar.set_message(what.to_string());
+            bar.enable_steady_tick(std::time::Duration::from_millis(120));
+        }
+    }
 }
 
 impl Progress for Bar {
@@ -410,6 +424,10 @@ impl Progress for Bar {
         if let Some(bar) = &self.bar {
             bar.inc(pixels * self.bytes_per_pixel);
         }
+    }
+
+    fn stage(&self, what: &str) {
+        Bar::stage(self, what);
     }
 }
 

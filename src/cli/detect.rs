@@ -20,6 +20,9 @@ pub struct DetectArgs {
     /// Replace an existing list.
     #[arg(long)]
     pub overwrite: bool,
+    /// Print candidates and counts as one JSON document on standard output; then `-o -` writes no CSV.
+    #[arg(long)]
+    pub json: bool,
     /// No progress bar, no summary.
     #[arg(long)]
     pub quiet: bool,
@@ -37,7 +40,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
         autoref_stream::georef::atomic::check_outputs(&[&args.output], args.overwrite)?;
     }
     let prepared = common::prepare(&args.image, &args.read, &args.marks, args.gsd)?;
-    let bar = Bar::new(prepared.source.info(), args.quiet);
+    let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
     let found = scan(prepared.source.as_ref(), &prepared.plan, &prepared.detector, &bar)?;
     bar.finish();
     let geojson =
@@ -48,8 +51,23 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     } else {
         candidate_list::write_csv(&found.candidates, &mut text)?;
     }
-    common::write_text(&args.output, &text, args.overwrite)?;
-    if !args.quiet {
+    let to_stdout = args.output.as_os_str() == "-";
+    if !(args.json && to_stdout) {
+        common::write_text(&args.output, &text, args.overwrite)?;
+    }
+    if args.json {
+        let info = prepared.source.info();
+        let document = serde_json::json!({
+            "image": info.path.display().to_string(),
+            "width": info.width,
+            "height": info.height,
+            "files_written": if to_stdout { Vec::new() } else { vec![args.output.display().to_string()] },
+            "regions_examined": found.regions_examined,
+            "timings": found.timings,
+            "candidates": found.candidates,
+        });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else if !args.quiet {
         eprintln!(
             "{} candidates of {} regions examined, in {:.2} s",
             found.candidates.len(),

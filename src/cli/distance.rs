@@ -28,6 +28,9 @@ pub struct Args {
     /// Replace an existing output.
     #[arg(long)]
     overwrite: bool,
+    /// Print what was done as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
 }
 
 pub fn run(args: &Args) -> Result<()> {
@@ -72,5 +75,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     file.close().with_context(failed)?;
     std::fs::rename(&partial, &args.output).with_context(failed)?;
+    if args.json {
+        let document = serde_json::json!({"files_written": [args.output.display().to_string()]});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    }
     Ok(())
 }

@@ -11,13 +11,20 @@ pub mod common;
 pub mod detect;
 pub mod distance;
 pub mod doctor;
+pub mod fiducials;
+pub mod film_outputs;
 pub mod frame;
 pub mod plan;
+pub mod replay;
+pub mod report;
 pub mod run;
 pub mod sample;
+pub mod selftest;
+pub mod shell;
 pub mod solve;
 pub mod solving;
 pub mod synth;
+pub mod synth_film;
 pub mod undo;
 pub mod write;
 
@@ -49,16 +56,21 @@ pub struct Cli {
 #[derive(Subcommand, Debug)]
 pub enum Command {
     /// Find the marks in an image and write the candidates as CSV or GeoJSON.
-    Detect(detect::DetectArgs),
+    Detect(Box<detect::DetectArgs>),
     /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
-    Solve(solve::SolveArgs),
+    Solve(Box<solve::SolveArgs>),
     Synth(Box<synth::SynthArgs>),
     Sample(sample::Args),
     Chips(chips::Args),
     Distance(distance::Args),
     Apply(Box<apply::ApplyArgs>),
     Undo(undo::UndoArgs),
+    Completions(shell::CompletionsArgs),
+    Man(shell::ManArgs),
     Plan(plan::PlanArgs),
+    Selftest(selftest::SelftestArgs),
+    Fiducials(Box<fiducials::FiducialsArgs>),
+    SynthFilm(synth_film::SynthFilmArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -71,7 +83,12 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Distance(args)) => distance::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Apply(args)) => apply::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Completions(args)) => shell::completions(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Man(args)) => shell::man(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Plan(args)) => plan::run(&args),
+        Some(Command::Fiducials(args)) => fiducials::run(&args),
+        Some(Command::Selftest(args)) => selftest::run(&args),
+        Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         None => run::run(&cli.run),
     }
 }

@@ -9,17 +9,22 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::atomic::{self, Transaction};
+use autoref_stream::georef::crs::Crs;
+use autoref_stream::georef::dialects;
 use autoref_stream::georef::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::plan;
+use autoref_stream::pipeline::second_pass::second_pass;
+use autoref_stream::pipeline::{MarkDetector, plan};
 use autoref_stream::raster::RasterInfo;
+use autoref_stream::report::Gathered;
 use clap::Args;
 
 use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
 use crate::cli::frame;
+use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, doctor};
@@ -41,9 +46,14 @@ pub struct RunArgs {
     pub solving: SolvingArgs,
     #[command(flatten)]
     pub write: WriteArgs,
+    #[command(flatten)]
+    pub report: ReportArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
+    /// Learn the marks from what was found and scan again; done in any case when nothing is solved.
+    #[arg(long, help_heading = "Marks")]
+    pub second_pass: bool,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -56,17 +66,23 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     autoref_stream::raster::initialise_gdal(plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
-    let Prepared { source, detector, plan } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
-    atomic::check_outputs(&[&json], args.write.overwrite)?;
+    let report = args.report.wanted().then(|| report::path(&json));
+    let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
+    atomic::check_outputs(&outputs, args.write.overwrite)?;
     args.solving.check(args.write.overwrite)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
-    let matcher = common::matcher(&args.matching, priors.len())?;
+    // Colours can be learned from the image for a second pass, which is another chance for an accident.
+    let learns = matches!(detector, MarkDetector::Paint(_));
+    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 })?;
     let bar = Bar::new(info, args.quiet || args.json);
+    let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
@@ -76,15 +92,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,
-        progress: &bar,
+        progress: &watch,
     };
     let mut run = georeference(&job)?;
-    bar.finish();
+    let mut second = None;
+    let refused = matches!(run.outcome, Outcome::Refused(_));
+    if learns && (refused || args.second_pass) {
+        (run, second) = second_pass(&job, run)?;
+    }
     let known = doctor::known_place(info, &list);
     doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
+    document.result.second_pass = second;
     document.result.memory_plan = Some(plan.clone());
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     let place = solving::ImagePlace::of(info);
@@ -92,7 +113,14 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     frame::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
-    write_outputs(&request, &json, &mut document, started, args.quiet || args.json, dem)?;
+    let report_started = Instant::now();
+    let gathered = watch.gather(&mut document.result)?;
+    document.result.timings.report_s = report_started.elapsed().as_secs_f64();
+    bar.finish();
+    // Its caches make room for what writing needs.
+    drop(source);
+    let report = report.as_deref().zip(gathered.as_ref());
+    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
 }
@@ -114,6 +142,8 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "page": args.read.page,
         "halo_px": job.detector.halo_px(),
         "check": args.gcps.check,
+        "accuracy": args.gcps.accuracy.accuracy,
+        "accuracy_class_m": args.gcps.accuracy.accuracy_class,
         "names": args.gcps.names,
     })
 }
@@ -122,6 +152,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
 fn write_outputs(
     request: &WriteRequest,
     json: &Path,
+    report: Option<(&Path, &Gathered)>,
     document: &mut Document,
     started: Instant,
     quiet: bool,
@@ -138,10 +169,18 @@ fn write_outputs(
         dem.stage(&document.result, &mut transaction)?;
     }
     let written = transaction.paths();
-    document.result.files_written =
-        written.iter().map(PathBuf::as_path).chain([json]).map(|path| path.display().to_string()).collect();
+    document.result.files_written = written
+        .iter()
+        .map(PathBuf::as_path)
+        .chain(report.map(|r| r.0))
+        .chain([json])
+        .map(|path| path.display().to_string())
+        .collect();
     document.result.timings.write_s = writing.elapsed().as_secs_f64();
     document.finish(started);
+    if let Some((path, gathered)) = report {
+        transaction.stage_bytes(path, report::page(&document.result, gathered, json)?.as_bytes())?;
+    }
     transaction.stage_bytes(json, document.result.to_json().as_bytes())?;
     Ok(transaction.commit()?)
 }
@@ -163,7 +202,7 @@ impl Document {
             gcp_file: gcp_file.display().to_string(),
             options: serde_json::Value::Null,
             geotransform: None,
-            crs: None,
+            crs: list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label),
             rmse_m: None,
             rmse_e_m: None,
             rmse_n_m: None,
@@ -171,6 +210,8 @@ impl Document {
             scale_m_per_px: None,
             rotation_deg: None,
             gcps_listed: list.gcps.len(),
+            gcps: list.gcps.clone(),
+            delivered: !list.frame.is_plain(),
             gcps_in_image: None,
             candidates_found: candidates.len(),
             false_alarms: None,
@@ -190,9 +231,11 @@ impl Document {
             heights: None,
             chosen_model: None,
             warnings: list.notes.clone(),
+            patch: None,
             candidates,
             files_written: Vec::new(),
             reading: None,
+            second_pass: None,
             memory_plan: None,
             timings: Timings::default(),
             peak_memory_bytes: None,
@@ -245,7 +288,7 @@ impl Document {
         let Some(old) = info.geotransform else { return };
         let same_crs = match (&info.crs_wkt, &list.crs) {
             (Some(wkt), Some(crs)) if !crs.is_geographic() => {
-                autoref_stream::georef::crs::Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
             }
             _ => false,
         };
@@ -282,7 +325,6 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     let solution = &orientation.solution;
     result.status = Status::Solved;
     result.geotransform = Some(solution.geotransform);
-    result.crs = list.crs.as_ref().map(autoref_stream::georef::crs::Crs::label);
     result.rmse_m = Some(solution.rmse_m);
     result.rmse_e_m = Some(solution.rmse_e_m);
     result.rmse_n_m = Some(solution.rmse_n_m);
@@ -369,6 +411,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         found_by: match found.found_by {
             FoundBy::Scan => "scan".into(),
             FoundBy::Rematch => "rematch".into(),
+            FoundBy::Review => "review".into(),
         },
         leave_one_out_m: None,
         redundancy: None,
@@ -395,6 +438,9 @@ fn summary(result: &RunResult) -> String {
     let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
     let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
     line("Marks found", format!("{} candidates", result.candidates_found));
+    if let Some(second) = &result.second_pass {
+        line("Second pass", second.line());
+    }
     if result.status == Status::Solved {
         line(
             "GCPs matched",

@@ -32,6 +32,9 @@ pub struct Args {
     /// Replace an existing output.
     #[arg(long)]
     overwrite: bool,
+    /// Print the profile as one JSON document on standard output, instead of TOML when no file is named.
+    #[arg(long)]
+    json: bool,
 }
 
 /// "x,y" in pixels.
@@ -100,7 +103,13 @@ pub fn run(args: &Args) -> Result<()> {
     match &args.output {
         Some(path) => std::fs::write(path, profile.to_toml())
             .with_context(|| format!("{}: cannot write the profile", path.display()))?,
+        None if args.json => {}
         None => print!("{}", profile.to_toml()),
+    }
+    if args.json {
+        let files: Vec<String> = args.output.iter().map(|path| path.display().to_string()).collect();
+        let document = serde_json::json!({"files_written": files, "profile": profile});
+        println!("{}", serde_json::to_string_pretty(&document)?);
     }
     Ok(())
 }

@@ -14,6 +14,7 @@ use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::doctor;
 use crate::cli::frame;
+use crate::cli::replay;
 use crate::cli::run::{self, Document};
 use crate::cli::solving::{ImagePlace, SolvingArgs};
 
@@ -21,8 +22,11 @@ use crate::cli::solving::{ImagePlace, SolvingArgs};
 #[derive(Args, Debug)]
 pub struct SolveArgs {
     /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size and
-    /// elevation are used when there.
+    /// elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
     pub candidates: PathBuf,
+    /// Replay what a review changed: the patch file that the page of --report saved. Needs no --gcps.
+    #[arg(long, value_name = "FILE")]
+    pub patch: Option<PathBuf>,
     /// Write the result here, as JSON. Without it nothing is written.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
@@ -48,6 +52,15 @@ pub struct SolveArgs {
 
 pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();
+    if let Some(patch) = &args.patch {
+        return replay::run(args, patch, started);
+    }
+    if args.candidates.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        anyhow::bail!(
+            "{} is a result, not a list of candidates; give --patch FILE to replay a review",
+            args.candidates.display()
+        );
+    }
     let size = match args.size.as_slice() {
         [] => None,
         &[width, height] if width > 0.0 && height > 0.0 => Some((width, height)),

@@ -150,6 +150,9 @@ pub struct SynthArgs {
     /// No progress bar.
     #[arg(long, help_heading = "File")]
     pub quiet: bool,
+    /// Print what was written as one JSON document on standard output.
+    #[arg(long, help_heading = "Messages")]
+    pub json: bool,
     /// Threads that draw. Default: one per core.
     #[arg(long, value_name = "N", help_heading = "File")]
     pub threads: Option<usize>,
@@ -232,6 +235,21 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
         synth::write_gcp_geojson(list, &spec.gcps, Some(args.epsg))?;
     }
     let seen = truth.visible().count();
+    if args.json {
+        let truth_path = synth::truth_path(&args.output);
+        let files = [Some(&args.output), Some(&truth_path), args.write_gcps.as_ref()];
+        let files: Vec<String> = files.into_iter().flatten().map(|path| path.display().to_string()).collect();
+        let document = serde_json::json!({
+            "files_written": files,
+            "width": truth.width,
+            "height": truth.height,
+            "gcps": truth.gcps.len(),
+            "gcps_visible": seen,
+            "false_objects": truth.clutter.len(),
+        });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
     println!(
         "{}: {} x {} px, {seen} of {} GCPs visible, {} false objects; truth in {}",
         args.output.display(),

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
 use autoref_stream::georef::write::{Output, WriteRequest};
+use autoref_stream::raster::mosaic;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -11,7 +12,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 /// What is written and where.
 #[derive(Args, Debug)]
 pub struct WriteArgs {
-    /// What to write. Default: world,aux, and vrt too with --out.
+    /// What to write. Default: world,aux, and vrt too with --out; for a folder or list of tiles only vrt.
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', value_parser = kinds(), help_heading = "Output")]
     pub write: Vec<Output>,
     /// Write here instead of beside the image.
@@ -70,8 +71,10 @@ fn kinds() -> impl TypedValueParser<Value = Output> {
 }
 
 impl WriteArgs {
-    fn kinds(&self) -> Vec<Output> {
+    fn kinds(&self, image: &Path) -> Vec<Output> {
         match (self.write.is_empty(), &self.out) {
+            // The tiles' own world files are what places them: nothing replaces them unasked.
+            (true, _) if mosaic::is_mosaic(image) => vec![Output::Vrt],
             (false, _) => self.write.clone(),
             (true, None) => vec![Output::World, Output::Aux],
             (true, Some(_)) => vec![Output::World, Output::Aux, Output::Vrt],
@@ -90,7 +93,7 @@ impl WriteArgs {
             std::fs::create_dir_all(folder)
                 .map_err(|e| autoref_stream::Error::io(folder, "create the output folder", e))?;
         }
-        let mut request = WriteRequest::new(image, self.out.as_deref(), &self.kinds(), self.overwrite);
+        let mut request = WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), self.overwrite);
         request.page = page;
         request.tags.break_cog = self.break_cog;
         request.warp = WarpOptions {

@@ -137,6 +137,7 @@ pub(super) struct Columns {
     role: Option<usize>,
     check: Option<usize>,
     enabled: Option<usize>,
+    crs: Option<usize>,
     pub geographic: bool,
     pub order: ColumnOrder,
 }
@@ -224,6 +225,7 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         role: find(ROLES),
         check: find(CHECKS),
         enabled: find(ENABLED),
+        crs: find(&["crs"]),
         geographic,
         order,
         titles,
@@ -235,7 +237,12 @@ fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator,
     for line in lines[at + 1..].iter().filter(|line| !line.is_comment()) {
         points.push(columns.point(path, line.place(), &split(line.text, separator), &line.row.to_string())?);
     }
-    let stated = coordinate_system_comment(path, &lines[..at])?;
+    let mut stated = coordinate_system_comment(path, &lines[..at])?;
+    if let (CrsClaim::None, Some(column), Some(point)) = (&stated, columns.crs, points.first())
+        && let Some((_, definition)) = point.attributes.get(column).filter(|(_, text)| !text.trim().is_empty())
+    {
+        stated = CrsClaim::read(path, point.place.clone(), definition);
+    }
     let crs = match stated {
         CrsClaim::None if columns.geographic => CrsClaim::Known(Crs::from_epsg(4326)?),
         stated => stated,
@@ -427,6 +434,7 @@ impl Shape {
             role,
             check: None,
             enabled: None,
+            crs: None,
             geographic: false,
             order: ColumnOrder::Assumed,
         }

@@ -31,7 +31,10 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
             ));
         }
     };
-    let points = features.iter().enumerate().map(|(i, f)| point(path, i, f)).collect::<Result<Vec<_>>>()?;
+    // Of our own output only the surveyed points: not the marks, not the residual vectors.
+    let ours = |f: &Value| !matches!(f["properties"]["layer"].as_str(), Some("mark" | "residual"));
+    let points = features.iter().enumerate().filter(|(_, f)| ours(f)).map(|(i, f)| point(path, i, f));
+    let points = points.collect::<Result<Vec<_>>>()?;
     let crs = match &document["crs"]["properties"]["name"] {
         Value::String(name) => CrsClaim::read(path, "`crs`".into(), name),
         _ => CrsClaim::None,

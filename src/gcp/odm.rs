@@ -10,7 +10,8 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{Line, number};
-use crate::gcp::{Gcp, csv_list};
+use crate::gcp::{Gcp, GcpRole, csv_list};
+use crate::georef::dialects::gcp_list::CHECK_PREFIX;
 
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {
@@ -45,14 +46,13 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
 /// At tabs when there are any, since names may hold blanks; else at blanks; else at commas or semicolons.
 fn fields(line: &str) -> Vec<&str> {
     let cut = |at: &[char]| -> Vec<&str> { line.split(at).map(str::trim).filter(|f| !f.is_empty()).collect() };
-    [cut(&['\t']), cut(&[' ', '\t']), cut(&[',', ';'])]
-        .into_iter()
-        .max_by_key(|f| (f.len() >= 6, f.len()))
-        .unwrap_or_default()
+    let ways = [cut(&['\t']), cut(&[' ', '\t']), cut(&[',', ';'])];
+    ways.iter().find(|fields| fields.len() >= 6).or(ways.iter().max_by_key(|f| f.len())).cloned().unwrap_or_default()
 }
 
 struct Observation<'a> {
-    ground: [f64; 3],
+    place: [f64; 2],
+    height: Option<f64>,
     label: Option<&'a str>,
 }
 
@@ -60,12 +60,16 @@ fn observation<'a>(fields: &[&'a str]) -> Option<Observation<'a>> {
     if fields.len() < 6 {
         return None;
     }
-    let mut numbers = [0.0; 5];
+    let mut numbers = [None; 5];
     for (value, field) in numbers.iter_mut().zip(fields) {
-        *value = number(field)?;
+        *value = number(field);
     }
-    let [x, y, z, ..] = numbers;
-    Some(Observation { ground: [x, y, z], label: fields.get(6).copied() })
+    // "NaN" stands for a height that is not known.
+    let [Some(x), Some(y), z, Some(_), Some(_)] = numbers else { return None };
+    if z.is_none() && !fields[2].eq_ignore_ascii_case("nan") {
+        return None;
+    }
+    Some(Observation { place: [x, y], height: z, label: fields.get(6).copied() })
 }
 
 fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
@@ -74,7 +78,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
     let mut placed: HashMap<[u64; 3], usize> = HashMap::new();
     let mut unlabelled = 0;
     for row in rows {
-        let Observation { ground, label } = observation(&fields(row.text)).ok_or_else(|| {
+        let Observation { place, height, label } = observation(&fields(row.text)).ok_or_else(|| {
             Error::format(
                 path,
                 row.place(),
@@ -84,14 +88,14 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
                 ),
             )
         })?;
-        let key = ground.map(f64::to_bits);
+        let key = [place[0].to_bits(), place[1].to_bits(), height.map_or(u64::MAX, f64::to_bits)];
         let seen = match label {
             Some(label) => labelled.get(label),
             None => placed.get(&key),
         };
         if let Some(&seen) = seen {
             let point = &points[seen].gcp;
-            if [point.easting, point.northing, point.height.unwrap_or(0.0)] != ground {
+            if [point.easting, point.northing] != place || point.height != height {
                 return Err(Error::format(
                     path,
                     row.place(),
@@ -112,7 +116,11 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
         );
         placed.insert(key, points.len());
         labelled.insert(name.clone(), points.len());
-        let gcp = Gcp { height: Some(ground[2]), ..Gcp::control(name, ground[0], ground[1]) };
+        let (name, role) = match name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty()) {
+            Some(rest) => (rest.to_string(), GcpRole::Check),
+            None => (name, GcpRole::Control),
+        };
+        let gcp = Gcp { height, role, ..Gcp::control(name, place[0], place[1]) };
         points.push(RawPoint::bare(gcp, row.place()));
     }
     let mut list = RawList::new(points, CrsClaim::None);

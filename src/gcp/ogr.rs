@@ -90,11 +90,14 @@ fn text(value: Option<FieldValue>) -> String {
 }
 
 fn fields(feature: &Feature<'_>) -> Vec<String> {
-    (0..feature.field_count()).map(|i| text(feature.field(i).ok().flatten())).collect()
+    let set = |i: usize| feature.field_as_string(i).ok().flatten().is_some_and(|text| !text.is_empty());
+    // A number that was never set reads as 0, as text it is empty.
+    let value = |i: usize| if set(i) { text(feature.field(i).ok().flatten()) } else { String::new() };
+    (0..feature.field_count()).map(value).collect()
 }
 
 /// A layer without geometry: a sheet of a spreadsheet, or a table with columns for the coordinates.
-fn table<'a>(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
+fn table(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
     let named = titles.join(", ");
     let columns = csv_list::columns(titles).ok_or_else(|| {
         Error::format(path, "its columns", format!("no easting and northing among {named}; name one of each"))

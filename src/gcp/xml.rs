@@ -78,15 +78,10 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
                     elements.push(name);
                 }
             }
-            Event::Text(content) => {
-                if elements.last().is_some_and(|e| e == "reference")
-                    && elements.len() >= 2
-                    && elements[elements.len() - 2] == "chunk"
-                {
-                    let definition = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default();
-                    if !definition.trim().is_empty() {
-                        crs = CrsClaim::read(path, place(), definition.trim());
-                    }
+            Event::Text(content) if elements.ends_with(&["chunk".into(), "reference".into()]) => {
+                let definition = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default();
+                if !definition.trim().is_empty() {
+                    crs = CrsClaim::read(path, place(), definition.trim());
                 }
             }
             Event::End(_) => {

@@ -38,13 +38,18 @@ fn temporary_name(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{stem}.{}.part{extension}", std::process::id()))
 }
 
-/// An edit that is not a file of its own: done after all files are in place, and taken back when it fails.
+/// An edit that is not a file of its own: done after all files are in place, and taken back when a later one fails.
 pub trait Edit {
     /// Does it, whole or not at all.
     ///
     /// # Errors
     /// When the system says no; the file is then as it was.
-    fn apply(self: Box<Self>) -> Result<()>;
+    fn apply(&mut self) -> Result<()>;
+    /// Takes it back.
+    ///
+    /// # Errors
+    /// When the system says no.
+    fn revert(&mut self) -> Result<()>;
     /// For the list of what was written.
     fn path(&self) -> &Path;
 }
@@ -131,9 +136,14 @@ impl Transaction {
                 .map_err(|e| Error::io(&staged.target, "put in place", e))?;
             staged.in_place = true;
         }
-        // At most one image is edited in place, so the edit itself is the last thing that can fail.
-        for edit in std::mem::take(&mut self.edits) {
-            edit.apply()?;
+        for number in 0..self.edits.len() {
+            if let Err(error) = self.edits[number].apply() {
+                for done in self.edits[..number].iter_mut().rev() {
+                    // The first error is the one to report.
+                    let _ = done.revert();
+                }
+                return Err(error);
+            }
         }
         for staged in self.staged.drain(..) {
             if let Some(backup) = &staged.backup {
@@ -243,8 +253,11 @@ mod tests {
     fn files_come_together_or_what_was_there_comes_back() {
         struct Fails(PathBuf);
         impl Edit for Fails {
-            fn apply(self: Box<Self>) -> Result<()> {
+            fn apply(&mut self) -> Result<()> {
                 Err(Error::usage("no", "none"))
+            }
+            fn revert(&mut self) -> Result<()> {
+                Ok(())
             }
             fn path(&self) -> &Path {
                 &self.0

@@ -14,12 +14,12 @@ use crate::georef::sidecar;
 ///
 /// # Errors
 /// When there are no points, GDAL cannot open the image, or the file cannot be written.
-pub fn write(image: &Path, vrt: &Path, points: &TiePoints) -> Result<()> {
+pub fn write(image: &Path, page: usize, vrt: &Path, points: &TiePoints) -> Result<()> {
     let controls: Vec<_> = points.pairs.iter().filter(|pair| !pair.check).collect();
     if controls.is_empty() {
         return Err(Error::usage("the result holds no matched points", "choose another --write"));
     }
-    sidecar::write_plain_vrt(image, vrt)?;
+    sidecar::write_plain_vrt(image, page, vrt)?;
     let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
     let mut list = String::from("  <GCPList");
     if let Some(crs) = &points.crs {

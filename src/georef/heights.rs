@@ -70,7 +70,6 @@ pub fn write_corrected(
         let size = (width as usize, rows as usize);
         band.write((0, y as isize), size, &mut Buffer::new(size, values)).map_err(failed)?;
     }
-    drop(band);
     copy.flush_cache().map_err(failed)?;
     copy.close().map_err(failed)
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
+use crate::gcp::Gcp;
 use crate::matching::{Effort, Pattern};
 use crate::solve::Solution;
 
@@ -21,7 +22,8 @@ pub enum Status {
     Refused,
 }
 
-/// The document. Absent values are `null`; no number is ever NaN or infinite.
+/// The document. Absent values are `null`; no number is ever NaN or infinite. Lists that an older program did not write are
+/// empty when it is read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RunResult {
     pub schema_version: u32,
@@ -30,6 +32,7 @@ pub struct RunResult {
     /// Why it was refused, in plain words.
     pub reason: Option<String>,
     /// What would help.
+    #[serde(default)]
     pub advice: Vec<String>,
     pub image: Option<ImageInfo>,
     pub gcp_file: String,
@@ -47,21 +50,32 @@ pub struct RunResult {
     /// Anticlockwise from east.
     pub rotation_deg: Option<f64>,
     pub gcps_listed: usize,
+    /// The whole list as it was used in the fit, in the order of the file.
+    #[serde(default)]
+    pub gcps: Vec<Gcp>,
+    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
+    #[serde(default)]
+    pub delivered: bool,
     /// GCPs that the transform puts inside the image.
     pub gcps_in_image: Option<usize>,
     pub candidates_found: usize,
     /// Patterns as good as this that chance alone would produce; see `log10_false_alarms` when it is too small for a double.
     pub false_alarms: Option<f64>,
     pub log10_false_alarms: Option<f64>,
+    #[serde(default)]
     pub matches: Vec<MatchRow>,
+    #[serde(default)]
     pub check_points: Vec<MatchRow>,
     /// What may be claimed of the accuracy; null when nothing was solved.
     pub accuracy: Option<crate::accuracy::AccuracyStatement>,
     /// Expected errors in the image's corners; empty when nothing is known of them.
+    #[serde(default)]
     pub expected_errors: Vec<crate::accuracy::CornerError>,
     /// GCPs inside the image of which no mark was found.
+    #[serde(default)]
     pub not_found: Vec<String>,
     /// GCPs that lie outside the image.
+    #[serde(default)]
     pub outside: Vec<String>,
     pub solution: Option<Solution>,
     pub runner_up: Option<Pattern>,
@@ -78,11 +92,20 @@ pub struct RunResult {
     /// The transform of `--model`, beside the similarity.
     #[serde(default)]
     pub chosen_model: Option<serde_json::Value>,
+    #[serde(default)]
     pub warnings: Vec<String>,
+    /// The review that was replayed, whole: who reads the result sees what was changed by hand.
+    pub patch: Option<crate::review::Patch>,
+    #[serde(default)]
     pub candidates: Vec<Candidate>,
+    #[serde(default)]
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,
+    /// What the self-taught second pass did, when there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
     pub memory_plan: Option<crate::pipeline::ScanPlan>,
+    #[serde(default)]
     pub timings: Timings,
     pub peak_memory_bytes: Option<u64>,
     pub elapsed_s: f64,
@@ -115,7 +138,7 @@ pub struct MatchRow {
     pub residual_px: f64,
     pub covariance_px2: Option<[f64; 3]>,
     pub score: Option<f64>,
-    /// "scan" or "rematch": which look gave the centre.
+    /// "scan" or "rematch": which look gave the centre; "review" when a person did.
     pub found_by: String,
     pub leave_one_out_m: Option<f64>,
     pub redundancy: Option<f64>,
@@ -146,12 +169,15 @@ pub struct Reading {
 
 /// Wall-clock seconds of the stages.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Timings {
     pub open_s: f64,
     pub scan_s: f64,
     pub examine_s: f64,
     pub match_s: f64,
     pub rematch_s: f64,
+    /// Pictures of the report.
+    pub report_s: f64,
     pub write_s: f64,
 }
 

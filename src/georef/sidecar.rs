@@ -68,7 +68,7 @@ pub(super) fn transform_of_aux(text: &str) -> Option<GeoTransform> {
 }
 
 /// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
-pub(super) fn axis_mapping(crs: &Crs) -> &'static str {
+pub(crate) fn axis_mapping(crs: &Crs) -> &'static str {
     let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {
         reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
         let key = if crs.is_geographic() { "GEOGCS" } else { "PROJCS" };
@@ -120,8 +120,8 @@ fn ours(name: &str) -> bool {
 ///
 /// # Errors
 /// When GDAL cannot open the image or write the VRT.
-pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
-    vrt_of(image, vrt, |copy| {
+pub fn write_vrt(image: &Path, page: usize, vrt: &Path, transform: &GeoTransform, crs: Option<&Crs>) -> Result<()> {
+    vrt_of(image, page, vrt, |copy| {
         copy.set_geo_transform(&transform.0)?;
         copy.set_projection(crs.map_or("", Crs::wkt))
     })
@@ -131,8 +131,8 @@ pub fn write_vrt(image: &Path, vrt: &Path, transform: &GeoTransform, crs: Option
 ///
 /// # Errors
 /// When GDAL cannot open the image or write the VRT.
-pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
-    vrt_of(image, vrt, |_| Ok(()))?;
+pub(super) fn write_plain_vrt(image: &Path, page: usize, vrt: &Path) -> Result<()> {
+    vrt_of(image, page, vrt, |_| Ok(()))?;
     let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
     let (Some(start), Some(end)) = (text.find("<VRTDataset"), text.rfind("</VRTDataset>")) else {
         return Err(Error::gdal(vrt, "its VRT has no root element"));
@@ -144,12 +144,15 @@ pub(super) fn write_plain_vrt(image: &Path, vrt: &Path) -> Result<()> {
 }
 
 /// Lets GDAL make a VRT of the image and `change` it.
-fn vrt_of(image: &Path, vrt: &Path, change: impl FnOnce(&mut gdal::Dataset) -> gdal::errors::Result<()>) -> Result<()> {
-    crate::raster::initialise_gdal(0);
+fn vrt_of(
+    image: &Path,
+    page: usize,
+    vrt: &Path,
+    change: impl FnOnce(&mut gdal::Dataset) -> gdal::errors::Result<()>,
+) -> Result<()> {
     let error = |e| Error::gdal(vrt, e);
-    let image = std::fs::canonicalize(image).map_err(|e| Error::io(image, "resolve", e))?;
     // It must outlive the copy, which refers to it.
-    let source = gdal::Dataset::open(&image).map_err(error)?;
+    let (_, source) = crate::raster::open_dataset(image, page)?;
     let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
     let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
     change(&mut copy).and_then(|()| copy.close()).map_err(error)

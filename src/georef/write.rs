@@ -7,12 +7,14 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::georef::atomic::{self, Transaction};
 use crate::georef::crs::Crs;
 use crate::georef::dialects::{self, TiePoints};
 use crate::georef::result::RunResult;
 use crate::georef::{gcps_vrt, sidecar, tags, warp};
+use crate::raster::mosaic;
 
 /// One kind of output: `--write KIND,…`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -127,6 +129,8 @@ pub struct WriteRequest {
     pub page: usize,
     /// Output names extend this path: the image's own, or its name in another folder.
     pub base: PathBuf,
+    /// The other folder.
+    pub out: Option<PathBuf>,
     pub kinds: Vec<Output>,
     pub overwrite: bool,
     pub tags: tags::TagOptions,
@@ -136,7 +140,10 @@ pub struct WriteRequest {
 impl WriteRequest {
     /// Outputs beside the image, or in the folder `out`.
     pub fn new(image: &Path, out: Option<&Path>, kinds: &[Output], overwrite: bool) -> Self {
-        let name = image.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
+        let mosaic = mosaic::is_mosaic(image);
+        // `tiles/` and `tiles.txt` are written as `tiles.vrt` is.
+        let own = if mosaic { image.with_extension("vrt") } else { image.to_path_buf() };
+        let name = own.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
         let mut unique: Vec<Output> = Vec::new();
         for kind in Output::ALL {
             if kinds.contains(&kind) {
@@ -146,7 +153,8 @@ impl WriteRequest {
         WriteRequest {
             image: image.to_path_buf(),
             page: 0,
-            base: out.map_or_else(|| image.to_path_buf(), |folder| folder.join(name)),
+            base: out.map_or(own, |folder| folder.join(name)),
+            out: out.map(Path::to_path_buf),
             kinds: unique,
             overwrite,
             tags: tags::TagOptions::default(),
@@ -154,9 +162,35 @@ impl WriteRequest {
         }
     }
 
+    /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a mosaic, each with its corner
+    /// in pixels of the whole.
+    fn parts(&self) -> Result<Vec<Part>> {
+        if !mosaic::is_mosaic(&self.image) {
+            return Ok(vec![Part { path: self.image.clone(), base: self.base.clone(), tile: None }]);
+        }
+        let mosaic = mosaic::Mosaic::open(&self.image)?;
+        let part = |tile: mosaic::Tile| {
+            let path = tile.path.clone();
+            let name = path.file_name().unwrap_or_default();
+            Part { base: self.out.as_ref().map_or(path.clone(), |out| out.join(name)), path, tile: Some(tile) }
+        };
+        Ok(mosaic.tiles.into_iter().map(part).collect())
+    }
+
+    fn files_of(&self, kind: Output, parts: &[Part]) -> Vec<PathBuf> {
+        match kind {
+            Output::World | Output::Aux => parts.iter().flat_map(|part| kind.files(&part.base)).collect(),
+            _ => kind.files(&self.base),
+        }
+    }
+
     /// Every file that will be written, the image itself not counted.
-    pub fn files(&self) -> Vec<PathBuf> {
-        self.kinds.iter().flat_map(|kind| kind.files(&self.base)).collect()
+    ///
+    /// # Errors
+    /// When the tiles of a mosaic cannot be opened.
+    pub fn files(&self) -> Result<Vec<PathBuf>> {
+        let parts = self.parts()?;
+        Ok(self.kinds.iter().flat_map(|&kind| self.files_of(kind, &parts)).collect())
     }
 
     pub fn wants(&self, kind: Output) -> bool {
@@ -169,7 +203,8 @@ impl WriteRequest {
     /// [`Error::Usage`] for outputs that exist (without `overwrite`) or that are the image itself; whatever speaks against
     /// tags in this file or against a warped copy.
     pub fn check(&self) -> Result<()> {
-        let files = self.files();
+        let parts = self.parts()?;
+        let files: Vec<PathBuf> = self.kinds.iter().flat_map(|&kind| self.files_of(kind, &parts)).collect();
         for file in &files {
             if same_file(file, &self.image) {
                 return Err(Error::usage(
@@ -180,7 +215,9 @@ impl WriteRequest {
         }
         atomic::check_outputs(&files.iter().map(PathBuf::as_path).collect::<Vec<_>>(), self.overwrite)?;
         if self.wants(Output::Tags) {
-            tags::check(&self.image, self.page, &self.tags)?;
+            for part in &parts {
+                tags::check(&part.path, self.page, &self.tags)?;
+            }
         }
         if self.wants(Output::Warp) {
             self.warp.check(&self.image, self.page)?;
@@ -205,40 +242,75 @@ impl WriteRequest {
         let crs = result.crs.as_deref().map(Crs::parse).transpose()?;
         let crs = crs.as_ref();
         let mut warnings = Vec::new();
+        let parts = self.parts()?;
         for &kind in &self.kinds {
             let files = kind.files(&self.base);
             match kind {
-                Output::World => {
-                    transaction.stage_bytes(&files[0], sidecar::world_file(&transform).as_bytes())?;
+                Output::World | Output::Aux | Output::Tags => {
+                    for part in &parts {
+                        warnings.extend(self.stage_part(kind, part, &part.transform(&transform), crs, transaction)?);
+                    }
                 }
-                Output::Aux => {
-                    let existing = std::fs::read_to_string(&files[0]).ok();
-                    let existing = existing.as_deref().map(|text| (files[0].as_path(), text));
-                    let aux = sidecar::aux_xml(&transform, crs, existing)?;
-                    transaction.stage_bytes(&files[0], aux.as_bytes())?;
-                }
-                Output::Vrt => transaction
-                    .stage(&files[0], |temporary| sidecar::write_vrt(&self.image, temporary, &transform, crs))?,
-                Output::Tags => {
-                    warnings.extend(tags::warnings(self, &transform));
-                    let (edit, lost) = tags::prepare(&self.image, self.page, &transform, crs, &self.tags)?;
-                    warnings.extend(lost);
-                    transaction.on_commit(edit);
-                }
+                Output::Vrt => transaction.stage(&files[0], |temporary| {
+                    sidecar::write_vrt(&self.image, self.page, temporary, &transform, crs)
+                })?,
                 Output::Warp => transaction.stage(&files[0], |temporary| {
                     warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
                 Output::Gcps => {
-                    let points = TiePoints::of(result, &self.image, crs);
-                    transaction.stage(&files[0], |temporary| gcps_vrt::write(&self.image, temporary, &points))?;
+                    let points = TiePoints::of(result, &self.base, crs);
+                    transaction
+                        .stage(&files[0], |temporary| gcps_vrt::write(&self.image, self.page, temporary, &points))?;
                 }
                 _ => {
-                    let points = TiePoints::of(result, &self.image, crs);
+                    let points = TiePoints::of(result, &self.base, crs);
                     transaction.stage_all(&files, |temporaries| dialects::write(kind, temporaries, &points))?;
                 }
             }
         }
         Ok(warnings)
+    }
+
+    /// What goes beside, or into, one file.
+    fn stage_part(
+        &self,
+        kind: Output,
+        part: &Part,
+        transform: &GeoTransform,
+        crs: Option<&Crs>,
+        transaction: &mut Transaction,
+    ) -> Result<Vec<String>> {
+        if kind == Output::Tags {
+            let (edit, lost) = tags::prepare(&part.path, self.page, transform, crs, &self.tags)?;
+            transaction.on_commit(edit);
+            let renewed = self.wants(Output::Aux) && part.base == part.path;
+            return Ok(tags::warning(&part.path, renewed, transform).into_iter().chain(lost).collect());
+        }
+        let file = &kind.files(&part.base)[0];
+        if kind == Output::World {
+            transaction.stage_bytes(file, sidecar::world_file(transform).as_bytes())?;
+        } else {
+            let existing = std::fs::read_to_string(file).ok();
+            let existing = existing.as_deref().map(|text| (file.as_path(), text));
+            let aux = sidecar::aux_xml(transform, crs, existing)?;
+            transaction.stage_bytes(file, aux.as_bytes())?;
+        }
+        Ok(Vec::new())
+    }
+}
+
+/// A file with a georeference of its own.
+struct Part {
+    path: PathBuf,
+    /// Its output names extend this path.
+    base: PathBuf,
+    tile: Option<mosaic::Tile>,
+}
+
+impl Part {
+    /// Its transform when the whole has `transform`.
+    fn transform(&self, transform: &GeoTransform) -> GeoTransform {
+        self.tile.as_ref().map_or(*transform, |tile| mosaic::Mosaic::transform_of(tile, transform))
     }
 }
 

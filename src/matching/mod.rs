@@ -3,6 +3,28 @@
 //! [`robust`] is the default: hypotheses from pairs, verified against all GCPs, accepted only when an accident is unlikely
 //! enough ([`evidence`]). [`tpp`] is the topological point pattern of the 2016 thesis, kept for comparison; what it proposes
 //! must pass the same test of evidence.
+//!
+//! ```
+//! use autoref_stream::candidate::Candidate;
+//! use autoref_stream::coords::{GeoTransform, PixelPoint};
+//! use autoref_stream::gcp::Gcp;
+//! use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
+//! let transform = GeoTransform([570_000.0, 0.03, 0.004, 7_032_000.0, 0.004, -0.03]);
+//! let pixels = [(120.0, 80.0), (3900.0, 400.0), (2200.0, 2900.0), (700.0, 2100.0), (3100.0, 1700.0), (1500.0, 600.0)];
+//! let mut candidates = Vec::new();
+//! let mut gcps = Vec::new();
+//! for (i, (x, y)) in pixels.into_iter().enumerate() {
+//!     let centre = PixelPoint { x, y };
+//!     let ground = transform.apply(centre);
+//!     gcps.insert(0, Gcp::control(format!("P{i}"), ground.easting, ground.northing)); // in any order
+//!     let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
+//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m });
+//! }
+//! let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
+//!     panic!("six points in a pattern of their own");
+//! };
+//! assert!(solved.pattern.pairs.iter().all(|&(candidate, gcp)| candidate == 5 - gcp));
+//! ```
 
 mod bitmap;
 pub mod doctor;
@@ -32,6 +54,24 @@ pub struct Priors {
     pub rotation_deg: Option<(f64, f64)>,
     /// Width and height of the image, pixels. Without it the candidates' extent stands in.
     pub image_size_px: Option<(f64, f64)>,
+}
+
+/// Smallest and largest side of anything that is put out as a mark, metres.
+const MARK_SIDE_M: (f64, f64) = (0.01, 10.0);
+
+impl Priors {
+    /// The same; where nothing is known of the scale, what the size of the candidates says of it: nobody paints marks of more
+    /// than ten metres. Without it, a clump of clutter can look like the whole list seen from far away.
+    pub fn with_mark_sizes(&self, candidates: &[Candidate]) -> Priors {
+        let mut sides: Vec<f64> =
+            candidates.iter().filter_map(|c| c.size_px).map(|[w, h]| w.max(h)).filter(|side| *side > 0.0).collect();
+        if self.gsd_m_per_px.is_some() || sides.is_empty() {
+            return self.clone();
+        }
+        sides.sort_by(f64::total_cmp);
+        let median = sides[sides.len() / 2];
+        Priors { gsd_m_per_px: Some((MARK_SIDE_M.0 / median, MARK_SIDE_M.1 / median)), ..self.clone() }
+    }
 }
 
 /// A pattern that was found, accepted or not.
@@ -94,4 +134,28 @@ pub trait Matcher {
     /// GCPs with the role `check` take no part. The transform is a proper similarity of (x, −y): mirrored images are
     /// never matched; [`doctor`] names them.
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::coords::PixelPoint;
+
+    #[test]
+    fn the_size_of_marks_bounds_the_scale_unless_something_better_is_known() {
+        let mark = |side: f64| Candidate {
+            centre: PixelPoint { x: 0.0, y: 0.0 },
+            covariance_px2: None,
+            score: None,
+            area_px: None,
+            size_px: Some([side, side / 2.0]),
+            elevation_m: None,
+        };
+        let marks = [mark(10.0), mark(20.0), mark(500.0)];
+        let bounded = Priors::default().with_mark_sizes(&marks);
+        assert_eq!(bounded.gsd_m_per_px, Some((0.0005, 0.5)));
+        let known = Priors { gsd_m_per_px: Some((0.1, 2.0)), ..Priors::default() };
+        assert_eq!(known.with_mark_sizes(&marks), known);
+        assert_eq!(Priors::default().with_mark_sizes(&[]), Priors::default());
+    }
 }

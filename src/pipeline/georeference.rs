@@ -47,6 +47,8 @@ pub enum Outcome {
 pub enum FoundBy {
     Scan,
     Rematch,
+    /// A person, on record in a patch file.
+    Review,
 }
 
 /// A GCP and the mark that is it.
@@ -82,9 +84,11 @@ pub struct Orientation {
 pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let scan = scan(job.source, job.plan, job.detector, job.progress)?;
     let started = Instant::now();
+    job.progress.stage("matching the marks to the list");
     let outcome = find(job, &scan.candidates);
     let match_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
+    job.progress.stage("looking again where every point must be");
     let outcome = match outcome {
         MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
         MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| {
@@ -96,13 +100,13 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
 
 /// Tries the priors in order. The limit on accidents holds for all tries together.
 fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
-    let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0]);
+    let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0].with_mark_sizes(candidates));
     for priors in &job.priors[1..] {
         if matches!(outcome, MatchOutcome::Solved(_)) {
             break;
         }
         tracing::info!("nothing found with what the image says of itself; trying without");
-        outcome = job.matcher.find(candidates, job.gcps, priors);
+        outcome = job.matcher.find(candidates, job.gcps, &priors.with_mark_sizes(candidates));
     }
     outcome
 }
@@ -117,7 +121,7 @@ pub fn solve_candidates(
     matcher: &dyn Matcher,
     priors: &Priors,
 ) -> Result<Outcome> {
-    match matcher.find(candidates, gcps, priors) {
+    match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
         MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected| {
             let inside = |p: PixelPoint| {

@@ -10,6 +10,9 @@ use crate::pipeline::georeference::{FoundMark, Orientation};
 use crate::raster::ElevationModel;
 use crate::solve::heights::{self, HeightCorrection, HeightPoint};
 
+/// Where a mark lies and what the model says there.
+type ReadHeight<'a> = dyn Fn(&FoundMark) -> Result<(MapPoint, Option<f64>)> + 'a;
+
 /// How an elevation model lies to the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -167,7 +170,7 @@ fn fit(
     gcps: &[Gcp],
     frame: ModelFrame,
     position_crs: Option<String>,
-    read: &dyn Fn(&FoundMark) -> Result<(MapPoint, Option<f64>)>,
+    read: &ReadHeight<'_>,
 ) -> Result<HeightResult> {
     let mut without_height = Vec::new();
     let mut take = |marks: &[FoundMark]| -> Result<Vec<(String, HeightPoint)>> {

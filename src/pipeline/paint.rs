@@ -1,6 +1,8 @@
 //! The detector of painted marks: profile, colour test, gates and examination under one name.
 
+use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
+use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::Profile;
@@ -76,6 +78,20 @@ impl Detector for PaintDetector {
 
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    }
+
+    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let evidence = examine::measure(region, patch, &self.classifier, &self.profile)?;
+        let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
+        Some((centre, evidence.fit?.outline(centre)))
+    }
+
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        // With mask filters a region is not the paint that the patch shows: it cannot be taken apart.
+        if !self.profile.examine.split || !self.filters.is_identity() {
+            return self.examine(region, patch).into_iter().collect();
+        }
+        examine_parts(region, patch, &self.classifier, &self.profile, &self.gates)
     }
 
     fn stricter(&self) -> Option<Box<dyn Detector>> {

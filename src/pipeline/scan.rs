@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
 use crate::pipeline::plan::ScanPlan;
@@ -42,6 +43,15 @@ pub trait Detector: Sync {
     fn largest_mark_px(&self) -> u64;
     /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// Centre and outline of the shape that was fitted to a region, in image pixels; `None` when nothing was fitted.
+    fn outline(&self, _region: &Region, _patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        None
+    }
+
+    /// Region → Candidates, where a region may be several marks that touch.
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        self.examine(region, patch).into_iter().collect()
+    }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {
@@ -56,6 +66,11 @@ pub trait Detector: Sync {
 /// Hears how far the scan has come; called from several threads.
 pub trait Progress: Sync {
     fn scanned(&self, pixels: u64);
+    /// The pixels of a tile while they are there, with the candidates that were found in it already; `core` lies in the
+    /// block's window, and the cores cover the raster once.
+    fn saw(&self, _block: &Block, _core: Window, _found: &[&Candidate]) {}
+    /// Something else begins, in plain words, that may take a while.
+    fn stage(&self, _what: &str) {}
 }
 
 /// Nobody listens.
@@ -87,7 +102,7 @@ pub struct ScanTimings {
 }
 
 /// A region's identity and what became of it.
-type Examined = ((u64, u64), Option<Candidate>);
+type Examined = ((u64, u64), Vec<Candidate>);
 
 /// What a worker sends on for one tile.
 struct TileOutput {
@@ -118,6 +133,9 @@ pub fn scan(
     let mut examined = collected.examined;
     let mut straddling = collected.straddling;
     let examine_started = Instant::now();
+    if !straddling.is_empty() {
+        progress.stage("looking at marks that straddle tiles");
+    }
     straddling.sort_by_key(|region| region.first);
     for batch in straddling.chunks(EXAMINE_BATCH) {
         examined.extend(examine_windows(source, detector, batch)?);
@@ -126,7 +144,7 @@ pub fn scan(
     let regions_examined = examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
-        candidates: detector.finish(examined.into_iter().filter_map(|(_, candidate)| candidate).collect()),
+        candidates: detector.finish(examined.into_iter().flat_map(|(_, candidates)| candidates).collect()),
         regions_examined,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
@@ -333,6 +351,8 @@ impl Worker<'_> {
             let Some((tile, block)) = self.next_block(tiles) else { return };
             let output = block.and_then(|block| {
                 let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
+                let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
+                self.progress.saw(&block, tile.core, &found);
                 drop(block);
                 for region in self.straddlers.try_iter() {
                     output.examined.push(examine_window(self.source, self.detector, &region)?);
@@ -369,7 +389,7 @@ impl Worker<'_> {
             let window = patch_window(&region, self.detector, info);
             if block.window.contains_window(&window) {
                 let patch = block.patch(window, info);
-                output.examined.push((region.first, self.detector.examine(&region, &patch)));
+                output.examined.push((region.first, self.detector.examine_all(&region, &patch)));
             } else {
                 output.straddling.push(region);
             }
@@ -397,5 +417,5 @@ fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: 
 fn examine_window(source: &dyn RasterSource, detector: &dyn Detector, region: &Region) -> Result<Examined> {
     let window = patch_window(region, detector, source.info());
     let patch = source.read(window)?.patch(window, source.info());
-    Ok((region.first, detector.examine(region, &patch)))
+    Ok((region.first, detector.examine_all(region, &patch)))
 }

@@ -3,7 +3,7 @@
 
 pub mod ambiguity;
 mod moves;
-mod paint;
+pub(crate) mod paint;
 mod strength;
 
 pub use ambiguity::{Ambiguity, Freedom};
@@ -176,8 +176,11 @@ fn advice(points: &[(String, MapPoint)], plan: &Plan) -> Vec<String> {
         }
     }
     advice.extend(plan.moves.iter().map(Move::words));
-    if !plan.moves.is_empty() && !plan.moves_suffice {
-        advice.push("these moves help but do not suffice: add points at irregular places".into());
+    if plan.enough_points && !plan.moves_suffice {
+        advice.push(match plan.moves.is_empty() {
+            true => "no single move was found to help: lay the points out anew, at irregular places".into(),
+            false => "these moves help but do not suffice: add points at irregular places".into(),
+        });
     }
     for (a, b, distance) in &plan.too_close {
         advice.push(format!("{a} and {b} are only {distance:.2} m apart: one may be taken for the other"));

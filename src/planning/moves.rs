@@ -13,8 +13,9 @@ use crate::coords::MapPoint;
 const LENGTHS: [f64; 4] = [4.0, 7.0, 12.0, 20.0];
 /// More moves than this are a new plan.
 const MOST_MOVES: usize = 6;
-/// Points tried in a round.
+/// Points tried in a round, and hypotheses looked at for it: of several hundred points fewer are tried, of a thousand none.
 const MOST_TRIED: usize = 16;
+const HYPOTHESES_PER_ROUND: usize = 40_000_000;
 const WINDS: [(&str, f64); 8] = [
     ("east", 0.0),
     ("north-east", 45.0),
@@ -58,13 +59,18 @@ pub fn moves(points: &[(String, MapPoint)], freedom: &Freedom) -> (Vec<Move>, bo
     let mut made: Vec<Move> = Vec::new();
     let mut moved = vec![false; points.len()];
     let mut now = badness(&places, freedom);
+    let cost = 2 * (freedom.lose + 1) * points.len().pow(2);
+    let most_tried = (HYPOTHESES_PER_ROUND / (cost * WINDS.len() * LENGTHS.len())).min(MOST_TRIED);
+    if most_tried == 0 {
+        return (made, now == 0.0);
+    }
     while now > 0.0 && made.len() < MOST_MOVES {
         // Points that the worst ways move elsewhere; each once.
         let ways = ambiguity::find(&places, freedom);
         let mut tried: Vec<usize> = (0..places.len())
             .filter(|&i| !moved[i] && ways.iter().any(|a| a.pairs.iter().any(|&(f, t)| f == i && t != i)))
             .collect();
-        let step = tried.len().div_ceil(MOST_TRIED).max(1);
+        let step = tried.len().div_ceil(most_tried).max(1);
         tried = tried.into_iter().step_by(step).collect();
         let options: Vec<(usize, usize, f64)> = tried
             .iter()

@@ -39,10 +39,10 @@ pub fn rank_paints(source: &dyn RasterSource) -> Result<Vec<PaintRank>> {
         .into_iter()
         // The prototype's profiles are kept for comparison, not for painting.
         .filter(|name| !name.ends_with("-2016"))
-        .map(|name| {
-            let profile = Profile::builtin(name).expect("names lists what is there");
-            Ok(rank(name, &PaintTest::new(&profile)?, &colours))
-        })
+        .map(|name| Profile::builtin(name).expect("names lists what is there"))
+        // Targets are found by shape, whatever their colour.
+        .filter(|profile| !profile.is_target())
+        .map(|profile| Ok(rank(&profile.name, &PaintTest::new(&profile)?, &colours)))
         .collect::<Result<_>>()?;
     ranks.retain(|rank| rank.pixels > 0);
     ranks.sort_by(|a, b| a.ground_share.total_cmp(&b.ground_share).then(b.margin_p0001.total_cmp(&a.margin_p0001)));
@@ -67,8 +67,8 @@ fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
     }
 }
 
-/// Colours of valid pixels as 8-bit sRGB, from the top down.
-fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
+/// Colours of valid pixels of up to 64 windows, as 8-bit sRGB, from the top down.
+pub(crate) fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
     let info = source.info();
     let aspect = info.width as f64 / info.height.max(1) as f64;
     let columns = ((WINDOWS as f64 * aspect).sqrt().round() as u64).clamp(1, WINDOWS);

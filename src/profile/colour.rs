@@ -45,6 +45,25 @@ pub fn lab_from_srgb(rgb: [f64; 3]) -> Vector3<f64> {
     lab_from_f(xyz_from_linear(rgb.map(linear_from_srgb)).map(lab_f))
 }
 
+/// L\*a\*b\* to sRGB in 0..=1, clipped.
+pub fn srgb_from_lab(lab: [f64; 3]) -> [f64; 3] {
+    let y = (lab[0] + 16.0) / 116.0;
+    let f = [y + lab[1] / 500.0, y, y - lab[2] / 200.0];
+    let xyz = nalgebra::Vector3::from_fn(|i, _| {
+        let t = f[i].powi(3);
+        let linear = if t > 216.0 / 24_389.0 { t } else { (116.0 * f[i] - 16.0) * 27.0 / 24_389.0 };
+        linear * WHITE[i]
+    });
+    #[rustfmt::skip]
+    let inverse = Matrix3::new(
+        3.240_454_2, -1.537_138_5, -0.498_531_4,
+        -0.969_266_0, 1.876_010_8, 0.041_556_0,
+        0.055_643_4, -0.204_025_9, 1.057_225_2,
+    );
+    let linear: [f64; 3] = (inverse * xyz).into();
+    linear.map(|v| srgb_from_linear(v.clamp(0.0, 1.0)))
+}
+
 /// The space that distances are taken in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -134,6 +153,15 @@ mod tests {
             for i in 0..3 {
                 assert!((got[i] - lab[i]).abs() < 0.02, "{rgb:?}: {got:?}");
             }
+        }
+    }
+
+    #[test]
+    fn there_and_back() {
+        for rgb in [[0.9, 0.4, 0.1], [0.02, 0.01, 0.03], [0.2, 0.5, 0.9], [1.0, 1.0, 1.0]] {
+            let lab = lab_from_srgb(rgb);
+            let back = srgb_from_lab([lab[0], lab[1], lab[2]]);
+            assert!((0..3).all(|i| (back[i] - rgb[i]).abs() < 1e-5), "{rgb:?}: {back:?}");
         }
     }
 

@@ -4,11 +4,14 @@ use nalgebra::Vector3;
 
 use super::colour::{Cloud, Metric, Space, lab_from_srgb};
 use super::mixing::cloud;
-use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size};
+use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size, Target};
+use crate::candidate::Gates;
 use crate::candidate::patch::{flood, ground, median};
+use crate::candidate::split::score_of;
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
-use crate::raster::Patch;
+use crate::raster::{Patch, SampleType};
+use crate::segment::classify::Classifier;
 
 /// How far around a position a patch should reach when the size of the marks is not known.
 pub const DEFAULT_REACH_PX: u64 = 40;
@@ -21,6 +24,7 @@ struct Example {
     side_px: f64,
     eccentricity: f64,
     tightness: f64,
+    own: Vec<bool>,
 }
 
 /// Learns a profile from marks at known positions (each inside its patch, which should reach [`DEFAULT_REACH_PX`] around
@@ -65,7 +69,7 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
     let (small, large) = (sides[0], sides[sides.len() - 1]);
     let mean_srgb = std::array::from_fn(|c| paint.iter().map(|v| v[c]).sum::<f64>() / paint.len() as f64);
     let share = back.iter().filter(|d| **d <= limit).count() as f64 / back.len() as f64;
-    let profile = Profile {
+    let mut profile = Profile {
         name: name.to_owned(),
         description: format!("Learned from {} marks", examples.len()),
         shape: Shape::Any,
@@ -80,7 +84,8 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
         size: Size { min_px: Some(0.6 * small), max_px: Some(1.6 * large), min_m: None, max_m: None },
         gates: GateLimits::default(),
         filters: Filters::default(),
-        examine: Examine::default(),
+        examine: Examine { split: true, ..Examine::default() },
+        target: Target::default(),
         learned: Some(Learned {
             marks: examples.len() as u64,
             pixels: paint.len() as u64,
@@ -95,7 +100,31 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
         }),
     };
     profile.validate()?;
+    profile.examine.min_score = least_score(&profile, marks, &examples)?;
     Ok(profile)
+}
+
+/// The score that the next mark should reach: four standard deviations below the examples' mean, at most the usual 0.
+///
+/// What was pointed at is known to be a mark, however little it resembles flat paint on even ground, which the score was
+/// made for. Few examples say little of their spread, so it is taken as at least 1.5.
+fn least_score(profile: &Profile, marks: &[(Patch, PixelPoint)], examples: &[Example]) -> Result<f64> {
+    let white = marks[0].0.white;
+    let classifier = Classifier::new(profile, SampleType::U16, white, [0, 1, 2], None, None)?;
+    let gates = Gates::new(profile, None)?;
+    let scores: Vec<f64> = marks
+        .iter()
+        .zip(examples)
+        .filter_map(|((patch, _), example)| score_of(patch, example.own.clone(), &classifier, profile, &gates))
+        .filter(|score| *score > -49.0)
+        .collect();
+    if scores.is_empty() {
+        return Ok(0.0);
+    }
+    let n = scores.len() as f64;
+    let mean = scores.iter().sum::<f64>() / n;
+    let sd = (scores.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)).sqrt();
+    Ok((mean - 4.0 * sd.max(1.5)).min(0.0))
 }
 
 fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'static str> {
@@ -155,6 +184,7 @@ fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'stat
         side_px: (inside.len() as f64).sqrt(),
         eccentricity,
         tightness,
+        own,
     })
 }
 

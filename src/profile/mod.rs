@@ -1,5 +1,13 @@
 //! What a mark looks like: colour, size, shape, and the limits of every gate. A profile is a small TOML file; the shipped
 //! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
+//!
+//! ```
+//! use autoref_stream::profile::Profile;
+//! let orange = Profile::load("orange")?; // or the name of a TOML file
+//! let again = Profile::parse(&orange.to_toml()).expect("what it writes it reads");
+//! assert_eq!(orange, again);
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 pub mod colour;
 mod learn;
@@ -20,6 +28,8 @@ pub struct Profile {
     pub name: String,
     #[serde(default)]
     pub description: String,
+    /// Absent in profiles of black and white targets.
+    #[serde(default, skip_serializing_if = "ColourModel::is_empty")]
     pub colour: ColourModel,
     pub size: Size,
     #[serde(default)]
@@ -30,6 +40,8 @@ pub struct Profile {
     pub filters: Filters,
     #[serde(default)]
     pub examine: Examine,
+    #[serde(default, skip_serializing_if = "Target::is_default")]
+    pub target: Target,
     /// What the profile was learned from, when it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learned: Option<Learned>,
@@ -52,6 +64,41 @@ pub struct ColourModel {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rough: Option<RoughDistance>,
     pub clouds: Vec<CloudSpec>,
+}
+
+impl Default for ColourModel {
+    /// No colour at all.
+    fn default() -> Self {
+        let (space, metric) = (Space::default(), Metric::default());
+        ColourModel { space, metric, limit: 1.0, rough_box: None, rough: None, clouds: Vec::new() }
+    }
+}
+
+impl ColourModel {
+    fn is_empty(&self) -> bool {
+        self.clouds.is_empty()
+    }
+}
+
+/// What is asked of black and white targets; paint has no use for it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Target {
+    /// Least difference between bright and dark, as a share of full white.
+    pub min_contrast: f64,
+}
+
+impl Default for Target {
+    fn default() -> Self {
+        // A sixth of the scale: worn plates in shade still have it, grass and gravel seldom at all scales.
+        Target { min_contrast: 0.16 }
+    }
+}
+
+impl Target {
+    fn is_default(&self) -> bool {
+        *self == Target::default()
+    }
 }
 
 /// Mean and covariance of a colour cloud in the model's space.
@@ -104,8 +151,12 @@ pub enum Shape {
     Any,
     Square,
     Disc,
-    /// Two crossed bars: the centre is the weighted centroid.
+    /// Two crossed bars. Painted when the profile has a colour; else a plate, black on white or white on black.
     Cross,
+    /// Four quarters, black and white in turn, found by shape.
+    Checker,
+    /// Two triangles that touch, found by shape.
+    Hourglass,
 }
 
 /// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
@@ -226,6 +277,8 @@ pub struct Examine {
     pub too_close: TooClose,
     pub min_distance_px: f64,
     pub order: Ordering,
+    /// Take regions that may be several marks apart; taught profiles do.
+    pub split: bool,
 }
 
 impl Default for Examine {
@@ -239,6 +292,7 @@ impl Default for Examine {
             too_close: TooClose::Off,
             min_distance_px: 0.0,
             order: Ordering::Raster,
+            split: false,
         }
     }
 }
@@ -266,7 +320,19 @@ macro_rules! builtins {
         const BUILTIN: &[(&str, &str)] = &[$(($name, include_str!(concat!("builtin/", $name, ".toml")))),*];
     };
 }
-builtins!("orange", "pink", "green", "yellow", "blue", "white-on-dark", "lerkendal-2016", "autoref-2016",);
+builtins!(
+    "orange",
+    "pink",
+    "green",
+    "yellow",
+    "blue",
+    "white-on-dark",
+    "black-white-checker",
+    "black-white-hourglass",
+    "black-white-cross",
+    "lerkendal-2016",
+    "autoref-2016",
+);
 
 impl Profile {
     /// Names of the shipped profiles, the default first.
@@ -326,7 +392,35 @@ impl Profile {
         })
     }
 
+    /// A black and white target, found by shape in grey, instead of paint.
+    pub fn is_target(&self) -> bool {
+        match self.shape {
+            Shape::Checker | Shape::Hourglass => true,
+            Shape::Cross => self.colour.is_empty(),
+            Shape::Any | Shape::Square | Shape::Disc => false,
+        }
+    }
+
     fn check(&self) -> std::result::Result<(), (&'static str, String)> {
+        if self.is_target() {
+            self.check_target()?;
+        } else {
+            self.check_colour()?;
+        }
+        self.check_rest()
+    }
+
+    fn check_target(&self) -> std::result::Result<(), (&'static str, String)> {
+        if !self.colour.is_empty() {
+            return Err(("colour", "checkers and hourglasses are found by shape: leave [colour] out".into()));
+        }
+        if !(0.02..=1.0).contains(&self.target.min_contrast) {
+            return Err(("target.min_contrast", format!("{} is not in 0.02..=1", self.target.min_contrast)));
+        }
+        Ok(())
+    }
+
+    fn check_colour(&self) -> std::result::Result<(), (&'static str, String)> {
         let colour = &self.colour;
         if !(colour.limit.is_finite() && colour.limit > 0.0) {
             return Err(("colour.limit", format!("{} is not a positive number", colour.limit)));
@@ -348,6 +442,10 @@ impl Profile {
         {
             return Err(("colour.rough_box", "each low must be finite and at most its high".into()));
         }
+        Ok(())
+    }
+
+    fn check_rest(&self) -> std::result::Result<(), (&'static str, String)> {
         let size = &self.size;
         for (place, low, high) in [("size.max_px", size.min_px, size.max_px), ("size.max_m", size.min_m, size.max_m)] {
             if [low, high].into_iter().flatten().any(|v| !(v.is_finite() && v > 0.0)) {
@@ -416,6 +514,34 @@ impl Profile {
     }
 }
 
+/// One fresh paint of each shipped profile, in full sun: of those that `examples/derive_profiles.rs` makes the clouds from,
+/// but for orange, which is the benchmark's.
+const FRESH: [(&str, [u8; 3]); 6] = [
+    ("orange", [255, 110, 20]),
+    ("pink", [255, 20, 147]),
+    ("green", [0, 230, 60]),
+    ("yellow", [255, 230, 0]),
+    ("blue", [0, 80, 255]),
+    ("white-on-dark", [255, 255, 255]),
+];
+
+impl Profile {
+    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
+    /// or the middle of the first cloud.
+    pub fn fresh_paint(&self) -> [u8; 3] {
+        let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
+        if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
+            return *paint;
+        }
+        match (&self.learned, self.colour.clouds.first(), self.colour.space) {
+            (Some(learned), _, _) => byte(learned.mean_srgb),
+            (None, Some(cloud), Space::Rgb) => byte(cloud.mean),
+            (None, Some(cloud), Space::Lab) => byte(colour::srgb_from_lab(cloud.mean)),
+            (None, None, _) => FRESH[0].1,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -429,6 +555,16 @@ mod tests {
             assert_eq!(Profile::parse(&profile.to_toml()).expect(name), profile);
         }
         assert_eq!(Profile::names()[0], "orange");
+    }
+
+    #[test]
+    fn the_fresh_paint_of_every_shipped_paint_is_paint() {
+        for (name, _) in FRESH {
+            let profile = Profile::builtin(name).expect("shipped");
+            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            let distance = test.nearest2(profile.fresh_paint().map(|v| f64::from(v) / 255.0)).sqrt();
+            assert!(distance <= profile.colour.limit, "{name}: {:?} at {distance:.2}", profile.fresh_paint());
+        }
     }
 
     #[test]

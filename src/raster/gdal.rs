@@ -122,7 +122,15 @@ pub struct GdalDecoder {
 /// `cache_bytes`.
 pub(super) fn open_gdal(path: &Path, page: usize, cache_bytes: u64) -> Result<GdalSource> {
     initialise_gdal(cache_bytes);
-    let mut name = GdalName::new(path, page);
+    open_name(GdalName::new(path, page), cache_bytes)
+}
+
+/// The same by GDAL's name for it.
+///
+/// # Errors
+/// Those of [`open_gdal`].
+pub(super) fn open_name(mut name: GdalName, cache_bytes: u64) -> Result<GdalSource> {
+    let path = &name.path.clone();
     let mut dataset = name.open()?;
     if dataset.raster_count() == 0 {
         let Some(first) = dataset.metadata_item("SUBDATASET_1_NAME", "SUBDATASETS") else {

@@ -4,12 +4,23 @@
 //! A [`RasterSource`] hands out [`Block`]s: the pixels of a window as a list of [`Piece`]s, one for each file block (or
 //! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
 //! so that nothing is copied on the way to the segmenter.
+//!
+//! ```
+//! use autoref_stream::raster::RasterSource;
+//! use autoref_stream::raster::memory::MemorySource;
+//! use autoref_stream::window::Window;
+//! let source = MemorySource::rgb8(4, 2, vec![128; 4 * 2 * 3]); // `open` does the same with files
+//! let block = source.read(Window::new(1, 0, 2, 2))?;
+//! assert_eq!((block.window.width, source.info().bands), (2, 3));
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
 mod cache;
 mod chunked;
 mod elevation;
 mod gdal;
 pub mod memory;
+pub mod mosaic;
 mod open;
 mod patch;
 mod pool;
@@ -17,7 +28,7 @@ pub mod tiff;
 
 pub use elevation::ElevationModel;
 pub use gdal::{GdalSource, initialise_gdal};
-pub use open::open;
+pub use open::{open, open_dataset, size};
 pub use patch::read_patch;
 pub use pool::BufferPool;
 

@@ -1,9 +1,9 @@
 //! Choosing the reader.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{RasterSource, ReaderChoice, SampleType, gdal, tiff};
+use super::{RasterSource, ReaderChoice, SampleType, gdal, mosaic, tiff};
 use crate::error::{Error, Result};
 
 /// Opens `path` with the reader that fits.
@@ -26,6 +26,13 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
             ));
         }
         return Ok(Arc::new(gdal::open_gdal(path, page, cache_bytes)?));
+    }
+    if mosaic::is_mosaic(path) {
+        if choice == ReaderChoice::Native {
+            return Err(Error::unsupported(path, "tiles by the native reader", "use --reader auto or gdal"));
+        }
+        let name = gdal_name(path, page)?;
+        return Ok(Arc::new(gdal::open_name(gdal::GdalName { path: path.to_path_buf(), name }, cache_bytes)?));
     }
     check_file(path)?;
     if !tiff::is_tiff(path)? {
@@ -57,6 +64,46 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
     tracing::info!("the native reader passes on to GDAL: {native_error}");
     let source = gdal::open_gdal(path, directory, cache_bytes)?;
     Ok(Arc::new(source))
+}
+
+/// Width and height of image `page` in pixels, of whatever GDAL opens.
+///
+/// # Errors
+/// When the file is missing, broken or no raster.
+pub fn size(path: &Path, page: usize) -> Result<(u64, u64)> {
+    let (width, height) = open_dataset(path, page)?.1.raster_size();
+    Ok((width as u64, height as u64))
+}
+
+/// Opens image `page` of a file, or a folder or list of tiles, with GDAL, and gives the name by which GDAL knows it.
+///
+/// # Errors
+/// When the file is missing, broken or no raster.
+pub fn open_dataset(path: &Path, page: usize) -> Result<(PathBuf, ::gdal::Dataset)> {
+    gdal::initialise_gdal(0);
+    let name = gdal_name(path, page)?;
+    let dataset = gdal::GdalName { path: path.to_path_buf(), name: name.clone() }.open()?;
+    Ok((name, dataset))
+}
+
+/// What GDAL opens: an absolute path, a page of one, or a virtual raster of tiles.
+fn gdal_name(path: &Path, page: usize) -> Result<PathBuf> {
+    if path.to_string_lossy().starts_with("/vsi") {
+        return Ok(path.to_path_buf());
+    }
+    if mosaic::is_mosaic(path) {
+        if page > 0 {
+            return Err(Error::usage(format!("{}: page {page} of tiles", path.display()), "leave --page away"));
+        }
+        return mosaic::Mosaic::open(path)?.virtual_file();
+    }
+    check_file(path)?;
+    let absolute = std::fs::canonicalize(path).map_err(|e| Error::io(path, "resolve", e))?;
+    let directory = match tiff::is_tiff(path)? {
+        true => tiff::Directories::read(path)?.page(page)?,
+        false => 0,
+    };
+    Ok(gdal::GdalName::new(&absolute, directory).name)
 }
 
 /// Refuses what is no file with bytes in it, in words.

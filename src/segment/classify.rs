@@ -33,6 +33,12 @@ impl PaintTest {
     /// [`Error::Usage`] when the profile is not valid.
     pub fn new(profile: &Profile) -> Result<PaintTest> {
         profile.validate()?;
+        if profile.is_target() {
+            return Err(Error::usage(
+                format!("profile \"{}\" finds targets by shape: it has no colour", profile.name),
+                "give a profile of paint",
+            ));
+        }
         let model = &profile.colour;
         let clouds = profile.clouds().map_err(|i| {
             Error::usage(format!("profile \"{}\": colour cloud {i} is singular", profile.name), "correct the profile")

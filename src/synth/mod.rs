@@ -5,7 +5,18 @@
 //! for; [`write`](fn@write) streams the whole picture into a GeoTIFF and puts the [`Truth`] beside it. Positions are in
 //! pixels, `(0, 0)` at the outer corner of the first pixel (`docs/coordinates.md`); what is modelled and what is not is
 //! in `docs/synth.md`.
+//!
+//! ```
+//! use autoref_stream::synth::{self, SynthSpec};
+//! use autoref_stream::window::Window;
+//! let spec = SynthSpec { gcps: synth::random_gcps(5, 20.0, 15.0, 1), size_px: Some((200, 150)), ..SynthSpec::default() };
+//! let rgb = synth::render_window(&spec, Window::new(0, 0, 64, 64))?; // any window, always the same pixels
+//! assert_eq!(rgb.len(), 64 * 64 * 3);
+//! # Ok::<(), autoref_stream::Error>(())
+//! ```
 
+mod film;
+mod film_render;
 mod gcps;
 mod jpeg;
 mod landscape;
@@ -14,6 +25,7 @@ mod objects;
 mod paint;
 mod photo;
 mod plan;
+pub mod plant;
 mod rng;
 mod scene;
 mod shape;
@@ -21,6 +33,7 @@ mod spec;
 mod truth;
 mod write;
 
+pub use film::{FilmGround, FilmMark, FilmScene, FilmSpec, FilmTruth, GreyPhoto, write_film};
 pub use gcps::{SynthGcp, random_gcps, read_gcp_csv, write_gcp_geojson};
 pub use jpeg::jpeg_round_trip;
 pub use paint::Paint;

@@ -3,10 +3,19 @@
 //! A dialect that carries tie points returns exactly the pairs of pixel and surveyed point that were matched; numbers are
 //! written in the shortest form that reads back to the same double wherever the format allows it.
 
+pub mod csv;
+pub mod gcp_list;
+pub mod geojson;
+pub mod metashape;
+pub mod micmac;
+pub mod pix4d;
+pub mod points;
+
 use std::path::{Path, PathBuf};
 
 use crate::coords::{GeoTransform, PixelPoint};
 use crate::error::{Error, Result};
+use crate::gcp::Gcp;
 use crate::georef::crs::Crs;
 use crate::georef::result::RunResult;
 use crate::georef::write::Output;
@@ -87,7 +96,7 @@ pub fn files(output: Output, base: &Path) -> Vec<PathBuf> {
         Output::GeoJson => vec![with("gcps.geojson")],
         Output::Csv => vec![with("gcps.csv")],
         Output::MicMac => vec![with("appuis.xml"), with("mesures.xml")],
-        Output::Metashape => vec![with("metashape.csv")],
+        Output::Metashape => vec![with("metashape.csv"), with("metashape.xml")],
         Output::Pix4d => vec![with("pix4d-gcps.csv"), with("pix4d-marks.csv")],
         _ => Vec::new(),
     }
@@ -97,7 +106,68 @@ pub fn files(output: Output, base: &Path) -> Vec<PathBuf> {
 ///
 /// # Errors
 /// When a file cannot be written, or the dialect cannot hold the points; the message says which.
-pub fn write(output: Output, paths: &[PathBuf], _points: &TiePoints) -> Result<()> {
-    let path = paths.first().cloned().unwrap_or_default();
-    Err(Error::unsupported(path, format!("--write {output}"), "choose another kind"))
+pub fn write(output: Output, paths: &[PathBuf], tie_points: &TiePoints) -> Result<()> {
+    match (output, paths) {
+        (Output::Points, [path]) => points::write(path, tie_points),
+        (Output::GcpList, [path]) => gcp_list::write(path, tie_points),
+        (Output::GeoJson, [path]) => geojson::write(path, tie_points),
+        (Output::Csv, [path]) => csv::write(path, tie_points),
+        (Output::MicMac, [ground, image]) => micmac::write(ground, image, tie_points),
+        (Output::Metashape, [reference, markers]) => metashape::write(reference, markers, tie_points),
+        (Output::Pix4d, [gcps, marks]) => pix4d::write(gcps, marks, tie_points),
+        _ => Err(Error::usage(format!("`{output}` is no list of tie points"), "this is a mistake in the program")),
+    }
+}
+
+/// Refuses, before any work, what a dialect cannot hold.
+///
+/// # Errors
+/// When OpenDroneMap's list would lack a CRS or have an image name with blanks, at which it is cut; when a point without a
+/// height is to go where heights are demanded.
+pub fn check(outputs: &[Output], image: &Path, crs: Option<&Crs>, gcps: &[Gcp]) -> Result<()> {
+    for output in outputs {
+        match output {
+            Output::GcpList => {
+                gcp_list::header(crs)?;
+                let name = image.file_name().unwrap_or_default().to_string_lossy();
+                if name.contains(char::is_whitespace) {
+                    return Err(Error::usage(
+                        format!("OpenDroneMap's gcp_list.txt cannot hold the image name `{name}`: it is cut at blanks"),
+                        "rename the image, or leave gcp-list out of --write",
+                    ));
+                }
+            }
+            Output::MicMac | Output::Pix4d => {
+                if let Some(gcp) = gcps.iter().find(|gcp| gcp.height.is_none()) {
+                    return Err(no_height(if *output == Output::MicMac { "MicMac" } else { "Pix4D" }, &gcp.name));
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+fn no_height(program: &str, name: &str) -> Error {
+    Error::usage(
+        format!("{program} needs heights, and `{name}` has none"),
+        "complete the list of points, or choose another --write",
+    )
+}
+
+fn required_height(program: &str, pair: &TiePoint) -> Result<f64> {
+    pair.height.ok_or_else(|| no_height(program, &pair.name))
+}
+
+/// A field of a comma-separated table, quoted when it must be.
+fn csv_field(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r', ';', '#']) || text != text.trim() {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_string()
+    }
+}
+
+fn write_file(path: &Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).map_err(|e| Error::io(path, "write", e))
 }

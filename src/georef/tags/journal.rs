@@ -134,6 +134,14 @@ impl Plan {
         done
     }
 
+    /// Takes the edit back, right after it was made.
+    ///
+    /// # Errors
+    /// When the system says no.
+    pub fn revert(&self, store: &mut dyn Store) -> io::Result<()> {
+        restore(store, self.old_length, &self.patches)
+    }
+
     fn append_and_switch(&self, store: &mut dyn Store) -> io::Result<()> {
         store.write_at(self.old_length, &self.appended)?;
         store.sync()?;

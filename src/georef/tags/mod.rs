@@ -21,7 +21,6 @@ use crate::error::{Error, Result};
 use crate::georef::atomic::Edit;
 use crate::georef::crs::Crs;
 use crate::georef::sidecar;
-use crate::georef::write::{Output, WriteRequest};
 use crate::raster::tiff::container::Directories;
 use crate::raster::tiff::is_tiff;
 
@@ -98,8 +97,12 @@ pub fn prepare(
 }
 
 impl Edit for TagEdit {
-    fn apply(mut self: Box<Self>) -> Result<()> {
+    fn apply(&mut self) -> Result<()> {
         self.plan.apply(&mut self.file).map_err(|e| Error::io(&self.path, "write tags into", e))
+    }
+
+    fn revert(&mut self) -> Result<()> {
+        self.plan.revert(&mut self.file).map_err(|e| Error::io(&self.path, "restore", e))
     }
 
     fn path(&self) -> &Path {
@@ -122,20 +125,27 @@ pub fn undo(image: &Path, dry_run: bool) -> Result<Undone> {
     Ok(Undone { length_bytes: record.old_length, program: record.program, more_below })
 }
 
-/// What others may stumble over, in words.
-pub fn warnings(request: &WriteRequest, transform: &GeoTransform) -> Vec<String> {
-    let aux = sidecar::aux_path(&request.image);
-    let renewed = request.wants(Output::Aux) && request.base == request.image;
+/// Whether the file ends with an undo record.
+pub fn is_tagged(image: &Path) -> bool {
+    File::open(image).is_ok_and(|file| {
+        let length = file.metadata().map_or(0, |metadata| metadata.len());
+        journal::has_record(&file, length).unwrap_or(false)
+    })
+}
+
+/// What others may stumble over once `image` has tags with `transform`, in words. `renewed`: its `.aux.xml` is written too.
+pub fn warning(image: &Path, renewed: bool, transform: &GeoTransform) -> Option<String> {
+    let aux = sidecar::aux_path(image);
     let text = std::fs::read_to_string(&aux).unwrap_or_default();
     let other = sidecar::transform_of_aux(&text).is_none_or(|old| old.differs_px(transform) > 1e-3);
     let placed = ["<GeoTransform", "<GCPList"].iter().any(|word| text.contains(word));
-    if renewed || !placed || !other {
-        return Vec::new();
-    }
-    vec![format!(
-        "{} holds another georeference, which GDAL and QGIS believe before the tags; write it anew: --write aux,tags --overwrite",
-        aux.display()
-    )]
+    (!renewed && placed && other).then(|| {
+        format!(
+            "{} holds another georeference, which GDAL and QGIS believe before the tags; write it anew: \
+             --write aux,tags --overwrite",
+            aux.display()
+        )
+    })
 }
 
 fn open(image: &Path, page: usize) -> Result<(File, Directories, usize)> {

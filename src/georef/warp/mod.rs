@@ -7,7 +7,7 @@ mod create_copy;
 mod vrt;
 
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::str::FromStr;
 
 use gdal::cpl::CslStringList;
@@ -240,12 +240,13 @@ impl Grid {
     }
 }
 
-/// Kept free of the budget.
-const RESERVE_BYTES: u64 = 24 << 20;
-/// The compressor's threads hold a few blocks each.
-const THREAD_BYTES: u64 = 8 << 20;
+/// What one thread takes beside the block cache, measured: the warper's own buffers, blocks on their way to the file.
+const FIXED_BYTES: u64 = 72 << 20;
+/// What each further thread of the compressor takes, measured (18 MiB) and rounded up.
+const THREAD_BYTES: u64 = 24 << 20;
 /// The least with which GDAL makes headway.
-const SMALLEST_CACHE_BYTES: u64 = 16 << 20;
+const SMALLEST_CACHE_BYTES: u64 = 12 << 20;
+/// For one step of the warper.
 const WARP_BYTES: u64 = 16 << 20;
 
 impl WarpOptions {
@@ -261,7 +262,7 @@ impl WarpOptions {
         if self.quality.is_some_and(|q| !(1..=100).contains(&q)) {
             return Err(Error::usage("--quality is not between 1 and 100", "75 is a good value"));
         }
-        self.cache_bytes()?;
+        self.means()?;
         let (_dataset, source) = open(image, page)?;
         self.border_of(&source)?;
         self.check_compression(image, &source)
@@ -292,20 +293,23 @@ impl WarpOptions {
         Ok(())
     }
 
-    /// What GDAL's block cache may take: half of what the process does not hold yet.
-    fn cache_bytes(&self) -> Result<u64> {
-        let held = plan::baseline_bytes();
-        let fixed = held + RESERVE_BYTES + WARP_BYTES + THREAD_BYTES * self.threads as u64;
+    /// What GDAL's block cache may take, and how many threads of those asked for fit beside it.
+    ///
+    /// Two thirds of what is left are cache: GDAL exceeds it while blocks wait to be written.
+    fn means(&self) -> Result<(u64, usize)> {
+        let fixed = plan::baseline_bytes() + FIXED_BYTES;
         let left = self.memory_budget_bytes.saturating_sub(fixed);
-        if left < SMALLEST_CACHE_BYTES {
+        let least = SMALLEST_CACHE_BYTES * 3 / 2;
+        if left < least {
             return Err(Error::Limit {
                 what: "warping does not fit --memory".into(),
-                needed: fixed + SMALLEST_CACHE_BYTES,
+                needed: fixed + least,
                 allowed: self.memory_budget_bytes,
-                remedy: format!("give --memory {}M", (fixed + SMALLEST_CACHE_BYTES).div_ceil(1 << 20)),
+                remedy: format!("give --memory {}M", (fixed + least).div_ceil(1 << 20)),
             });
         }
-        Ok(left / 2)
+        let more = ((left - least) / THREAD_BYTES).min(self.threads.saturating_sub(1) as u64);
+        Ok(((left - more * THREAD_BYTES) * 2 / 3, 1 + more as usize))
     }
 
     /// What the border is in this image.
@@ -353,7 +357,7 @@ impl WarpOptions {
 /// `progress` gets numbers from 0 to 1 and answers whether to go on.
 ///
 /// # Errors
-/// Those of [`WarpOptions::check`]; [`Error::Gdal`] when GDAL cannot read the image or write the copy (a full disk). Nothing
+/// Those of [`WarpOptions::check`] but for the memory; [`Error::Gdal`] when GDAL cannot read the image or write the copy (a full disk). Nothing
 /// is left behind but what is at `out` itself.
 pub fn write(
     image: &Path,
@@ -364,21 +368,54 @@ pub fn write(
     options: &WarpOptions,
     progress: &dyn Fn(f64) -> bool,
 ) -> Result<()> {
-    options.check(image, page)?;
     let (dataset, source) = open(image, page)?;
+    options.check_compression(image, &source)?;
     let grid = Grid::around(transform, source.width, source.height, options.resolution)?;
     let border = options.border_of(&source)?;
     let xml = vrt::xml(&source, transform, &grid, crs, border, options.resampling.in_vrt(), WARP_BYTES)?;
     drop(dataset);
-    create_copy::set_cache_bytes(options.cache_bytes()?);
-    let warped = Dataset::open(&xml).map_err(|e| Error::gdal(image, e))?;
-    let driver = DriverManager::get_driver_by_name("COG").map_err(|e| Error::gdal(out, e))?;
-    let creation = creation_options(options).map_err(|e| Error::gdal(out, e))?;
-    let made = create_copy::create_copy(&warped, &driver, out, &creation, progress)
-        .map_err(|what| Error::gdal(out, what))
-        .and_then(|()| complete(out));
+    // Checked before the scan; what the scan has freed since may still count as resident, and is used again.
+    let (cache_bytes, threads) = options.means().unwrap_or((SMALLEST_CACHE_BYTES, 1));
+    create_copy::set_cache_bytes(cache_bytes);
+    let options = WarpOptions { threads, ..*options };
+    let made = copy(&xml, image, out, &options, progress).and_then(|()| complete(out));
     remove_leftovers(out);
     made
+}
+
+/// First a plain tiled copy, then the COG of it: the COG driver reads every pixel several times, for overviews band by band,
+/// and each time the image would be warped again.
+fn copy(xml: &str, image: &Path, out: &Path, options: &WarpOptions, progress: &dyn Fn(f64) -> bool) -> Result<()> {
+    let failed = |what| Error::gdal(out, what);
+    let mut plain = out.as_os_str().to_owned();
+    plain.push(".warp.tmp");
+    let plain = Path::new(&plain);
+    let driver = |name| DriverManager::get_driver_by_name(name).map_err(|e| Error::gdal(out, e));
+    let warped = Dataset::open(xml).map_err(|e| Error::gdal(image, e))?;
+    let tiff = driver("GTiff")?;
+    let creation = plain_options(&tiff, options).map_err(|e| Error::gdal(out, e))?;
+    create_copy::create_copy(&warped, &tiff, plain, &creation, &|done| progress(done / 2.0)).map_err(failed)?;
+    drop(warped);
+    let north_up = Dataset::open(plain).map_err(|e| Error::gdal(out, e))?;
+    let creation = creation_options(options).map_err(|e| Error::gdal(out, e))?;
+    create_copy::create_copy(&north_up, &driver("COG")?, out, &creation, &|done| progress(0.5 + done / 2.0))
+        .map_err(failed)
+}
+
+/// Of the copy in between: fast and without loss.
+fn plain_options(driver: &gdal::Driver, options: &WarpOptions) -> gdal::errors::Result<CslStringList> {
+    let offered = driver.metadata_item("DMD_CREATIONOPTIONLIST", "").unwrap_or_default();
+    let zstd = offered.contains("<Value>ZSTD</Value>");
+    let mut list = CslStringList::new();
+    for (name, value) in [("TILED", "YES"), ("BLOCKXSIZE", "512"), ("BLOCKYSIZE", "512"), ("BIGTIFF", "IF_SAFER")] {
+        list.add_name_value(name, value)?;
+    }
+    list.add_name_value("COMPRESS", if zstd { "ZSTD" } else { "LZW" })?;
+    if zstd {
+        list.add_name_value("ZSTD_LEVEL", "1")?;
+    }
+    list.add_name_value("NUM_THREADS", &options.threads.to_string())?;
+    Ok(list)
 }
 
 fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList> {
@@ -386,7 +423,7 @@ fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList
     list.add_name_value("COMPRESS", &options.compression.name().to_uppercase())?;
     list.add_name_value("BIGTIFF", "IF_SAFER")?;
     list.add_name_value("OVERVIEW_RESAMPLING", options.resampling.of_overviews())?;
-    list.add_name_value("NUM_THREADS", &options.threads.max(1).to_string())?;
+    list.add_name_value("NUM_THREADS", &options.threads.to_string())?;
     if matches!(options.compression, Compression::Lzw | Compression::Deflate | Compression::Zstd) {
         list.add_name_value("PREDICTOR", "YES")?;
     }
@@ -399,17 +436,7 @@ fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList
 }
 
 fn open(image: &Path, page: usize) -> Result<(Dataset, vrt::Source)> {
-    crate::raster::initialise_gdal(0);
-    let path = std::fs::canonicalize(image).map_err(|e| Error::io(image, "open", e))?;
-    let directory = match crate::raster::tiff::is_tiff(&path)? {
-        true => Directories::read(&path)?.page(page)?,
-        false => 0,
-    };
-    let name = match directory {
-        0 => path,
-        later => PathBuf::from(format!("GTIFF_DIR:{}:{}", later + 1, path.display())),
-    };
-    let dataset = Dataset::open(&name).map_err(|e| Error::gdal(image, e))?;
+    let (name, dataset) = crate::raster::open_dataset(image, page)?;
     let source = vrt::Source::of(image, &name, &dataset)?;
     Ok((dataset, source))
 }

@@ -287,10 +287,11 @@ fn edits(value: f64) -> Vec<(Mistake, f64)> {
     let mut all = Vec::new();
     for place in PLACES.filter(|p| *p <= first) {
         let unit = 10f64.powi(place) * value.signum();
-        for other in (0..10).filter(|&d| d != digit(place)) {
+        // A first digit of 0 would not have been written.
+        for other in (i64::from(place == first)..10).filter(|&d| d != digit(place)) {
             all.push((Mistake::MistypedDigit, value + (other - digit(place)) as f64 * unit));
         }
-        if place < first && digit(place) != digit(place + 1) {
+        if place < first && digit(place) != digit(place + 1) && (place + 1 < first || digit(place) != 0) {
             let change = (digit(place) - digit(place + 1)) as f64 * 9.0;
             all.push((Mistake::TransposedDigits, value + change * unit));
         }

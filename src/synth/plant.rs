@@ -1,11 +1,13 @@
-//! Marks planted into real photographs, with centres known to a thousandth of a pixel.
+//! Marks planted into real photographs, with centres known to a thousandth of a pixel: what the detection benchmark
+//! measures on, and the self-test on the customer's own image.
 
-use autoref_stream::profile::colour::{linear_from_srgb, srgb_from_linear};
+use super::shape::{Figure, Shape};
+use crate::profile::colour::{linear_from_srgb, srgb_from_linear};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// An 8-bit RGB picture.
+/// An 8-bit RGB picture, row-major.
 #[derive(Clone)]
 pub struct Picture {
     pub width: usize,
@@ -14,6 +16,7 @@ pub struct Picture {
 }
 
 impl Picture {
+    /// The part of the picture from column `x` and row `y`, which must lie in it; clipped at the far edges.
     pub fn crop(&self, x: usize, y: usize, width: usize, height: usize) -> Picture {
         let (width, height) = (width.min(self.width - x), height.min(self.height - y));
         let rows =
@@ -23,6 +26,9 @@ impl Picture {
 
     /// Through a JPEG of that quality, chroma halved both ways by averaging, as cameras and libjpeg do. (An encoder that
     /// takes every second chroma sample instead moves all colour by half a pixel, and every centre with it.)
+    ///
+    /// # Panics
+    /// When GDAL lacks its JPEG driver, or a side is above 65,500 pixels.
     pub fn through_jpeg(&self, quality: u8) -> Picture {
         let (w, h) = (self.width, self.height);
         let memory = DriverManager::get_driver_by_name("MEM").expect("GDAL has it always");
@@ -56,12 +62,14 @@ impl Picture {
 pub struct Random(pub u64);
 
 impl Random {
+    /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
+    /// Standard normal (Box–Muller).
     pub fn gauss(&mut self) -> f64 {
         (-2.0 * self.unit().max(1e-300).ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
     }
@@ -86,7 +94,11 @@ pub struct Cell {
     pub disc: bool,
     /// Mix in linear light, as optics do, instead of in sRGB, as image editors do.
     pub linear: bool,
+    /// Standard deviation of the noise on the paint, 8-bit levels.
     pub noise: f64,
+    /// A shape of the synthesiser instead of square or disc, in `paint` and `second`.
+    pub figure: Option<Shape>,
+    pub second: [u8; 3],
 }
 
 impl Cell {
@@ -104,7 +116,14 @@ impl Cell {
             disc: false,
             linear: false,
             noise: 1.5,
+            figure: None,
+            second: [28, 28, 31],
         }
+    }
+
+    /// Side of the window that a mark changes, pixels.
+    pub fn window_px(&self) -> usize {
+        (self.side_px * 1.5 + 8.0 * self.blur_px).ceil() as usize + 4
     }
 }
 
@@ -112,22 +131,29 @@ const FINE: usize = 5;
 
 /// Share of paint in each pixel of a window `size` pixels wide, for a mark centred at (cx, cy) in it.
 fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f64) -> Vec<f64> {
-    let n = size * FINE;
     let (sin, cos) = angle.sin_cos();
     let half = cell.side_px / 2.0;
     let (csin, ccos) = cover_angle.sin_cos();
     // Side of the half plane that hides the wanted share of a square or, nearly, a disc.
     let edge = half - cell.cover * cell.side_px;
+    blurred(size, cell.blur_px, |x, y| {
+        let (u, v) = (cos * (x - cx) + sin * (y - cy), cos * (y - cy) - sin * (x - cx));
+        let inside = if cell.disc { u * u + v * v <= half * half } else { u.abs() <= half && v.abs() <= half };
+        let hidden = cell.cover > 0.0 && ccos * u + csin * v > edge;
+        inside && !hidden
+    })
+}
+
+/// Share of each pixel of a window that a shape covers: at five times the resolution, blurred with a Gaussian.
+pub fn blurred(size: usize, blur_px: f64, inside: impl Fn(f64, f64) -> bool) -> Vec<f64> {
+    let n = size * FINE;
     let mut fine: Vec<f32> = (0..n * n)
         .map(|i| {
-            let (x, y) = (((i % n) as f64 + 0.5) / FINE as f64 - cx, ((i / n) as f64 + 0.5) / FINE as f64 - cy);
-            let (u, v) = (cos * x + sin * y, cos * y - sin * x);
-            let inside = if cell.disc { u * u + v * v <= half * half } else { u.abs() <= half && v.abs() <= half };
-            let hidden = cell.cover > 0.0 && ccos * u + csin * v > edge;
-            f32::from(u8::from(inside && !hidden))
+            let (x, y) = (((i % n) as f64 + 0.5) / FINE as f64, ((i / n) as f64 + 0.5) / FINE as f64);
+            f32::from(u8::from(inside(x, y)))
         })
         .collect();
-    let sigma = cell.blur_px * FINE as f64;
+    let sigma = blur_px * FINE as f64;
     let reach = (3.5 * sigma).ceil() as i64;
     let kernel: Vec<f32> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp() as f32).collect();
     let total: f32 = kernel.iter().sum();
@@ -158,48 +184,63 @@ fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f
 
 /// Plants one mark in each square of a grid and returns the true centres (pixel corners at whole numbers).
 pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Vec<(f64, f64)>) {
-    let size = (cell.side_px * 1.5 + 8.0 * cell.blur_px).ceil() as usize + 4;
-    let pitch = size + 28;
+    let pitch = cell.window_px() + 28;
     let mut out = ground.clone();
     let mut truth = Vec::new();
     for gy in (8..ground.height.saturating_sub(pitch)).step_by(pitch) {
         for gx in (8..ground.width.saturating_sub(pitch)).step_by(pitch) {
             let x0 = gx + (random.unit() * 14.0) as usize;
             let y0 = gy + (random.unit() * 14.0) as usize;
-            let middle = size as f64 / 2.0;
-            let (cx, cy) = (middle + random.unit() - 0.5, middle + random.unit() - 0.5);
-            let turn = cell.angle_deg.map_or(random.unit() * std::f64::consts::TAU, f64::to_radians);
-            let side = (random.unit() * 4.0).floor() * std::f64::consts::FRAC_PI_2;
-            let share = shares(cell, size, cx, cy, turn, side);
-            let fading = cell.fading * random.unit();
             // The shadow reaches well beyond the window that the detector looks at.
             if cell.light < 1.0 {
                 for (y, x) in (0..pitch).flat_map(|y| (0..pitch).map(move |x| (gy + y, gx + x))) {
                     out.rgb[y * out.width + x] = dim(out.rgb[y * out.width + x], cell.light);
                 }
             }
-            let paint = dim(cell.paint, cell.light);
-            for (i, &covered) in share.iter().enumerate() {
-                let at = (y0 + i / size) * out.width + x0 + i % size;
-                let a = covered * (1.0 - fading);
-                if covered < 1e-4 {
-                    continue;
-                }
-                for (c, p) in paint.iter().enumerate() {
-                    let (g, p) = (f64::from(out.rgb[at][c]) / 255.0, f64::from(*p) / 255.0);
-                    let mixed = if cell.linear {
-                        srgb_from_linear((1.0 - a) * linear_from_srgb(g) + a * linear_from_srgb(p))
-                    } else {
-                        (1.0 - a) * g + a * p
-                    };
-                    let noise = cell.noise * random.gauss() * covered;
-                    out.rgb[at][c] = (mixed * 255.0 + noise).round().clamp(0.0, 255.0) as u8;
-                }
-            }
-            truth.push((x0 as f64 + cx, y0 as f64 + cy));
+            truth.push(paint_mark(&mut out, cell, (x0, y0), random));
         }
     }
     (out.through_jpeg(cell.quality), truth)
+}
+
+/// Paints one mark into the window of [`Cell::window_px`] that begins at (x0, y0) and lies in the picture; returns its
+/// centre, within half a pixel of the window's middle. Shadow and JPEG are the caller's.
+pub fn paint_mark(out: &mut Picture, cell: &Cell, (x0, y0): (usize, usize), random: &mut Random) -> (f64, f64) {
+    let size = cell.window_px();
+    let middle = size as f64 / 2.0;
+    let (cx, cy) = (middle + random.unit() - 0.5, middle + random.unit() - 0.5);
+    let turn = cell.angle_deg.map_or(random.unit() * std::f64::consts::TAU, f64::to_radians);
+    let side = (random.unit() * 4.0).floor() * std::f64::consts::FRAC_PI_2;
+    let (share, second): (Vec<f64>, Vec<f64>) = match cell.figure {
+        None => (shares(cell, size, cx, cy, turn, side), vec![0.0; size * size]),
+        Some(shape) => {
+            let figure = Figure::new(shape, cell.side_px, turn, cell.blur_px);
+            let at = |i: usize| figure.coverage((i % size) as f64 + 0.5 - cx, (i / size) as f64 + 0.5 - cy);
+            (0..size * size).map(at).unzip()
+        }
+    };
+    let fading = cell.fading * random.unit();
+    let (first, other) = (dim(cell.paint, cell.light), dim(cell.second, cell.light));
+    for (i, (&covered, &second)) in share.iter().zip(&second).enumerate() {
+        let at = (y0 + i / size) * out.width + x0 + i % size;
+        let a = covered * (1.0 - fading);
+        if covered < 1e-4 {
+            continue;
+        }
+        let inner = (second / covered).min(1.0);
+        for c in 0..3 {
+            let paint = (1.0 - inner) * f64::from(first[c]) + inner * f64::from(other[c]);
+            let (g, p) = (f64::from(out.rgb[at][c]) / 255.0, paint / 255.0);
+            let mixed = if cell.linear {
+                srgb_from_linear((1.0 - a) * linear_from_srgb(g) + a * linear_from_srgb(p))
+            } else {
+                (1.0 - a) * g + a * p
+            };
+            let noise = cell.noise * random.gauss() * covered;
+            out.rgb[at][c] = (mixed * 255.0 + noise).round().clamp(0.0, 255.0) as u8;
+        }
+    }
+    (x0 as f64 + cx, y0 as f64 + cy)
 }
 
 /// Less light, and bluer: the sky lights a shadow.

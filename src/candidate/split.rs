@@ -1,0 +1,175 @@
+//! Marks that touch: one region, several candidates.
+//!
+//! The middle of each mark is the local maximum of a smoothed map of how well the colour fits; every pixel of the region
+//! goes to its nearest middle, and each part is examined as if the others were other paint.
+
+use super::Candidate;
+use super::examine::{examine, examine_scene, measure_scene, score};
+use super::gates::Gates;
+use super::patch::Scene;
+use crate::profile::Profile;
+use crate::raster::Patch;
+use crate::segment::classify::Classifier;
+use crate::segment::label::Region;
+use crate::window::Window;
+
+/// [`examine`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark than the
+/// whole.
+pub fn examine_parts(
+    region: &Region,
+    patch: &Patch,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Vec<Candidate> {
+    let whole = if gates.single(region) { examine(region, patch, classifier, profile, gates) } else { None };
+    let Some(scene) = Scene::new(region, patch, classifier, true) else { return whole.into_iter().collect() };
+    let middles = middles(&scene, classifier, profile, gates.mark_side_px().0);
+    if middles.len() < 2 {
+        return whole.into_iter().collect();
+    }
+    let parts: Vec<Candidate> = (0..middles.len())
+        .filter_map(|k| {
+            let own: Vec<bool> =
+                (0..scene.own.len()).map(|i| scene.own[i] && nearest(&middles, position(&scene, i)) == k).collect();
+            let part = region_of(&own, patch)?;
+            let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
+            examine_scene(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
+        })
+        .collect();
+    let parts = apart(parts, gates.mark_side_px().0 / 2.0);
+    let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
+    match whole {
+        Some(whole) if whole.score.is_some_and(|s| s >= best) => vec![whole],
+        _ => parts,
+    }
+}
+
+/// Two parts of one mark give its centre twice: of candidates closer than `least_px` the likeliest stays, in the old order.
+fn apart(parts: Vec<Candidate>, least_px: f64) -> Vec<Candidate> {
+    let near = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y) < least_px;
+    let beaten = |i: usize| {
+        (0..parts.len()).any(|j| {
+            let (mine, other) = (parts[i].score, parts[j].score);
+            i != j && near(&parts[i], &parts[j]) && (other > mine || other == mine && j < i)
+        })
+    };
+    (0..parts.len()).filter(|&i| !beaten(i)).map(|i| parts[i].clone()).collect()
+}
+
+fn position(scene: &Scene<'_>, i: usize) -> (f64, f64) {
+    ((i % scene.width) as f64, (i / scene.width) as f64)
+}
+
+fn nearest(middles: &[(f64, f64)], p: (f64, f64)) -> usize {
+    let distance = |m: &(f64, f64)| (m.0 - p.0).powi(2) + (m.1 - p.1).powi(2);
+    (0..middles.len()).min_by(|&a, &b| distance(&middles[a]).total_cmp(&distance(&middles[b]))).unwrap_or(0)
+}
+
+/// Local maxima of the smoothed map that are at least about a mark's smallest side apart, in raster order.
+fn middles(scene: &Scene<'_>, classifier: &Classifier, profile: &Profile, smallest_px: f64) -> Vec<(f64, f64)> {
+    let limit2 = profile.colour.limit * profile.colour.limit;
+    let mut map: Vec<f64> = (0..scene.own.len())
+        .map(|i| {
+            if !scene.own[i] {
+                return 0.0;
+            }
+            let c = scene.colour(i);
+            let unit = [c[0], c[1], c[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
+            1.0 - 0.5 * (classifier.reference().nearest2(unit) / limit2).min(1.0)
+        })
+        .collect();
+    for _ in 0..if smallest_px > 6.0 { 3 } else { 1 } {
+        map = smoothed(&map, scene.width, scene.height);
+    }
+    let at = |x: i64, y: i64| {
+        let inside = x >= 0 && y >= 0 && x < scene.width as i64 && y < scene.height as i64;
+        if inside { map[y as usize * scene.width + x as usize] } else { 0.0 }
+    };
+    let mut peaks: Vec<usize> = (0..map.len())
+        .filter(|&i| scene.own[i])
+        .filter(|&i| {
+            let (x, y) = ((i % scene.width) as i64, (i / scene.width) as i64);
+            (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy) <= map[i]))
+        })
+        .collect();
+    peaks.sort_by(|&a, &b| map[b].total_cmp(&map[a]).then(a.cmp(&b)));
+    let apart = (1.1 * smallest_px).max(3.0);
+    let mut kept: Vec<usize> = Vec::new();
+    for i in peaks {
+        let (x, y) = position(scene, i);
+        let clear = kept.iter().all(|&k| {
+            let (u, v) = position(scene, k);
+            (x - u).hypot(y - v) >= apart
+        });
+        if clear {
+            kept.push(i);
+        }
+    }
+    kept.sort_unstable();
+    kept.into_iter().map(|i| position(scene, i)).collect()
+}
+
+/// The binomial filter 1-2-1 in both directions; nothing beyond the edge.
+fn smoothed(map: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let pass = |map: &[f64], step: usize, at: &dyn Fn(usize) -> usize, len: usize| -> Vec<f64> {
+        (0..map.len())
+            .map(|i| {
+                let k = at(i);
+                let before = if k > 0 { map[i - step] } else { 0.0 };
+                let after = if k + 1 < len { map[i + step] } else { 0.0 };
+                0.25 * before + 0.5 * map[i] + 0.25 * after
+            })
+            .collect()
+    };
+    let across = pass(map, 1, &|i| i % width, width);
+    pass(&across, width, &|i| i / width, height)
+}
+
+/// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the box's:
+/// gates on it have been passed by the whole.
+fn region_of(own: &[bool], patch: &Patch) -> Option<Region> {
+    let width = patch.window.width;
+    let mut region: Option<Region> = None;
+    for i in (0..own.len()).filter(|&i| own[i]) {
+        let (x, y) = (patch.window.x + i as u64 % width, patch.window.y + i as u64 / width);
+        let r = region.get_or_insert_with(|| Region {
+            first: (y, x),
+            bounds: Window::new(x, y, 1, 1),
+            area: 0,
+            sum_x: 0,
+            sum_y: 0,
+            sum_xx: 0,
+            sum_xy: 0,
+            sum_yy: 0,
+            perimeter: 0,
+        });
+        let (u, v) = (u128::from(x), u128::from(y));
+        r.bounds = r.bounds.union(&Window::new(x, y, 1, 1));
+        r.area += 1;
+        r.sum_x += u;
+        r.sum_y += v;
+        r.sum_xx += u * u;
+        r.sum_xy += u * v;
+        r.sum_yy += v * v;
+    }
+    let mut region = region.filter(|r| r.area >= 3)?;
+    region.perimeter = 2 * (region.bounds.width + region.bounds.height);
+    Some(region)
+}
+
+/// Score of a set of pixels that is known to be a mark; `None` when it has fewer than three.
+pub(crate) fn score_of(
+    patch: &Patch,
+    own: Vec<bool>,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<f64> {
+    let region = region_of(&own, patch)?;
+    // Nothing may be given up as hopeless: the least score is what is asked for.
+    let mut profile = profile.clone();
+    profile.examine.min_score = f64::NEG_INFINITY;
+    let scene = Scene::of_pixels(patch, own.clone(), own);
+    Some(score(&measure_scene(&scene, &region, classifier, &profile), &profile, gates))
+}

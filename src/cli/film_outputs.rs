@@ -1,0 +1,74 @@
+//! What `fiducials` writes besides its JSON and table.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use autoref_stream::film::{Camera, FrameResult, InnerModel, contact_sheet, micmac, patch, resample, tables, window};
+use autoref_stream::georef::atomic;
+
+#[derive(clap::Args, Debug)]
+pub struct FilmOutputArgs {
+    /// Write MicMac's Ori-InterneScan, a CSV and a GeoJSON per frame, and the contact sheet.
+    #[arg(long, help_heading = "Outputs")]
+    pub exports: bool,
+    /// Replay what a contact sheet saved; writes NAME.reviewed.json.
+    #[arg(long, value_name = "FILE", help_heading = "Outputs")]
+    pub patch: Option<PathBuf>,
+    /// Write every frame with an orientation on the film's own grid, with a mask.
+    #[arg(long, help_heading = "Outputs")]
+    pub resample: bool,
+    /// Pixel size of --resample, millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 0.0135, help_heading = "Outputs")]
+    pub resample_mm: f64,
+}
+
+/// Applies the patch to `frames`, then writes what was asked for into `dir`.
+pub fn write_outputs(
+    dir: &Path,
+    camera: &Camera,
+    frames: &mut [FrameResult],
+    model: InnerModel,
+    args: &FilmOutputArgs,
+) -> anyhow::Result<()> {
+    if let Some(path) = &args.patch {
+        let edits = patch::read_patch(path)?;
+        if let Some(e) = edits.edits.iter().find(|e| frames.iter().all(|f| f.name != e.frame)) {
+            bail!("{}: frame {} is not in this roll", path.display(), e.frame);
+        }
+        for frame in frames.iter_mut() {
+            if let Some(next) = patch::replay(camera, frame, &edits, model)? {
+                let json = serde_json::to_vec_pretty(&next).context("a result is plain data")?;
+                atomic::write(&dir.join(format!("{}.reviewed.json", next.name)), &json)?;
+                *frame = next;
+            }
+        }
+    }
+    if args.exports {
+        let ori = dir.join("Ori-InterneScan");
+        std::fs::create_dir_all(&ori).with_context(|| format!("{}: cannot make it", ori.display()))?;
+        atomic::write(&ori.join("MeasuresCamera.xml"), micmac::camera_xml(camera).as_bytes())?;
+        for frame in frames.iter() {
+            if let Some(xml) = micmac::image_xml(frame) {
+                let name = format!("MeasuresIm-{}.xml", micmac::file_name(frame));
+                atomic::write(&ori.join(name), xml.as_bytes())?;
+            }
+            let to = |end: &str| dir.join(format!("{}.{end}", frame.name));
+            atomic::write(&to("measures.csv"), tables::measures_csv(frame).as_bytes())?;
+            atomic::write(&to("geojson"), tables::geojson(frame).as_bytes())?;
+        }
+        contact_sheet::write_sheet(&dir.join("contact_sheet.html"), camera, frames)?;
+    }
+    if args.resample {
+        if !(0.0005..=1.0).contains(&args.resample_mm) {
+            bail!("--resample-mm must be between 0.0005 and 1");
+        }
+        let options = resample::ResampleOptions { pixel_mm: args.resample_mm, mask_radius_mm: 3.0, boxes_mm: vec![] };
+        for frame in frames.iter() {
+            let Some(inner) = &frame.inner else { continue };
+            let source = window::open_scan(&frame.path)?;
+            let to = |end: &str| dir.join(format!("{}.{end}.tif", frame.name));
+            resample::resample(source.as_ref(), camera, inner, &options, &to("resampled"), &to("mask"))?;
+        }
+    }
+    Ok(())
+}

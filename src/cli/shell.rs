@@ -1,0 +1,46 @@
+//! `autoref-stream completions` and `man`: what shells and `man` want to know of the command line.
+
+use std::io::Write;
+
+use anyhow::{Context, bail};
+use clap::{Args, CommandFactory};
+
+use crate::cli::Cli;
+
+/// Print the completion script of a shell: bash, zsh, fish, elvish or powershell.
+#[derive(Args, Debug)]
+pub struct CompletionsArgs {
+    /// The shell.
+    pub shell: clap_complete::Shell,
+}
+
+pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "autoref-stream", &mut script);
+    std::io::stdout().write_all(&script).context("cannot write to standard output")
+}
+
+/// Print the manual page (troff) of the program or of one command.
+#[derive(Args, Debug)]
+pub struct ManArgs {
+    /// A command; without it the page of the main job.
+    pub command: Option<String>,
+}
+
+pub fn man(args: &ManArgs) -> anyhow::Result<()> {
+    let mut program = Cli::command();
+    program.build();
+    let (page, title) = match &args.command {
+        None => (program, "autoref-stream".to_string()),
+        Some(name) => {
+            let Some(command) = program.find_subcommand(name) else {
+                let names: Vec<&str> = program.get_subcommands().map(clap::Command::get_name).collect();
+                bail!("there is no command `{name}`; there are {}", names.join(", "));
+            };
+            (command.clone(), format!("autoref-stream-{name}"))
+        }
+    };
+    let mut text = Vec::new();
+    clap_mangen::Man::new(page).title(title).render(&mut text).context("cannot make the page")?;
+    std::io::stdout().write_all(&text).context("cannot write to standard output")
+}

@@ -1,0 +1,242 @@
+//! The centre of a mark to a fraction of a pixel: least squares between the scan and the drawn mark.
+//!
+//! The model of a pixel is `d + T(x − c) · (g + gx·dx + gy·dy)`: d the level of the opaque frame, T the drawn mark blurred
+//! as by a scanner, g its brightness, and gx, gy how that changes across it, which only marks that show the image have. After
+//! A. Gruen, "Adaptive least squares correlation", South African Journal of Photogrammetry, 1985, with Tukey's biweight, so
+//! that scratches and dust take no part.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::template::{Linear, Model, invert};
+use super::window::Grey;
+use crate::coords::PixelPoint;
+
+/// A refined centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refined {
+    pub centre: PixelPoint,
+    /// Var x, cov xy, var y, px².
+    pub covariance_px2: [f64; 3],
+    /// Brightness of the mark above the opaque frame, of white.
+    pub contrast: f64,
+    /// Robust standard deviation of a pixel about the model, of white.
+    pub sigma: f64,
+    /// Share of the pixels that fit the model.
+    pub inliers: f64,
+}
+
+/// Places drawn per pixel.
+const FINE: usize = 4;
+/// Blur of scanner and emulsion, pixels.
+const BLUR_PX: f64 = 0.7;
+/// No centre moves further than this from where it starts, pixels.
+const MOST_PX: f64 = 6.0;
+
+/// The mark drawn finely and blurred, looked up between its values.
+struct Surface {
+    width: usize,
+    height: usize,
+    /// Of the reference point, in fine values.
+    reference: [f64; 2],
+    values: Vec<f32>,
+    known: Vec<bool>,
+}
+
+impl Surface {
+    fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Surface> {
+        let inverse = invert(linear)?;
+        let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
+        let half = ((radius_mm * px_per_mm + 3.0) * FINE as f64).ceil() as usize;
+        let width = 2 * half + 1;
+        let mut values = vec![0.0f32; width * width];
+        let mut known = vec![false; width * width];
+        for y in 0..width {
+            for x in 0..width {
+                let (dx, dy) = ((x as f64 - half as f64) / FINE as f64, (y as f64 - half as f64) / FINE as f64);
+                let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
+                let r = u.hypot(v);
+                let sample = model.sample(u, v);
+                known[y * width + x] = r <= radius_mm && sample.is_some_and(|(_, w)| w > 0.3);
+                values[y * width + x] = sample.map_or(0.0, |(value, _)| value);
+            }
+        }
+        blur(&mut values, width, width, BLUR_PX * FINE as f64);
+        Some(Surface { width, height: width, reference: [half as f64; 2], values, known })
+    }
+
+    /// Value and derivatives per pixel at (dx, dy) pixels from the reference point; `None` where nothing is known.
+    fn at(&self, dx: f64, dy: f64) -> Option<[f64; 3]> {
+        let (x, y) = (self.reference[0] + dx * FINE as f64, self.reference[1] + dy * FINE as f64);
+        if x < 1.0 || y < 1.0 || x + 2.0 >= self.width as f64 || y + 2.0 >= self.height as f64 {
+            return None;
+        }
+        let (i, j) = (x as usize, y as usize);
+        if !self.known[j * self.width + i] {
+            return None;
+        }
+        let (fx, fy) = (x - i as f64, y - j as f64);
+        let v = |i: usize, j: usize| f64::from(self.values[j * self.width + i]);
+        let (a, b, c, d) = (v(i, j), v(i + 1, j), v(i, j + 1), v(i + 1, j + 1));
+        let value = (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (c * (1.0 - fx) + d * fx) * fy;
+        let gx = ((b - a) * (1.0 - fy) + (d - c) * fy) * FINE as f64;
+        let gy = ((c - a) * (1.0 - fx) + (d - b) * fx) * FINE as f64;
+        Some([value, gx, gy])
+    }
+}
+
+fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
+    let reach = (3.0 * sigma).ceil() as i64;
+    let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let total: f64 = kernel.iter().sum();
+    let mut line = vec![];
+    let mut pass = |count: usize, length: usize, step: usize, across: usize| {
+        for n in 0..count {
+            line.clear();
+            line.extend((0..length).map(|k| f64::from(values[n * across + k * step])));
+            for k in 0..length {
+                let sum: f64 = kernel
+                    .iter()
+                    .enumerate()
+                    .map(|(i, w)| w * line[(k as i64 + i as i64 - reach).clamp(0, length as i64 - 1) as usize])
+                    .sum();
+                values[n * across + k * step] = (sum / total) as f32;
+            }
+        }
+    };
+    pass(height, width, 1, width);
+    pass(width, height, width, 1);
+}
+
+/// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
+pub fn refine(grey: &Grey, model: &Model, linear: Linear, start: PixelPoint, radius_mm: f64) -> Option<Refined> {
+    let surface = Surface::new(model, linear, radius_mm)?;
+    let slopes = model.is_drawn() && model.shows_image();
+    let mut c = grey.from_scan(start);
+    let mut weights: Vec<f64> = vec![];
+    let mut last = None;
+    for round in 0..25 {
+        let rows = rows(grey, &surface, c);
+        if rows.len() < 24 {
+            return None;
+        }
+        if weights.len() != rows.len() {
+            weights = vec![1.0; rows.len()];
+        }
+        let levels = solve_levels(&rows, &weights, slopes)?;
+        let residuals: Vec<f64> = rows.iter().map(|r| r.grey - level(&levels, r)).collect();
+        let sigma = spread(&residuals);
+        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
+        let (normal, right) = normal_equations(&rows, &residuals, &weights, &levels, slopes);
+        let inverse = normal.try_inverse()?;
+        let step = &inverse * right;
+        let p = step.len() - 2;
+        let (dx, dy) = (step[p].clamp(-1.0, 1.0), step[p + 1].clamp(-1.0, 1.0));
+        c = [c[0] + dx, c[1] + dy];
+        let centre = grey.to_scan(c[0], c[1]);
+        if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !dx.is_finite() || !dy.is_finite() {
+            return None;
+        }
+        let variance = sigma * sigma;
+        last = Some(Refined {
+            centre,
+            covariance_px2: [inverse[(p, p)], inverse[(p, p + 1)], inverse[(p + 1, p + 1)]].map(|v| v * variance),
+            contrast: levels[1],
+            sigma,
+            inliers: weights.iter().filter(|w| **w > 0.2).count() as f64 / weights.len() as f64,
+        });
+        if round > 2 && dx.hypot(dy) < 2e-3 {
+            break;
+        }
+    }
+    last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
+}
+
+/// One pixel: its value, the mark's value there with derivatives, and where it lies from the centre.
+struct Row {
+    grey: f64,
+    mark: [f64; 3],
+    dx: f64,
+    dy: f64,
+}
+
+fn rows(grey: &Grey, surface: &Surface, c: [f64; 2]) -> Vec<Row> {
+    let half = surface.reference[0] / FINE as f64;
+    let range =
+        |c: f64, n: usize| (((c - half).floor().max(0.0)) as usize, ((c + half).ceil().clamp(0.0, n as f64)) as usize);
+    let ((x0, x1), (y0, y1)) = (range(c[0], grey.width), range(c[1], grey.height));
+    let mut rows = vec![];
+    for y in y0..y1 {
+        for x in x0..x1 {
+            let (dx, dy) = (x as f64 + 0.5 - c[0], y as f64 + 0.5 - c[1]);
+            if let Some(mark) = surface.at(dx, dy) {
+                rows.push(Row { grey: f64::from(grey.at(x, y)), mark, dx, dy });
+            }
+        }
+    }
+    rows
+}
+
+fn level(levels: &[f64], r: &Row) -> f64 {
+    let slope = if levels.len() > 2 { levels[2] * r.dx + levels[3] * r.dy } else { 0.0 };
+    levels[0] + r.mark[0] * (levels[1] + slope)
+}
+
+fn solve_levels(rows: &[Row], weights: &[f64], slopes: bool) -> Option<Vec<f64>> {
+    let n = if slopes { 4 } else { 2 };
+    let mut normal = DMatrix::<f64>::zeros(n, n);
+    let mut right = DVector::<f64>::zeros(n);
+    for (r, w) in rows.iter().zip(weights) {
+        let t = r.mark[0];
+        let row = [1.0, t, t * r.dx, t * r.dy];
+        for a in 0..n {
+            right[a] += w * row[a] * r.grey;
+            for b in 0..n {
+                normal[(a, b)] += w * row[a] * row[b];
+            }
+        }
+    }
+    let levels: DVector<f64> = normal.try_inverse()? * right;
+    Some(levels.iter().copied().collect())
+}
+
+fn normal_equations(
+    rows: &[Row],
+    residuals: &[f64],
+    weights: &[f64],
+    levels: &[f64],
+    slopes: bool,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let n = if slopes { 6 } else { 4 };
+    let mut normal = DMatrix::<f64>::zeros(n, n);
+    let mut right = DVector::<f64>::zeros(n);
+    for ((r, v), w) in rows.iter().zip(residuals).zip(weights) {
+        let t = r.mark[0];
+        let gain = levels[1] + if slopes { levels[2] * r.dx + levels[3] * r.dy } else { 0.0 };
+        let mut row = vec![1.0, t];
+        if slopes {
+            row.extend([t * r.dx, t * r.dy]);
+        }
+        row.extend([-gain * r.mark[1], -gain * r.mark[2]]);
+        for a in 0..n {
+            right[a] += w * row[a] * v;
+            for b in 0..n {
+                normal[(a, b)] += w * row[a] * row[b];
+            }
+        }
+    }
+    (normal, right)
+}
+
+/// 1.4826 × the median of the absolute values, at least a fifth of an 8-bit level.
+fn spread(residuals: &[f64]) -> f64 {
+    let mut all: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+    let middle = all.len() / 2;
+    let (_, median, _) = all.select_nth_unstable_by(middle, f64::total_cmp);
+    (1.4826 * *median).max(0.0008)
+}
+
+/// Tukey's biweight, 95 % efficient for normal errors.
+fn tukey(t: f64) -> f64 {
+    let u = t / 4.685;
+    if u.abs() < 1.0 { (1.0 - u * u).powi(2) } else { 0.0 }
+}

@@ -1,0 +1,250 @@
+//! Pictures of a mark to compare with: drawn from the camera's geometry, or learned from a roll.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::shape::{self, Tone};
+use super::types::MarkKind;
+use crate::error::{Error, Result};
+
+/// A template that `fiducials --learn` wrote: a mark as it stands at the lower edge of an upright frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LearnedTemplate {
+    /// Size of a value on the film, micrometres.
+    pub pixel_um: f64,
+    pub width: usize,
+    pub height: usize,
+    /// Where the reference point lies, in values from the outer corner of the first.
+    pub reference: [f64; 2],
+    /// Mean brightness, 0 to 1, row by row.
+    pub values: Vec<f32>,
+    /// How far a value is to be trusted, 0 to 1: low where the frames differ.
+    pub weights: Vec<f32>,
+    /// Number of marks that were averaged.
+    pub marks: usize,
+}
+
+impl LearnedTemplate {
+    /// # Errors
+    /// [`Error::Io`] when it cannot be read, [`Error::Format`] when it is no template.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let t: LearnedTemplate = serde_json::from_str(&text)
+            .map_err(|e| Error::format(path, format!("line {}", e.line()), e.to_string()))?;
+        let sound = t.width >= 8
+            && t.height >= 8
+            && t.width
+                .checked_mul(t.height)
+                .is_some_and(|n| n <= 1 << 24 && n == t.values.len() && n == t.weights.len())
+            && t.pixel_um.is_finite()
+            && t.pixel_um > 0.0
+            && t.reference.iter().all(|v| v.is_finite())
+            && t.values.iter().chain(&t.weights).all(|v| v.is_finite());
+        if !sound {
+            return Err(Error::format(path, "template", "its numbers do not fit together; learn it again"));
+        }
+        Ok(t)
+    }
+
+    fn sample(&self, u_mm: f64, v_mm: f64) -> Option<(f32, f32)> {
+        let scale = 1e3 / self.pixel_um;
+        let (x, y) = (self.reference[0] + u_mm * scale - 0.5, self.reference[1] - v_mm * scale - 0.5);
+        let (i, j) = (x.floor(), y.floor());
+        if i < 0.0 || j < 0.0 || i + 1.0 >= self.width as f64 || j + 1.0 >= self.height as f64 {
+            return None;
+        }
+        let (fx, fy) = ((x - i) as f32, (y - j) as f32);
+        let k = j as usize * self.width + i as usize;
+        let mix = |d: &[f32]| {
+            let top = d[k] + (d[k + 1] - d[k]) * fx;
+            let bottom = d[k + self.width] + (d[k + self.width + 1] - d[k + self.width]) * fx;
+            top + (bottom - top) * fy
+        };
+        Some((mix(&self.values), mix(&self.weights)))
+    }
+}
+
+/// What a mark looks like, ready to be drawn at any scale and turn.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Model {
+    Drawn(MarkKind),
+    Learned(LearnedTemplate),
+}
+
+impl Model {
+    /// # Errors
+    /// Those of [`LearnedTemplate::read`].
+    pub fn of(kind: &MarkKind) -> Result<Self> {
+        Ok(match kind {
+            MarkKind::Learned { template } => Model::Learned(LearnedTemplate::read(&PathBuf::from(template))?),
+            other => Model::Drawn(other.clone()),
+        })
+    }
+
+    /// Value (0 dark, 1 bright) and weight at (u, v) millimetres; `None` where the mark says nothing.
+    pub fn sample(&self, u_mm: f64, v_mm: f64) -> Option<(f32, f32)> {
+        match self {
+            Model::Drawn(kind) => match shape::tone(kind, u_mm, v_mm) {
+                Tone::Opaque => Some((0.0, 1.0)),
+                Tone::Bright | Tone::Clear => Some((1.0, 1.0)),
+                Tone::Unknown => None,
+            },
+            Model::Learned(t) => t.sample(u_mm, v_mm),
+        }
+    }
+
+    /// Extent to both sides, outwards and inwards, millimetres.
+    pub fn reach_mm(&self) -> (f64, f64, f64) {
+        match self {
+            Model::Drawn(kind) => shape::reach_mm(kind),
+            Model::Learned(t) => {
+                let mm = t.pixel_um / 1e3;
+                let half = t.reference[0].max(t.width as f64 - t.reference[0]);
+                (half * mm, (t.height as f64 - t.reference[1]) * mm, t.reference[1] * mm)
+            }
+        }
+    }
+
+    /// Half the longer side of what it covers, millimetres.
+    pub fn radius_mm(&self) -> f64 {
+        let (half, out, inward) = self.reach_mm();
+        half.max(0.5 * (out + inward))
+    }
+
+    pub fn detail_mm(&self) -> f64 {
+        match self {
+            Model::Drawn(kind) => shape::detail_mm(kind),
+            Model::Learned(t) => t.pixel_um / 1e3 * 4.0,
+        }
+    }
+
+    pub fn is_drawn(&self) -> bool {
+        matches!(self, Model::Drawn(_))
+    }
+
+    pub fn is_symmetric(&self) -> bool {
+        match self {
+            Model::Drawn(kind) => shape::is_symmetric(kind),
+            Model::Learned(_) => false,
+        }
+    }
+
+    /// See [`shape::point_radius_mm`].
+    pub fn point_radius_mm(&self) -> Option<f64> {
+        match self {
+            Model::Drawn(kind) => shape::point_radius_mm(kind),
+            Model::Learned(_) => None,
+        }
+    }
+
+    /// Whether its bright parts show the image and so have no brightness of their own.
+    pub fn shows_image(&self) -> bool {
+        !matches!(self, Model::Drawn(MarkKind::Cross { .. } | MarkKind::RingCross { .. } | MarkKind::Dot { .. }))
+    }
+}
+
+/// The linear part of shape → scan: pixels = m · (u, v) in millimetres, row by row.
+pub type Linear = [f64; 4];
+
+/// A drawn template. Values have weighted mean zero and weighted mean square one.
+#[derive(Clone, Debug)]
+pub struct Template {
+    pub width: usize,
+    pub height: usize,
+    /// The value whose centre is the reference point.
+    pub reference: [usize; 2],
+    pub values: Vec<f32>,
+    pub weights: Vec<f32>,
+    pub weight_sum: f32,
+}
+
+/// Places drawn per value along each axis.
+const SUB: usize = 4;
+
+/// Draws `model` under `linear` at one value per `factor` pixels. `radius_mm` leaves away what lies further from the
+/// reference point. `None` when nothing with contrast is left.
+pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) -> Option<Template> {
+    let m = linear.map(|v| v / factor);
+    let inverse = invert(m)?;
+    let (half, out, inward) = model.reach_mm();
+    let (half, out, inward) = match radius_mm {
+        Some(r) => (half.min(r), out.min(r), inward.min(r)),
+        None => (half, out, inward),
+    };
+    let corners = [(-half, -out), (half, -out), (-half, inward), (half, inward)];
+    let reach = |k: usize, sign: f64| {
+        let far = corners.iter().map(|(u, v)| sign * (m[2 * k] * u + m[2 * k + 1] * v)).fold(0.0, f64::max);
+        (far - 0.5).ceil().max(1.0) as usize
+    };
+    let (left, right, above, below) = (reach(0, -1.0), reach(0, 1.0), reach(1, -1.0), reach(1, 1.0));
+    let (width, height) = (left + right + 1, above + below + 1);
+    let mut t = Template {
+        width,
+        height,
+        reference: [left, above],
+        values: vec![0.0; width * height],
+        weights: vec![0.0; width * height],
+        weight_sum: 0.0,
+    };
+    for y in 0..height {
+        for x in 0..width {
+            let (mut sum, mut weight) = (0.0f32, 0.0f32);
+            for s in 0..SUB * SUB {
+                let dx = x as f64 - left as f64 + ((s % SUB) as f64 + 0.5) / SUB as f64 - 0.5;
+                let dy = y as f64 - above as f64 + ((s / SUB) as f64 + 0.5) / SUB as f64 - 0.5;
+                let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
+                if radius_mm.is_some_and(|r| u.hypot(v) > r) {
+                    continue;
+                }
+                if let Some((value, w)) = model.sample(u, v) {
+                    sum += value * w;
+                    weight += w;
+                }
+            }
+            let n = (SUB * SUB) as f32;
+            if weight > 0.25 * n {
+                t.values[y * width + x] = sum / weight;
+                t.weights[y * width + x] = weight / n;
+            }
+        }
+    }
+    normalise(t)
+}
+
+fn normalise(mut t: Template) -> Option<Template> {
+    let sum: f64 = t.weights.iter().map(|w| f64::from(*w)).sum();
+    let dot = |f: &dyn Fn(f64) -> f64| {
+        t.values.iter().zip(&t.weights).map(|(v, w)| f64::from(*w) * f(f64::from(*v))).sum::<f64>() / sum
+    };
+    let mean = dot(&|v| v);
+    let sigma = dot(&|v| (v - mean).powi(2)).sqrt();
+    if !(sum > 8.0 && sigma > 1e-4) {
+        return None;
+    }
+    for v in &mut t.values {
+        *v = ((f64::from(*v) - mean) / sigma) as f32;
+    }
+    t.weight_sum = sum as f32;
+    Some(t)
+}
+
+pub fn invert(m: Linear) -> Option<Linear> {
+    let det = m[0] * m[3] - m[1] * m[2];
+    (det.is_finite() && det.abs() > 1e-12).then(|| [m[3] / det, -m[1] / det, -m[2] / det, m[0] / det])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drawn_dot_is_bright_at_its_reference_point() {
+        let dot = Model::Drawn(MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None });
+        let t = draw(&dot, [50.0, 0.0, 0.0, -50.0], 1.0, None).expect("has contrast");
+        let at = t.values[t.reference[1] * t.width + t.reference[0]];
+        assert!(at > 0.5 && t.values[t.reference[1] * t.width + t.reference[0] + 12] < 0.0);
+        let mean: f32 = t.values.iter().zip(&t.weights).map(|(v, w)| v * w).sum();
+        assert!(mean.abs() < 1e-2, "{mean}");
+    }
+}

@@ -1,0 +1,287 @@
+//! Windows of a scan as grey floats, decimated while they are read.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::coords::PixelPoint;
+use crate::error::{Error, Result};
+use crate::raster::{
+    Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType,
+    Samples, open,
+};
+use crate::window::Window;
+
+/// Rows read at a time: what is held of the file while a large window is decimated.
+const BAND_ROWS: u64 = 512;
+
+/// Grey values, 0 black to 1 white, row-major. Of colour scans each pixel's largest band: marks are exposed in one colour
+/// (red on Wild frames) and would be lost in a mean.
+#[derive(Clone, Debug)]
+pub struct Grey {
+    pub width: usize,
+    pub height: usize,
+    pub data: Vec<f32>,
+    /// Pixel of the scan at the outer corner of the first value.
+    pub origin: [u64; 2],
+    /// Pixels of the scan along one value.
+    pub factor: u64,
+}
+
+impl Grey {
+    pub fn at(&self, x: usize, y: usize) -> f32 {
+        self.data[y * self.width + x]
+    }
+
+    /// From a place in units of values (0 the outer corner of the first) to the scan's pixels.
+    pub fn to_scan(&self, x: f64, y: f64) -> PixelPoint {
+        let f = self.factor as f64;
+        PixelPoint { x: self.origin[0] as f64 + f * x, y: self.origin[1] as f64 + f * y }
+    }
+
+    pub fn from_scan(&self, p: PixelPoint) -> [f64; 2] {
+        let f = self.factor as f64;
+        [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]
+    }
+
+    /// Means over `by` × `by` values; what does not fill a block at the right and lower edge is left away.
+    pub fn decimated(&self, by: usize) -> Grey {
+        if by == 1 {
+            return self.clone();
+        }
+        let (width, height) = (self.width / by, self.height / by);
+        let mut data = vec![0.0f32; width * height];
+        let scale = 1.0 / (by * by) as f32;
+        for y in 0..height * by {
+            let row = &self.data[y * self.width..][..width * by];
+            let out = &mut data[y / by * width..][..width];
+            for (o, block) in out.iter_mut().zip(row.chunks_exact(by)) {
+                *o += block.iter().sum::<f32>() * scale;
+            }
+        }
+        Grey { width, height, data, origin: self.origin, factor: self.factor * by as u64 }
+    }
+}
+
+/// Decoded blocks kept of a scan while it is examined.
+const CACHE_BYTES: u64 = 24 << 20;
+/// Largest scan that is held in memory because its format can only be read from the top down, in pixels.
+const WHOLE_PX: u64 = 400_000_000;
+
+/// Opens a scan for reading in windows. JPEG, PNG and one-strip files, which cannot be, are decoded once and held as grey.
+///
+/// # Errors
+/// Those of [`open`]; [`Error::Limit`] for such a file above 400 megapixels.
+pub fn open_scan(path: &Path) -> Result<Arc<dyn RasterSource>> {
+    let source = open(path, ReaderChoice::Auto, 0, CACHE_BYTES)?;
+    if !source.info().sequential {
+        return Ok(source);
+    }
+    let pixels = source.info().pixels();
+    if pixels > WHOLE_PX {
+        return Err(Error::Limit {
+            what: format!("{}: its format is read from the top down only, so it must be held whole", path.display()),
+            needed: pixels,
+            allowed: WHOLE_PX,
+            remedy: "copy it to a tiled TIFF: gdal_translate -co TILED=YES IN OUT.tif".into(),
+        });
+    }
+    Ok(Arc::new(GreySource::read_whole(source.as_ref())?))
+}
+
+/// A scan held in memory, one band of 8 or 16 bits.
+pub struct GreySource {
+    info: RasterInfo,
+    data: GreyData,
+}
+
+enum GreyData {
+    U8(Arc<crate::raster::PooledBytes>),
+    U16(Arc<Vec<u16>>),
+}
+
+impl GreySource {
+    /// # Panics
+    /// When `data` does not hold `width · height` samples.
+    pub fn new(path: &Path, width: u64, height: u64, data: Vec<u16>) -> Self {
+        assert_eq!(data.len() as u64, width * height, "one sample a pixel");
+        let info = grey_info(path, width, height, SampleType::U16, 65_535);
+        GreySource { info, data: GreyData::U16(Arc::new(data)) }
+    }
+
+    fn read_whole(source: &dyn RasterSource) -> Result<Self> {
+        let from = source.info();
+        let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
+        info.geotransform = from.geotransform;
+        let [r, g, b] = from.rgb;
+        let mut bytes: Vec<u8> = vec![];
+        let mut words: Vec<u16> = vec![];
+        match from.sample {
+            SampleType::U8 => bytes.resize(from.pixels() as usize, 0),
+            SampleType::U16 => words.resize(from.pixels() as usize, 0),
+        }
+        let mut top = 0;
+        while top < from.height {
+            let band = Window::new(0, top, from.width, 64.min(from.height - top));
+            for piece in source.read(band)?.pieces.iter().filter(|p| !p.empty) {
+                let part = piece.window.intersect(&band);
+                for y in part.y..part.bottom() {
+                    let row = piece.row(part.x, y, part.width);
+                    let first = (y * from.width + part.x) as usize;
+                    let stride = row.pixel_stride;
+                    match row.samples {
+                        Samples::U8(s) => bytes[first..first + row.len].iter_mut().enumerate().for_each(|(i, o)| {
+                            let p = &s[i * stride..];
+                            *o = p[r].max(p[g]).max(p[b]);
+                        }),
+                        Samples::U16(s) => words[first..first + row.len].iter_mut().enumerate().for_each(|(i, o)| {
+                            let p = &s[i * stride..];
+                            *o = p[r].max(p[g]).max(p[b]);
+                        }),
+                    }
+                }
+            }
+            top = band.bottom();
+        }
+        let data = match from.sample {
+            SampleType::U8 => GreyData::U8(Arc::new(crate::raster::PooledBytes { bytes, home: None })),
+            SampleType::U16 => GreyData::U16(Arc::new(words)),
+        };
+        Ok(GreySource { info, data })
+    }
+}
+
+/// What is known of a grey picture in memory.
+pub fn grey_info(path: &Path, width: u64, height: u64, sample: SampleType, white: u16) -> RasterInfo {
+    RasterInfo {
+        path: path.to_path_buf(),
+        width,
+        height,
+        bands: 1,
+        sample,
+        rgb: [0, 0, 0],
+        alpha: None,
+        nodata: None,
+        white,
+        layout: BlockLayout::Strips { rows: 1 },
+        blocks: height,
+        chunk_bytes: 0,
+        sequential: false,
+        reader: "memory",
+        description: "grey in memory".into(),
+        geotransform: None,
+        crs_wkt: None,
+        resolution_m_per_px: None,
+    }
+}
+
+impl RasterSource for GreySource {
+    fn info(&self) -> &RasterInfo {
+        &self.info
+    }
+
+    fn read(&self, window: Window) -> Result<Block> {
+        let width = self.info.width as usize;
+        let data = match &self.data {
+            GreyData::U8(bytes) => PieceData::U8(bytes.clone()),
+            GreyData::U16(words) => PieceData::U16(words.clone()),
+        };
+        let offset = window.y as usize * width + window.x as usize;
+        let piece = Piece { window, data, offset, row_stride: width, pixel_stride: 1, empty: false };
+        Ok(Block { window, pieces: vec![piece] })
+    }
+
+    fn stats(&self) -> ReadStats {
+        ReadStats::default()
+    }
+}
+
+/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value.
+///
+/// # Errors
+/// Those of [`RasterSource::read`].
+pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Result<Grey> {
+    let info = source.info();
+    let window = window.intersect(&info.bounds());
+    let (width, height) = ((window.width / factor) as usize, (window.height / factor) as usize);
+    let mut grey = Grey { width, height, data: vec![0.0; width * height], origin: [window.x, window.y], factor };
+    if width == 0 || height == 0 {
+        return Ok(grey);
+    }
+    let used = Window::new(window.x, window.y, width as u64 * factor, height as u64 * factor);
+    let band_rows = (BAND_ROWS / factor).max(1) * factor;
+    let scale = 1.0 / (factor * factor) as f32 / f32::from(info.white.max(1));
+    let mut top = used.y;
+    while top < used.bottom() {
+        let band = Window::new(used.x, top, used.width, band_rows.min(used.bottom() - top));
+        let block = source.read(band)?;
+        for piece in block.pieces.iter().filter(|p| !p.empty) {
+            let part = piece.window.intersect(&band);
+            for y in part.y..part.bottom() {
+                let row = piece.row(part.x, y, part.width);
+                let out = &mut grey.data[((y - used.y) / factor) as usize * width..][..width];
+                add_row(&row, info, part.x - used.x, factor, scale, out);
+            }
+        }
+        top = band.bottom();
+    }
+    source.release(used);
+    Ok(grey)
+}
+
+/// Adds the pixels of a row, from column `first` of the window, to the values they belong to.
+fn add_row(row: &PixelRow, info: &RasterInfo, first: u64, factor: u64, scale: f32, out: &mut [f32]) {
+    let [r, g, b] = info.rgb;
+    let stride = row.pixel_stride;
+    let (mut at, mut within) = ((first / factor) as usize, first % factor);
+    let mut sum = 0u32;
+    let mut put = |value: u32| {
+        sum += value;
+        within += 1;
+        if within == factor {
+            out[at] += sum as f32 * scale;
+            (at, within, sum) = (at + 1, 0, 0);
+        }
+    };
+    match row.samples {
+        Samples::U8(s) if r == b => (0..row.len).for_each(|i| put(u32::from(s[i * stride + r]))),
+        Samples::U8(s) => (0..row.len).for_each(|i| {
+            let p = &s[i * stride..];
+            put(u32::from(p[r].max(p[g]).max(p[b])));
+        }),
+        Samples::U16(s) => (0..row.len).for_each(|i| {
+            let p = &s[i * stride..];
+            put(u32::from(p[r].max(p[g]).max(p[b])));
+        }),
+    }
+    if within > 0 && at < out.len() {
+        out[at] += sum as f32 * scale;
+    }
+}
+
+/// The window of half width `half_px` around a place, clipped to the scan; `None` when nothing of it lies inside.
+pub fn around(centre: PixelPoint, half_x_px: f64, half_y_px: f64, bounds: &Window) -> Option<Window> {
+    let clip = |v: f64, end: u64| v.clamp(0.0, end as f64) as u64;
+    let (x0, x1) =
+        (clip((centre.x - half_x_px).floor(), bounds.width), clip((centre.x + half_x_px).ceil(), bounds.width));
+    let (y0, y1) =
+        (clip((centre.y - half_y_px).floor(), bounds.height), clip((centre.y + half_y_px).ceil(), bounds.height));
+    (x1 > x0 && y1 > y0).then(|| Window::new(x0, y0, x1 - x0, y1 - y0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::memory::MemorySource;
+
+    #[test]
+    fn decimated_reading_is_reading_and_decimating() {
+        let rgb: Vec<u8> = (0..64u32 * 48).flat_map(|i| [(i * 7 % 251) as u8; 3]).collect();
+        let source = MemorySource::rgb8(64, 48, rgb);
+        let window = Window::new(3, 5, 41, 37);
+        let whole = read_grey(&source, window, 1).expect("memory");
+        let quarter = read_grey(&source, window, 4).expect("memory");
+        let made = whole.decimated(4);
+        assert_eq!((quarter.width, quarter.height), (10, 9));
+        assert!(quarter.data.iter().zip(&made.data).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+}

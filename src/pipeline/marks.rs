@@ -1,0 +1,72 @@
+//! The detector that a profile asks for: paint by its colour, or black and white targets by their shape.
+
+use crate::candidate::Candidate;
+use crate::error::Result;
+use crate::pipeline::{Detector, PaintDetector};
+use crate::profile::Profile;
+use crate::raster::{Block, Patch, RasterInfo};
+use crate::segment::label::Region;
+use crate::segment::mask::Mask;
+use crate::target::TargetDetector;
+
+/// Finds the marks of any profile.
+pub enum MarkDetector {
+    Paint(PaintDetector),
+    Target(TargetDetector),
+}
+
+impl MarkDetector {
+    /// # Errors
+    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
+    pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
+        if profile.is_target() {
+            return Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?));
+        }
+        Ok(MarkDetector::Paint(PaintDetector::new(profile, info, gsd_m)?))
+    }
+
+    /// For places where a mark must be: a weak score is enough.
+    pub fn relaxed(&self) -> Self {
+        match self {
+            MarkDetector::Paint(paint) => MarkDetector::Paint(paint.relaxed()),
+            MarkDetector::Target(target) => MarkDetector::Target(target.relaxed()),
+        }
+    }
+
+    fn inner(&self) -> &dyn Detector {
+        match self {
+            MarkDetector::Paint(paint) => paint,
+            MarkDetector::Target(target) => target,
+        }
+    }
+}
+
+impl Detector for MarkDetector {
+    fn halo_px(&self) -> u64 {
+        self.inner().halo_px()
+    }
+    fn segment(&self, block: &Block, mask: &mut Mask) {
+        self.inner().segment(block, mask);
+    }
+    fn gate(&self, region: &Region) -> bool {
+        self.inner().gate(region)
+    }
+    fn patch_margin_px(&self) -> u64 {
+        self.inner().patch_margin_px()
+    }
+    fn largest_mark_px(&self) -> u64 {
+        self.inner().largest_mark_px()
+    }
+    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
+        self.inner().examine(region, patch)
+    }
+    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+        self.inner().examine_all(region, patch)
+    }
+    fn stricter(&self) -> Option<Box<dyn Detector>> {
+        self.inner().stricter()
+    }
+    fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
+        self.inner().finish(list)
+    }
+}

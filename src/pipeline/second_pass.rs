@@ -1,0 +1,127 @@
+//! The self-taught second pass: what was found teaches a profile, and the image is scanned again with it.
+
+use serde::{Deserialize, Serialize};
+
+use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
+use crate::error::Result;
+use crate::pipeline::MarkDetector;
+use crate::pipeline::georeference::{Job, Outcome, Run, georeference};
+use crate::profile::{DEFAULT_REACH_PX, Profile, learn};
+use crate::raster::{Patch, RasterSource, read_patch};
+use crate::window::Window;
+
+/// Most marks that teach.
+const MOST_TEACHERS: usize = 12;
+
+/// What the second pass did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SecondPass {
+    /// "matched marks", "best partial match" or "strongest candidates".
+    pub taught_by: String,
+    pub marks: u64,
+    pub mean_srgb: [f64; 3],
+    /// Smallest and largest side that is looked for, pixels.
+    pub side_px: [f64; 2],
+    pub candidates_before: usize,
+    pub candidates_after: usize,
+    /// GCPs matched; 0 when refused.
+    pub matched_before: usize,
+    pub matched_after: usize,
+    /// Whether the result is that of the second pass.
+    pub adopted: bool,
+}
+
+impl SecondPass {
+    /// One line for the summary.
+    pub fn line(&self) -> String {
+        let [r, g, b] = self.mean_srgb.map(|v| (v * 255.0).round());
+        format!(
+            "profile from {} {}: colour {r} {g} {b}, {:.1} to {:.1} px; candidates {} → {}, matched {} → {}; {}",
+            self.marks,
+            self.taught_by,
+            self.side_px[0],
+            self.side_px[1],
+            self.candidates_before,
+            self.candidates_after,
+            self.matched_before,
+            self.matched_after,
+            if self.adopted { "taken" } else { "the first pass stands" }
+        )
+    }
+}
+
+/// Teaches a profile by what the first pass found and runs the job again with it; the better run comes back. A second run
+/// that solves a refused job, or finds more GCPs, is better. `None` with the first run when nothing can be learned.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>)> {
+    let (taught_by, positions) = teachers(&first);
+    let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
+    let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
+    let relaxed = detector.relaxed();
+    // The plan's halo was made for the first profile; a taught one has no filters and needs none.
+    let second = georeference(&Job { detector: &detector, second_look: &relaxed, ..*job })?;
+    let (before, after) = (matched(&first), matched(&second));
+    let adopted = after > before;
+    let learned = profile.learned.as_ref();
+    let report = SecondPass {
+        taught_by: taught_by.to_owned(),
+        marks: learned.map_or(0, |l| l.marks),
+        mean_srgb: learned.map_or([0.0; 3], |l| l.mean_srgb),
+        side_px: [profile.size.min_px.unwrap_or(0.0), profile.size.max_px.unwrap_or(0.0)],
+        candidates_before: first.scan.candidates.len(),
+        candidates_after: second.scan.candidates.len(),
+        matched_before: before,
+        matched_after: after,
+        adopted,
+    };
+    Ok((if adopted { second } else { first }, Some(report)))
+}
+
+fn matched(run: &Run) -> usize {
+    match &run.outcome {
+        Outcome::Solved(orientation) => orientation.marks.len() + orientation.check_marks.len(),
+        Outcome::Refused(_) => 0,
+    }
+}
+
+/// The marks that are believed most.
+fn teachers(run: &Run) -> (&'static str, Vec<PixelPoint>) {
+    let candidates = &run.scan.candidates;
+    match &run.outcome {
+        Outcome::Solved(orientation) => ("matched marks", strongest(orientation.marks.iter().map(|found| &found.mark))),
+        Outcome::Refused(evidence) => match &evidence.best {
+            Some(best) if best.pairs.len() >= 3 => {
+                ("marks of the best partial match", strongest(best.pairs.iter().map(|pair| &candidates[pair.0])))
+            }
+            _ => ("of the strongest candidates", strongest(candidates.iter())),
+        },
+    }
+}
+
+fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<PixelPoint> {
+    let mut marks: Vec<&Candidate> = marks.collect();
+    let score = |c: &Candidate| c.score.unwrap_or(f64::NEG_INFINITY);
+    marks.sort_by(|a, b| score(b).total_cmp(&score(a)));
+    marks.iter().take(MOST_TEACHERS).map(|c| c.centre).collect()
+}
+
+/// A profile of those positions that stand out enough to teach; `None` when none does.
+fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
+    let bounds = source.info().bounds();
+    let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();
+    for &at in positions {
+        let (x, y) = (at.x.max(0.0) as u64, at.y.max(0.0) as u64);
+        if !bounds.contains(x, y) {
+            continue;
+        }
+        let window = Window::new(x, y, 1, 1).grown(DEFAULT_REACH_PX, &bounds);
+        let mark = (read_patch(source, window)?, at);
+        if learn("second pass", std::slice::from_ref(&mark)).is_ok() {
+            marks.push(mark);
+        }
+    }
+    Ok(learn("second pass", &marks).ok())
+}

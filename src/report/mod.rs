@@ -1,0 +1,230 @@
+//! The report of a run: one self-contained HTML file that a client reads, a surveyor prints, and a reviewer works in.
+//!
+//! The overview is gathered during the scan ([`Overview`]), the chips are cut after it ([`gather`]), and [`page`] puts
+//! both with the result into a page of fixed markup, style and script. All that comes from files (names of GCPs, paths,
+//! messages) is in one block of JSON whose `<` are escaped, and reaches the document as text only, so that a name cannot
+//! become markup. The page draws plots and tables itself, because the review redraws them; it asks for nothing over
+//! the network, and a content security policy in it says so to the browser.
+
+mod chips;
+mod jpeg;
+mod keeper;
+mod overview;
+mod points;
+mod words;
+
+pub use chips::{Chip, Spot, cut};
+pub use keeper::Keeper;
+pub use overview::{Overview, Rgb8, Stretch};
+pub use points::{Gathered, gather};
+pub use words::plain_warnings;
+
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::georef::result::RunResult;
+use crate::solve::Similarity;
+use points::{Candidates, ChipData, Point};
+
+/// A part of the report that another room words: a heading, sentences, figures with labels, and tables.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Section {
+    pub heading: String,
+    pub paragraphs: Vec<String>,
+    /// What must be said against them.
+    pub reservations: Vec<String>,
+    /// Label and value, both as they are to be read.
+    pub figures: Vec<(String, String)>,
+    pub tables: Vec<Table>,
+}
+
+/// A table; the first row of cells follows the header.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Table {
+    pub caption: String,
+    pub header: Vec<String>,
+    pub rows: Vec<Vec<String>>,
+}
+
+/// What the page's script reads.
+#[derive(Serialize)]
+struct Page<'a> {
+    /// Name of the result file, as a patch names it.
+    source: &'a str,
+    made: String,
+    program: &'a str,
+    status: crate::georef::result::Status,
+    reason: Option<&'a str>,
+    advice: &'a [String],
+    image: Image<'a>,
+    gcp_file: &'a str,
+    crs: Option<&'a str>,
+    log10_false_alarms: Option<f64>,
+    best_pairs: Option<usize>,
+    similarity: Option<Similarity>,
+    solution: Option<&'a crate::solve::Solution>,
+    points: &'a [Point],
+    candidates: &'a Candidates,
+    chips: &'a [ChipData],
+    overview: OverviewData<'a>,
+    hand_variance_px2: f64,
+    warnings: Vec<&'a str>,
+    sections: &'a [Section],
+    details: serde_json::Value,
+    patch: Option<&'a crate::review::Patch>,
+}
+
+#[derive(Serialize)]
+struct Image<'a> {
+    name: String,
+    path: &'a str,
+    description: &'a str,
+    width: u64,
+    height: u64,
+}
+
+#[derive(Serialize)]
+struct OverviewData<'a> {
+    width: usize,
+    height: usize,
+    src: &'a str,
+}
+
+/// The whole page. `source` is the name (without folder) of the result file beside it, `sections` come before the technical
+/// part in their order, and `made` is when, in words.
+///
+/// # Errors
+/// Those of making pictures; see [`gather`].
+pub fn page(
+    result: &RunResult,
+    gathered: &Gathered,
+    sections: &[Section],
+    source: &str,
+    made: String,
+) -> Result<String> {
+    let info = result.image.as_ref();
+    let path = info.map_or("", |image| image.path.as_str());
+    let name = std::path::Path::new(path).file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let data = Page {
+        source,
+        made,
+        program: &result.program,
+        status: result.status,
+        reason: result.reason.as_deref(),
+        advice: &result.advice,
+        image: Image {
+            name,
+            path,
+            description: info.map_or("", |image| image.description.as_str()),
+            width: info.map_or(0, |image| image.width),
+            height: info.map_or(0, |image| image.height),
+        },
+        gcp_file: &result.gcp_file,
+        crs: result.crs.as_deref(),
+        log10_false_alarms: result.log10_false_alarms,
+        best_pairs: result.best_pattern.as_ref().map(|pattern| pattern.pairs.len()),
+        similarity: points::similarity(result),
+        solution: result.solution.as_ref(),
+        points: &gathered.points,
+        candidates: &gathered.candidates,
+        chips: &gathered.chips,
+        overview: OverviewData {
+            width: gathered.overview_size.0,
+            height: gathered.overview_size.1,
+            src: &gathered.overview,
+        },
+        hand_variance_px2: crate::review::HAND_VARIANCE_PX2,
+        warnings: result
+            .warnings
+            .iter()
+            .chain(result.diagnoses.iter().map(|d| &d.message))
+            .map(String::as_str)
+            .collect(),
+        sections,
+        details: details(result),
+        patch: result.patch.as_ref(),
+    };
+    let json = serde_json::to_string(&data).expect("no map keys but strings, no failing serialiser");
+    Ok(assemble(&json))
+}
+
+/// What was done, for the technical part.
+fn details(result: &RunResult) -> serde_json::Value {
+    serde_json::json!({
+        "options": result.options,
+        "timings": result.timings,
+        "elapsed_s": result.elapsed_s,
+        "peak_memory_bytes": result.peak_memory_bytes,
+        "memory_plan": result.memory_plan,
+        "reading": result.reading,
+        "reader": result.image.as_ref().map(|image| &image.reader),
+        "search": result.search,
+        "runner_up": result.runner_up.as_ref().map(|p| (p.pairs.len(), p.log10_false_alarms)),
+        "candidates_found": result.candidates_found,
+        "geotransform": result.geotransform,
+        "files_written": result.files_written,
+        "moved_m": result.prior_georeference.as_ref().map(|prior| prior.moved_m),
+    })
+}
+
+const MARKUP: &str = include_str!("page/page.html");
+const STYLE: &str = include_str!("page/page.css");
+const SCRIPTS: [&str; 4] = [
+    include_str!("page/solve.js"),
+    include_str!("page/plots.js"),
+    include_str!("page/review.js"),
+    include_str!("page/page.js"),
+];
+
+fn assemble(json: &str) -> String {
+    let safe = json.replace('<', "\\u003c");
+    let mut page = String::with_capacity(MARKUP.len() + safe.len() + 64 * 1024);
+    // Split at the marks, never searched in what was put in.
+    for part in MARKUP.split_inclusive("@@") {
+        match part {
+            "STYLE@@" => page.push_str(STYLE),
+            "DATA@@" => page.push_str(&safe),
+            "SCRIPTS@@" => SCRIPTS.iter().for_each(|script| page.push_str(script)),
+            _ => page.push_str(part.strip_suffix("@@").unwrap_or(part)),
+        }
+    }
+    page
+}
+
+/// UTC, to the minute: "2026-03-01 14:05 UTC".
+pub fn utc(time: std::time::SystemTime) -> String {
+    let seconds = time.duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    // Days to a date of the Gregorian calendar, with years that begin in March so that the leap day comes last.
+    let days = (seconds / 86_400) as i64 + 719_468;
+    let era = days.div_euclid(146_097);
+    let day_of_era = days.rem_euclid(146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    let year = era * 400 + year_of_era + i64::from(month <= 2);
+    let minutes = seconds % 86_400 / 60;
+    format!("{year:04}-{month:02}-{day:02} {:02}:{:02} UTC", minutes / 60, minutes % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, UNIX_EPOCH};
+
+    #[test]
+    fn dates() {
+        assert_eq!(utc(UNIX_EPOCH), "1970-01-01 00:00 UTC");
+        assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(951_782_399)), "2000-02-28 23:59 UTC");
+        assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(951_782_400)), "2000-02-29 00:00 UTC");
+        assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(1_767_225_599)), "2025-12-31 23:59 UTC");
+    }
+
+    #[test]
+    fn data_cannot_close_the_block_it_lies_in() {
+        let page = assemble(r#"{"name":"</script><script>alert(1)</script>@@STYLE@@"}"#);
+        assert!(!page.contains("<script>alert") && page.contains("\\u003cscript>alert"));
+        assert_eq!(page.matches("</script>").count(), MARKUP.matches("</script>").count());
+    }
+}

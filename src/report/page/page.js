@@ -1,0 +1,542 @@
+// The page itself: state, drawing of all parts, and the keyboard.
+(() => {
+  const { svg, html, metres, pixels, short, nice, label, brief } = Draw;
+  const D = JSON.parse(document.getElementById("data").textContent);
+  const byId = (id) => document.getElementById(id);
+  const replace = (id, ...children) => byId(id).replaceChildren(...children.filter((c) => c !== null && c !== undefined));
+  const STATES = { found: "in the fit", check: "check point", "not-found": "not found", outside: "outside the image",
+    proposed: "proposed", unknown: "not placed", rejected: "rejected", "not-visible": "not visible" };
+
+  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held), selected = 0, order = [];
+  const start = state;
+
+  // ---- words
+  function stateOf(i) {
+    const h = held[i], p = D.points[i];
+    if (h && h.used) return p.role === "check" ? "check" : "found";
+    if (h && (h.verdict === "rejected" || h.verdict === "not-visible")) return h.verdict;
+    return p.state === "found" ? "rejected" : p.state;
+  }
+  // What the symbol on the overview is.
+  const symbolOf = (s) => ({ rejected: "not-found", "not-visible": "not-found", unknown: null }[s] === undefined ? s
+    : { rejected: "not-found", "not-visible": "not-found", unknown: null }[s]);
+  function superscript(n) {
+    return String(n).replace(/[-0-9]/g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]));
+  }
+  function chance(log10) {
+    if (log10 === null) return "–";
+    if (log10 > -2) return `${Number(Math.pow(10, log10).toPrecision(2))} expected`;
+    if (log10 > -6) return `1 in ${Math.floor(Math.pow(10, -log10) / 10) * 10}`;
+    return `1 in 10${superscript(Math.floor(-log10))}`;
+  }
+  const transform = () => (state.solution ? state.solution.similarity : D.similarity);
+  const count = (n, one, many) => `${n} ${n === 1 ? one : many}`;
+
+  // ---- head
+  function head() {
+    document.title = `${D.image.name}: georeference report`;
+    byId("title").textContent = D.image.name;
+    byId("subtitle").textContent = [`${D.image.width} × ${D.image.height} px`, D.image.description,
+      `points of ${D.gcp_file.split("/").pop()}`, D.crs, D.made].filter(Boolean).join(" · ");
+    const verdict = byId("verdict");
+    verdict.className = `verdict ${D.status}`;
+    verdict.replaceChildren();
+    if (D.status === "solved") {
+      verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
+    } else {
+      verdict.append(`Not georeferenced: ${D.reason || "no reason given"}`);
+      if (edits.length && state.solution) verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; replay the patch to have it.`));
+      if (D.advice.length) verdict.append(html("ul", {}, ...D.advice.map((a) => html("li", {}, a))));
+    }
+    const s = state.solution, items = [];
+    const add = (name, value, more) => items.push(html("div", {}, html("dt", {}, name), html("dd", {}, value, more ? html("small", {}, more) : null)));
+    const used = state.control + state.checks;
+    const missing = D.points.filter((p, i) => ["not-found", "rejected", "not-visible", "proposed"].includes(stateOf(i))).length;
+    add("Points found", `${used} of ${used + missing}`, `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
+    if (s) {
+      add("RMSE of the fit", `${metres(s.rmse)} m`, `E ${metres(s.rmseE)}, N ${metres(s.rmseN)} m; ${pixels(s.rmsePx)} px`);
+      if (state.checks) add("RMSE of check points", `${metres(state.checkRmse)} m`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
+      add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
+    }
+    add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
+      ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
+    replace("figures", ...items);
+    const note = byId("reviewed");
+    note.hidden = !edits.length && !D.patch;
+    if (edits.length) {
+      const was = start.solution ? ` RMSE was ${metres(start.solution.rmse)} m from ${count(start.control, "point", "points")}.` : "";
+      note.textContent = `Shown with ${count(edits.length, "change", "changes")} by review, ${saved === edits.length ? "saved" : "not saved yet"}.${was}`;
+    } else if (D.patch) {
+      note.textContent = `${count(D.patch.edits.length, "change", "changes")} by review were replayed.`;
+    }
+  }
+  function warnings() {
+    if (D.warnings.length) replace("warnings", html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
+  }
+
+  // ---- overview and expected error share a frame
+  function frame(pad) {
+    const W = D.overview.width, H = D.overview.height, f = W / D.image.width;
+    // Units of the drawing are pixels of the overview; `u` of them are about one on the screen.
+    const u = 1 / Math.min(1136 / (W + 2 * pad), 980 / (H + 2 * pad));
+    const box = svg("svg", { viewBox: `${-pad} ${-pad} ${W + 2 * pad} ${H + 2 * pad}`, role: "img" });
+    box.append(svg("image", { href: D.overview.src, width: W, height: H, style: "filter:saturate(.55) brightness(1.12) contrast(.9)" }));
+    return { box, f, u, W, H };
+  }
+  // A vector on the map, metres, as one in the drawing.
+  function onImage(s, e, n, f) {
+    const q = s.a_re * s.a_re + s.a_im * s.a_im;
+    return [(s.a_re * e + s.a_im * n) / q * f, -(s.a_re * n - s.a_im * e) / q * f];
+  }
+  function bar(x, y, width, text, u) {
+    const d = `M${x} ${y - 4 * u} V${y} H${x + width} V${y - 4 * u}`;
+    return svg("g", {}, svg("path", { d, fill: "none", stroke: "#fff", "stroke-width": 4.5 * u }), svg("path", { d, fill: "none", stroke: "#1b2530", "stroke-width": 1.6 * u }),
+      svg("text", { class: "halo", x, y: y - 8 * u, "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, text));
+  }
+  function furniture(box, s, f, u, W, H) {
+    const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
+    const ground = nice(160 * u * scale);
+    box.append(bar(14 * u, H - 14 * u, ground / scale, `${label(ground)} m`, u));
+    const [x, y] = onImage(s, 0, 1, 1), l = Math.hypot(x, y), nx = x / l, ny = y / l, cx = W - 30 * u, cy = 36 * u, r = 20 * u;
+    const tip = [cx + nx * r, cy + ny * r], side = [-ny * 6 * u, nx * 6 * u], foot = [cx - nx * r * 0.6, cy - ny * r * 0.6];
+    box.append(svg("path", { d: `M${tip} L${foot[0] + side[0]} ${foot[1] + side[1]} L${cx - nx * r * 0.25} ${cy - ny * r * 0.25} L${foot[0] - side[0]} ${foot[1] - side[1]} Z`,
+      fill: "#1b2530", stroke: "#fff", "stroke-width": 1.6 * u }),
+    svg("text", { class: "halo", x: tip[0] + nx * 9 * u, y: tip[1] + ny * 9 * u + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, "N"));
+    return scale;
+  }
+
+  let showCandidates = false;
+  function overview() {
+    const anyOutside = D.points.some((p) => p.state === "outside"), s = transform();
+    const { box, f, u, W, H } = frame(anyOutside ? 26 : 0);
+    box.setAttribute("aria-label", `The image with ${count(D.points.length, "point", "points")} and residual vectors.`);
+    if (showCandidates) {
+      for (const [x, y] of D.candidates.dots) box.append(svg("circle", { class: "candidate", cx: x * f, cy: y * f, r: 2.6 * u, fill: "none", stroke: "#fff", "stroke-width": 1.2 * u }));
+    }
+    const scale = s ? furniture(box, s, f, u, W, H) : null;
+    const longest = Math.max(...state.rows.map((r) => (r ? r.length : 0)), 0);
+    let enlarged = null;
+    if (s && longest > 0) {
+      // The longest is legible, and the others still are when one is far longer.
+      const lengths = state.rows.filter((r) => r).map((r) => r.length).sort((a, b) => a - b);
+      const middle = Math.max(lengths[Math.floor(lengths.length / 2)], 1e-9);
+      const perMetre = Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
+      enlarged = perMetre * scale;
+      box.append(bar(14 * u, H - 48 * u, unit * perMetre, `residual ${label(unit)} m`, u));
+    }
+    const labels = svg("g", {});
+    D.points.forEach((p, i) => {
+      const kind = symbolOf(stateOf(i)), h = held[i];
+      const at = h && h.used ? [h.mark.x, h.mark.y] : kind === "proposed" && p.mark ? [p.mark.x, p.mark.y]
+        : s ? Fit.invert(s, p.easting, p.northing) : null;
+      if (!at || !kind) return;
+      let x = at[0] * f, y = at[1] * f;
+      if (kind === "outside") {
+        x = Math.min(Math.max(x, -16), W + 16);
+        y = Math.min(Math.max(y, -16), H + 16);
+      }
+      const row = state.rows[i];
+      if (row && enlarged) {
+        const [dx, dy] = onImage(s, row.e, row.n, f).map((v) => v * enlarged);
+        const line = (colour, w) => svg("line", { class: "vector", x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: colour, "stroke-width": w * u, "stroke-linecap": "round" });
+        box.append(line("#fff", 5), line(p.role === "check" ? "#6a3fa0" : row.outlier ? "#ae2a1f" : "#b3480a", 2.4));
+      }
+      box.append(Draw.symbol(kind, (kind === "outside" ? 5 : 6.5) * u, x, y));
+      if (kind !== "outside" || D.points.length <= 60) {
+        const leftwards = x > W - 60 * u;
+        labels.append(svg("text", { class: "halo", x: x + (leftwards ? -10 : 10) * u, y: Math.min(Math.max(y - 7 * u, 10 * u), H + 20), "text-anchor": leftwards ? "end" : "start",
+          "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
+      }
+    });
+    box.append(labels);
+    const kinds = new Set(D.points.map((p, i) => symbolOf(stateOf(i))));
+    const words = { found: "matched", check: "check point", "not-found": "not found", outside: "outside the image", proposed: "of the best partial pattern" };
+    const toggle = html("input", { type: "checkbox", id: "dots" });
+    toggle.checked = showCandidates;
+    toggle.addEventListener("change", () => { showCandidates = toggle.checked; overview(); byId("dots").focus(); });
+    const legend = html("div", { class: "legend" }, ...Object.keys(words).filter((k) => kinds.has(k)).map((k) => Draw.legendItem(k, words[k])),
+      enlarged ? html("span", {}, `Vectors point from the mark to the surveyed position, enlarged ${short(Math.round(enlarged))} times.`) : null,
+      html("label", { class: "noprint" }, toggle, ` all ${D.candidates.total} candidates`));
+    replace("overview-figure", box, legend);
+  }
+
+  function expected() {
+    const radius = Fit.radius95(state.solution), section = byId("expected");
+    section.hidden = !state.solution;
+    if (!state.solution) return;
+    if (!radius) {
+      byId("expected-note").textContent = "With two points nothing is redundant: the fit says nothing of its own error.";
+      byId("expected-figure").replaceChildren();
+      return;
+    }
+    const { box, f, u, W, H } = frame(0), c = state.solution.centre, cx = c.x * f, cy = c.y * f;
+    const corners = [[0, 0], [W, 0], [W, H], [0, H]].map(([x, y]) => Math.hypot(x - cx, y - cy));
+    const far = Math.max(...corners), inside = cx >= 0 && cy >= 0 && cx <= W && cy <= H;
+    const nearest = inside ? 0 : Math.hypot(cx - Math.min(Math.max(cx, 0), W), cy - Math.min(Math.max(cy, 0), H));
+    const low = radius.at(nearest / f), high = radius.at(far / f);
+    // From pale yellow to dark purple, darker is worse; by the share of the way from the best to the worst.
+    const ramp = [[255, 247, 188], [254, 196, 79], [236, 112, 20], [153, 52, 84], [70, 18, 92]];
+    const colour = (t) => {
+      const k = Math.min(Math.max(t, 0), 1) * (ramp.length - 1), i = Math.min(Math.floor(k), ramp.length - 2), w = k - i;
+      return `rgb(${ramp[i].map((v, j) => Math.round(v * (1 - w) + ramp[i + 1][j] * w)).join(",")})`;
+    };
+    const share = (r) => (high > low ? (r - low) / (high - low) : 0);
+    const gradient = svg("radialGradient", { id: "error-ramp", gradientUnits: "userSpaceOnUse", cx, cy, r: far });
+    for (let k = 0; k <= 24; k++) gradient.append(svg("stop", { offset: `${k / 24 * 100}%`, "stop-color": colour(share(radius.at(far * k / 24 / f))) }));
+    const clip = svg("clipPath", { id: "error-clip" }, svg("rect", { width: W, height: H }));
+    box.append(svg("defs", {}, gradient, clip), svg("rect", { width: W, height: H, fill: "url(#error-ramp)", opacity: 0.62 }));
+    const lines = svg("g", { "clip-path": "url(#error-clip)" });
+    const step = nice(Math.max((high - low) / 3, low / 50));
+    const values = [];
+    for (let k = Math.floor(low / step) + 1; k * step < high; k++) values.push(k * step);
+    for (const v of values) {
+      const d = radius.distance(v) * f;
+      lines.append(svg("circle", { cx, cy, r: d, fill: "none", stroke: "#1b2530", "stroke-opacity": 0.6, "stroke-width": 1.1 * u }));
+      // A label where the circle is well inside the image.
+      for (const angle of [-0.4, 0.6, 2.2, 3.6, 4.7, 1.57, 3.14, 0, 5.5]) {
+        const x = cx + d * Math.cos(angle), y = cy + d * Math.sin(angle);
+        if (x > 40 * u && x < W - 40 * u && y > 20 * u && y < H - 20 * u) {
+          lines.append(svg("text", { class: "halo", x, y: y + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3.4 * u}px` }, `${label(v)} m`));
+          break;
+        }
+      }
+    }
+    box.append(lines);
+    D.points.forEach((p, i) => {
+      if (held[i] && held[i].used && p.role === "control") box.append(Draw.symbol("found", 5 * u, held[i].mark.x * f, held[i].mark.y * f));
+    });
+    furniture(box, state.solution.similarity, f, u, W, H);
+    box.setAttribute("aria-label", `Expected error over the image, from ${metres(low)} to ${metres(high)} metres.`);
+    const scaleBar = svg("svg", { viewBox: "0 0 160 12", style: "width:160px;height:12px", "aria-hidden": "true" });
+    for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
+    byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${metres(low)} m at best, ${metres(high)} m in the worst corner. `
+      + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${metres(radius.point(nearest / f))} to ${metres(radius.point(far / f))} m.`;
+    replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, `${metres(low)} m`, scaleBar, `${metres(high)} m`), Draw.legendItem("found", "point of the fit")));
+  }
+
+  // ---- plots
+  function plots() {
+    byId("residuals").hidden = !state.solution;
+    if (!state.solution) return;
+    const middle = Fit.apply(state.solution.similarity, D.image.width / 2, D.image.height / 2);
+    const items = [];
+    D.points.forEach((p, i) => {
+      const r = state.rows[i];
+      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: r.weight, redundancy: r.redundancy, check: p.role === "check",
+        distance: Math.hypot(p.easting - middle[0], p.northing - middle[1]) });
+    });
+    const s0 = state.solution.sigma0 > 0 ? state.solution.sigma0 : null;
+    replace("plots", Draw.vectors(items, s0), Draw.histogram(items, s0), Draw.distance(items), s0 ? Draw.quantiles(items, s0) : null);
+  }
+
+  // ---- table
+  let sortKey = null, descending = false;
+  const shown = (i) => { const h = held[i]; return h && h.mark && (h.used || stateOf(i) === "proposed") ? h.mark : null; };
+  const columns = [
+    ["Point", "text", (i) => D.points[i].name, (v) => v],
+    ["State", "text", (i) => STATES[stateOf(i)], null],
+    ["x px", "", (i) => { const m = shown(i); return m && m.x; }, pixels],
+    ["y px", "", (i) => { const m = shown(i); return m && m.y; }, pixels],
+    ["dE m", "", (i) => state.rows[i] && state.rows[i].e, metres],
+    ["dN m", "", (i) => state.rows[i] && state.rows[i].n, metres],
+    ["Residual m", "", (i) => state.rows[i] && state.rows[i].length, metres],
+    ["px", "", (i) => state.rows[i] && state.rows[i].px, pixels],
+    ["Left out m", "", (i) => state.rows[i] && state.rows[i].leaveOneOut, metres],
+    ["Redundancy", "", (i) => state.rows[i] && state.rows[i].redundancy, pixels],
+    ["Detectable m", "", (i) => state.rows[i] && state.rows[i].detectable, metres],
+    ["Weight", "", (i) => state.rows[i] && state.rows[i].weight, pixels],
+    ["Score", "", (i) => { const m = shown(i); return m && m.score; }, (v) => (v === null || v === undefined ? "–" : v.toFixed(1))],
+    ["Found by", "text", (i) => { const m = shown(i); return m ? m.found_by : "–"; }, (v) => v],
+  ];
+  function table() {
+    const rows = D.points.map((p, i) => i);
+    if (sortKey !== null) {
+      const value = columns[sortKey][2], sign = descending ? -1 : 1;
+      rows.sort((a, b) => {
+        const x = value(a), y = value(b), none = (v) => v === null || v === undefined;
+        if (none(x) || none(y)) return none(x) - none(y);
+        return sign * (typeof x === "string" ? x.localeCompare(y, "en", { numeric: true }) : Math.abs(x) - Math.abs(y));
+      });
+    }
+    const headers = columns.map(([name, kind], k) => {
+      const button = html("button", { type: "button" }, name);
+      button.addEventListener("click", () => {
+        descending = sortKey === k ? !descending : kind !== "text";
+        sortKey = k;
+        table();
+        byId("points-table").querySelectorAll("th button")[k].focus();
+      });
+      return html("th", { scope: "col", class: kind || null, "aria-sort": sortKey === k ? (descending ? "descending" : "ascending") : "none" }, button);
+    });
+    const body = rows.map((i) => {
+      const r = state.rows[i], s = stateOf(i);
+      return html("tr", { class: r && r.outlier ? "outlier" : r ? null : "unused" }, ...columns.map(([, kind, value, show], k) => (k === 1
+        ? html("td", { class: "text" }, html("span", { class: `state ${s}` }, STATES[s]))
+        : html("td", { class: kind || null, title: k === 0 ? D.points[i].name : null }, show(value(i))))));
+    });
+    replace("points-table", html("table", {}, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
+    byId("points-note").textContent = state.solution
+      ? "Residuals are surveyed − computed. “Left out” is the error of the point when the fit is made without it; “detectable” is the smallest error of the point that a test would notice (Baarda, 0.1 % and 80 %). Choose a heading to sort."
+      : "No transform was accepted, so there are no residuals. Choose a heading to sort.";
+  }
+
+  // ---- chips
+  function chipBox(chip, marks, large) {
+    const s = chip.side_px, box = svg("svg", { viewBox: `${chip.left} ${chip.top} ${s} ${s}`, "aria-hidden": "true" });
+    box.append(svg("image", { class: "pixels", href: chip.src, x: chip.left, y: chip.top, width: s, height: s, preserveAspectRatio: "none" }));
+    const u = s / (large ? 344 : 150);
+    for (const m of marks) {
+      const both = (draw) => box.append(draw("#000", 3.2 * u, 0.45), draw(m.colour, 1.5 * u, 1));
+      if (m.outline) both((stroke, w, o) => svg("polygon", { points: m.outline.map((p) => p.join(",")).join(" "), fill: "none", stroke, "stroke-width": w, "stroke-opacity": o }));
+      else if (m.size) both((stroke, w, o) => svg("rect", { x: m.x - m.size[0] / 2, y: m.y - m.size[1] / 2, width: m.size[0], height: m.size[1], fill: "none", stroke, "stroke-width": w, "stroke-opacity": o, "stroke-dasharray": `${4 * u} ${3 * u}` }));
+      const a = (m.cross || 5) * u, b = (m.gap || 0) * u;
+      both((stroke, w, o) => svg("path", { d: `M${m.x - a} ${m.y}H${m.x - b}M${m.x + b} ${m.y}H${m.x + a}M${m.x} ${m.y - a}V${m.y - b}M${m.x} ${m.y + b}V${m.y + a}`, stroke, "stroke-width": w, "stroke-opacity": o }));
+    }
+    return box;
+  }
+  // The picture of a point as it stands now.
+  function chipOf(i, large) {
+    const p = D.points[i], h = held[i], mark = h && h.mark && (h.used || p.state === "proposed" || p.state === "found") ? h.mark : null;
+    const index = mark && mark.chip !== null ? mark.chip : p.chip;
+    if (index === null || index === undefined) return html("span", { class: "none" });
+    const chip = D.chips[index], marks = [], s = transform();
+    if (large || !mark) {
+      for (const m of Review.choices(p)) {
+        if (!mark || m.candidate !== mark.candidate) marks.push({ x: m.x, y: m.y, size: m.size_px, colour: "#ffd23f", cross: 3 });
+      }
+      if (s) {
+        const [x, y] = Fit.invert(s, p.easting, p.northing);
+        marks.push({ x, y, colour: "#7fd0ff", cross: 9, gap: 3 });
+      }
+    }
+    if (mark) {
+      // A mark moved by hand takes the outline of the fitted shape along.
+      const from = mark.found_by !== "review" || mark.candidate !== null ? mark : p.mark, own = from && from.chip === mark.chip ? chip.outline : null;
+      const outline = own ? own.map(([x, y]) => [x + mark.x - from.x, y + mark.y - from.y]) : null;
+      marks.push({ x: mark.x, y: mark.y, outline, size: mark.size_px, colour: h.used ? "#fff" : "#ff9c8f", cross: large ? 9 : 5 });
+    }
+    return chipBox(chip, marks, large);
+  }
+  function facts(i) {
+    const h = held[i], r = state.rows[i], p = D.points[i];
+    const near = p.proposals.length ? `${count(p.proposals.length, "candidate", "candidates")} near` : "no candidate near";
+    if (r) return [`${metres(r.length)} m · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `score ${h.mark.score.toFixed(1)}`];
+    return [h && h.mark && p.state === "proposed" ? `score ${h.mark.score === null ? "–" : h.mark.score.toFixed(1)}` : near, ""];
+  }
+  const shownAsCard = (i) => { const p = D.points[i]; return p.state !== "outside" && p.state !== "unknown"; };
+
+  function cards() {
+    order = D.points.map((p, i) => i).filter(shownAsCard);
+    if (byId("order").value === "worst") {
+      const badness = (i) => (state.rows[i] ? start.rows[i] ? start.rows[i].length : state.rows[i].length : Infinity);
+      order.sort((a, b) => badness(b) - badness(a));
+    }
+    if (order.length && !order.includes(selected)) selected = order[0];
+    const items = order.map((i) => {
+      const p = D.points[i], s = stateOf(i), [one, two] = facts(i), h = held[i];
+      const words = `${p.name}, ${STATES[s]}${h && h.verdict && h.verdict !== s ? `, ${h.verdict}` : ""}, ${one}${two ? `, ${two}` : ""}`;
+      const button = html("button", { type: "button", class: `card${s === "rejected" || s === "not-visible" ? " off" : ""}`, "data-point": i,
+        tabindex: i === selected ? 0 : -1, "aria-current": i === selected ? "true" : "false", "aria-label": words },
+      chipOf(i, false), html("span", { class: "name" }, p.name), html("span", { class: `line state ${s}` }, STATES[s] + (h && h.verdict && h.used ? `, ${h.verdict}` : "")),
+      html("span", { class: "line" }, one), html("span", { class: "line" }, two));
+      button.addEventListener("click", () => select(i, true));
+      button.addEventListener("focus", () => { if (selected !== i) select(i, false); });
+      return html("li", {}, button);
+    });
+    const gallery = D.candidates.gallery.map((m, k) => html("li", {}, html("div", { class: "card" },
+      m.chip === null ? null : chipBox(D.chips[m.chip], [{ x: m.x, y: m.y, outline: D.chips[m.chip].outline, size: m.size_px, colour: "#fff" }], false),
+      html("span", { class: "name" }, `Candidate ${k + 1}`), html("span", { class: "line" }, `score ${m.score === null ? "–" : m.score.toFixed(1)}`),
+      html("span", { class: "line" }, `${m.x.toFixed(1)}, ${m.y.toFixed(1)}`))));
+    replace("cards", ...items, ...gallery);
+    byId("marks-note").textContent = order.length
+      ? "Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place that follows from the fit. What is changed here changes the whole page at once."
+      : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
+        : "There is no mark to show.";
+    byId("editor").hidden = !order.length;
+    byId("undo").disabled = !edits.length;
+    byId("save").disabled = !edits.length;
+    byId("changes").textContent = edits.length ? `${count(edits.length, "change", "changes")}${saved === edits.length ? ", saved" : ""}` : "";
+    document.querySelector(".toolbar").hidden = !order.length;
+  }
+
+  function editor() {
+    if (!order.length) return;
+    const i = selected, p = D.points[i], h = held[i], r = state.rows[i], s = stateOf(i);
+    const list = html("dl", { class: "facts" });
+    const add = (name, value) => list.append(html("dt", {}, name), html("dd", {}, value));
+    add("State", STATES[s] + (h && h.verdict && h.used ? `, ${h.verdict}` : ""));
+    if (h && h.mark) add("Centre", `${h.mark.x.toFixed(2)}, ${h.mark.y.toFixed(2)} px`);
+    if (h && h.mark && h.mark.covariance_px2) add("σ of the centre", `${Math.sqrt((h.mark.covariance_px2[0] + h.mark.covariance_px2[2]) / 2).toFixed(3)} px`);
+    if (r) add("Residual", `E ${metres(r.e)}, N ${metres(r.n)} m`);
+    if (r && r.leaveOneOut !== null) add("Left out", `${metres(r.leaveOneOut)} m`);
+    if (state.solution) add("RMSE of the fit", `${metres(state.solution.rmse)} m, ${count(state.control, "point", "points")}`);
+    const button = (text, key, act, enabled, name) => {
+      const b = html("button", { type: "button", "aria-label": name || null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
+      b.addEventListener("click", () => { act(); const again = byId("editor").querySelector(`[data-key="${key}"]`); if (again && !again.disabled) again.focus(); });
+      return b;
+    };
+    const hasMark = !!(h && h.mark), more = others(i).length > 0;
+    const note = html("input", { type: "text", id: "note", placeholder: "Note for the record", "aria-label": `Note on ${p.name}` });
+    note.value = noteOf(p.name);
+    note.addEventListener("change", () => setNote(p.name, note.value));
+    replace("editor", chipOf(i, true), html("h3", {}, p.name), list,
+      html("div", { class: "buttons" }, button("Accept", "A", accept, hasMark), button("Reject", "R", reject, hasMark),
+        button("Next candidate", "C", pickNext, more), button("Not visible", "V", notVisible, true)),
+      html("div", { class: "nudge" }, "Nudge 0.1 px", button("←", "⇧←", () => nudge(-1, 0), hasMark, "Nudge left"), button("→", "⇧→", () => nudge(1, 0), hasMark, "Nudge right"),
+        button("↑", "⇧↑", () => nudge(0, -1), hasMark, "Nudge up"), button("↓", "⇧↓", () => nudge(0, 1), hasMark, "Nudge down")), note);
+  }
+
+  // ---- edits
+  const noteOf = (gcp) => { const mine = edits.filter((e) => e.gcp === gcp); return mine.length ? mine[mine.length - 1].note : ""; };
+  function setNote(gcp, text) {
+    const mine = edits.filter((e) => e.gcp === gcp);
+    if (!mine.length) return;
+    mine[mine.length - 1].note = text;
+    saved = -1;
+    head();
+    cards();
+  }
+  function others(i) {
+    const used = new Set(held.filter((h, k) => h && h.used && k !== i).map((h) => h.mark.candidate));
+    const now = held[i] && held[i].mark && held[i].used ? held[i].mark.candidate : null;
+    return Review.choices(D.points[i]).filter((m) => m.candidate !== now && !used.has(m.candidate));
+  }
+  function say(text) {
+    byId("live").textContent = text;
+  }
+  function edit(change) {
+    const name = D.points[selected].name;
+    edits = [...edits, { gcp: name, ...change, note: noteOf(name) }];
+    held = Review.applied(D.points, held, edits[edits.length - 1], D.hand_variance_px2);
+    changed();
+    const s = stateOf(selected);
+    say(`${name}: ${change.action}, ${STATES[s]}. ${state.solution ? `RMSE ${metres(state.solution.rmse)} metres from ${state.control} points.` : "No transform."}`);
+  }
+  const accept = () => { if (held[selected] && held[selected].mark) edit({ action: "accept" }); };
+  const reject = () => { if (held[selected] && held[selected].mark) edit({ action: "reject" }); };
+  const notVisible = () => edit({ action: "not-visible" });
+  function pickNext() {
+    const list = others(selected), all = Review.choices(D.points[selected]);
+    if (!list.length) return;
+    const now = held[selected] && held[selected].mark ? all.findIndex((m) => m.candidate === held[selected].mark.candidate) : -1;
+    const next = list.find((m) => all.indexOf(m) > now) || list[0];
+    edit({ action: "pick", candidate: next.candidate });
+  }
+  function nudge(dx, dy) {
+    const h = held[selected];
+    if (!h || !h.mark) return;
+    edit({ action: "move", x: h.mark.x + 0.1 * dx, y: h.mark.y + 0.1 * dy });
+  }
+  function undo() {
+    if (!edits.length) return;
+    const last = edits[edits.length - 1];
+    edits = edits.slice(0, -1);
+    held = Review.replayed(D.points, edits, D.hand_variance_px2);
+    selected = D.points.findIndex((p) => p.name === last.gcp);
+    changed();
+    say(`Undone: ${last.action} of ${last.gcp}.`);
+  }
+  function save() {
+    if (!edits.length) return;
+    const text = JSON.stringify(Review.patch(D.source, edits, state), null, 2) + "\n";
+    const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+    const link = html("a", { href: url, download: D.source.replace(/(\.autoref)?\.json$/, "") + ".patch.json" });
+    document.body.append(link);
+    link.click();
+    link.remove();
+    setTimeout(() => URL.revokeObjectURL(url), 10000);
+    saved = edits.length;
+    head();
+    cards();
+    focusCard();
+    say("Patch saved. Replay it with autoref-stream solve.");
+  }
+
+  // ---- drawing and keys
+  function focusCard() {
+    const card = byId("cards").querySelector(`[data-point="${selected}"]`);
+    if (card) card.focus({ preventScroll: false });
+  }
+  function select(i, focus) {
+    selected = i;
+    for (const card of byId("cards").querySelectorAll("button.card")) {
+      const mine = Number(card.dataset.point) === i;
+      card.tabIndex = mine ? 0 : -1;
+      card.setAttribute("aria-current", mine ? "true" : "false");
+    }
+    editor();
+    if (focus) focusCard();
+  }
+  function changed() {
+    const inCards = byId("cards").contains(document.activeElement);
+    state = Review.evaluate(D.points, held);
+    head();
+    overview();
+    plots();
+    expected();
+    table();
+    cards();
+    editor();
+    if (inCards) focusCard();
+  }
+  function move(step) {
+    const at = order.indexOf(selected) + step;
+    if (at >= 0 && at < order.length) select(order[at], true);
+  }
+  const columnsOfCards = () => getComputedStyle(byId("cards")).gridTemplateColumns.split(" ").length;
+  byId("marks").addEventListener("keydown", (event) => {
+    const tag = event.target.tagName;
+    if (tag === "INPUT" || tag === "SELECT" || event.altKey || event.metaKey || !order.length) return;
+    const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    const keys = { a: accept, r: reject, v: notVisible, c: pickNext, u: undo, s: save };
+    const key = event.key.toLowerCase();
+    if (event.ctrlKey) {
+      if (key === "z") undo(); else if (key === "s") save(); else return;
+    } else if (arrows && event.shiftKey) nudge(...arrows);
+    else if (arrows) move(arrows[0] + arrows[1] * columnsOfCards());
+    else if (event.key === "Home") select(order[0], true);
+    else if (event.key === "End") select(order[order.length - 1], true);
+    else if (keys[key]) keys[key]();
+    else return;
+    event.preventDefault();
+  });
+  byId("undo").addEventListener("click", undo);
+  byId("save").addEventListener("click", save);
+  byId("order").addEventListener("change", cards);
+  window.addEventListener("beforeunload", (event) => { if (edits.length && saved !== edits.length) event.preventDefault(); });
+
+  // ---- the rest
+  function sections() {
+    replace("sections", ...D.sections.map((s) => html("section", {}, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
+      s.reservations.length ? html("ul", { class: "warnings" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
+      s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
+      ...s.tables.map((t) => html("div", { class: "scroll" }, html("table", {}, t.caption ? html("caption", {}, t.caption) : null,
+        html("thead", {}, html("tr", {}, ...t.header.map((c) => html("th", { scope: "col" }, c)))),
+        html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c) => html("td", {}, c)))))))))));
+  }
+  function details() {
+    const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;
+    const list = (rows) => html("dl", { class: "facts" }, ...rows.filter((r) => r && r[1] !== null && r[1] !== undefined && r[1] !== "").flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)]));
+    const t = d.timings, o = d.options || {}, plan = d.memory_plan, reading = d.reading;
+    const what = list([["Program", D.program], ["Image", D.image.path], ["Points", D.gcp_file], ["CRS", D.crs], ["Profile", o.profile], ["Reader", d.reader],
+      ["Candidates", String(d.candidates_found)],
+      ["Hypotheses tried", d.search ? `${d.search.hypotheses_tried} of ${Number(d.search.hypotheses_possible).toPrecision(3)} possible` : null],
+      ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, chance of accident ${chance(d.runner_up[1])}` : "none"],
+      ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${metres(d.moved_m)} m` : null],
+      ["Written", d.files_written.join(", ")]]);
+    const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, second look ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],
+      ["Memory", d.peak_memory_bytes ? `${mib(d.peak_memory_bytes)} at most${plan ? `, ${mib(plan.memory_budget_bytes)} allowed` : ""}` : null],
+      ["Tiles", plan ? `${plan.tiles} of ${plan.tile_width_px} × ${plan.tile_height_px} px, ${count(plan.workers, "worker", "workers")}` : null],
+      ["Blocks", reading ? `${reading.blocks_decoded} of ${reading.blocks_in_file} decoded once, ${reading.blocks_skipped} empty, ${reading.window_blocks_decoded} again for windows` : null],
+      ["Read", reading ? mib(reading.bytes_read + reading.window_bytes_read) : null],
+      ["Geotransform", d.geotransform ? d.geotransform.join(", ") : null]]);
+    const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
+    replace("details", html("div", { class: "columns" }, what, how), raw);
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch, which autoref-stream solve ${D.source} --patch FILE replays.`;
+  }
+
+  warnings();
+  sections();
+  details();
+  changed();
+})();

@@ -1,0 +1,324 @@
+//! Sub-pixel centres: two straight edges or two bars that cross, blurred, fitted to grey levels.
+//!
+//! A saddle is `½ − ½·e(d₁)·e(d₂)` with `e(d) = 2Φ(d/σ) − 1` and d the signed distances from two lines through the centre;
+//! a cross is the union of two blurred bars about such lines. Blur along a line is neglected, which is exact for bars at
+//! right angles up to the middle square. Levenberg–Marquardt (D. W. Marquardt, 1963) with Tukey's weights; covariance by
+//! the sandwich of W. K. Newey and K. D. West (1987), as for paint.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::Motif;
+use crate::candidate::fit::{correlated_scatter, normal};
+
+/// Centre x, y; directions of the two lines; logarithms of the two bar widths and of the blur; ground level, height of the
+/// bright over it, slope of the ground in x and y.
+const PARAMETERS: usize = 11;
+type Vector = SVector<f64, PARAMETERS>;
+type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// One cell: its middle in cells from the patch's corner, and its grey level, 0..=255.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    pub x: f64,
+    pub y: f64,
+    pub level: f64,
+}
+
+/// Where a fit begins, in cells.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    pub x: f64,
+    pub y: f64,
+    /// Directions of the lines, radians.
+    pub angles: [f64; 2],
+    pub width: f64,
+    pub blur: f64,
+    /// Height of the arms (or bright quarters) over the rest; negative for dark ones.
+    pub height: f64,
+}
+
+/// What came of it, in cells.
+#[derive(Clone, Copy, Debug)]
+pub struct Fit {
+    pub x: f64,
+    pub y: f64,
+    pub angles: [f64; 2],
+    pub widths: [f64; 2],
+    pub blur: f64,
+    pub ground: f64,
+    pub height: f64,
+    /// xx, xy, yy.
+    pub covariance: [f64; 3],
+    /// Share of the samples' variance that the model leaves over.
+    pub misfit: f64,
+}
+
+/// Bar of width exp(p) across signed distance d: value and derivatives by d, ln width, ln σ.
+fn bar(d: f64, width: f64, sigma: f64) -> [f64; 4] {
+    let (tp, tm) = ((d + width / 2.0) / sigma, (d - width / 2.0) / sigma);
+    let ((gp, cp), (gm, cm)) = (normal(tp), normal(tm));
+    [cp - cm, (gp - gm) / sigma, 0.5 * width * (gp + gm) / sigma, tm * gm - tp * gp]
+}
+
+struct Problem<'a> {
+    motif: Motif,
+    samples: &'a [Sample],
+    start: Start,
+    weights: Vec<f64>,
+    /// Standard deviation of the angle between the lines about a right one, radians.
+    skew: f64,
+}
+
+impl Problem<'_> {
+    fn model(&self, p: &Vector, x: f64, y: f64) -> (f64, Vector) {
+        let (dx, dy) = (x - p[0], y - p[1]);
+        let sigma = p[6].exp();
+        let mut g = Vector::zeros();
+        let mut part = [(0.0, 0.0, 0.0, 0.0); 2];
+        for (i, part) in part.iter_mut().enumerate() {
+            let (sin, cos) = p[2 + i].sin_cos();
+            let d = cos * dy - sin * dx;
+            *part = match self.motif {
+                Motif::Cross => {
+                    let [v, by_d, by_w, by_s] = bar(d, p[4 + i].exp(), sigma);
+                    (v, by_d, by_w, by_s)
+                }
+                Motif::Saddle => {
+                    let (density, below) = normal(d / sigma);
+                    (2.0 * below - 1.0, 2.0 * density / sigma, 0.0, -2.0 * density * d / sigma)
+                }
+            };
+        }
+        let (value, by_part) = match self.motif {
+            Motif::Cross => (part[0].0 + part[1].0 - part[0].0 * part[1].0, [1.0 - part[1].0, 1.0 - part[0].0]),
+            Motif::Saddle => (0.5 - 0.5 * part[0].0 * part[1].0, [-0.5 * part[1].0, -0.5 * part[0].0]),
+        };
+        let height = p[8];
+        for i in 0..2 {
+            let (sin, cos) = p[2 + i].sin_cos();
+            let by_d = height * by_part[i] * part[i].1;
+            g[0] += by_d * sin;
+            g[1] -= by_d * cos;
+            g[2 + i] = -by_d * (sin * dy + cos * dx);
+            g[4 + i] = height * by_part[i] * part[i].2;
+            g[6] += height * by_part[i] * part[i].3;
+        }
+        let (rx, ry) = (x - self.start.x, y - self.start.y);
+        g[7] = 1.0;
+        g[8] = value;
+        g[9] = rx;
+        g[10] = ry;
+        (p[7] + height * value + p[9] * rx + p[10] * ry, g)
+    }
+
+    /// Residual over its standard deviation and the parameters that it pulls at.
+    fn priors(&self, p: &Vector) -> [(f64, [(usize, f64); 2]); 7] {
+        let q = &self.start;
+        let slope_sd = 0.05 * q.height.abs().max(1.0) / q.width.max(2.0);
+        let right = std::f64::consts::FRAC_PI_2;
+        [
+            ((p[3] - p[2] - right) / self.skew, [(3, 1.0 / self.skew), (2, -1.0 / self.skew)]),
+            ((p[4] - p[5]) / 0.15, [(4, 1.0 / 0.15), (5, -1.0 / 0.15)]),
+            (((p[4] + p[5]) / 2.0 - q.width.ln()) / 0.7, [(4, 0.5 / 0.7), (5, 0.5 / 0.7)]),
+            ((p[6] - q.blur.ln()) / 0.7, [(6, 1.0 / 0.7), (6, 0.0)]),
+            (p[9] / slope_sd, [(9, 1.0 / slope_sd), (9, 0.0)]),
+            (p[10] / slope_sd, [(10, 1.0 / slope_sd), (10, 0.0)]),
+            (0.0, [(7, 1e-3), (8, 1e-3)]),
+        ]
+    }
+
+    fn cost(&self, p: &Vector) -> f64 {
+        let data: f64 = self
+            .samples
+            .iter()
+            .zip(&self.weights)
+            .map(|(s, w)| w * (s.level - self.model(p, s.x, s.y).0).powi(2))
+            .sum();
+        data + self.priors(p).iter().map(|(r, _)| r * r).sum::<f64>()
+    }
+
+    fn normal_equations(&self, p: &Vector) -> (Matrix, Vector, f64) {
+        let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::zeros(), 0.0);
+        for (s, &w) in self.samples.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0) {
+            let (value, j) = self.model(p, s.x, s.y);
+            let r = s.level - value;
+            cost += w * r * r;
+            g += j * (w * r);
+            h.ger(w, &j, &j, 1.0);
+        }
+        for (r, j) in self.priors(p) {
+            cost += r * r;
+            for (a, ja) in j {
+                g[a] -= ja * r;
+                for (b, jb) in j {
+                    h[(a, b)] += ja * jb;
+                }
+            }
+        }
+        (h, g, cost)
+    }
+
+    fn descend(&self, mut p: Vector, rounds: usize) -> Option<Vector> {
+        let mut damping = 1e-3;
+        let (mut h, mut g, mut cost) = self.normal_equations(&p);
+        for _ in 0..rounds {
+            let mut damped = h;
+            for i in 0..PARAMETERS {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let step = damped.cholesky()?.solve(&g);
+            let next = p + step;
+            let q = &self.start;
+            let inside = (next[0] - q.x).hypot(next[1] - q.y) < 4.0 * q.width + 4.0
+                && next[6].abs() < 4.0
+                && (next[4] - q.width.ln()).abs() < 2.0
+                && (next[5] - q.width.ln()).abs() < 2.0;
+            let next_cost = if inside { self.cost(&next) } else { f64::INFINITY };
+            if next_cost <= cost {
+                p = next;
+                damping = (damping * 0.2).max(1e-9);
+                if step[0].hypot(step[1]) < 2e-4 && cost - next_cost < 1e-4 * cost {
+                    return Some(p);
+                }
+                (h, g, cost) = self.normal_equations(&p);
+            } else {
+                damping *= 6.0;
+                if damping > 1e9 {
+                    return Some(p);
+                }
+            }
+        }
+        Some(p)
+    }
+
+    /// Tukey's biweight about the fit `p`, with the noise that the residuals show.
+    fn reweigh(&mut self, p: &Vector) {
+        const CUT: f64 = 4.7;
+        let residuals: Vec<f64> = self.samples.iter().map(|s| s.level - self.model(p, s.x, s.y).0).collect();
+        let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
+        // A hundredth of the height: paint and cloth are never flatter than that.
+        let noise = spread.max(0.01 * p[8].abs()).max(0.3);
+        self.weights = residuals
+            .iter()
+            .map(|r| {
+                let z = (r / noise / CUT).powi(2);
+                if z < 1.0 { (1.0 - z) * (1.0 - z) / (noise * noise) } else { 0.0 }
+            })
+            .collect();
+    }
+}
+
+/// Fits the motif. `None` with fewer than 40 samples, samples without any contrast, or when the equations break down.
+pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<Fit> {
+    let n = samples.len() as f64;
+    let mean = samples.iter().map(|s| s.level).sum::<f64>() / n;
+    let total: f64 = samples.iter().map(|s| (s.level - mean).powi(2)).sum();
+    if samples.len() < 40 || total / n < 1.0 {
+        return None;
+    }
+    let (width, blur) = (start.width.max(0.5), start.blur.max(0.3));
+    let start = Start { width, blur, ..start };
+    // Arms cover little more than a third of the disc, bright quarters half of it.
+    let covered = if motif == Motif::Cross { 0.45 } else { 0.5 };
+    let mut p = Vector::from([
+        start.x,
+        start.y,
+        start.angles[0],
+        start.angles[1],
+        width.ln(),
+        width.ln(),
+        blur.ln(),
+        mean - covered * start.height,
+        start.height,
+        0.0,
+        0.0,
+    ]);
+    let noise = (0.1 * start.height.abs()).max(2.0);
+    let mut problem = Problem { motif, samples, start, weights: vec![1.0 / (noise * noise); samples.len()], skew };
+    p = problem.descend(p, 20)?;
+    for _ in 0..2 {
+        problem.reweigh(&p);
+        p = problem.descend(p, 8)?;
+    }
+    let inverse = problem.normal_equations(&p).0.cholesky()?.inverse();
+    let pushes: Vec<_> = samples
+        .iter()
+        .zip(&problem.weights)
+        .filter(|(_, w)| **w > 0.0)
+        .map(|(s, &w)| {
+            let (value, j) = problem.model(&p, s.x, s.y);
+            let along = inverse.fixed_rows::<2>(0) * j * (w * (s.level - value));
+            (s.x.floor() as i64, s.y.floor() as i64, along[0], along[1])
+        })
+        .collect();
+    let scatter = correlated_scatter(&pushes);
+    // Residuals of a fit are smaller than the noise, by the parameters that were spent.
+    let lost = n / (n - PARAMETERS as f64);
+    let covariance = scatter.map(|v| v * lost);
+    let left: f64 = samples.iter().map(|s| (s.level - problem.model(&p, s.x, s.y).0).powi(2)).sum();
+    let finite = p.iter().chain(&covariance).all(|v| v.is_finite()) && covariance[0] > 0.0 && covariance[2] > 0.0;
+    finite.then(|| Fit {
+        x: p[0],
+        y: p[1],
+        angles: [p[2], p[3]],
+        widths: [p[4].exp(), p[5].exp()],
+        blur: p[6].exp(),
+        ground: p[7],
+        height: p[8],
+        covariance,
+        misfit: left / total,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn problem(motif: Motif, samples: &[Sample]) -> Problem<'_> {
+        let start = Start { x: 10.0, y: 10.0, angles: [0.3, 1.8], width: 5.0, blur: 1.0, height: 100.0 };
+        Problem { motif, samples, start, weights: Vec::new(), skew: 0.3 }
+    }
+
+    #[test]
+    fn gradients_match_differences() {
+        for motif in [Motif::Cross, Motif::Saddle] {
+            let q = problem(motif, &[]);
+            let p = Vector::from([10.2, 9.9, 0.3, 1.9, 1.5, 1.6, 0.2, 40.0, 90.0, 0.3, -0.2]);
+            for (x, y) in [(12.0, 10.0), (8.5, 13.0), (10.5, 10.0)] {
+                let (_, g) = q.model(&p, x, y);
+                for k in 0..PARAMETERS {
+                    let (mut up, mut down) = (p, p);
+                    up[k] += 1e-3;
+                    down[k] -= 1e-3;
+                    let slope = (q.model(&up, x, y).0 - q.model(&down, x, y).0) / 2e-3;
+                    assert!((slope - g[k]).abs() < 0.05, "{motif:?} {k}: {slope} {}", g[k]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_clean_target_is_recovered() {
+        for motif in [Motif::Cross, Motif::Saddle] {
+            let q = problem(motif, &[]);
+            let truth = Vector::from([10.37, 9.81, 0.3, 1.9, 1.5, 1.5, 0.1, 40.0, 90.0, 0.0, 0.0]);
+            let samples: Vec<Sample> = (0..400)
+                .map(|i| (f64::from(i % 20) + 0.5, f64::from(i / 20) + 0.5))
+                .map(|(x, y)| Sample { x, y, level: q.model(&truth, x, y).0 })
+                .collect();
+            let start = Start { angles: [0.2, 1.77], ..q.start };
+            let f = fit(motif, &samples, start, 0.3).expect("well posed");
+            assert!((f.x - 10.37).abs() < 0.005 && (f.y - 9.81).abs() < 0.005, "{f:?}");
+            assert!(f.misfit < 1e-3, "{f:?}");
+        }
+    }
+
+    #[test]
+    fn flat_or_few_samples_have_no_fit() {
+        let flat: Vec<Sample> =
+            (0..100).map(|i| Sample { x: f64::from(i % 10), y: f64::from(i / 10), level: 80.0 }).collect();
+        let start = problem(Motif::Cross, &[]).start;
+        assert!(fit(Motif::Cross, &flat, start, 0.3).is_none());
+        assert!(fit(Motif::Saddle, &flat[..20], start, 0.3).is_none());
+    }
+}

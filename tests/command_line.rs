@@ -1,0 +1,74 @@
+//! What every command of the program has in common: completions, manual pages, JSON, exit codes.
+
+use std::process::{Command, Output};
+
+fn autoref(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream")).args(args).output().expect("the program starts")
+}
+
+fn stdout(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+#[test]
+fn completions_know_commands_and_options() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = stdout(&autoref(&["completions", shell]));
+        for word in ["autoref-stream", "detect", "undo", "gcps", "to-crs"] {
+            assert!(script.contains(word), "{shell}: no {word}");
+        }
+    }
+    assert_eq!(autoref(&["completions", "csh"]).status.code(), Some(2));
+}
+
+#[test]
+fn manual_pages_are_troff() {
+    let page = stdout(&autoref(&["man"]));
+    assert!(page.contains(".TH autoref") && page.contains("Exit codes"), "{page}");
+    let page = stdout(&autoref(&["man", "detect"]));
+    assert!(page.contains("detect") && page.contains("candidates"), "{page}");
+    let refused = autoref(&["man", "detekt"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("detect"));
+}
+
+#[test]
+fn every_command_speaks_json() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("plain").to_string();
+    let json = |args: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&stdout(&autoref(args))).unwrap_or_else(|e| panic!("{args:?}: {e}"))
+    };
+    let (image, list) = (path("a.tif"), path("a.geojson"));
+    let made = json(&[
+        "synth",
+        &image,
+        "--random-gcps",
+        "9",
+        "--extent-m",
+        "30,24",
+        "--size",
+        "1200,1000",
+        "--mark-size",
+        "14",
+        "--quiet",
+        "--write-gcps",
+        &list,
+        "--json",
+    ]);
+    assert_eq!(made["files_written"].as_array().map(Vec::len), Some(3));
+    let found = json(&["detect", &image, "--json"]);
+    let seen = found["candidates"].as_array().expect("a list");
+    assert!(seen.len() >= 4 && found["width"] == 1200, "{found}");
+    let solved = json(&["--json", &image, "--gcps", &list]);
+    assert_eq!(solved["status"], "solved");
+    let at = format!("{},{}", solved["matches"][0]["x"], solved["matches"][0]["y"]);
+    assert_eq!(json(&["sample", &image, "--at", &at, "--json"])["profile"]["name"], "taught");
+    let chips = json(&["chips", &image, "--at", &at, "-o", &path("chips"), "--json"]);
+    assert_eq!(chips["files_written"].as_array().map(Vec::len), Some(2));
+    let distance = json(&["distance", &image, "-o", &path("d.tif"), "--json"]);
+    assert_eq!(distance["files_written"][0], path("d.tif"));
+    let applied = json(&["apply", &path("a.autoref.json"), "--write", "csv", "--json"]);
+    assert_eq!(applied["files_written"].as_array().map(Vec::len), Some(1));
+}
