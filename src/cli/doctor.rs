@@ -28,7 +28,7 @@ pub fn examine(
     // Coordinates in metres are those of the CRS only when it counts in metres.
     let crs = list.crs.as_ref().filter(|_| list.frame.is_plain());
     let surroundings = Surroundings { crs, known, max_false_alarms: matching.max_false_alarms };
-    diagnose(outcome, candidates, &list.gcps, priors, surroundings);
+    diagnose(outcome, candidates, &list.gcps, &priors.with_mark_sizes(candidates), surroundings);
 }
 
 /// Where the image's own georeference puts its centre, in the metres of the list.

@@ -153,7 +153,8 @@ impl Doctor<'_> {
             priors: Priors { rotation_deg: None, ..self.priors.clone() },
             note: String::new(),
         });
-        if self.priors.gsd_m_per_px.is_some() {
+        // A scale known no better than the two units differ has had its chance.
+        if self.priors.gsd_m_per_px.is_some_and(|(low, high)| high * FOOT_M < low) {
             for (mistake, factor) in [(Mistake::Feet, FOOT_M), (Mistake::GsdInFeet, 1.0 / FOOT_M)] {
                 attempts.push(Attempt {
                     mistake,
