@@ -85,6 +85,7 @@ impl Field {
     }
 
     /// Points per px² about a point, itself left out; see [`Field::density_near`].
+    #[inline]
     pub fn density_at(&self, index: usize) -> f64 {
         self.densities[index]
     }
@@ -97,6 +98,7 @@ impl Field {
         self.width_px * self.height_px
     }
 
+    #[inline]
     pub fn contains(&self, p: PixelPoint) -> bool {
         p.x >= self.origin.x
             && p.y >= self.origin.y
@@ -110,6 +112,7 @@ impl Field {
     }
 
     /// Calls `visit` with every point of a box, and some more.
+    #[inline]
     pub fn in_box(&self, x: (f64, f64), y: (f64, f64), mut visit: impl FnMut(usize, PixelPoint)) {
         let (left, right) = (self.column(x.0), self.column(x.1));
         for row in self.row(y.0)..=self.row(y.1) {
@@ -122,6 +125,7 @@ impl Field {
     }
 
     /// The nearest point within `reach_px`; the lower index when two are equally near.
+    #[inline]
     pub fn nearest(&self, p: PixelPoint, reach_px: f64) -> Option<(usize, f64)> {
         let mut best: Option<(usize, f64)> = None;
         self.around(p, reach_px, |i, q| {

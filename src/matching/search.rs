@@ -28,6 +28,7 @@ pub(super) struct GcpPair {
 }
 
 /// Another GCP as seen from a pair: its offset from `a`, and tolerance.
+#[derive(Clone, Copy)]
 struct Target {
     east: f64,
     north: f64,
@@ -197,6 +198,10 @@ impl<'a> Search<'a> {
         let square = de * de + dn * dn;
         let mut best = Vec::new();
         let mut tried = 0;
+        let targets = &self.in_reach(pair, targets, from)[..];
+        if targets.len() < fewest {
+            return (Vec::new(), 0);
+        }
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
             let (x, y) = (to.x - from.x, -(to.y - from.y));
@@ -219,6 +224,17 @@ impl<'a> Search<'a> {
         });
         keep_best(&mut best);
         (best, tried)
+    }
+
+    /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale they
+    /// must not lie beyond the farthest corner.
+    fn in_reach(&self, pair: &GcpPair, targets: &[Target], from: PixelPoint) -> Vec<Target> {
+        let origin = self.field.origin();
+        let (right, bottom) = (origin.x + self.field.width_px, origin.y + self.field.height_px);
+        let farthest = (from.x - origin.x).max(right - from.x).hypot((from.y - origin.y).max(bottom - from.y));
+        // A hair more, so that rounding decides nothing.
+        let farthest_m = farthest * pair.length_m / pair.reach_px.0 * (1.0 + 1e-9);
+        targets.iter().filter(|t| t.east.hypot(t.north) <= farthest_m).copied().collect()
     }
 
     /// Bounds of `to − from`, pixels, that scale and rotation priors allow: left, right, up, down.
@@ -258,6 +274,7 @@ impl<'a> Search<'a> {
     /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
     /// into one clump.
+    #[inline]
     fn verify(&self, from: PixelPoint, z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
