@@ -63,11 +63,20 @@ pub fn write_outputs(
             bail!("--resample-mm must be between 0.0005 and 1");
         }
         let options = resample::ResampleOptions { pixel_mm: args.resample_mm, mask_radius_mm: 3.0, boxes_mm: vec![] };
+        // One bad frame never stops a roll: what failed is told when the others are done.
+        let mut failed = Vec::new();
         for frame in frames.iter() {
             let Some(inner) = &frame.inner else { continue };
-            let source = window::open_scan(&frame.path)?;
             let to = |end: &str| dir.join(format!("{}.{end}.tif", frame.name));
-            resample::resample(source.as_ref(), camera, inner, &options, &to("resampled"), &to("mask"))?;
+            let done = window::open_scan(&frame.path).and_then(|source| {
+                resample::resample(source.as_ref(), camera, inner, &options, &to("resampled"), &to("mask"))
+            });
+            if let Err(error) = done {
+                failed.push(error.to_string());
+            }
+        }
+        if !failed.is_empty() {
+            bail!("{} frame(s) were not resampled: {}", failed.len(), failed.join("; "));
         }
     }
     Ok(())

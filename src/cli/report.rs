@@ -6,9 +6,11 @@ use autoref_stream::accuracy::AccuracyStatement;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::georef::result::RunResult;
+use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
 use autoref_stream::pipeline::{Detector, Progress};
 use autoref_stream::raster::{Block, RasterSource};
-use autoref_stream::report::{self, Gathered, Keeper, Overview, Section};
+use autoref_stream::report::{self, Gathered, Keeper, Overview, Section, Table};
+use autoref_stream::solve::heights::HeightModel;
 use autoref_stream::window::Window;
 use clap::Args;
 
@@ -90,7 +92,62 @@ pub fn page(result: &RunResult, gathered: &Gathered, json: &Path) -> autoref_str
 
 /// Parts that other rooms word.
 fn sections(result: &RunResult) -> Vec<Section> {
-    result.accuracy.iter().map(accuracy_section).collect()
+    result.accuracy.iter().map(accuracy_section).chain(result.heights.iter().map(heights_section)).collect()
+}
+
+fn heights_section(heights: &HeightResult) -> Section {
+    let m = |value: f64| format!("{value:.3} m");
+    let opt = |value: Option<f64>| value.map_or("–".into(), m);
+    let correction = &heights.correction;
+    let chosen = correction.chosen_fit();
+    let mut figures = vec![
+        ("Surface chosen".to_string(), surface(chosen.model).to_string()),
+        ("RMS before, after".to_string(), format!("{}, {}", m(correction.uncorrected_rms_m), m(chosen.rms_m))),
+        ("RMS, each point left out".to_string(), opt(chosen.leave_one_out_rms_m)),
+    ];
+    if heights.check_rms_m.is_some() {
+        figures.push(("RMS of check points".to_string(), opt(heights.check_rms_m)));
+    }
+    let fits = correction.fits.iter().map(|f| vec![surface(f.model).into(), m(f.rms_m), opt(f.leave_one_out_rms_m)]);
+    let row = |row: &HeightRow, state: &str| {
+        vec![
+            row.gcp.clone(),
+            state.into(),
+            m(row.surveyed_m),
+            m(row.model_m),
+            m(row.residual_m),
+            opt(row.leave_one_out_m),
+        ]
+    };
+    let points = heights.points.iter().map(|point| row(point, "in the fit"));
+    let checks = heights.check_points.iter().map(|point| row(point, "check point"));
+    let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();
+    Section {
+        heading: "Heights".into(),
+        paragraphs: vec![
+            "Surveyed heights against the elevation model; the surface with the least error of points left out is \
+                          what to add to the model."
+                .into(),
+        ],
+        reservations: heights.warnings.iter().chain(&correction.warnings).cloned().collect(),
+        figures,
+        tables: vec![
+            Table { caption: "Surfaces".into(), header: titles(&["Surface", "RMS", "Left out"]), rows: fits.collect() },
+            Table {
+                caption: "Heights of the points; residuals are surveyed − corrected model".into(),
+                header: titles(&["Point", "State", "Surveyed", "Model", "Residual", "Left out"]),
+                rows: points.chain(checks).collect(),
+            },
+        ],
+    }
+}
+
+fn surface(model: HeightModel) -> &'static str {
+    match model {
+        HeightModel::Shift => "shift",
+        HeightModel::Tilt => "tilt",
+        HeightModel::Quadratic => "quadratic (doming)",
+    }
 }
 
 fn accuracy_section(statement: &AccuracyStatement) -> Section {

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::check::agreement;
+use super::frame::FindOptions;
 use super::inner::{Observation, residual_um, solve};
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus};
 use crate::coords::PixelPoint;
@@ -105,6 +107,24 @@ pub fn replay(
     Ok(Some(next))
 }
 
+/// A hand can err too: marks that a review calls good are compared with each other as found ones are.
+fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: bool) -> Vec<String> {
+    let film = camera.film_points();
+    let used: Vec<usize> = (0..frame.marks.len().min(film.len()))
+        .filter(|&k| frame.marks[k].status == MarkStatus::Ok && frame.marks[k].centre.is_some())
+        .collect();
+    let points: Vec<([f64; 2], PixelPoint)> =
+        used.iter().filter_map(|&k| Some((film[k], frame.marks[k].centre?))).collect();
+    let options = FindOptions::default();
+    let pixel_um = frame.inner.as_ref().map_or(f64::INFINITY, |inner| inner.pixel_um);
+    let tolerance_px = (options.agreement_um / pixel_um).max(options.agreement_px);
+    agreement(&points, mirrored, tolerance_px)
+        .iter()
+        .zip(&used)
+        .filter_map(|(compared, &k)| Some(format!("{}: {}", frame.marks[k].mark, compared.reason.as_ref()?)))
+        .collect()
+}
+
 fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
     let place = |name: &str| camera.marks.iter().find(|c| c.name == name).and_then(|c| Some([c.x_mm?, c.y_mm?]));
     let used: Vec<Observation> = frame
@@ -131,5 +151,9 @@ fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
         (Some(_), n) if n < camera.marks.len() => FrameStatus::Doubtful { reasons: vec![short] },
         (Some(_), _) => FrameStatus::Ok,
     };
+    let contradictions = contradictions(camera, frame, mirrored);
+    if frame.inner.is_some() && !contradictions.is_empty() {
+        frame.status = FrameStatus::Doubtful { reasons: contradictions };
+    }
     frame.notes.push("reviewed by hand".into());
 }
