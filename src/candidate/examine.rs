@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::Candidate;
 use super::fit::{Fit, Form, Priors, Sample, fit, start_cost};
 use super::gates::{Gates, centroid};
-use super::patch::{Ground, Scene, ground};
+use super::patch::{Ground, Scene, ground, twice_median};
 use crate::coords::PixelPoint;
 use crate::profile::{CentreMode, Filters, Profile, Shape};
 use crate::raster::Patch;
@@ -110,18 +110,12 @@ pub(super) fn measure_scene(
     profile: &Profile,
 ) -> Evidence {
     let patch = scene.patch;
-    let colours: Vec<Vector3<f64>> = (0..scene.own.len())
-        .filter(|&i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX))
-        .map(|i| scene.colour(i))
-        .collect();
-    let ground = ground(&colours).or_else(|| {
-        // Crowded or cut off: whatever is near and not paint.
-        let near: Vec<_> = (0..scene.own.len())
-            .filter(|&i| patch.valid[i] && scene.outside_px[i] >= 2 && !scene.other[i])
-            .map(|i| scene.colour(i))
-            .collect();
-        self::ground(&near)
-    });
+    let ground =
+        ground(&scene.colours(|i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX)), scene.scale()).or_else(|| {
+            // Crowded or cut off: whatever is near and not paint.
+            let near = scene.colours(|i| patch.valid[i] && scene.outside_px[i] >= 2 && !scene.other[i]);
+            self::ground(&near, scene.scale())
+        });
     let plateau = plateau(scene);
     let byte = [plateau[0], plateau[1], plateau[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
     let limit2 = profile.colour.limit * profile.colour.limit;
@@ -143,10 +137,13 @@ pub(super) fn measure_scene(
     let Some(ground) = ground else { return evidence };
     let (shares, contrast) = paint_shares(scene, &ground, plateau);
     evidence.contrast = contrast;
-    let ring: Vec<usize> = (0..shares.len())
-        .filter(|&i| patch.valid[i] && (RING_FROM_PX..=RING_TO_PX).contains(&scene.outside_px[i]))
-        .collect();
-    evidence.ring_paint = ring.iter().filter(|&&i| shares[i] > 0.5).count() as f64 / ring.len().max(1) as f64;
+    let (mut ring, mut ring_paint) = (0u32, 0u32);
+    for (i, &share) in shares.iter().enumerate() {
+        let on_ring = patch.valid[i] && (RING_FROM_PX..=RING_TO_PX).contains(&scene.outside_px[i]);
+        ring += u32::from(on_ring);
+        ring_paint += u32::from(on_ring && share > 0.5);
+    }
+    evidence.ring_paint = f64::from(ring_paint) / f64::from(ring.max(1));
     if profile.examine.centre != CentreMode::Fit {
         return evidence;
     }
@@ -166,13 +163,12 @@ pub(super) fn measure_scene(
 
 /// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
 fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
-    let deepest = (0..scene.own.len()).map(|i| scene.inside_px[i]).max().unwrap_or(0);
+    let deepest = scene.inside_px.iter().copied().max().unwrap_or(0);
     let from = deepest.clamp(1, 3);
     // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
-    let core: Vec<Vector3<f64>> =
-        (0..scene.own.len()).filter(|&i| scene.inside_px[i] >= from).map(|i| scene.colour(i)).collect();
-    let middle: [f64; 3] = std::array::from_fn(|c| super::patch::median(core.iter().map(|v| v[c]).collect()));
-    Vector3::from(middle)
+    let core = scene.colours(|i| scene.inside_px[i] >= from);
+    let middle = |c: usize| f64::from(twice_median(core.iter().map(|v| u32::from(v[c])))) / 2.0 * scene.scale();
+    Vector3::new(middle(0), middle(1), middle(2))
 }
 
 /// Share of paint in each pixel (0 on the mean ground, 1 on the plateau) along Fisher's direction, and the Mahalanobis
@@ -184,7 +180,9 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
     let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
     let direction = inverse * step;
     let contrast2 = direction.dot(&step).max(1e-9);
-    let shares = (0..scene.own.len()).map(|i| direction.dot(&(scene.colour(i) - ground.mean)) / contrast2).collect();
+    let (weights, nothing) = (direction * (scene.scale() / contrast2), direction.dot(&ground.mean) / contrast2);
+    let share = |c: &[u16; 3]| Vector3::from(c.map(f64::from)).dot(&weights) - nothing;
+    let shares = scene.patch.rgb.iter().map(share).collect();
     (shares, contrast2.sqrt())
 }
 
@@ -293,23 +291,29 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
 }
 
 fn likelihood_ratio(contrast: f64, rms: f64) -> f64 {
-    let at = [contrast.max(0.1).ln().min(MARK.mean[0]), rms.max(1e-4).ln().max(MARK.mean[1])];
+    logarithmic_ratio(contrast.max(0.1).ln(), rms.max(1e-4).ln())
+}
+
+fn logarithmic_ratio(ln_contrast: f64, ln_rms: f64) -> f64 {
+    let at = [ln_contrast.min(MARK.mean[0]), ln_rms.max(MARK.mean[1])];
     MARK.log_density(at) - CLUTTER.log_density(at)
 }
 
 /// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly fit.
 fn best_possible_score(contrast: f64) -> f64 {
-    rms_steps().map(|rms| likelihood_ratio(contrast, rms)).fold(f64::NEG_INFINITY, f64::max)
+    let ln_contrast = contrast.max(0.1).ln();
+    ln_rms_steps().map(|ln_rms| logarithmic_ratio(ln_contrast, ln_rms)).fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// What a fit may leave over at most to reach `min_score` at this contrast.
 fn largest_rms(contrast: f64, min_score: f64) -> f64 {
-    rms_steps().filter(|&rms| likelihood_ratio(contrast, rms) >= min_score).fold(0.0, f64::max)
+    let ln_contrast = contrast.max(0.1).ln();
+    ln_rms_steps().filter(|&rms| logarithmic_ratio(ln_contrast, rms) >= min_score).last().map_or(0.0, f64::exp)
 }
 
-/// From better than any fit to as bad as none.
-fn rms_steps() -> impl Iterator<Item = f64> {
-    (0..=40).map(|i| (-4.0 + 0.1 * f64::from(i)).exp())
+/// From better than any fit to as bad as none, rising.
+fn ln_rms_steps() -> impl Iterator<Item = f64> {
+    (0..=40).map(|i| -4.0 + 0.1 * f64::from(i))
 }
 
 /// A Gaussian over (ln contrast, ln rms).

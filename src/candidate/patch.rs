@@ -33,12 +33,7 @@ impl<'a> Scene<'a> {
     /// 8-connected set that its first pixel is in; with mask filters it is the paint inside the bounds instead.
     pub fn new(region: &Region, patch: &'a Patch, classifier: &Classifier, connected: bool) -> Option<Scene<'a>> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
-        let paint: Vec<bool> = patch
-            .rgb
-            .iter()
-            .zip(&patch.valid)
-            .map(|(c, &valid)| valid && classifier.is_paint(c.map(|v| classifier.to_byte(v))))
-            .collect();
+        let paint = classifier.paint_of(&patch.rgb, &patch.valid);
         let (first_y, first_x) = region.first;
         let start = patch
             .window
@@ -65,18 +60,29 @@ impl<'a> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let other: Vec<bool> = paint.iter().zip(&own).map(|(&p, &o)| p && !o).collect();
         let outside_px = distance(&own, width, height);
-        let not_own: Vec<bool> = own.iter().map(|o| !o).collect();
-        let inside_px = distance(&not_own, width, height);
+        let inside_px = depth(&own, width, height);
         let alone = !other.iter().any(|&b| b);
         let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
         let scale = 255.0 / f64::from(patch.white);
         Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale }
     }
 
+    /// What samples are multiplied by to lie on the scale 0..=255.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
     /// Samples on the scale 0..=255, not rounded.
     pub fn colour(&self, i: usize) -> Vector3<f64> {
         let c = self.patch.rgb[i].map(|sample| f64::from(sample) * self.scale);
         Vector3::from(c)
+    }
+
+    /// Samples, as the file has them, of the pixels that are `wanted`.
+    pub fn colours(&self, wanted: impl Fn(usize) -> bool) -> Vec<[u16; 3]> {
+        let mut colours = Vec::with_capacity(self.own.len());
+        colours.extend(self.patch.rgb.iter().enumerate().filter(|&(i, _)| wanted(i)).map(|(_, c)| *c));
+        colours
     }
 
     /// Ground: valid, at the given distances from the candidate, clear of other paint.
@@ -163,6 +169,25 @@ pub(crate) fn distance(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
     out
 }
 
+/// Of each set pixel the Chebyshev distance to the nearest that is not set, capped at [`FAR_PX`]; 0 elsewhere. That nearest
+/// one is never further out than the rim around the box of what is set, so that only the box is swept.
+fn depth(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
+    let mut out = vec![0; mask.len()];
+    let rows = || (0..height).map(|y| &mask[y * width..(y + 1) * width]);
+    let Some(top) = rows().position(|row| row.contains(&true)) else { return out };
+    let bottom = rows().rposition(|row| row.contains(&true)).unwrap_or(top);
+    let left = rows().filter_map(|row| row.iter().position(|&b| b)).min().unwrap_or(0);
+    let right = rows().filter_map(|row| row.iter().rposition(|&b| b)).max().unwrap_or(left);
+    let (x0, x1) = (left.saturating_sub(1), (right + 2).min(width));
+    let (y0, y1) = (top.saturating_sub(1), (bottom + 2).min(height));
+    let box_width = x1 - x0;
+    let clear: Vec<bool> = rows().take(y1).skip(y0).flat_map(|row| row[x0..x1].iter().map(|&b| !b)).collect();
+    for (row, y) in distance(&clear, box_width, y1 - y0).chunks_exact(box_width).zip(y0..) {
+        out[y * width + x0..y * width + x1].copy_from_slice(row);
+    }
+    out
+}
+
 /// Lowers a row by what the row before it knows; `before` holds the least of the three neighbours there, and gets those of
 /// this row.
 fn sweep(row: &mut [u8], before: &mut [u8]) {
@@ -195,29 +220,67 @@ pub struct Ground {
     pub count: usize,
 }
 
-/// Robust statistics: median, then mean and covariance of what lies within 3.5 standard deviations of it (per axis, by
-/// the median absolute deviation). `None` below 12 colours.
-pub fn ground(colours: &[Vector3<f64>]) -> Option<Ground> {
+/// Robust statistics of colours as the file has them, times `scale`: median, then mean and covariance of what lies within
+/// 3.5 standard deviations of it (per axis, by the median absolute deviation). `None` below 12 colours.
+pub fn ground(colours: &[[u16; 3]], scale: f64) -> Option<Ground> {
     if colours.len() < 12 {
         return None;
     }
-    let median: [f64; 3] = std::array::from_fn(|c| median(colours.iter().map(|v| v[c]).collect()));
-    let spread: [f64; 3] = std::array::from_fn(|c| {
+    // In halves of a sample, so that everything is whole.
+    let median2: [u32; 3] = std::array::from_fn(|c| twice_median(colours.iter().map(|v| u32::from(v[c]))));
+    let reach: [f64; 3] = std::array::from_fn(|c| {
+        let off = twice_median(colours.iter().map(|v| (2 * u32::from(v[c])).abs_diff(median2[c])));
         // 1.4826 makes it a standard deviation for Gaussian noise; 2 is the noise of a good 8-bit picture.
-        (1.4826 * self::median(colours.iter().map(|v| (v[c] - median[c]).abs()).collect())).max(2.0)
+        2.0 * 3.5 * (1.4826 * f64::from(off) / 4.0).max(2.0 / scale)
     });
-    let kept: Vec<&Vector3<f64>> =
-        colours.iter().filter(|v| (0..3).all(|c| (v[c] - median[c]).abs() <= 3.5 * spread[c])).collect();
-    if kept.len() < 8 {
+    let (mut n, mut sum, mut products) = (0i128, [0i128; 3], [[0i128; 3]; 3]);
+    for colour in colours {
+        let v = colour.map(u32::from);
+        if (0..3).any(|c| f64::from((2 * v[c]).abs_diff(median2[c])) > reach[c]) {
+            continue;
+        }
+        n += 1;
+        for a in 0..3 {
+            sum[a] += i128::from(v[a]);
+            for b in a..3 {
+                products[a][b] += i128::from(u64::from(v[a]) * u64::from(v[b]));
+            }
+        }
+    }
+    if n < 8 {
         return None;
     }
-    let n = kept.len() as f64;
-    let mean = kept.iter().fold(Vector3::zeros(), |s, v| s + **v) / n;
-    let scatter = kept.iter().fold(Matrix3::zeros(), |s: Matrix3<f64>, v| {
-        let d = **v - mean;
-        s + d * d.transpose()
+    let count = n as f64;
+    let mean = Vector3::from(sum.map(|s| scale * s as f64 / count));
+    let covariance = Matrix3::from_fn(|a, b| {
+        let (a, b) = (a.min(b), a.max(b));
+        (n * products[a][b] - sum[a] * sum[b]) as f64 / (count * count) * scale * scale
     });
-    Some(Ground { mean, covariance: scatter / n, count: kept.len() })
+    Some(Ground { mean, covariance, count: n as usize })
+}
+
+/// Twice the median, so that the mean of the middle two is whole; 0 of nothing. Small values are counted.
+pub(crate) fn twice_median(values: impl ExactSizeIterator<Item = u32> + Clone) -> u32 {
+    const COUNTED: usize = 512;
+    let (mut counts, len) = ([0u32; COUNTED], values.len());
+    if len == 0 {
+        return 0;
+    }
+    if values.clone().all(|v| (v as usize) < COUNTED) {
+        values.for_each(|v| counts[v as usize] += 1);
+        let rank = |k: usize| {
+            let mut seen = 0;
+            counts.iter().position(|&n| {
+                seen += n as usize;
+                seen > k
+            })
+        };
+        return (rank((len - 1) / 2).unwrap_or(0) + rank(len / 2).unwrap_or(0)) as u32;
+    }
+    let mut sorted: Vec<u32> = values.collect();
+    let (below, high, _) = sorted.select_nth_unstable(len / 2);
+    let high = *high;
+    if len % 2 == 1 { 2 * high } else { high + below.iter().copied().max().unwrap_or(high) }
 }
 
 /// Median; the mean of the middle two when the count is even.
@@ -248,6 +311,23 @@ mod tests {
 
     proptest::proptest! {
         #[test]
+        fn twice_the_median_is_what_sorting_gives(values in proptest::collection::vec(0u32..1200, 1..60), large: bool) {
+            let values: Vec<u32> = values.into_iter().map(|v| if large { v } else { v % 400 }).collect();
+            let mut sorted = values.clone();
+            sorted.sort_unstable();
+            let expected = sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2];
+            proptest::prop_assert_eq!(twice_median(values.into_iter()), expected);
+        }
+
+        #[test]
+        fn depths_are_distances_to_what_is_not_set(width in 1usize..24, height in 1usize..24, set in proptest::collection::vec(0usize..600, 1..200)) {
+            let mut mask = vec![false; width * height];
+            set.iter().for_each(|i| mask[i % (width * height)] = true);
+            let clear: Vec<bool> = mask.iter().map(|b| !b).collect();
+            proptest::prop_assert_eq!(depth(&mask, width, height), distance(&clear, width, height));
+        }
+
+        #[test]
         fn distances_are_chebyshev(width in 1usize..40, height in 1usize..40, set in proptest::collection::vec(0usize..1600, 0..6)) {
             let mut mask = vec![false; width * height];
             set.iter().for_each(|i| mask[i % (width * height)] = true);
@@ -261,9 +341,13 @@ mod tests {
 
     #[test]
     fn outliers_do_not_move_the_ground() {
-        let mut colours: Vec<_> = (0..60).map(|i| Vector3::new(100.0 + (i % 5) as f64, 90.0, 80.0)).collect();
-        colours.extend((0..10).map(|_| Vector3::new(250.0, 20.0, 0.0)));
-        let g = ground(&colours).expect("enough");
-        assert!((g.mean[0] - 102.0).abs() < 0.1 && g.count == 60);
+        let mut colours: Vec<_> = (0..60).map(|i| [100 + i % 5, 90, 80]).collect();
+        colours.extend([[250, 20, 0]; 10]);
+        for (factor, scale) in [(1, 1.0), (257, 1.0 / 257.0)] {
+            let wide: Vec<[u16; 3]> = colours.iter().map(|c| c.map(|v| v * factor)).collect();
+            let g = ground(&wide, scale).expect("enough");
+            assert!((g.mean[0] - 102.0).abs() < 0.1 && g.count == 60);
+            assert!((g.covariance[(0, 0)] - 2.0).abs() < 1e-9 && g.covariance[(0, 1)].abs() < 1e-9, "{g:?}");
+        }
     }
 }

@@ -36,6 +36,29 @@ pub(crate) fn lab_f(t: f64) -> f64 {
     if t > KNEE { t.cbrt() } else { (KAPPA * t + 16.0) / 116.0 }
 }
 
+/// [`lab_f`] within [`LAB_F_NEAR`] of itself, relatively, in a fraction of the time: a table of colours asks it millions of
+/// times whether the exact answer matters. One step of Halley's method from a third of the exponent.
+pub(crate) fn lab_f_near(t: f64) -> f64 {
+    const KNEE: f64 = 216.0 / 24_389.0;
+    if t <= KNEE {
+        return lab_f(t);
+    }
+    // Thirds of the bits, with what makes 1 come out as 1 but for 3 %.
+    let y = f64::from_bits(t.to_bits() / 3 + 0x2a9f_7893_782d_a1ce);
+    let cube = y * y * y;
+    y * (cube + 2.0 * t) / (2.0 * cube + t)
+}
+
+/// Relative error of [`lab_f_near`] at most.
+pub(crate) const LAB_F_NEAR: f64 = 4e-5;
+
+/// [`linear_from_srgb`] of the 256 bytes.
+pub(crate) fn linear_of_bytes() -> &'static [f64; 256] {
+    static TABLE: std::sync::LazyLock<[f64; 256]> =
+        std::sync::LazyLock::new(|| std::array::from_fn(|v| linear_from_srgb(v as f64 / 255.0)));
+    &TABLE
+}
+
 pub(crate) fn lab_from_f(f: [f64; 3]) -> Vector3<f64> {
     Vector3::new(116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2]))
 }
@@ -138,6 +161,15 @@ impl Cloud {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_near_root_is_near() {
+        for i in 0..200_000 {
+            let t = f64::from(i) * 6e-6;
+            let (near, exact) = (lab_f_near(t), lab_f(t));
+            assert!((near / exact - 1.0).abs() < 0.9 * LAB_F_NEAR, "{t}: {near} for {exact}");
+        }
+    }
 
     #[test]
     fn lab_of_known_colours() {

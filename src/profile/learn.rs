@@ -152,8 +152,8 @@ fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'stat
     let mut back: Vec<usize> = (0..width * height).filter(|&i| patch.valid[i] && reach(i) >= far).collect();
     let mut own = Vec::new();
     for _ in 0..2 {
-        let g =
-            ground(&back.iter().map(|&i| colour(i)).collect::<Vec<_>>()).ok_or("has too little ground around it")?;
+        let colours: Vec<[u16; 3]> = back.iter().map(|&i| patch.rgb[i].map(|v| v.min(patch.white))).collect();
+        let g = ground(&colours, 255.0 / white).ok_or("has too little ground around it")?;
         let inverse = (g.covariance + nalgebra::Matrix3::identity() * 9.0).cholesky().ok_or("has no ground")?.inverse();
         let step = seed_colour - g.mean;
         let direction = inverse * step;

@@ -54,6 +54,13 @@ fn copy_row<T: Copy + Into<u16>>(
     valid: &mut [bool],
 ) {
     let nodata = info.nodata_sample();
+    if info.alpha.is_none() && nodata.is_none() {
+        for (rgb, pixel) in rgb.iter_mut().zip(samples.chunks(stride)) {
+            *rgb = info.rgb.map(|band| pixel[band].into());
+        }
+        valid.fill(true);
+        return;
+    }
     for (i, (rgb, valid)) in rgb.iter_mut().zip(valid).enumerate() {
         let pixel = &samples[i * stride..];
         *rgb = info.rgb.map(|band| pixel[band].into());

@@ -13,7 +13,9 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::profile::Profile;
-use crate::profile::colour::{Cloud, Space, lab_f, lab_from_f, lab_from_srgb, linear_from_srgb, xyz_from_linear};
+use crate::profile::colour::{
+    Cloud, LAB_F_NEAR, Space, lab_f, lab_f_near, lab_from_f, lab_from_srgb, linear_of_bytes, xyz_from_linear,
+};
 use crate::raster::{PixelRow, SampleType, Samples};
 use crate::segment::kernels::{self, Bounds};
 
@@ -123,8 +125,10 @@ impl Extent {
             Space::Rgb => (unit(low), unit(high)),
             Space::Lab => {
                 // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it.
-                let f = |c: [u8; 3]| xyz_from_linear(unit(c).map(linear_from_srgb)).map(lab_f);
-                let (f0, f1) = (f(low), f(high));
+                let f = |c: [u8; 3], slack: f64| {
+                    xyz_from_linear(c.map(|v| linear_of_bytes()[usize::from(v)])).map(|t| lab_f_near(t) * slack)
+                };
+                let (f0, f1) = (f(low, 1.0 - LAB_F_NEAR), f(high, 1.0 + LAB_F_NEAR));
                 (
                     [116.0 * f0[1] - 16.0, 500.0 * (f0[0] - f1[1]), 200.0 * (f0[1] - f1[2])],
                     [116.0 * f1[1] - 16.0, 500.0 * (f1[0] - f0[1]), 200.0 * (f1[1] - f0[2])],
@@ -132,7 +136,7 @@ impl Extent {
             }
         };
         let (lo, hi) = (Vector3::from(lo), Vector3::from(hi));
-        // A hair of slack covers rounding and a cube root that is not exactly monotone.
+        // A hair of slack covers rounding.
         Extent { middle: (lo + hi) / 2.0, half: ((hi - lo) / 2.0).add_scalar(1e-9) }
     }
 }
@@ -184,13 +188,7 @@ impl ColourTable {
 
 /// The colours with red `16·slab .. 16·slab + 16`.
 fn fill_slab(test: &PaintTest, slab: usize, words: &mut [u64]) -> Bounds {
-    let mut fill = Fill {
-        test,
-        linear: (0..256).map(|v| linear_from_srgb(f64::from(v) / 255.0)).collect(),
-        red: 16 * slab,
-        words,
-        bounds: Bounds::NOTHING,
-    };
+    let mut fill = Fill { test, red: 16 * slab, words, bounds: Bounds::NOTHING };
     for (g, b) in (0..256).step_by(16).flat_map(|g| (0..256).step_by(16).map(move |b| (g, b))) {
         fill.cube([16 * slab, g, b], 16);
     }
@@ -199,7 +197,6 @@ fn fill_slab(test: &PaintTest, slab: usize, words: &mut [u64]) -> Bounds {
 
 struct Fill<'a> {
     test: &'a PaintTest,
-    linear: Vec<f64>,
     /// Of the first word.
     red: usize,
     words: &'a mut [u64],
@@ -230,7 +227,13 @@ impl Fill<'_> {
             Verdict::Mixed => {
                 for colour in colours {
                     let bytes = colour.map(|v| v as u8);
-                    if table_bit(self.test, &self.linear, bytes) {
+                    // The bound of a single colour is all but the colour: what it leaves open is asked exactly.
+                    let paint = match self.test.judge(bytes, bytes) {
+                        Verdict::Paint => true,
+                        Verdict::Ground => false,
+                        Verdict::Mixed => table_bit(self.test, bytes),
+                    };
+                    if paint {
                         self.set(colour);
                         self.bounds.admit(bytes);
                     }
@@ -246,11 +249,11 @@ impl Fill<'_> {
 }
 
 /// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
-fn table_bit(test: &PaintTest, linear: &[f64], colour: [u8; 3]) -> bool {
+fn table_bit(test: &PaintTest, colour: [u8; 3]) -> bool {
     if test.space == Space::Rgb || test.rough.is_some() || test.low != [0; 3] || test.high != [255; 3] {
         return test.is_paint(colour);
     }
-    let lab = lab_from_f(xyz_from_linear(colour.map(|v| linear[usize::from(v)])).map(lab_f));
+    let lab = lab_from_f(xyz_from_linear(colour.map(|v| linear_of_bytes()[usize::from(v)])).map(lab_f));
     test.clouds.iter().map(|c| c.distance2(&lab)).fold(f64::INFINITY, f64::min) / test.limit2 <= 1.0
 }
 
@@ -298,6 +301,26 @@ impl Classifier {
     /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the nearest caches.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
         self.table.bounds.passes(colour) && self.table.get(colour)
+    }
+
+    /// Which of a window's pixels are paint: `colours` red, green, blue as the file has them, `valid` where there is any.
+    ///
+    /// # Panics
+    /// When the two are not of one length.
+    pub fn paint_of(&self, colours: &[[u16; 3]], valid: &[bool]) -> Vec<bool> {
+        assert_eq!(colours.len(), valid.len());
+        let bytes: Vec<u8> = colours.as_flattened().iter().map(|&v| self.to_byte(v)).collect();
+        let mut bits = vec![0u64; colours.len().div_ceil(64)];
+        kernels::prefilter(&bytes, 3, [0, 1, 2], colours.len(), &self.table.bounds, &mut bits);
+        let mut paint = vec![false; colours.len()];
+        for (w, mut word) in bits.into_iter().enumerate() {
+            while word != 0 {
+                let i = w * 64 + word.trailing_zeros() as usize;
+                word &= word - 1;
+                paint[i] = valid[i] && self.table.get([bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]]);
+            }
+        }
+        paint
     }
 
     /// A sample on the 8-bit scale: `(255·v + white/2) / white`, at most 255; bytes with white 255 are themselves.

@@ -486,8 +486,8 @@ impl TiffDecoder {
         Ok(self.finish(PieceData::U16(out.into()), any, row_stride, bytes))
     }
 
-    /// Tells the system what will or will not be wanted of the blocks that lie in `window`, in runs as long as possible.
-    fn advise(&self, window: Window, whole_chunks: bool, advice: rustix::fs::Advice) {
+    /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as possible.
+    fn runs(&self, window: Window, whole_chunks: bool, mut tell: impl FnMut((u64, u64))) {
         let planes: Vec<usize> = if self.layout.planar { self.planes.clone() } else { vec![0] };
         for plane in planes {
             let first = plane as u64 * self.layout.blocks_per_plane();
@@ -501,10 +501,10 @@ impl TiffDecoder {
                     run.1 += length;
                     continue;
                 }
-                mapping::advise(&self.file, run, advice);
+                tell(run);
                 run = (offset, length);
             }
-            mapping::advise(&self.file, run, advice);
+            tell(run);
         }
     }
 }
@@ -538,12 +538,12 @@ impl ChunkDecoder for TiffDecoder {
     }
 
     fn prefetch(&self, window: Window) {
-        self.advise(window, false, rustix::fs::Advice::WillNeed);
+        self.runs(window, false, |run| mapping::read_ahead(&self.file, run));
     }
 
     fn release(&self, window: Window) {
         if self.drop_behind {
-            self.advise(window, true, rustix::fs::Advice::DontNeed);
+            self.runs(window, true, |run| mapping::advise(&self.file, run, rustix::fs::Advice::DontNeed));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! AVX2: eight pixels at a time, one in each 32-bit lane.
+//! AVX2: pixels of three samples are taken apart into planes of 32, pixels of four stay as they are, eight at a time.
 
 use std::arch::x86_64::*;
 
@@ -13,8 +13,154 @@ use super::Bounds;
 /// When `stride` is neither 3 nor 4, or the slices are too short for `len`.
 #[target_feature(enable = "avx2")]
 pub unsafe fn prefilter(samples: &[u8], stride: usize, rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
-    assert!(stride == 3 || stride == 4);
     assert!(rgb.iter().all(|&b| b < stride));
+    match stride {
+        3 => three_samples(samples, rgb, len, bounds, bits),
+        4 => four_samples(samples, rgb, len, bounds, bits),
+        _ => panic!("pixels of {stride} samples have no kernel"),
+    }
+}
+
+/// The bounds of one sample and of its differences from the next, in every byte.
+struct Limits {
+    low: __m256i,
+    high: __m256i,
+    fall_low: __m256i,
+    fall_high: __m256i,
+    rise_low: __m256i,
+    rise_high: __m256i,
+}
+
+impl Limits {
+    #[target_feature(enable = "avx2")]
+    fn new(bounds: &Bounds, i: usize) -> Limits {
+        let every = |v: u8| _mm256_set1_epi8(v as i8);
+        Limits {
+            low: every(bounds.low[i]),
+            high: every(bounds.high[i]),
+            fall_low: every(bounds.fall_low[i]),
+            fall_high: every(bounds.fall_high[i]),
+            rise_low: every(bounds.rise_low[i]),
+            rise_high: every(bounds.rise_high[i]),
+        }
+    }
+}
+
+#[target_feature(enable = "avx2")]
+fn three_samples(samples: &[u8], rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
+    const WORD: usize = 64 * 3;
+    let limits = [Limits::new(bounds, 0), Limits::new(bounds, 1), Limits::new(bounds, 2)];
+    let planes = Planes::new(rgb);
+    let words = len / 64;
+    for (word, pixels) in bits[..words].iter_mut().zip(samples.chunks_exact(WORD)) {
+        *word = planes.word(pixels.try_into().expect("chunks have this size"), &limits);
+    }
+    if !len.is_multiple_of(64) {
+        // The last pixels go through a copy with room behind them.
+        let mut rest = [0u8; WORD];
+        let left = len - words * 64;
+        rest[..left * 3].copy_from_slice(&samples[words * WORD..][..left * 3]);
+        bits[words] = planes.word(&rest, &limits) & (u64::MAX >> (64 - left));
+    }
+}
+
+/// How 16 pixels of three interleaved samples become three planes: sample `c` of pixel `p` is byte `(3p + c) mod 16` of
+/// the 16-byte piece `(3p + c) / 16`, and no two pixels share that byte, so two blends gather a plane and a shuffle sorts it.
+struct Planes {
+    from_second: [__m256i; 3],
+    from_third: [__m256i; 3],
+    order: [__m256i; 3],
+}
+
+/// Rows are short: the masks are made by the compiler. By sample: bytes from the second piece, from the third, the order.
+const MASKS: [[[i8; 32]; 3]; 3] = masks();
+
+const fn masks() -> [[[i8; 32]; 3]; 3] {
+    let mut masks = [[[0i8; 32]; 3]; 3];
+    let mut i = 0;
+    while i < 3 * 32 {
+        let (c, lane, p) = (i / 32, i % 32 / 16, i % 16);
+        let (piece, at) = ((3 * p + c) / 16, (3 * p + c) % 16);
+        if piece > 0 {
+            masks[c][piece - 1][16 * lane + at] = -1;
+        }
+        masks[c][2][16 * lane + p] = at as i8;
+        i += 1;
+    }
+    masks
+}
+
+impl Planes {
+    #[target_feature(enable = "avx2")]
+    fn new([r, g, b]: [usize; 3]) -> Planes {
+        Planes {
+            from_second: [load_mask(&MASKS[r][0]), load_mask(&MASKS[g][0]), load_mask(&MASKS[b][0])],
+            from_third: [load_mask(&MASKS[r][1]), load_mask(&MASKS[g][1]), load_mask(&MASKS[b][1])],
+            order: [load_mask(&MASKS[r][2]), load_mask(&MASKS[g][2]), load_mask(&MASKS[b][2])],
+        }
+    }
+
+    /// Red, green and blue of 32 pixels, in order.
+    #[target_feature(enable = "avx2")]
+    fn split(&self, pixels: &[u8; 96]) -> [__m256i; 3] {
+        let piece = |k: usize| {
+            // SAFETY: the two 16-byte loads, from 16·k and 48 + 16·k with k below 3, end inside the 96 bytes.
+            unsafe {
+                let at = pixels.as_ptr().add(16 * k);
+                let low = _mm256_castsi128_si256(_mm_loadu_si128(at.cast()));
+                _mm256_inserti128_si256(low, _mm_loadu_si128(at.add(48).cast()), 1)
+            }
+        };
+        let (first, second, third) = (piece(0), piece(1), piece(2));
+        let plane = |c: usize| {
+            let mixed = _mm256_blendv_epi8(first, second, self.from_second[c]);
+            let gathered = _mm256_blendv_epi8(mixed, third, self.from_third[c]);
+            _mm256_shuffle_epi8(gathered, self.order[c])
+        };
+        [plane(0), plane(1), plane(2)]
+    }
+
+    /// One bit for each of 64 pixels. The differences decide nearly always, so that they are asked first.
+    #[target_feature(enable = "avx2")]
+    fn word(&self, pixels: &[u8; 192], limits: &[Limits; 3]) -> u64 {
+        let (left, right) = pixels.split_at(96);
+        // Not by `map`: what has no AVX2 itself cannot take in a closure that has.
+        let left = self.split(left.try_into().expect("half of 192 bytes"));
+        let right = self.split(right.try_into().expect("half of 192 bytes"));
+        let halves = [left, right];
+        let too_low = |colour: &[__m256i; 3], i: usize| {
+            let (a, b) = (colour[i], colour[(i + 1) % 3]);
+            let fall = _mm256_subs_epu8(limits[i].fall_low, _mm256_subs_epu8(a, b));
+            _mm256_or_si256(fall, _mm256_subs_epu8(limits[i].rise_low, _mm256_subs_epu8(b, a)))
+        };
+        let low = |colour: &[__m256i; 3]| {
+            _mm256_or_si256(_mm256_or_si256(too_low(colour, 0), too_low(colour, 1)), too_low(colour, 2))
+        };
+        let clear = |bad: __m256i| _mm256_movemask_epi8(_mm256_cmpeq_epi8(bad, _mm256_setzero_si256())) as u32;
+        let bad = [low(&halves[0]), low(&halves[1])];
+        if (clear(bad[0]) | clear(bad[1])) == 0 {
+            return 0;
+        }
+        let rest = |colour: &[__m256i; 3], i: usize| {
+            let (a, b) = (colour[i], colour[(i + 1) % 3]);
+            let limit = &limits[i];
+            let sample = _mm256_or_si256(_mm256_subs_epu8(limit.low, a), _mm256_subs_epu8(a, limit.high));
+            let fall = _mm256_subs_epu8(_mm256_subs_epu8(a, b), limit.fall_high);
+            let rise = _mm256_subs_epu8(_mm256_subs_epu8(b, a), limit.rise_high);
+            _mm256_or_si256(sample, _mm256_or_si256(fall, rise))
+        };
+        let word = |k: usize| {
+            let colour = &halves[k];
+            let all = _mm256_or_si256(_mm256_or_si256(rest(colour, 0), rest(colour, 1)), rest(colour, 2));
+            u64::from(clear(_mm256_or_si256(bad[k], all)))
+        };
+        word(0) | word(1) << 32
+    }
+}
+
+#[target_feature(enable = "avx2")]
+fn four_samples(samples: &[u8], rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
+    let stride = 4;
     // Four pixels of each 128-bit half become [r g b 0]; 128 in a shuffle mask gives zero.
     let lanes = |order: [usize; 3]| -> [i8; 32] {
         std::array::from_fn(|i| {
