@@ -13,7 +13,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 mode=warm
 case ${1:-} in --python | --cold) mode=${1#--}; shift ;; esac
-cargo build --release --quiet --example gdal_touch --example codec_floor --bin autoref-stream
+[ -n "${AUTOREF_BENCH_BUILT:-}" ] || cargo build --release --quiet --example gdal_touch --example codec_floor --bin autoref-stream
 bin=target/release
 rounds=${AUTOREF_BENCH_ROUNDS:-5}
 
