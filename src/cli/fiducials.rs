@@ -213,7 +213,7 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
 /// "MARK=x,y" in pixels.
 fn parse_pointed(text: &str) -> Result<Pointed, String> {
     let (mark, place) = text.rsplit_once('=').ok_or_else(|| format!("\"{text}\" is not MARK=X,Y"))?;
-    Ok(Pointed { mark: mark.to_owned(), at: super::sample::parse_point(place)? })
+    Ok(Pointed { mark: mark.to_owned(), at: super::positions::parse_point(place)? })
 }
 
 fn parse_size(text: &str) -> Result<[f64; 2], String> {
