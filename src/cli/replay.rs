@@ -17,10 +17,14 @@ use autoref_stream::review::{Patch, Replayed, Subject, replay};
 use crate::cli::accuracy;
 use crate::cli::run::{self, Document};
 use crate::cli::solve::SolveArgs;
+use crate::cli::solving;
 
 pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
     if args.gcps.gcps.is_some() {
         bail!("--patch takes the points of {}; leave --gcps away", args.candidates.display());
+    }
+    if args.solving.asked() {
+        bail!("--patch solves again what the recorded run solved; leave --model, --solver and --dem away");
     }
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
@@ -47,12 +51,15 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             effort: Effort::default(),
         })),
     };
-    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates);
+    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
     let result = &mut document.result;
-    result.options = recorded.options;
+    result.options = recorded.options.clone();
     // A georeference can be written from what was settled by hand: `apply` wants to know the image.
     result.image = recorded.image.clone();
     let size = recorded.image.as_ref().map(|image| (image.width as f64, image.height as f64));
+    if let Outcome::Solved(orientation) = &outcome {
+        solving::again(result, &recorded, orientation, &list);
+    }
     let extent = accuracy::extent(size, &result.candidates);
     accuracy::state(result, &list, &args.gcps.accuracy, extent);
     if let (Some(solution), Some(image)) = (&result.solution, &recorded.image) {
@@ -111,7 +118,8 @@ impl Delivery {
         };
         let size_px =
             recorded.image.as_ref().map_or((1000.0, 1000.0), |image| (image.width as f64, image.height as f64));
-        Ok(Some(Delivery { fitted: solution.geotransform, delivered, size_px }))
+        let fitted = solving::written_affine(recorded).unwrap_or(solution.geotransform);
+        Ok(Some(Delivery { fitted, delivered, size_px }))
     }
 
     fn point(&self, fitted: MapPoint) -> MapPoint {

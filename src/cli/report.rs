@@ -73,6 +73,10 @@ impl Progress for Watch<'_> {
         }
     }
 
+    fn pass(&self, what: &str) {
+        Progress::pass(self.bar, what);
+    }
+
     fn stage(&self, what: &str) {
         self.bar.stage(what);
     }

@@ -121,10 +121,12 @@ pub fn selftest(
             break;
         }
         let wanted = affordable(&cells, source.info().sample, &left, options.chip_budget_bytes);
+        progress.stage(&format!("round {}: painting marks", rounds + 1));
         let planted = PlantedSource::plant(source.clone(), &cells, &wanted, options.seed + rounds as u64)?;
         if planted.marks.is_empty() && rounds > 0 {
             break;
         }
+        progress.pass(&format!("round {}: reading", rounds + 1));
         let outcome = scan(&planted, &plan(source.info())?, detector, progress)?;
         let others = compare(&planted.marks, &cells, &outcome.candidates, &mut tallies);
         if rounds == 0 {
