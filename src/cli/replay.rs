@@ -67,8 +67,12 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         result.warnings.extend(report::plain_warnings(solution, &marks, image.width as f64, image.height as f64));
     }
     result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
-    if let Some(difference) = differs(&patch, document.result.geotransform.map(|g| g.0)) {
-        document.result.warnings.push(difference);
+    if differs(&patch, document.result.geotransform.map(|g| g.0)) {
+        bail!(
+            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or              remove `shown` from the patch to replay it all the same",
+            patch_path.display(),
+            args.candidates.display()
+        );
     }
     document.result.patch = Some(patch);
     if let Some(delivery) = &delivery {
@@ -84,16 +88,13 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
 }
 
 /// Whether the page had shown another transform: the patch belongs to another result, or was changed since.
-fn differs(patch: &Patch, now: Option<[f64; 6]>) -> Option<String> {
-    let shown = patch.shown.as_ref()?;
+fn differs(patch: &Patch, now: Option<[f64; 6]>) -> bool {
+    let Some(shown) = &patch.shown else { return false };
     let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
-    let same = match (shown.geotransform, now) {
-        (Some(a), Some(b)) => a.iter().zip(b).all(|(a, b)| close(*a, b)),
-        (a, b) => a.is_none() && b.is_none(),
-    };
-    (!same).then(|| {
-        "the page had shown another transform when the patch was saved; is this the result it was made from?".into()
-    })
+    match (shown.geotransform, now) {
+        (Some(a), Some(b)) => !a.iter().zip(b).all(|(a, b)| close(*a, b)),
+        (a, b) => a.is_some() || b.is_some(),
+    }
 }
 
 /// The way from the metres of the fit to the units and CRS of the outputs, as the recorded run went it.

@@ -53,7 +53,8 @@
     const add = (name, value, more) => items.push(html("div", {}, html("dt", {}, name), html("dd", {}, value, more ? html("small", {}, more) : null)));
     const used = state.control + state.checks;
     const missing = D.points.filter((p, i) => ["not-found", "rejected", "not-visible", "proposed"].includes(stateOf(i))).length;
-    add("Points found", `${used} of ${used + missing}`, `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
+    const placed = D.points.some((p) => p.state !== "unknown") || used > 0;
+    add("Points found", placed ? `${used} of ${used + missing}` : "none", !placed ? `${D.points.length} listed` : `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
     if (s) {
       add("RMSE of the fit", `${metres(f.rmse)} m`, `E ${metres(f.rmseE)}, N ${metres(f.rmseN)} m; ${pixels(f.rmsePx)} px`);
       if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? `${metres(state.chosen.rmse)} m` : MODEL === "7-parameter" ? `${metres(D.chosen_model.rmse_m)} m` : "–",
@@ -61,7 +62,7 @@
       if (state.checks) add("RMSE of check points", `${metres(state.checkRmse)} m`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
     }
-    add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
+    if (D.log10_false_alarms !== null) add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
     replace("figures", ...items);
     const note = byId("reviewed");
@@ -146,7 +147,7 @@
       }
       box.append(Draw.symbol(kind, (kind === "outside" ? 5 : 6.5) * u, x, y));
       if (kind !== "outside" || D.points.length <= 60) {
-        const leftwards = x > W - 60 * u;
+        const leftwards = x + (14 + 7.5 * brief(p.name).length) * u > W + (anyOutside ? 26 : 0);
         labels.append(svg("text", { class: "halo", x: x + (leftwards ? -10 : 10) * u, y: Math.min(Math.max(y - 7 * u, 10 * u), H + 20), "text-anchor": leftwards ? "end" : "start",
           "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
       }
@@ -160,6 +161,7 @@
     const legend = html("div", { class: "legend" }, ...Object.keys(words).filter((k) => kinds.has(k)).map((k) => Draw.legendItem(k, words[k])),
       enlarged ? html("span", {}, `Vectors point from the mark to the surveyed position, enlarged ${short(Math.round(enlarged))} times.`) : null,
       html("label", { class: "noprint" }, toggle, ` all ${D.candidates.total} candidates`));
+    byId("overview-figure").setAttribute("aria-label", "Overview of the image");
     replace("overview-figure", box, legend);
   }
 
@@ -209,6 +211,7 @@
       if (held[i] && held[i].used && p.role === "control") box.append(Draw.symbol("found", 5 * u, held[i].mark.x * f, held[i].mark.y * f));
     });
     furniture(box, state.solution.similarity, f, u, W, H);
+    byId("expected-figure").setAttribute("aria-label", "Map of the expected error");
     box.setAttribute("aria-label", `Expected error over the image, from ${metres(low)} to ${metres(high)} metres.`);
     const scaleBar = svg("svg", { viewBox: "0 0 160 12", style: "width:160px;height:12px", "aria-hidden": "true" });
     for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
@@ -264,7 +267,7 @@
       });
     }
     const headers = columns.map(([name, kind], k) => {
-      const button = html("button", { type: "button" }, name);
+      const button = html("button", { type: "button", "aria-label": `${name}, sort` }, name);
       button.addEventListener("click", () => {
         descending = sortKey === k ? !descending : kind !== "text";
         sortKey = k;
@@ -279,7 +282,7 @@
         ? html("td", { class: "text" }, html("span", { class: `state ${s}` }, STATES[s]))
         : html("td", { class: kind || null, title: k === 0 ? D.points[i].name : null }, show(value(i))))));
     });
-    replace("points-table", html("table", {}, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
+    replace("points-table", html("table", { "aria-label": "All points" }, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
     byId("points-note").textContent = state.solution
       ? "Residuals are surveyed − computed. “Left out” is the error of the point when the fit is made without it; “detectable” is the smallest error of the point that a test would notice (Baarda, 0.1 % and 80 %). Choose a heading to sort."
       : "No transform was accepted, so there are no residuals. Choose a heading to sort.";
@@ -358,6 +361,7 @@
       : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
         : "There is no mark to show.";
     byId("editor").hidden = !order.length;
+    byId("editor").parentElement.classList.toggle("whole", !order.length);
     byId("undo").disabled = !edits.length;
     byId("save").disabled = !edits.length;
     byId("changes").textContent = edits.length ? `${count(edits.length, "change", "changes")}${saved === edits.length ? ", saved" : ""}` : "";
@@ -376,7 +380,8 @@
     if (r && r.leaveOneOut !== null) add("Left out", `${metres(r.leaveOneOut)} m`);
     if (state.fit) add("RMSE of the fit", `${metres(state.fit.rmse)} m, ${count(state.control, "point", "points")}`);
     const button = (text, key, act, enabled, name) => {
-      const b = html("button", { type: "button", "aria-label": name || null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
+      const b = html("button", { type: "button", "aria-label": name || text, "aria-keyshortcuts": key ? key.replace("⇧←", "Shift+ArrowLeft").replace("⇧→", "Shift+ArrowRight")
+        .replace("⇧↑", "Shift+ArrowUp").replace("⇧↓", "Shift+ArrowDown") : null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
       b.addEventListener("click", () => { act(); const again = byId("editor").querySelector(`[data-key="${key}"]`); if (again && !again.disabled) again.focus(); });
       return b;
     };
@@ -414,8 +419,8 @@
     edits = [...edits, { gcp: name, ...change, note: noteOf(name) }];
     held = Review.applied(D.points, held, edits[edits.length - 1], D.hand_variance_px2);
     changed();
-    const s = stateOf(selected);
-    say(`${name}: ${change.action}, ${STATES[s]}. ${state.solution ? `RMSE ${metres(state.fit.rmse)} metres from ${state.control} points.` : "No transform."}`);
+    const s = stateOf(selected), r = state.rows[selected];
+    say(`${name}: ${change.action}, ${STATES[s]}${r ? `, residual ${metres(r.length)} metres` : ""}. ${state.solution ? `RMSE ${metres(state.fit.rmse)} metres from ${state.control} points.` : "No transform."}`);
   }
   const accept = () => { if (held[selected] && held[selected].mark) edit({ action: "accept" }); };
   const reject = () => { if (held[selected] && held[selected].mark) edit({ action: "reject" }); };
@@ -430,7 +435,12 @@
   function nudge(dx, dy) {
     const h = held[selected];
     if (!h || !h.mark) return;
-    edit({ action: "move", x: h.mark.x + 0.1 * dx, y: h.mark.y + 0.1 * dy });
+    const x = h.mark.x + 0.1 * dx, y = h.mark.y + 0.1 * dy;
+    if (x < 0 || y < 0 || x > D.image.width || y > D.image.height) {
+      say("The mark is at the edge of the image.");
+      return;
+    }
+    edit({ action: "move", x, y });
   }
   function undo() {
     if (!edits.length) return;
@@ -512,12 +522,13 @@
 
   // ---- the rest
   function sections() {
-    replace("sections", ...D.sections.map((s) => html("section", {}, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
-      s.reservations.length ? html("ul", { class: "warnings" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
+    const number = (c) => /^([-−+]?\d|–)/.test(c), kind = (c, k) => (k > 0 && number(c) ? null : "text");
+    replace("sections", ...D.sections.map((s) => html("section", { "aria-label": s.heading }, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
+      s.reservations.length ? html("ul", { class: "warnings", "aria-label": "Reservations" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
       s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
       ...s.tables.map((t) => html("div", { class: "scroll" }, html("table", {}, t.caption ? html("caption", {}, t.caption) : null,
-        html("thead", {}, html("tr", {}, ...t.header.map((c) => html("th", { scope: "col" }, c)))),
-        html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c) => html("td", {}, c)))))))))));
+        html("thead", {}, html("tr", {}, ...t.header.map((c, k) => html("th", { scope: "col", class: kind(t.rows.length ? t.rows[0][k] : c, k) }, c)))),
+        html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
   }
   function details() {
     const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;
