@@ -245,14 +245,14 @@ fn main() {
                 .collect();
             let pictures: Vec<&Picture> = results.iter().map(|r| &r.3).collect();
             for ((.., truth, _), list) in results.iter().zip(scikit(&pictures).unwrap_or_default()) {
-                python.add(truth, &list, cell.side_px);
+                python.add((0.0, 0.0), truth, &list, cell.side_px);
             }
             for (a, b, truth, planted) in results {
                 if let Some(file) = &mut rows {
                     write_rows(file, &cell.label, &ours, &planted, &truth);
                 }
-                mine.add(&truth, &a, cell.side_px);
-                theirs.add(&truth, &b, cell.side_px);
+                mine.add((0.0, 0.0), &truth, &a, cell.side_px);
+                theirs.add((0.0, 0.0), &truth, &b, cell.side_px);
             }
             if mine.marks >= least {
                 break;

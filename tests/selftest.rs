@@ -59,7 +59,7 @@ fn benchmark(full: &Picture, side_px: f64, marks: usize) -> Tally {
         let place = |length: usize, unit: f64| (unit * length.saturating_sub(500) as f64) as usize;
         let (x, y) = (place(full.width, random.unit()), place(full.height, random.unit()));
         let (planted, truth) = plant(&full.crop(x, y, 500, 500), &cell, &mut random);
-        tally.add(&truth, &detector.list(&planted), side_px);
+        tally.add((x as f64, y as f64), &truth, &detector.list(&planted), side_px);
     }
     tally
 }
@@ -72,21 +72,17 @@ fn it_agrees_with_the_detection_benchmark_within_the_error_bars() {
         (&["savanna_oam.tif", "forest_agung.jpg"], 150)
     };
     let sizes = [5.0, 6.0, 10.0, 20.0];
-    let mut ours = vec![Tally::default(); sizes.len()];
-    let mut theirs = vec![Tally::default(); sizes.len()];
+    // One tally for each photograph.
+    let mut ours: Vec<Vec<Tally>> = vec![Vec::new(); sizes.len()];
+    let mut theirs = ours.clone();
     for name in photos {
         let Some(path) = common::data(&format!("photos/{name}")) else { return };
         let source = open(&path, ReaderChoice::Auto, 0, 64 << 20).expect("a photograph");
         let result = run(&source, &sizes, marks, 512, 2);
         let full = picture(source.as_ref());
         for (i, row) in result.rows.iter().enumerate() {
-            ours[i].marks += row.marks;
-            // The sums that the row was made of.
-            let squares = row.rmse_px.unwrap_or(0.0);
-            ours[i].errors.extend(std::iter::repeat_n([squares, squares], row.found));
-            let bench = benchmark(&full, row.side_px, marks);
-            theirs[i].marks += bench.marks;
-            theirs[i].errors.extend(bench.errors);
+            ours[i].push(row.tally.clone());
+            theirs[i].push(benchmark(&full, row.side_px, marks));
         }
         // The photographs hold no marks: what is found there beside ours is what the benchmark's detector finds too.
         let bare = scan::Detector::new(Profile::builtin("orange").expect("shipped")).list(&full).len();
@@ -96,13 +92,15 @@ fn it_agrees_with_the_detection_benchmark_within_the_error_bars() {
         assert!(off.abs() <= bar && result.false_finds <= bare + 1, "{name}: {} against {bare}", result.false_finds);
     }
     for ((side, a), b) in sizes.iter().zip(&ours).zip(&theirs) {
-        // Of two shares the difference has this standard deviation; +1 keeps it from vanishing at 100 %. Marks of one piece
-        // of ground share its troubles (a red roof, a clay court), so that they tell about a third of what as many
-        // independent ones would.
-        let variance = |t: &Tally| (t.recall() * (1.0 - t.recall()) + 1.0 / t.marks as f64) / t.marks as f64;
-        let bar = 3.0 * (3.0 * (variance(a) + variance(b))).sqrt();
+        let design = design_effect(a, b);
+        let (a, b) = (pooled(a), pooled(b));
+        let (n, m) = (a.marks as f64, b.marks as f64);
+        let p = (a.found() + b.found()) as f64 / (n + m);
+        // Three standard deviations of the difference of two shares; the share of one mark more keeps it from vanishing at
+        // 100 %.
+        let bar = 3.0 * (design * (p * (1.0 - p) + 1.0 / (n + m)) * (1.0 / n + 1.0 / m)).sqrt();
         println!(
-            "{side} px: recall {:.3} of {} against {:.3} of {} (±{bar:.3}); RMSE {:.3} against {:.3} px",
+            "{side} px: recall {:.4} of {} against {:.4} of {} (±{bar:.4}, design effect {design:.2}); RMSE {:.3} against {:.3} px",
             a.recall(),
             a.marks,
             b.recall(),
@@ -117,6 +115,28 @@ fn it_agrees_with_the_detection_benchmark_within_the_error_bars() {
         let bar = 6.0 / (4.0 * marks as f64).sqrt();
         assert!((ratio.ln()).abs() <= bar.max(0.1), "{side} px: RMSE {} and {}", a.rmse_px(), b.rmse_px());
     }
+}
+
+/// How much less these marks tell than independent ones: from how recall differs over the squares of each photograph, both
+/// ways of planting together.
+fn design_effect(ours: &[Tally], theirs: &[Tally]) -> f64 {
+    let (mut clustered, mut independent) = (0.0, 0.0);
+    for (a, b) in ours.iter().zip(theirs) {
+        let mut both = pooled(&[a.clone(), b.clone()]);
+        for (square, [marks, found]) in a.squares.iter().chain(&b.squares) {
+            let sum = both.squares.entry(*square).or_default();
+            *sum = [sum[0] + marks, sum[1] + found];
+        }
+        clustered += both.clustered_variance();
+        independent += both.marks as f64 * both.recall() * (1.0 - both.recall());
+    }
+    if independent > 0.0 { (clustered / independent).max(1.0) } else { 1.0 }
+}
+
+/// Several tallies as one, without their squares.
+fn pooled(tallies: &[Tally]) -> Tally {
+    let marks = tallies.iter().map(|t| t.marks).sum();
+    Tally { marks, errors: tallies.iter().flat_map(|t| t.errors.clone()).collect(), ..Tally::default() }
 }
 
 /// Ground of many colours, none of them paint.

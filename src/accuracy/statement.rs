@@ -297,8 +297,9 @@ fn produced(
 fn count_reservation(count: usize) -> Option<String> {
     (count < FEWEST_CHECK_POINTS).then(|| {
         format!(
-            "Only {count} check point(s): the standard asks for {FEWEST_CHECK_POINTS}; from so few the RMSE itself is known to \
+            "Only {count} check point{}: the standard asks for {FEWEST_CHECK_POINTS}; from so few the RMSE itself is known to \
              about ±{:.0} %",
+            if count == 1 { "" } else { "s" },
             // The standard deviation of a root mean square of 2n normal values.
             100.0 / (4.0 * count as f64).sqrt()
         )

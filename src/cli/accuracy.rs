@@ -47,8 +47,12 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
             }
         })
         .collect();
-    let leave_one_out: Vec<(f64, f64)> =
-        solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect();
+    let affine = result.chosen_model.as_ref().filter(|model| model["model"] == "affine");
+    let leave_one_out: Vec<(f64, f64)> = match affine {
+        // What is written, not the similarity beside it.
+        Some(affine) => serde_json::from_value(affine["leave_one_out_m"].clone()).unwrap_or_default(),
+        None => solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect(),
+    };
     let options =
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
     result.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));

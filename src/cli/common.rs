@@ -413,14 +413,18 @@ impl Bar {
         let bytes_per_pixel = (info.bands * info.sample.bytes()) as u64;
         let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = indicatif::ProgressBar::new(info.pixels() * bytes_per_pixel);
-            let style = indicatif::ProgressStyle::with_template(
-                "reading {bar:30} {percent:>3} % {decimal_bytes_per_sec:>12} {eta:>4} left",
-            )
-            .expect("the template is well formed");
-            bar.set_style(style);
+            bar.set_style(Bar::reading());
+            bar.set_message("reading");
             bar
         });
         Bar { bar, bytes_per_pixel }
+    }
+
+    fn reading() -> indicatif::ProgressStyle {
+        indicatif::ProgressStyle::with_template(
+            "{msg} {bar:30} {percent:>3} % {decimal_bytes_per_sec:>12} {eta:>4} left",
+        )
+        .expect("the template is well formed")
     }
 
     pub fn finish(&self) {
@@ -449,8 +453,42 @@ impl Progress for Bar {
         }
     }
 
+    fn pass(&self, what: &str) {
+        tracing::info!("{what}");
+        if let Some(bar) = &self.bar {
+            bar.disable_steady_tick();
+            bar.reset();
+            bar.set_style(Bar::reading());
+            bar.set_message(what.to_string());
+        }
+    }
+
     fn stage(&self, what: &str) {
         Bar::stage(self, what);
+    }
+}
+
+/// A line that moves while something without a measure of its progress goes on; gone when it is dropped. Silent unless
+/// stderr is a terminal.
+pub struct Busy(indicatif::ProgressBar);
+
+impl Busy {
+    pub fn new(what: &str, quiet: bool) -> Self {
+        let bar = indicatif::ProgressBar::new_spinner();
+        if quiet || !std::io::stderr().is_terminal() {
+            bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+        }
+        let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}");
+        bar.set_style(style.expect("the template is well formed"));
+        bar.set_message(what.to_string());
+        bar.enable_steady_tick(std::time::Duration::from_millis(120));
+        Busy(bar)
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
     }
 }
 

@@ -11,7 +11,7 @@ use autoref_stream::planning::{self, PaintRank, Plan, PlanRequest};
 use autoref_stream::raster::{self, ReaderChoice};
 use clap::Args;
 
-use crate::cli::common::{Gsd, MarkSize};
+use crate::cli::common::{Busy, Gsd, MarkSize};
 
 /// Before the flight: is the pattern of the marks unique, how well will it hold the image, how large must a mark be, and
 /// which paint stands out?
@@ -86,12 +86,16 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<ExitCode> {
         tolerance_m: args.tolerance,
         noise_m: args.noise,
     };
+    let busy = Busy::new("trying every way of laying the pattern on itself", args.quiet || args.json);
     let mut plan = planning::plan(&points, &request);
+    drop(busy);
     plan.advice.extend(mark_advice(args, &plan)?);
+    let busy = args.image.as_ref().map(|_| Busy::new("looking at the ground's colours", args.quiet || args.json));
     let paints = match &args.image {
         None => Vec::new(),
         Some(image) => planning::rank_paints(raster::open(image, ReaderChoice::Auto, 0, 64 << 20)?.as_ref())?,
     };
+    drop(busy);
     if args.json {
         let document = serde_json::json!({
             "program": format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),

@@ -17,10 +17,14 @@ use autoref_stream::review::{Patch, Replayed, Subject, replay};
 use crate::cli::accuracy;
 use crate::cli::run::{self, Document};
 use crate::cli::solve::SolveArgs;
+use crate::cli::solving;
 
 pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
     if args.gcps.gcps.is_some() {
         bail!("--patch takes the points of {}; leave --gcps away", args.candidates.display());
+    }
+    if args.solving.asked() {
+        bail!("--patch solves again what the recorded run solved; leave --model, --solver and --dem away");
     }
     if let Some(output) = &args.output {
         autoref_stream::georef::atomic::check_outputs(&[output], args.overwrite)?;
@@ -47,12 +51,15 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             effort: Effort::default(),
         })),
     };
-    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates);
+    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
     let result = &mut document.result;
-    result.options = recorded.options;
+    result.options = recorded.options.clone();
     // A georeference can be written from what was settled by hand: `apply` wants to know the image.
     result.image = recorded.image.clone();
     let size = recorded.image.as_ref().map(|image| (image.width as f64, image.height as f64));
+    if let Outcome::Solved(orientation) = &outcome {
+        solving::again(result, &recorded, orientation, &list);
+    }
     let extent = accuracy::extent(size, &result.candidates);
     accuracy::state(result, &list, &args.gcps.accuracy, extent);
     if let (Some(solution), Some(image)) = (&result.solution, &recorded.image) {
@@ -60,8 +67,12 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         result.warnings.extend(report::plain_warnings(solution, &marks, image.width as f64, image.height as f64));
     }
     result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
-    if let Some(difference) = differs(&patch, document.result.geotransform.map(|g| g.0)) {
-        document.result.warnings.push(difference);
+    if differs(&patch, document.result.geotransform.map(|g| g.0)) {
+        bail!(
+            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or              remove `shown` from the patch to replay it all the same",
+            patch_path.display(),
+            args.candidates.display()
+        );
     }
     document.result.patch = Some(patch);
     if let Some(delivery) = &delivery {
@@ -77,16 +88,13 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
 }
 
 /// Whether the page had shown another transform: the patch belongs to another result, or was changed since.
-fn differs(patch: &Patch, now: Option<[f64; 6]>) -> Option<String> {
-    let shown = patch.shown.as_ref()?;
+fn differs(patch: &Patch, now: Option<[f64; 6]>) -> bool {
+    let Some(shown) = &patch.shown else { return false };
     let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
-    let same = match (shown.geotransform, now) {
-        (Some(a), Some(b)) => a.iter().zip(b).all(|(a, b)| close(*a, b)),
-        (a, b) => a.is_none() && b.is_none(),
-    };
-    (!same).then(|| {
-        "the page had shown another transform when the patch was saved; is this the result it was made from?".into()
-    })
+    match (shown.geotransform, now) {
+        (Some(a), Some(b)) => !a.iter().zip(b).all(|(a, b)| close(*a, b)),
+        (a, b) => a.is_some() || b.is_some(),
+    }
 }
 
 /// The way from the metres of the fit to the units and CRS of the outputs, as the recorded run went it.
@@ -111,7 +119,8 @@ impl Delivery {
         };
         let size_px =
             recorded.image.as_ref().map_or((1000.0, 1000.0), |image| (image.width as f64, image.height as f64));
-        Ok(Some(Delivery { fitted: solution.geotransform, delivered, size_px }))
+        let fitted = solving::written_affine(recorded).unwrap_or(solution.geotransform);
+        Ok(Some(Delivery { fitted, delivered, size_px }))
     }
 
     fn point(&self, fitted: MapPoint) -> MapPoint {

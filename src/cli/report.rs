@@ -73,6 +73,10 @@ impl Progress for Watch<'_> {
         }
     }
 
+    fn pass(&self, what: &str) {
+        Progress::pass(self.bar, what);
+    }
+
     fn stage(&self, what: &str) {
         self.bar.stage(what);
     }
@@ -129,7 +133,12 @@ fn heights_section(heights: &HeightResult) -> Section {
                           what to add to the model."
                 .into(),
         ],
-        reservations: heights.warnings.iter().chain(&correction.warnings).cloned().collect(),
+        reservations: heights
+            .warnings
+            .iter()
+            .chain(correction.warnings.iter().filter(|w| !heights.warnings.contains(w)))
+            .cloned()
+            .collect(),
         figures,
         tables: vec![
             Table { caption: "Surfaces".into(), header: titles(&["Surface", "RMS", "Left out"]), rows: fits.collect() },

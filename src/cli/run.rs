@@ -107,9 +107,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
     document.result.memory_plan = Some(plan.clone());
-    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
     frame::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);

@@ -131,6 +131,11 @@ impl SolvingArgs {
         Ok(copy)
     }
 
+    /// Whether the command line asks for any of it.
+    pub fn asked(&self) -> bool {
+        self.dem.is_some() || self.model != ModelArg::Similarity || self.solver != SolverArg::Umeyama
+    }
+
     fn heights(
         &self,
         result: &mut RunResult,
@@ -259,6 +264,28 @@ fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
         .collect()
 }
 
+/// Solves again, from the marks that a review left, the model that the recorded run had.
+pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orientation, list: &GcpList) {
+    if recorded.heights.is_some() {
+        result.warnings.push("heights were not compared again: a replay does not read the elevation model".into());
+    }
+    let Some(model) = recorded.chosen_model.as_ref().and_then(|model| model["model"].as_str()) else { return };
+    match model {
+        "affine" => planar_model(result, &pairs(orientation, list), planar::Kind::Affine),
+        "projective" => planar_model(result, &pairs(orientation, list), planar::Kind::Projective),
+        other => result.warnings.push(format!("the {other} transform was not solved again: it needs heights")),
+    }
+}
+
+/// The affine transform that stands in the place of the similarity.
+pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
+    let model = result.chosen_model.as_ref().filter(|model| model["model"] == "affine")?;
+    let entry = |row: usize, column: usize| model["matrix"][row][column].as_f64();
+    let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
+    let (e, n) = (row(0)?, row(1)?);
+    Some(GeoTransform([e[0], e[1], e[2], n[0], n[1], n[2]]))
+}
+
 /// An affine transform takes the similarity's place in the outputs; a projective one is reported.
 fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
     let fit = match planar::fit(pairs, kind) {
@@ -279,6 +306,7 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
         "leave_one_out_rmse_m": fit.leave_one_out_rmse_m,
         "similarity_rmse_m": result.rmse_m,
         "residuals_m": fit.residuals_m,
+        "leave_one_out_m": fit.leave_one_out_m,
     }));
     if kind == planar::Kind::Projective {
         result
@@ -302,13 +330,20 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
     let rms = |axis: usize| (fit.residuals_m.iter().map(|r| r[axis].powi(2)).sum::<f64>() / n).sqrt();
     (result.rmse_e_m, result.rmse_n_m, result.rmse_m) = (Some(rms(0)), Some(rms(1)), Some(fit.rmse_m));
     result.rmse_px = result.scale_m_per_px.map(|scale| fit.rmse_m / scale);
-    for (row, residual) in result.matches.iter_mut().zip(&fit.residuals_m) {
+    let scale = result.scale_m_per_px.unwrap_or(1.0);
+    for (i, (row, residual)) in result.matches.iter_mut().zip(&fit.residuals_m).enumerate() {
         (row.residual_e_m, row.residual_n_m) = (residual[0], residual[1]);
-        row.residual_px = residual[0].hypot(residual[1]) / result.scale_m_per_px.unwrap_or(1.0);
+        row.residual_px = residual[0].hypot(residual[1]) / scale;
+        row.leave_one_out_m = fit.leave_one_out_m.as_ref().map(|left_out| left_out[i][0].hypot(left_out[i][1]));
+    }
+    // What is tested is what is written.
+    for row in &mut result.check_points {
+        let Some(computed) = at(row.x, row.y) else { continue };
+        (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
+        row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
     }
     result.warnings.push(
-        "the affine transform is written; expected errors, leave-one-out and outliers are those of the similarity"
-            .into(),
+        "the affine transform is written; expected errors, redundancy and outliers are those of the similarity".into(),
     );
 }
 

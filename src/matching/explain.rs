@@ -48,5 +48,11 @@ pub(super) fn explain(
 
 /// 10^x for people.
 pub(super) fn scientific(log10: f64) -> String {
-    if (-2.0..6.0).contains(&log10) { format!("{:.3}", 10f64.powf(log10)) } else { format!("1e{log10:.1}") }
+    if (-2.0..6.0).contains(&log10) {
+        return format!("{:.3}", 10f64.powf(log10));
+    }
+    // One digit and the power, which a double may not hold.
+    let digit = 10f64.powf(log10 - log10.floor()).round();
+    let (digit, power) = if digit >= 10.0 { (1.0, log10.floor() + 1.0) } else { (digit, log10.floor()) };
+    format!("{digit}e{power}")
 }

@@ -1,6 +1,7 @@
 //! The detector that a profile asks for: paint by its colour, or black and white targets by their shape.
 
 use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
 use crate::profile::Profile;
@@ -59,6 +60,9 @@ impl Detector for MarkDetector {
     }
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         self.inner().examine(region, patch)
+    }
+    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        self.inner().outline(region, patch)
     }
     fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
         self.inner().examine_all(region, patch)

@@ -69,6 +69,8 @@ pub trait Progress: Sync {
     /// The pixels of a tile while they are there, with the candidates that were found in it already; `core` lies in the
     /// block's window, and the cores cover the raster once.
     fn saw(&self, _block: &Block, _core: Window, _found: &[&Candidate]) {}
+    /// Another pass over the whole raster begins, in plain words; what was scanned so far no longer counts.
+    fn pass(&self, _what: &str) {}
     /// Something else begins, in plain words, that may take a while.
     fn stage(&self, _what: &str) {}
 }

@@ -57,11 +57,13 @@ impl SecondPass {
 /// # Errors
 /// When the raster cannot be read.
 pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>)> {
+    job.progress.stage("learning the marks' colours");
     let (taught_by, positions) = teachers(&first);
     let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
     // The plan's halo was made for the first profile; a taught one has no filters and needs none.
+    job.progress.pass("second pass, with the colours learned");
     let second = georeference(&Job { detector: &detector, second_look: &relaxed, ..*job })?;
     let (before, after) = (matched(&first), matched(&second));
     let adopted = after > before;

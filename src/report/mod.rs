@@ -63,6 +63,8 @@ struct Page<'a> {
     best_pairs: Option<usize>,
     similarity: Option<Similarity>,
     solution: Option<&'a crate::solve::Solution>,
+    /// The transform of `--model`, when it is not the similarity.
+    chosen_model: Option<&'a serde_json::Value>,
     points: &'a [Point],
     candidates: &'a Candidates,
     chips: &'a [ChipData],
@@ -125,6 +127,7 @@ pub fn page(
         best_pairs: result.best_pattern.as_ref().map(|pattern| pattern.pairs.len()),
         similarity: points::similarity(result),
         solution: result.solution.as_ref(),
+        chosen_model: result.chosen_model.as_ref(),
         points: &gathered.points,
         candidates: &gathered.candidates,
         chips: &gathered.chips,
@@ -169,8 +172,9 @@ fn details(result: &RunResult) -> serde_json::Value {
 
 const MARKUP: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");
-const SCRIPTS: [&str; 4] = [
+const SCRIPTS: [&str; 5] = [
     include_str!("page/solve.js"),
+    include_str!("page/planar.js"),
     include_str!("page/plots.js"),
     include_str!("page/review.js"),
     include_str!("page/page.js"),

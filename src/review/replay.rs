@@ -35,8 +35,9 @@ struct Held {
 /// Applies the edits in order and solves again.
 ///
 /// # Errors
-/// [`Error::Format`] when the result's best pattern refers to what the result does not have, when an edit names a GCP or candidate that the result does not have, accepts a GCP that has no mark, or
-/// when one candidate ends as the mark of two GCPs.
+/// [`Error::Usage`] when the result's best pattern refers to what the result does not have; [`Error::Format`] when an edit
+/// names a GCP or candidate that the result does not have, accepts a GCP that has no mark, puts one outside the image, or when
+/// one candidate ends as the mark of two GCPs.
 pub fn replay(recorded: &RunResult, patch: &Patch, patch_path: &Path) -> Result<Replayed> {
     let pairs = recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs);
     if pairs.into_iter().any(|&(c, g)| c >= recorded.candidates.len() || g >= recorded.gcps.len()) {
@@ -110,6 +111,16 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
         Action::Move => {
             let centre =
                 PixelPoint { x: edit.x.ok_or("`move` needs x and y")?, y: edit.y.ok_or("`move` needs x and y")? };
+            if let Some(image) = &recorded.image {
+                let (width, height) = (image.width, image.height);
+                let inside = (0.0..=width as f64).contains(&centre.x) && (0.0..=height as f64).contains(&centre.y);
+                if !inside {
+                    return Err(format!(
+                        "({}, {}) lies outside the image of {width} × {height} px",
+                        centre.x, centre.y
+                    ));
+                }
+            }
             let mark = Candidate {
                 centre,
                 covariance_px2: Some([HAND_VARIANCE_PX2, 0.0, HAND_VARIANCE_PX2]),
@@ -242,6 +253,8 @@ mod tests {
         assert!(error(serde_json::json!([{"gcp": "A", "action": "pick", "candidate": 9}])).contains("no candidate"));
         let twice = serde_json::json!([{"gcp": "A", "action": "pick", "candidate": 0}, {"gcp": "D", "action": "pick", "candidate": 0}]);
         assert!(error(twice).contains("share one mark"));
+        let outside = error(serde_json::json!([{"gcp": "A", "action": "move", "x": 1000.5, "y": 3.0}]));
+        assert!(outside.contains("outside the image of 1000 × 800 px"), "{outside}");
         let all = serde_json::json!([{"gcp": "A", "action": "reject"}, {"gcp": "B", "action": "reject"}, {"gcp": "C", "action": "reject"}]);
         assert!(matches!(run(all).expect("a patch"), Replayed::Unsolvable { points: 1 }));
     }

@@ -50,7 +50,10 @@ pub struct SizeRow {
     pub marks: usize,
     pub found: usize,
     pub recall: f64,
+    /// Of as many marks as these are worth, seeing how recall differs over the ground.
     pub recall_95: (f64, f64),
+    /// How many of these marks tell as much as one on ground of its own.
+    pub design_effect: f64,
     /// Mean error of x and y, pixels.
     pub bias_px: [f64; 2],
     /// Per axis, pixels; null when nothing was found.
@@ -58,6 +61,9 @@ pub struct SizeRow {
     pub median_px: Option<f64>,
     /// Root mean square of error over stated standard deviation.
     pub normalised: Option<f64>,
+    /// What the figures were made of.
+    #[serde(skip)]
+    pub tally: Tally,
 }
 
 /// The smallest size that does.
@@ -121,10 +127,12 @@ pub fn selftest(
             break;
         }
         let wanted = affordable(&cells, source.info().sample, &left, options.chip_budget_bytes);
+        progress.stage(&format!("round {}: painting marks", rounds + 1));
         let planted = PlantedSource::plant(source.clone(), &cells, &wanted, options.seed + rounds as u64)?;
         if planted.marks.is_empty() && rounds > 0 {
             break;
         }
+        progress.pass(&format!("round {}: reading", rounds + 1));
         let outcome = scan(&planted, &plan(source.info())?, detector, progress)?;
         let others = compare(&planted.marks, &cells, &outcome.candidates, &mut tallies);
         if rounds == 0 {
@@ -185,7 +193,7 @@ fn compare(marks: &[PlantedMark], cells: &[Cell], candidates: &[Candidate], tall
         if let Some((i, _)) = nearest {
             used[i] = true;
         }
-        tallies[mark.cell].count((mark.x, mark.y), nearest.map(|(i, _)| &candidates[i]));
+        tallies[mark.cell].count((0.0, 0.0), (mark.x, mark.y), nearest.map(|(i, _)| &candidates[i]));
     }
     candidates.iter().zip(used).filter(|(_, used)| !used).map(|(c, _)| c.clone()).collect()
 }
@@ -198,10 +206,12 @@ fn row(side_px: f64, tally: &Tally) -> SizeRow {
         found: tally.found(),
         recall: tally.recall(),
         recall_95: tally.recall_95(),
+        design_effect: tally.design_effect(),
         bias_px: tally.bias_px(),
         rmse_px: some(tally.rmse_px()),
         median_px: tally.median_px(),
         normalised: some(tally.normalised()).filter(|_| !tally.normalised.is_empty()),
+        tally: tally.clone(),
     }
 }
 
@@ -222,7 +232,7 @@ mod tests {
     use super::*;
 
     fn made(side_px: f64, found: usize) -> SizeRow {
-        row(side_px, &Tally { marks: 300, errors: vec![[0.1, 0.0]; found], normalised: vec![] })
+        row(side_px, &Tally { marks: 300, errors: vec![[0.1, 0.0]; found], ..Tally::default() })
     }
 
     #[test]

@@ -49,6 +49,8 @@ pub struct PlanarFit {
     pub rmse_m: f64,
     /// The same with every point computed by a fit to the others; `None` when one cannot be left out.
     pub leave_one_out_rmse_m: Option<f64>,
+    /// Those differences (easting, northing), metres, in the order of the pairs.
+    pub leave_one_out_m: Option<Vec<[f64; 2]>>,
     pub warnings: Vec<String>,
     transform: Transform,
 }
@@ -111,9 +113,10 @@ pub fn fit(pairs: &[Pair], kind: Kind) -> Result<PlanarFit, Unsolvable> {
         .map(|pair| residual(&transform, pair).ok_or(Unsolvable::Degenerate))
         .collect::<Result<Vec<_>, _>>()?;
     let rmse_m = rms(&residuals_m);
-    let leave_one_out_rmse_m = leave_one_out(pairs, |others| solve(others, kind).ok(), residual);
+    let leave_one_out_m = leave_one_out(pairs, |others| solve(others, kind).ok(), residual);
+    let leave_one_out_rmse_m = leave_one_out_m.as_deref().map(rms);
     let warnings = warnings(pairs, kind, leave_one_out_rmse_m);
-    Ok(PlanarFit { kind, residuals_m, rmse_m, leave_one_out_rmse_m, warnings, transform })
+    Ok(PlanarFit { kind, residuals_m, rmse_m, leave_one_out_rmse_m, leave_one_out_m, warnings, transform })
 }
 
 fn residual(transform: &Transform, pair: &Pair) -> Option<[f64; 2]> {
@@ -124,19 +127,18 @@ fn rms(residuals: &[[f64; 2]]) -> f64 {
     (residuals.iter().map(|r| r[0] * r[0] + r[1] * r[1]).sum::<f64>() / residuals.len() as f64).sqrt()
 }
 
-/// RMSE of every point against the fit to the others.
+/// Every point against the fit to the others.
 fn leave_one_out<T>(
     pairs: &[Pair],
     solve: impl Fn(&[Pair]) -> Option<T>,
     residual: impl Fn(&T, &Pair) -> Option<[f64; 2]>,
-) -> Option<f64> {
-    let residuals: Option<Vec<[f64; 2]>> = (0..pairs.len())
+) -> Option<Vec<[f64; 2]>> {
+    (0..pairs.len())
         .map(|i| {
             let others: Vec<Pair> = [&pairs[..i], &pairs[i + 1..]].concat();
             residual(&solve(&others)?, &pairs[i])
         })
-        .collect();
-    residuals.map(|r| rms(&r))
+        .collect()
 }
 
 /// A pair about the centroids, in units of the spread: (u, v) image, (e, n) map.
@@ -284,7 +286,7 @@ fn warnings(pairs: &[Pair], kind: Kind, own: Option<f64>) -> Vec<String> {
         let c = s.apply(pair.pixel);
         Some([pair.map.easting - c.easting, pair.map.northing - c.northing])
     });
-    match (own, similarity) {
+    match (own, similarity.as_deref().map(rms)) {
         (Some(own), Some(simple)) if own >= simple => warnings.push(format!(
             "the points do not support the {} fit: left-out points are missed by {own:.4} m, by {simple:.4} m with a similarity",
             kind.label()

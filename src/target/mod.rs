@@ -11,6 +11,7 @@ mod grey;
 mod response;
 
 use crate::candidate::Candidate;
+use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::{Profile, Shape};
@@ -191,6 +192,16 @@ impl Detector for TargetDetector {
 
     fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
         examine::examine(self, region, patch)
+    }
+
+    /// A square of the target's side that lies as its lines do.
+    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let (seen, _) = examine::look(self, region, patch)?;
+        let centre = PixelPoint { x: seen.fit.x, y: seen.fit.y };
+        let (half, (sin, cos)) = (seen.side_px / 2.0, seen.fit.angles[0].sin_cos());
+        let corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+            .map(|(u, v)| PixelPoint { x: centre.x + cos * u - sin * v, y: centre.y + sin * u + cos * v });
+        Some((centre, corners.to_vec()))
     }
 
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {

@@ -1,5 +1,7 @@
-//! A real Chromium over the DevTools protocol (https://chromedevtools.github.io/devtools-protocol/), as far as the tests of
-//! pages need it.
+//! Real browsers, as far as the tests of pages need them: Chromium over the DevTools protocol
+//! (https://chromedevtools.github.io/devtools-protocol/) here, Firefox in a file of its own.
+
+pub mod firefox;
 
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -10,6 +12,31 @@ use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A page in some browser.
+pub trait Page {
+    /// Opens a file and waits until it has loaded.
+    fn open(&mut self, page: &Path);
+    /// What the page said on the console, threw, or asked of the network besides itself and what it carries.
+    fn complaints(&mut self) -> Vec<String>;
+    /// The value of an expression in the page.
+    fn eval(&mut self, expression: &str) -> Value;
+    /// Presses and releases a key, as named by the UI Events specification ("a", "ArrowRight").
+    fn key(&mut self, key: &str, shift: bool);
+    /// Waits for a download of this name, JSON as all that the page saves.
+    fn download(&mut self, name: &str) -> PathBuf;
+}
+
+/// Waits for a file that a browser saves, until it is whole.
+fn awaited(path: &Path) -> PathBuf {
+    let started = Instant::now();
+    let whole = || std::fs::read(path).is_ok_and(|bytes| serde_json::from_slice::<Value>(&bytes).is_ok());
+    while !whole() {
+        assert!(started.elapsed() < PATIENCE, "{} was not saved", path.display());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    path.to_path_buf()
+}
 
 /// One page in a browser of its own, which ends with it.
 pub struct Browser {
@@ -48,7 +75,7 @@ impl Browser {
         let attached =
             browser.call("Target.attachToTarget", json!({"targetId": target["targetId"].clone(), "flatten": true}));
         browser.session = attached["sessionId"].as_str().expect("a session").to_string();
-        for domain in ["Page", "Runtime", "Log", "Network"] {
+        for domain in ["Page", "Runtime", "Log", "Network", "Accessibility"] {
             browser.call(&format!("{domain}.enable"), json!({}));
         }
         let downloads = browser.profile.path().join("downloads");
@@ -58,75 +85,6 @@ impl Browser {
         browser.call("Browser.setDownloadBehavior", allow);
         browser.session = session;
         Some(browser)
-    }
-
-    /// Opens a file and waits until it has loaded.
-    pub fn open(&mut self, page: &Path) {
-        self.events.clear();
-        self.call("Page.navigate", json!({"url": format!("file://{}", page.display())}));
-        while !self.events.iter().any(|e| e["method"] == "Page.loadEventFired") {
-            self.receive();
-        }
-    }
-
-    /// What the page said on the console, threw, or asked of the network besides itself and what it carries.
-    pub fn complaints(&mut self) -> Vec<String> {
-        // A round trip brings what is on its way.
-        self.eval("1");
-        let seen = self.events.iter().filter_map(|event| {
-            let params = &event["params"];
-            match event["method"].as_str()? {
-                "Runtime.exceptionThrown" | "Runtime.consoleAPICalled" | "Log.entryAdded" => Some(event.to_string()),
-                "Network.requestWillBeSent" => {
-                    let url = params["request"]["url"].as_str()?;
-                    let own = ["data:", "blob:"].iter().any(|scheme| url.starts_with(scheme))
-                        || params["type"] == "Document" && url.starts_with("file:");
-                    (!own).then(|| url.to_string())
-                }
-                _ => None,
-            }
-        });
-        seen.collect()
-    }
-
-    /// The value of an expression in the page.
-    pub fn eval(&mut self, expression: &str) -> Value {
-        let answer = self.call("Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
-        assert!(answer.get("exceptionDetails").is_none(), "{expression}: {answer}");
-        answer["result"]["value"].clone()
-    }
-
-    /// Presses and releases a key, as named by the UI Events specification ("a", "ArrowRight").
-    pub fn key(&mut self, key: &str, shift: bool) {
-        let code = if key.len() == 1 { format!("Key{}", key.to_uppercase()) } else { key.to_string() };
-        let virtual_key = match key {
-            "ArrowLeft" => 37,
-            "ArrowUp" => 38,
-            "ArrowRight" => 39,
-            "ArrowDown" => 40,
-            "Tab" => 9,
-            _ => u32::from(key.to_uppercase().as_bytes()[0]),
-        };
-        let mut down = json!({"type": "keyDown", "key": key, "code": code, "windowsVirtualKeyCode": virtual_key,
-            "modifiers": if shift { 8 } else { 0 }});
-        if key.len() == 1 {
-            down["text"] = key.into();
-        }
-        self.call("Input.dispatchKeyEvent", down.clone());
-        down["type"] = "keyUp".into();
-        down.as_object_mut().expect("an object").remove("text");
-        self.call("Input.dispatchKeyEvent", down);
-    }
-
-    /// Waits for a download of this name.
-    pub fn download(&mut self, name: &str) -> PathBuf {
-        let path = self.profile.path().join("downloads").join(name);
-        let started = Instant::now();
-        while !path.exists() {
-            assert!(started.elapsed() < PATIENCE, "{name} was not saved");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        path
     }
 
     /// The whole page as JPEG, at `scale` times its size.
@@ -145,6 +103,14 @@ impl Browser {
         let answer =
             self.call("Page.printToPDF", json!({"printBackground": true, "paperWidth": 8.27, "paperHeight": 11.69}));
         decoded(answer["data"].as_str().expect("a document"))
+    }
+
+    /// What a screen reader is told: role and name of every node that it does not ignore.
+    pub fn spoken(&mut self) -> Vec<(String, String)> {
+        let answer = self.call("Accessibility.getFullAXTree", json!({}));
+        let text = |value: &Value| value["value"].as_str().unwrap_or_default().to_string();
+        let nodes = answer["nodes"].as_array().expect("nodes").iter();
+        nodes.filter(|node| node["ignored"] != true).map(|node| (text(&node["role"]), text(&node["name"]))).collect()
     }
 
     fn call(&mut self, method: &str, params: Value) -> Value {
@@ -174,6 +140,66 @@ impl Browser {
                 return value;
             }
         }
+    }
+}
+
+impl Page for Browser {
+    fn open(&mut self, page: &Path) {
+        self.events.clear();
+        self.call("Page.navigate", json!({"url": format!("file://{}", page.display())}));
+        while !self.events.iter().any(|e| e["method"] == "Page.loadEventFired") {
+            self.receive();
+        }
+    }
+
+    fn complaints(&mut self) -> Vec<String> {
+        // A round trip brings what is on its way.
+        self.eval("1");
+        let seen = self.events.iter().filter_map(|event| {
+            let params = &event["params"];
+            match event["method"].as_str()? {
+                "Runtime.exceptionThrown" | "Runtime.consoleAPICalled" | "Log.entryAdded" => Some(event.to_string()),
+                "Network.requestWillBeSent" => {
+                    let url = params["request"]["url"].as_str()?;
+                    let own = ["data:", "blob:"].iter().any(|scheme| url.starts_with(scheme))
+                        || params["type"] == "Document" && url.starts_with("file:");
+                    (!own).then(|| url.to_string())
+                }
+                _ => None,
+            }
+        });
+        seen.collect()
+    }
+
+    fn eval(&mut self, expression: &str) -> Value {
+        let answer = self.call("Runtime.evaluate", json!({"expression": expression, "returnByValue": true}));
+        assert!(answer.get("exceptionDetails").is_none(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    fn key(&mut self, key: &str, shift: bool) {
+        let code = if key.len() == 1 { format!("Key{}", key.to_uppercase()) } else { key.to_string() };
+        let virtual_key = match key {
+            "ArrowLeft" => 37,
+            "ArrowUp" => 38,
+            "ArrowRight" => 39,
+            "ArrowDown" => 40,
+            "Tab" => 9,
+            _ => u32::from(key.to_uppercase().as_bytes()[0]),
+        };
+        let mut down = json!({"type": "keyDown", "key": key, "code": code, "windowsVirtualKeyCode": virtual_key,
+            "modifiers": if shift { 8 } else { 0 }});
+        if key.len() == 1 {
+            down["text"] = key.into();
+        }
+        self.call("Input.dispatchKeyEvent", down.clone());
+        down["type"] = "keyUp".into();
+        down.as_object_mut().expect("an object").remove("text");
+        self.call("Input.dispatchKeyEvent", down);
+    }
+
+    fn download(&mut self, name: &str) -> PathBuf {
+        awaited(&self.profile.path().join("downloads").join(name))
     }
 }
 

@@ -7,7 +7,8 @@
   const STATES = { found: "in the fit", check: "check point", "not-found": "not found", outside: "outside the image",
     proposed: "proposed", unknown: "not placed", rejected: "rejected", "not-visible": "not visible" };
 
-  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held), selected = 0, order = [];
+  const MODEL = D.chosen_model ? D.chosen_model.model : null;
+  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held, MODEL), selected = 0, order = [];
   const start = state;
 
   // ---- words
@@ -48,23 +49,26 @@
       if (edits.length && state.solution) verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; replay the patch to have it.`));
       if (D.advice.length) verdict.append(html("ul", {}, ...D.advice.map((a) => html("li", {}, a))));
     }
-    const s = state.solution, items = [];
+    const s = state.solution, f = state.fit, items = [];
     const add = (name, value, more) => items.push(html("div", {}, html("dt", {}, name), html("dd", {}, value, more ? html("small", {}, more) : null)));
     const used = state.control + state.checks;
     const missing = D.points.filter((p, i) => ["not-found", "rejected", "not-visible", "proposed"].includes(stateOf(i))).length;
-    add("Points found", `${used} of ${used + missing}`, `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
+    const placed = D.points.some((p) => p.state !== "unknown") || used > 0;
+    add("Points found", placed ? `${used} of ${used + missing}` : "none", !placed ? `${D.points.length} listed` : `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
     if (s) {
-      add("RMSE of the fit", `${metres(s.rmse)} m`, `E ${metres(s.rmseE)}, N ${metres(s.rmseN)} m; ${pixels(s.rmsePx)} px`);
+      add("RMSE of the fit", `${metres(f.rmse)} m`, `E ${metres(f.rmseE)}, N ${metres(f.rmseN)} m; ${pixels(f.rmsePx)} px`);
+      if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? `${metres(state.chosen.rmse)} m` : MODEL === "7-parameter" ? `${metres(D.chosen_model.rmse_m)} m` : "–",
+        state.chosen ? `RMSE; similarity ${metres(s.rmse)} m` : MODEL === "7-parameter" ? "RMSE in space, of the run" : `the points do not determine the ${MODEL} transform`);
       if (state.checks) add("RMSE of check points", `${metres(state.checkRmse)} m`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
     }
-    add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
+    if (D.log10_false_alarms !== null) add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
     replace("figures", ...items);
     const note = byId("reviewed");
     note.hidden = !edits.length && !D.patch;
     if (edits.length) {
-      const was = start.solution ? ` RMSE was ${metres(start.solution.rmse)} m from ${count(start.control, "point", "points")}.` : "";
+      const was = start.solution ? ` RMSE was ${metres(start.fit.rmse)} m from ${count(start.control, "point", "points")}.` : "";
       note.textContent = `Shown with ${count(edits.length, "change", "changes")} by review, ${saved === edits.length ? "saved" : "not saved yet"}.${was}`;
     } else if (D.patch) {
       note.textContent = `${count(D.patch.edits.length, "change", "changes")} by review were replayed.`;
@@ -143,7 +147,7 @@
       }
       box.append(Draw.symbol(kind, (kind === "outside" ? 5 : 6.5) * u, x, y));
       if (kind !== "outside" || D.points.length <= 60) {
-        const leftwards = x > W - 60 * u;
+        const leftwards = x + (14 + 7.5 * brief(p.name).length) * u > W + (anyOutside ? 26 : 0);
         labels.append(svg("text", { class: "halo", x: x + (leftwards ? -10 : 10) * u, y: Math.min(Math.max(y - 7 * u, 10 * u), H + 20), "text-anchor": leftwards ? "end" : "start",
           "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
       }
@@ -157,6 +161,7 @@
     const legend = html("div", { class: "legend" }, ...Object.keys(words).filter((k) => kinds.has(k)).map((k) => Draw.legendItem(k, words[k])),
       enlarged ? html("span", {}, `Vectors point from the mark to the surveyed position, enlarged ${short(Math.round(enlarged))} times.`) : null,
       html("label", { class: "noprint" }, toggle, ` all ${D.candidates.total} candidates`));
+    byId("overview-figure").setAttribute("aria-label", "Overview of the image");
     replace("overview-figure", box, legend);
   }
 
@@ -206,11 +211,13 @@
       if (held[i] && held[i].used && p.role === "control") box.append(Draw.symbol("found", 5 * u, held[i].mark.x * f, held[i].mark.y * f));
     });
     furniture(box, state.solution.similarity, f, u, W, H);
+    byId("expected-figure").setAttribute("aria-label", "Map of the expected error");
     box.setAttribute("aria-label", `Expected error over the image, from ${metres(low)} to ${metres(high)} metres.`);
     const scaleBar = svg("svg", { viewBox: "0 0 160 12", style: "width:160px;height:12px", "aria-hidden": "true" });
     for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
     byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${metres(low)} m at best, ${metres(high)} m in the worst corner. `
-      + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${metres(radius.point(nearest / f))} to ${metres(radius.point(far / f))} m.`;
+      + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${metres(radius.point(nearest / f))} to ${metres(radius.point(far / f))} m.`
+      + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well." : "");
     replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, `${metres(low)} m`, scaleBar, `${metres(high)} m`), Draw.legendItem("found", "point of the fit")));
   }
 
@@ -219,13 +226,14 @@
     byId("residuals").hidden = !state.solution;
     if (!state.solution) return;
     const middle = Fit.apply(state.solution.similarity, D.image.width / 2, D.image.height / 2);
-    const items = [];
+    const items = [], affine = MODEL === "affine" ? state.chosen : null, freedom = 2 * state.control - (affine ? 6 : 4);
     D.points.forEach((p, i) => {
       const r = state.rows[i];
-      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: r.weight, redundancy: r.redundancy, check: p.role === "check",
+      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: affine ? 1 : r.weight, redundancy: affine ? freedom / (2 * state.control) : r.redundancy, check: p.role === "check",
         distance: Math.hypot(p.easting - middle[0], p.northing - middle[1]) });
     });
-    const s0 = state.solution.sigma0 > 0 ? state.solution.sigma0 : null;
+    const sigma0 = affine ? (freedom > 0 ? affine.rmse * Math.sqrt(state.control / freedom) : 0) : state.solution.sigma0;
+    const s0 = sigma0 > 0 ? sigma0 : null;
     replace("plots", Draw.vectors(items, s0), Draw.histogram(items, s0), Draw.distance(items), s0 ? Draw.quantiles(items, s0) : null);
   }
 
@@ -259,7 +267,7 @@
       });
     }
     const headers = columns.map(([name, kind], k) => {
-      const button = html("button", { type: "button" }, name);
+      const button = html("button", { type: "button", "aria-label": `${name}, sort` }, name);
       button.addEventListener("click", () => {
         descending = sortKey === k ? !descending : kind !== "text";
         sortKey = k;
@@ -274,7 +282,7 @@
         ? html("td", { class: "text" }, html("span", { class: `state ${s}` }, STATES[s]))
         : html("td", { class: kind || null, title: k === 0 ? D.points[i].name : null }, show(value(i))))));
     });
-    replace("points-table", html("table", {}, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
+    replace("points-table", html("table", { "aria-label": "All points" }, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
     byId("points-note").textContent = state.solution
       ? "Residuals are surveyed − computed. “Left out” is the error of the point when the fit is made without it; “detectable” is the smallest error of the point that a test would notice (Baarda, 0.1 % and 80 %). Choose a heading to sort."
       : "No transform was accepted, so there are no residuals. Choose a heading to sort.";
@@ -353,6 +361,7 @@
       : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
         : "There is no mark to show.";
     byId("editor").hidden = !order.length;
+    byId("editor").parentElement.classList.toggle("whole", !order.length);
     byId("undo").disabled = !edits.length;
     byId("save").disabled = !edits.length;
     byId("changes").textContent = edits.length ? `${count(edits.length, "change", "changes")}${saved === edits.length ? ", saved" : ""}` : "";
@@ -369,9 +378,10 @@
     if (h && h.mark && h.mark.covariance_px2) add("σ of the centre", `${Math.sqrt((h.mark.covariance_px2[0] + h.mark.covariance_px2[2]) / 2).toFixed(3)} px`);
     if (r) add("Residual", `E ${metres(r.e)}, N ${metres(r.n)} m`);
     if (r && r.leaveOneOut !== null) add("Left out", `${metres(r.leaveOneOut)} m`);
-    if (state.solution) add("RMSE of the fit", `${metres(state.solution.rmse)} m, ${count(state.control, "point", "points")}`);
+    if (state.fit) add("RMSE of the fit", `${metres(state.fit.rmse)} m, ${count(state.control, "point", "points")}`);
     const button = (text, key, act, enabled, name) => {
-      const b = html("button", { type: "button", "aria-label": name || null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
+      const b = html("button", { type: "button", "aria-label": name || text, "aria-keyshortcuts": key ? key.replace("⇧←", "Shift+ArrowLeft").replace("⇧→", "Shift+ArrowRight")
+        .replace("⇧↑", "Shift+ArrowUp").replace("⇧↓", "Shift+ArrowDown") : null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
       b.addEventListener("click", () => { act(); const again = byId("editor").querySelector(`[data-key="${key}"]`); if (again && !again.disabled) again.focus(); });
       return b;
     };
@@ -409,8 +419,8 @@
     edits = [...edits, { gcp: name, ...change, note: noteOf(name) }];
     held = Review.applied(D.points, held, edits[edits.length - 1], D.hand_variance_px2);
     changed();
-    const s = stateOf(selected);
-    say(`${name}: ${change.action}, ${STATES[s]}. ${state.solution ? `RMSE ${metres(state.solution.rmse)} metres from ${state.control} points.` : "No transform."}`);
+    const s = stateOf(selected), r = state.rows[selected];
+    say(`${name}: ${change.action}, ${STATES[s]}${r ? `, residual ${metres(r.length)} metres` : ""}. ${state.solution ? `RMSE ${metres(state.fit.rmse)} metres from ${state.control} points.` : "No transform."}`);
   }
   const accept = () => { if (held[selected] && held[selected].mark) edit({ action: "accept" }); };
   const reject = () => { if (held[selected] && held[selected].mark) edit({ action: "reject" }); };
@@ -425,7 +435,12 @@
   function nudge(dx, dy) {
     const h = held[selected];
     if (!h || !h.mark) return;
-    edit({ action: "move", x: h.mark.x + 0.1 * dx, y: h.mark.y + 0.1 * dy });
+    const x = h.mark.x + 0.1 * dx, y = h.mark.y + 0.1 * dy;
+    if (x < 0 || y < 0 || x > D.image.width || y > D.image.height) {
+      say("The mark is at the edge of the image.");
+      return;
+    }
+    edit({ action: "move", x, y });
   }
   function undo() {
     if (!edits.length) return;
@@ -469,7 +484,7 @@
   }
   function changed() {
     const inCards = byId("cards").contains(document.activeElement);
-    state = Review.evaluate(D.points, held);
+    state = Review.evaluate(D.points, held, MODEL);
     head();
     overview();
     plots();
@@ -507,12 +522,13 @@
 
   // ---- the rest
   function sections() {
-    replace("sections", ...D.sections.map((s) => html("section", {}, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
-      s.reservations.length ? html("ul", { class: "warnings" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
+    const number = (c) => /^([-−+]?\d|–)/.test(c), kind = (c, k) => (k > 0 && number(c) ? null : "text");
+    replace("sections", ...D.sections.map((s) => html("section", { "aria-label": s.heading }, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
+      s.reservations.length ? html("ul", { class: "warnings", "aria-label": "Reservations" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
       s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
       ...s.tables.map((t) => html("div", { class: "scroll" }, html("table", {}, t.caption ? html("caption", {}, t.caption) : null,
-        html("thead", {}, html("tr", {}, ...t.header.map((c) => html("th", { scope: "col" }, c)))),
-        html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c) => html("td", {}, c)))))))))));
+        html("thead", {}, html("tr", {}, ...t.header.map((c, k) => html("th", { scope: "col", class: kind(t.rows.length ? t.rows[0][k] : c, k) }, c)))),
+        html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
   }
   function details() {
     const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;
@@ -529,7 +545,8 @@
       ["Tiles", plan ? `${plan.tiles} of ${plan.tile_width_px} × ${plan.tile_height_px} px, ${count(plan.workers, "worker", "workers")}` : null],
       ["Blocks", reading ? `${reading.blocks_decoded} of ${reading.blocks_in_file} decoded once, ${reading.blocks_skipped} empty, ${reading.window_blocks_decoded} again for windows` : null],
       ["Read", reading ? mib(reading.bytes_read + reading.window_bytes_read) : null],
-      ["Geotransform", d.geotransform ? d.geotransform.join(", ") : null]]);
+      ["Geotransform", d.geotransform ? d.geotransform.join(", ") : null],
+      [MODEL ? `Matrix, ${MODEL}` : "", D.chosen_model && D.chosen_model.matrix ? D.chosen_model.matrix.map((row) => row.join(", ")).join("; ") : null]]);
     const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
     replace("details", html("div", { class: "columns" }, what, how), raw);
     byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch, which autoref-stream solve ${D.source} --patch FILE replays.`;

@@ -45,17 +45,17 @@ const Draw = (() => {
     return html("span", {}, svg("svg", { viewBox: "-9 -9 18 18", "aria-hidden": "true" }, symbols[kind](5)), text);
   }
 
-  // Axes of a plot of 520 × 290 with nice ticks; returns the place of a value.
-  function axes(box, xr, yr, xName, yName) {
+  // Axes of a plot of 520 × 290 with nice ticks, upright ones at least `least` apart; returns the place of a value.
+  function axes(box, xr, yr, xName, yName, least) {
     const W = 520, H = 290, left = 56, right = 12, top = 10, bottom = 42;
     const x = (v) => left + (v - xr[0]) / (xr[1] - xr[0]) * (W - left - right);
     const y = (v) => H - bottom - (v - yr[0]) / (yr[1] - yr[0]) * (H - top - bottom);
-    const ticks = (r, n) => {
-      const step = nice((r[1] - r[0]) / n * 1.8), out = [];
+    const ticks = (r, n, smallest) => {
+      const step = Math.max(nice((r[1] - r[0]) / n * 1.8), smallest || 0), out = [];
       for (let k = Math.ceil(r[0] / step - 1e-9); k * step <= r[1] + step * 1e-9; k++) out.push(k * step);
       return out;
     };
-    for (const v of ticks(yr, 7)) {
+    for (const v of ticks(yr, 7, least)) {
       box.append(svg("line", { class: "grid", x1: left, x2: W - right, y1: y(v), y2: y(v) }),
         svg("text", { class: "tick", x: left - 7, y: y(v) + 4, "text-anchor": "end" }, label(v)));
     }
@@ -72,7 +72,7 @@ const Draw = (() => {
   function figure(id, title, describe, caption, draw) {
     const box = svg("svg", { viewBox: "0 0 520 290", role: "img", "aria-label": `${title}. ${describe}` });
     draw(box);
-    return html("figure", { id }, html("h3", {}, title), box, html("figcaption", {}, caption));
+    return html("figure", { id, "aria-label": title }, html("h3", {}, title), box, html("figcaption", {}, caption));
   }
 
   const BLUE = "#0a5a9c", ORANGE = "#c2610c";
@@ -118,7 +118,7 @@ const Draw = (() => {
       caption([[BLUE, "easting"], [ORANGE, "northing"]], sigma0 ? "; the curve is the normal distribution of the fit." : "."), (box) => {
         const curve = (v) => fitted.length * width / (sigma0 * Math.sqrt(2 * Math.PI)) * Math.exp(-v * v / (2 * sigma0 * sigma0));
         const high = Math.max(top, sigma0 ? Math.min(curve(0), top * 1.6) : 0) * 1.1;
-        const a = axes(box, [-half, half], [0, high], "residual, m", "points");
+        const a = axes(box, [-half, half], [0, high], "residual, m", "points", 1);
         const w = (a.x(width) - a.x(0)) / 2 - 1.5;
         for (let k = 0; k < bins; k++) {
           const x0 = a.x(-half + k * width);

@@ -34,8 +34,9 @@ const Review = (() => {
     return edits.reduce((held, edit) => applied(points, held, edit, handVariance), initial(points));
   }
 
-  // The fit of what is held, and what is known of every point then.
-  function evaluate(points, held) {
+  // The fit of what is held, and what is known of every point then. `model` names the transform that the run chose beside the
+  // similarity, if any: an affine one stands in its place (`fit` and the rows), a projective one is reported beside it.
+  function evaluate(points, held, model) {
     const control = [], pairs = [];
     points.forEach((p, i) => {
       if (held[i] && held[i].used && p.role === "control") {
@@ -45,11 +46,26 @@ const Review = (() => {
       }
     });
     const solution = Fit.solve(pairs), rows = points.map(() => null);
+    const chosen = solution && (model === "affine" || model === "projective") ? Planar.fit(pairs, model) : null;
+    const written = chosen && model === "affine" ? chosen : null;
+    const place = written ? written.apply : solution && ((x, y) => Fit.apply(solution.similarity, x, y));
+    const fit = solution && { rmse: solution.rmse, rmseE: solution.rmseE, rmseN: solution.rmseN, rmsePx: solution.rmsePx,
+      geotransform: Fit.geotransform(solution.similarity) };
+    if (written) {
+      Object.assign(fit, { rmse: written.rmse, rmseE: written.rmseE, rmseN: written.rmseN, rmsePx: written.rmse / solution.scale,
+        geotransform: written.geotransform });
+    }
     if (solution) {
-      control.forEach((i, k) => { rows[i] = solution.rows[k]; });
+      control.forEach((i, k) => {
+        rows[i] = solution.rows[k];
+        if (written) {
+          const [e, n] = written.residuals[k], l = Math.sqrt(e * e + n * n), out = written.leftOut && written.leftOut[k];
+          rows[i] = { ...rows[i], e, n, length: l, px: l / solution.scale, leaveOneOut: out && Math.sqrt(out[0] * out[0] + out[1] * out[1]) };
+        }
+      });
       points.forEach((p, i) => {
         if (held[i] && held[i].used && p.role === "check") {
-          const [e, n] = Fit.apply(solution.similarity, held[i].mark.x, held[i].mark.y);
+          const [e, n] = place(held[i].mark.x, held[i].mark.y);
           const de = p.easting - e, dn = p.northing - n, l = Math.sqrt(de * de + dn * dn);
           rows[i] = { e: de, n: dn, length: l, px: l / solution.scale, weight: null, redundancy: null, leaveOneOut: null,
             detectable: null, outlier: false };
@@ -58,7 +74,7 @@ const Review = (() => {
     }
     const checks = points.map((p, i) => (p.role === "check" ? rows[i] : null)).filter((r) => r);
     const checkRmse = checks.length ? Math.sqrt(checks.reduce((s, r) => s + r.e * r.e + r.n * r.n, 0) / checks.length) : null;
-    return { solution, rows, control: control.length, checks: checks.length, checkRmse };
+    return { solution, fit, chosen, rows, control: control.length, checks: checks.length, checkRmse };
   }
 
   // Nudges of one mark in a row are one move.
@@ -73,10 +89,10 @@ const Review = (() => {
   }
 
   function patch(source, edits, state) {
-    const s = state.solution;
+    const f = state.fit;
     return {
       schema: "autoref-stream-patch", schema_version: 1, for: "gcps", source, edits: compact(edits),
-      shown: { points: state.control, rmse_m: s ? s.rmse : null, geotransform: s ? Fit.geotransform(s.similarity) : null },
+      shown: { points: state.control, rmse_m: f ? f.rmse : null, geotransform: f ? f.geotransform : null },
     };
   }
 
