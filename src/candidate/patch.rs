@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::profile::colour::linear_from_srgb;
 use crate::raster::{Block, Patch, RasterInfo, Samples};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
@@ -10,6 +11,7 @@ use crate::segment::label::Region;
 pub const FAR_PX: u8 = 14;
 
 /// A patch split into the candidate's own paint, other paint, and ground.
+#[derive(Clone)]
 pub struct Scene<'a> {
     pub patch: &'a Patch,
     pub width: usize,
@@ -26,6 +28,8 @@ pub struct Scene<'a> {
     pub other_px: Vec<u8>,
     /// From samples to the scale 0..=255.
     scale: f64,
+    /// Colours are given in linear light.
+    linear: bool,
 }
 
 impl<'a> Scene<'a> {
@@ -70,13 +74,21 @@ impl<'a> Scene<'a> {
         let alone = !other.iter().any(|&b| b);
         let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
         let scale = 255.0 / f64::from(patch.white);
-        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale }
+        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale, linear: false }
     }
 
-    /// Samples on the scale 0..=255, not rounded.
+    /// Samples on the scale 0..=255, not rounded; in linear light for [`Scene::in_linear_light`].
     pub fn colour(&self, i: usize) -> Vector3<f64> {
         let c = self.patch.rgb[i].map(|sample| f64::from(sample) * self.scale);
+        if self.linear {
+            return Vector3::from(c.map(|v| 255.0 * linear_from_srgb(v / 255.0)));
+        }
         Vector3::from(c)
+    }
+
+    /// The same scene with its colours in linear light, still on the scale 0..=255.
+    pub fn in_linear_light(&self) -> Scene<'a> {
+        Scene { linear: true, ..self.clone() }
     }
 
     /// Ground: valid, at the given distances from the candidate, clear of other paint.
