@@ -3,13 +3,14 @@
 #[path = "../benches/detection/scan.rs"]
 mod scan;
 
+use autoref_stream::candidate::examine::measure;
 use autoref_stream::candidate::{Gates, examine};
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::profile::{Profile, learn};
 use autoref_stream::raster::{Patch, SampleType};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::segment::mask::Mask;
-use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
+use autoref_stream::synth::plant::{Cell, Picture, Random, paint_mark, plant};
 use autoref_stream::window::Window;
 use scan::Detector;
 
@@ -77,6 +78,66 @@ fn planted_marks_are_found_and_centred() {
         assert!(recall >= least_recall, "{side_px} px: recall {recall}");
         assert!(rms(&errors) <= most_rmse && median <= most_median && bias.abs() <= 0.02);
         assert!((0.7..1.4).contains(&rms(&normalised)), "{side_px} px: normalised errors {}", rms(&normalised));
+    }
+}
+
+/// Four grounds that differ more from each other than any does from itself meet under each mark: one Gaussian over all of
+/// them hides it. Larger marks lie on such places more often.
+#[test]
+fn marks_where_grounds_meet_are_found() {
+    let detector = orange();
+    let grounds = [[225, 225, 215], [28, 52, 30], [70, 150, 140], [130, 98, 70]];
+    let mut random = Random(77);
+    let (side, cells) = (90usize, 5usize);
+    let noisy =
+        |c: [u8; 3], r: &mut Random| c.map(|v| (f64::from(v) + 4.0 * r.gauss()).round().clamp(0.0, 255.0) as u8);
+    for side_px in [10.0, 20.0, 30.0] {
+        let size = side * cells;
+        let quarter =
+            |i: usize| usize::from(i % size % side >= side / 2) + 2 * usize::from(i / size % side >= side / 2);
+        let rgb = (0..size * size).map(|i| noisy(grounds[quarter(i)], &mut random)).collect();
+        let mut picture = Picture { width: size, height: size, rgb };
+        let cell = Cell { side_px, ..Cell::base() };
+        let corner = |k: usize| k * side + side / 2 - cell.window_px() / 2;
+        let truth: Vec<_> = (0..cells * cells)
+            .map(|k| paint_mark(&mut picture, &cell, (corner(k % cells), corner(k / cells)), &mut random))
+            .collect();
+        let picture = picture.through_jpeg(90);
+        let found = detector.list(&picture);
+        let mut local = 0;
+        for region in detector.regions(&picture).iter().filter(|r| detector.gates.region(r)) {
+            let patch = detector.patch(&picture, region);
+            let seen = measure(region, &patch, &detector.classifier, &detector.profile, &detector.gates);
+            local += usize::from(seen.is_some_and(|e| e.local));
+        }
+        let near = |t: &(f64, f64)| found.iter().filter(|c| (c.centre.x - t.0).hypot(c.centre.y - t.1) < 0.4).count();
+        let hit = truth.iter().filter(|t| near(t) == 1).count();
+        println!("{side_px} px: {hit} of {} found once, {local} regions looked at against local ground", truth.len());
+        assert!(hit + 1 >= truth.len(), "{side_px} px: {hit} of {}", truth.len());
+        assert!(local * 2 > truth.len(), "the picture does not ask for the look at local ground: {local}");
+    }
+}
+
+/// Paints at the rim of the colour model are found by a few of their pixels and grown over the rest.
+#[test]
+fn marks_found_in_part_are_grown() {
+    let detector = orange();
+    for (k, paint) in [[240, 130, 50], [255, 121, 0]].into_iter().enumerate() {
+        let (mut marks, mut hit) = (0, 0);
+        for (seed, name) in ["city_ochota_3019.jpg", "construction_caliterra.jpg", "savanna_oam.tif"].iter().enumerate()
+        {
+            let Some(full) = photo(name) else { return };
+            let cell = Cell { paint, ..Cell::base() };
+            let (picture, truth) =
+                plant(&full.crop(700, 900, 450, 450), &cell, &mut Random((31 + 7 * seed + k) as u64));
+            let found = detector.list(&picture);
+            let near =
+                |t: &(f64, f64)| found.iter().filter(|c| (c.centre.x - t.0).hypot(c.centre.y - t.1) < 2.0).count();
+            marks += truth.len();
+            hit += truth.iter().filter(|t| near(t) == 1).count();
+        }
+        println!("{paint:?}: {hit} of {marks}");
+        assert!(hit as f64 >= 0.985 * marks as f64, "{paint:?}: {hit} of {marks} found once");
     }
 }
 

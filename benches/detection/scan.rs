@@ -1,5 +1,6 @@
 //! The detector over a whole picture in memory: classify, label, gate, examine.
 
+use autoref_stream::candidate::examine::{measure, score};
 use autoref_stream::candidate::split::examine_parts;
 use autoref_stream::candidate::{Candidate, Gates, examine, finish, patch_margin_px};
 use autoref_stream::profile::Profile;
@@ -58,6 +59,27 @@ impl Detector {
                 found.into_iter().map(|c| (r.clone(), c)).collect::<Vec<_>>()
             })
             .collect()
+    }
+
+    /// What a region measured, and the gate that it stopped at.
+    #[allow(dead_code)] // the test that shares this file has no use for it
+    pub fn explain(&self, picture: &Picture, region: &Region) -> String {
+        let bounds = region.bounds;
+        let outline = format!("{}x{} px, area {}", bounds.width, bounds.height, region.area);
+        if !self.gates.region(region) {
+            return format!("{outline}: gates");
+        }
+        let Some(seen) = measure(region, &self.patch(picture, region), &self.classifier, &self.profile, &self.gates)
+        else {
+            return format!("{outline}: not in its patch");
+        };
+        let score = score(&seen, &self.profile, &self.gates);
+        let fit = seen.fit.as_ref().map_or("no fit".to_string(), |f| {
+            let [a, b] = f.sides_px;
+            format!("{:?} {a:.1}x{b:.1}, blur {:.2}, rms {:.3}", f.form, f.blur_px, f.rms)
+        });
+        let (contrast, ring) = (seen.contrast, seen.ring_paint);
+        format!("{outline}: contrast {contrast:.1}, ring {ring:.2}, {fit}, score {score:.1}")
     }
 
     pub fn patch(&self, picture: &Picture, region: &Region) -> Patch {

@@ -3,9 +3,8 @@
 //! The model is a filled shape convolved with a Gaussian, which for a rectangle is a product of differences of normal
 //! distribution functions, on a tilted plane of ground. It is fitted by Levenberg–Marquardt (D. W. Marquardt, "An
 //! algorithm for least-squares estimation of nonlinear parameters", 1963) with iteratively reweighted residuals
-//! (P. J. Huber, "Robust statistics", 1981). The covariance of the centre is the sandwich estimator for correlated
-//! residuals (W. K. Newey and K. D. West, "A simple, positive semi-definite, heteroskedasticity and autocorrelation
-//! consistent covariance matrix", 1987), because what is left over is ground texture and JPEG blocks, not white noise.
+//! (P. J. Huber, "Robust statistics", 1981). What is left over is ground texture and JPEG blocks, not white noise, so the
+//! scatter of the centre is summed along the edges; [`super::uncertainty`] makes a covariance of it.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -58,14 +57,17 @@ pub struct Fit {
     pub angle_rad: f64,
     pub blur_px: f64,
     pub height: f64,
-    /// Covariance of x and y: xx, xy, yy, px².
-    pub covariance_px2: [f64; 3],
+    /// Scatter of x and y by what is left over, summed along the edges: xx, xy, yy, px². Not yet a covariance: what the fit
+    /// itself absorbs is not in it.
+    pub scatter_px2: [f64; 3],
     /// Weighted mean square of what is left over, in units of the expected noise.
     pub chi2: f64,
     /// Root mean square of what is left over, as a share of paint.
     pub rms: f64,
     /// Share of the samples' weight that the robust weights took away from the inside and the border of the mark.
     pub hidden: f64,
+    /// Robust standard deviation of what is left over on the border.
+    pub edge_sd: f64,
 }
 
 impl Fit {
@@ -399,7 +401,7 @@ pub fn fit(
 fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
     let (h, _, _) = problem.normal_equations(p);
     let inverse = h.cholesky()?.inverse();
-    let covariance = sandwich(problem, p, &inverse);
+    let scatter = edge_scatter(problem, p, &inverse);
     let (mut chi2, mut weight_sum, mut square, mut count) = (0.0, 0.0, 0.0, 0.0);
     let (mut lost, mut all) = (0.0, 0.0);
     let pose = problem.pose(p);
@@ -414,7 +416,7 @@ fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
             lost += f64::from(u8::from(w == 0.0));
         }
     }
-    let finite = p.iter().all(|v| v.is_finite()) && covariance.iter().all(|v| v.is_finite());
+    let finite = p.iter().all(|v| v.is_finite()) && scatter.iter().all(|v| v.is_finite());
     finite.then(|| Fit {
         form: problem.form,
         x: p[0],
@@ -426,38 +428,37 @@ fn report(problem: &Problem<'_>, p: &Vector) -> Option<Fit> {
         angle_rad: p[4],
         blur_px: p[5].exp(),
         height: p[6],
-        covariance_px2: covariance,
+        scatter_px2: scatter,
         chi2: chi2 / weight_sum,
         rms: (square / count).sqrt(),
         hidden: if all > 0.0 { lost / all } else { 0.0 },
+        edge_sd: problem.edge_sd,
     })
 }
 
-/// H⁻¹ (Σ_ij K(d_ij) wᵢ rᵢ jᵢ wⱼ rⱼ jⱼᵀ) H⁻¹ for the centre, with a Bartlett kernel of 4 px on a side.
-fn sandwich(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
+/// H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹ for the centre along the two axes of the shape, where s_k sums what the samples of one line parallel
+/// to an edge, a pixel wide, add to the gradient (clusters after K.-Y. Liang and S. L. Zeger, "Longitudinal data analysis using
+/// generalized linear models", Biometrika 73(1), 1986). Along an edge in step with the pixel grid every pixel errs alike.
+fn edge_scatter(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
+    // Farther out nothing pushes.
+    const LINES: usize = 192;
     let pose = problem.pose(p);
-    // What each sample moves the centre by.
-    let pushes: Vec<(i64, i64, f64, f64)> = problem
-        .samples
-        .iter()
-        .zip(&problem.weights)
-        .filter(|(_, w)| **w > 0.0)
-        .map(|(s, &w)| {
-            let (r, j, _) = problem.residual(p, &pose, s);
-            let mut push = [0.0; 2];
-            for (axis, out) in push.iter_mut().enumerate() {
-                for k in 0..PARAMETERS {
-                    *out += inverse[(axis, k)] * j[k];
-                }
-                *out *= w * r;
-            }
-            (s.x.floor() as i64, s.y.floor() as i64, push[0], push[1])
-        })
-        .collect();
-    correlated_scatter(&pushes)
+    let (sin, cos) = (pose.sin, pose.cos);
+    let mut lines = [[0.0f64; LINES]; 2];
+    let line = |at: f64| ((at.floor() + (LINES / 2) as f64).clamp(0.0, (LINES - 1) as f64)) as usize;
+    for (s, &w) in problem.samples.iter().zip(&problem.weights).filter(|(_, w)| **w > 0.0) {
+        let (r, j, _) = problem.residual(p, &pose, s);
+        let push = [0, 1].map(|axis| w * r * (0..PARAMETERS).map(|k| inverse[(axis, k)] * j[k]).sum::<f64>());
+        let (dx, dy) = (s.x - p[0], s.y - p[1]);
+        lines[0][line(cos * dx + sin * dy)] += cos * push[0] + sin * push[1];
+        lines[1][line(cos * dy - sin * dx)] += cos * push[1] - sin * push[0];
+    }
+    let [along, across] = lines.map(|l| l.iter().map(|v| v * v).sum::<f64>());
+    [cos * cos * along + sin * sin * across, sin * cos * (along - across), sin * sin * along + cos * cos * across]
 }
 
-/// Scatter (xx, xy, yy) of a sum of pushes, each `(column, row, push x, push y)`, that are correlated with their neighbours:
+/// Scatter (xx, xy, yy) of a sum of pushes (W. K. Newey and K. D. West, "A simple, positive semi-definite, heteroskedasticity
+/// and autocorrelation consistent covariance matrix", 1987), each `(column, row, push x, push y)`, that are correlated with their neighbours:
 /// products of pushes weighted with a Bartlett kernel of 4 cells on a side. Not numbers when there are none.
 pub(crate) fn correlated_scatter(pushes: &[(i64, i64, f64, f64)]) -> [f64; 3] {
     const REACH: i64 = 4;

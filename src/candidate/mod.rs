@@ -14,9 +14,11 @@
 pub mod examine;
 pub mod fit;
 pub mod gates;
+mod local;
 pub mod options;
 pub mod patch;
 pub mod split;
+mod uncertainty;
 
 use serde::{Deserialize, Serialize};
 

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::profile::colour::linear_from_srgb;
 use crate::raster::{Block, Patch, RasterInfo, Samples};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
@@ -10,6 +11,7 @@ use crate::segment::label::Region;
 pub const FAR_PX: u8 = 14;
 
 /// A patch split into the candidate's own paint, other paint, and ground.
+#[derive(Clone)]
 pub struct Scene<'a> {
     pub patch: &'a Patch,
     pub width: usize,
@@ -26,6 +28,8 @@ pub struct Scene<'a> {
     pub other_px: Vec<u8>,
     /// From samples to the scale 0..=255.
     scale: f64,
+    /// Colours are given in linear light.
+    linear: bool,
 }
 
 impl<'a> Scene<'a> {
@@ -64,25 +68,49 @@ impl<'a> Scene<'a> {
         let alone = !other.iter().any(|&b| b);
         let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
         let scale = 255.0 / f64::from(patch.white);
-        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale }
+        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale, linear: false }
     }
 
-    /// What samples are multiplied by to lie on the scale 0..=255.
-    pub fn scale(&self) -> f64 {
-        self.scale
-    }
-
-    /// Samples on the scale 0..=255, not rounded.
+    /// Samples on the scale 0..=255, not rounded; in linear light for [`Scene::in_linear_light`].
     pub fn colour(&self, i: usize) -> Vector3<f64> {
         let c = self.patch.rgb[i].map(|sample| f64::from(sample) * self.scale);
+        if self.linear {
+            return Vector3::from(c.map(|v| 255.0 * linear_from_srgb(v / 255.0)));
+        }
         Vector3::from(c)
     }
 
+    /// The same scene with its colours in linear light, still on the scale 0..=255.
+    pub fn in_linear_light(&self) -> Scene<'a> {
+        Scene { linear: true, ..self.clone() }
+    }
+
     /// Samples, as the file has them, of the pixels that are `wanted`.
-    pub fn colours(&self, wanted: impl Fn(usize) -> bool) -> Vec<[u16; 3]> {
-        let mut colours = Vec::with_capacity(self.own.len());
-        colours.extend(self.patch.rgb.iter().enumerate().filter(|&(i, _)| wanted(i)).map(|(_, c)| *c));
-        colours
+    fn samples(&self, wanted: impl Fn(usize) -> bool) -> Vec<[u16; 3]> {
+        let mut samples = Vec::with_capacity(self.own.len());
+        samples.extend(self.patch.rgb.iter().enumerate().filter(|&(i, _)| wanted(i)).map(|(_, c)| *c));
+        samples
+    }
+
+    fn colours(&self, wanted: impl Fn(usize) -> bool) -> Vec<Vector3<f64>> {
+        (0..self.own.len()).filter(|&i| wanted(i)).map(|i| self.colour(i)).collect()
+    }
+
+    /// Robust statistics of the pixels that are `wanted`; `None` of fewer than 12.
+    pub fn ground(&self, wanted: impl Fn(usize) -> bool) -> Option<Ground> {
+        if self.linear { ground(&self.colours(wanted)) } else { sample_ground(&self.samples(wanted), self.scale) }
+    }
+
+    /// Median, band by band, of the pixels that are `wanted`; 0 of none.
+    pub fn median_colour(&self, wanted: impl Fn(usize) -> bool) -> Vector3<f64> {
+        if self.linear {
+            let colours = self.colours(wanted);
+            let of = |c: usize| if colours.is_empty() { 0.0 } else { median(colours.iter().map(|v| v[c]).collect()) };
+            return Vector3::new(of(0), of(1), of(2));
+        }
+        let samples = self.samples(wanted);
+        let of = |c: usize| f64::from(twice_median(samples.iter().map(|v| u32::from(v[c])))) / 2.0 * self.scale;
+        Vector3::new(of(0), of(1), of(2))
     }
 
     /// Ground: valid, at the given distances from the candidate, clear of other paint.
@@ -220,9 +248,33 @@ pub struct Ground {
     pub count: usize,
 }
 
-/// Robust statistics of colours as the file has them, times `scale`: median, then mean and covariance of what lies within
-/// 3.5 standard deviations of it (per axis, by the median absolute deviation). `None` below 12 colours.
-pub fn ground(colours: &[[u16; 3]], scale: f64) -> Option<Ground> {
+/// Robust statistics: median, then mean and covariance of what lies within 3.5 standard deviations of it (per axis, by
+/// the median absolute deviation). `None` below 12 colours.
+pub fn ground(colours: &[Vector3<f64>]) -> Option<Ground> {
+    if colours.len() < 12 {
+        return None;
+    }
+    let median: [f64; 3] = std::array::from_fn(|c| median(colours.iter().map(|v| v[c]).collect()));
+    let spread: [f64; 3] = std::array::from_fn(|c| {
+        // 1.4826 makes it a standard deviation for Gaussian noise; 2 is the noise of a good 8-bit picture.
+        (1.4826 * self::median(colours.iter().map(|v| (v[c] - median[c]).abs()).collect())).max(2.0)
+    });
+    let kept: Vec<&Vector3<f64>> =
+        colours.iter().filter(|v| (0..3).all(|c| (v[c] - median[c]).abs() <= 3.5 * spread[c])).collect();
+    if kept.len() < 8 {
+        return None;
+    }
+    let n = kept.len() as f64;
+    let mean = kept.iter().fold(Vector3::zeros(), |s, v| s + **v) / n;
+    let scatter = kept.iter().fold(Matrix3::zeros(), |s: Matrix3<f64>, v| {
+        let d = **v - mean;
+        s + d * d.transpose()
+    });
+    Some(Ground { mean, covariance: scatter / n, count: kept.len() })
+}
+
+/// [`ground`] of samples as the file has them, times `scale`, in whole numbers: every region of the right colour asks.
+pub fn sample_ground(colours: &[[u16; 3]], scale: f64) -> Option<Ground> {
     if colours.len() < 12 {
         return None;
     }
@@ -230,7 +282,6 @@ pub fn ground(colours: &[[u16; 3]], scale: f64) -> Option<Ground> {
     let median2: [u32; 3] = std::array::from_fn(|c| twice_median(colours.iter().map(|v| u32::from(v[c]))));
     let reach: [f64; 3] = std::array::from_fn(|c| {
         let off = twice_median(colours.iter().map(|v| (2 * u32::from(v[c])).abs_diff(median2[c])));
-        // 1.4826 makes it a standard deviation for Gaussian noise; 2 is the noise of a good 8-bit picture.
         2.0 * 3.5 * (1.4826 * f64::from(off) / 4.0).max(2.0 / scale)
     });
     let (mut n, mut sum, mut products) = (0i128, [0i128; 3], [[0i128; 3]; 3]);
@@ -345,7 +396,10 @@ mod tests {
         colours.extend([[250, 20, 0]; 10]);
         for (factor, scale) in [(1, 1.0), (257, 1.0 / 257.0)] {
             let wide: Vec<[u16; 3]> = colours.iter().map(|c| c.map(|v| v * factor)).collect();
-            let g = ground(&wide, scale).expect("enough");
+            let g = sample_ground(&wide, scale).expect("enough");
+            let twin: Vec<_> = wide.iter().map(|c| Vector3::from(c.map(|v| f64::from(v) * scale))).collect();
+            let twin = ground(&twin).expect("enough");
+            assert!((twin.mean - g.mean).norm() < 1e-9 && (twin.covariance - g.covariance).norm() < 1e-9);
             assert!((g.mean[0] - 102.0).abs() < 0.1 && g.count == 60);
             assert!((g.covariance[(0, 0)] - 2.0).abs() < 1e-9 && g.covariance[(0, 1)].abs() < 1e-9, "{g:?}");
         }

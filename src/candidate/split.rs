@@ -4,7 +4,7 @@
 //! goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine, examine_scene, measure_scene, score};
+use super::examine::{examine, examine_part, measure_scene, score};
 use super::gates::Gates;
 use super::patch::Scene;
 use crate::profile::Profile;
@@ -34,7 +34,7 @@ pub fn examine_parts(
                 (0..scene.own.len()).map(|i| scene.own[i] && nearest(&middles, position(&scene, i)) == k).collect();
             let part = region_of(&own, patch)?;
             let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
-            examine_scene(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
+            examine_part(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
         })
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);

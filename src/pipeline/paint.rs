@@ -81,7 +81,7 @@ impl Detector for PaintDetector {
     }
 
     fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let evidence = examine::measure(region, patch, &self.classifier, &self.profile)?;
+        let evidence = examine::measure(region, patch, &self.classifier, &self.profile, &self.gates)?;
         let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
         Some((centre, evidence.fit?.outline(centre)))
     }

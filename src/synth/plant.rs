@@ -182,7 +182,7 @@ pub fn blurred(size: usize, blur_px: f64, inside: impl Fn(f64, f64) -> bool) -> 
         .collect()
 }
 
-/// Plants one mark in each square of a grid and returns the true centres (pixel corners at whole numbers).
+/// Plants one mark in each square of a grid (none where nothing was photographed) and returns the true centres (pixel corners at whole numbers).
 pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Vec<(f64, f64)>) {
     let pitch = cell.window_px() + 28;
     let mut out = ground.clone();
@@ -191,6 +191,9 @@ pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Ve
         for gx in (8..ground.width.saturating_sub(pitch)).step_by(pitch) {
             let x0 = gx + (random.unit() * 14.0) as usize;
             let y0 = gy + (random.unit() * 14.0) as usize;
+            if nothing_there(ground, (x0, y0), cell.window_px()) {
+                continue;
+            }
             // The shadow reaches well beyond the window that the detector looks at.
             if cell.light < 1.0 {
                 for (y, x) in (0..pitch).flat_map(|y| (0..pitch).map(move |x| (gy + y, gx + x))) {
@@ -201,6 +204,12 @@ pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Ve
         }
     }
     (out.through_jpeg(cell.quality), truth)
+}
+
+/// Whether a tenth of a window or more is exactly black: beyond the edge of what was photographed, where nobody paints.
+fn nothing_there(ground: &Picture, (x0, y0): (usize, usize), side: usize) -> bool {
+    let rows = (y0..y0 + side).flat_map(|y| &ground.rgb[y * ground.width + x0..][..side]);
+    rows.filter(|c| **c == [0; 3]).count() * 10 >= side * side
 }
 
 /// Paints one mark into the window of [`Cell::window_px`] that begins at (x0, y0) and lies in the picture; returns its
