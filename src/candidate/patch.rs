@@ -98,7 +98,7 @@ impl<'a> Scene<'a> {
 
     /// Robust statistics of the pixels that are `wanted`; `None` of fewer than 12.
     pub fn ground(&self, wanted: impl Fn(usize) -> bool) -> Option<Ground> {
-        if self.linear { ground(&self.colours(wanted)) } else { sample_ground(&self.samples(wanted), self.scale) }
+        if self.linear { ground(&self.colours(wanted)) } else { sample_ground(&self.samples(wanted), self.patch.white) }
     }
 
     /// Median, band by band, of the pixels that are `wanted`; 0 of none.
@@ -109,7 +109,10 @@ impl<'a> Scene<'a> {
             return Vector3::new(of(0), of(1), of(2));
         }
         let samples = self.samples(wanted);
-        let of = |c: usize| f64::from(twice_median(samples.iter().map(|v| u32::from(v[c])))) / 2.0 * self.scale;
+        let of = |c: usize| {
+            let median2 = twice_median(samples.iter().map(|v| u32::from(v[c])));
+            f64::from(255 * median2) / f64::from(2 * u32::from(self.patch.white))
+        };
         Vector3::new(of(0), of(1), of(2))
     }
 
@@ -273,39 +276,49 @@ pub fn ground(colours: &[Vector3<f64>]) -> Option<Ground> {
     Some(Ground { mean, covariance: scatter / n, count: kept.len() })
 }
 
-/// [`ground`] of samples as the file has them, times `scale`, in whole numbers: every region of the right colour asks.
-pub fn sample_ground(colours: &[[u16; 3]], scale: f64) -> Option<Ground> {
+/// [`ground`] of samples as the file has them, of which `white` is 255, in whole numbers: every region of the right colour
+/// asks. Copies of an image with all samples and the white multiplied give the same to the last bit.
+pub fn sample_ground(colours: &[[u16; 3]], white: u16) -> Option<Ground> {
     if colours.len() < 12 {
         return None;
     }
-    // In halves of a sample, so that everything is whole.
-    let median2: [u32; 3] = std::array::from_fn(|c| twice_median(colours.iter().map(|v| u32::from(v[c]))));
-    let reach: [f64; 3] = std::array::from_fn(|c| {
-        let off = twice_median(colours.iter().map(|v| (2 * u32::from(v[c])).abs_diff(median2[c])));
-        2.0 * 3.5 * (1.4826 * f64::from(off) / 4.0).max(2.0 / scale)
+    // In halves of a sample.
+    let off = |v: u16, median2: u32| (2 * u32::from(v)).abs_diff(median2);
+    let limits: [(u32, f64); 3] = std::array::from_fn(|c| {
+        let median2 = twice_median(colours.iter().map(|v| u32::from(v[c])));
+        // Four times the median absolute deviation; the rest as in `ground`.
+        let deviation4 = twice_median(colours.iter().map(|v| off(v[c], median2)));
+        (median2, 2.0 * 3.5 * 1.4826 / 4.0 * f64::from(deviation4))
     });
-    let (mut n, mut sum, mut products) = (0i128, [0i128; 3], [[0i128; 3]; 3]);
-    for colour in colours {
-        let v = colour.map(u32::from);
-        if (0..3).any(|c| f64::from((2 * v[c]).abs_diff(median2[c])) > reach[c]) {
+    let least = 2 * 7 * u32::from(white);
+    let is_outlier = |v: u16, (median2, limit): (u32, f64)| {
+        let off = off(v, median2);
+        f64::from(off) > limit && 255 * off > least
+    };
+    let (mut n, mut sum, mut products) = (0i128, [0u64; 3], [[0u64; 3]; 3]);
+    for v in colours {
+        if (0..3).any(|c| is_outlier(v[c], limits[c])) {
             continue;
         }
         n += 1;
         for a in 0..3 {
-            sum[a] += i128::from(v[a]);
+            sum[a] += u64::from(v[a]);
             for b in a..3 {
-                products[a][b] += i128::from(u64::from(v[a]) * u64::from(v[b]));
+                products[a][b] += u64::from(v[a]) * u64::from(v[b]);
             }
         }
     }
     if n < 8 {
         return None;
     }
-    let count = n as f64;
-    let mean = Vector3::from(sum.map(|s| scale * s as f64 / count));
+    let mean = Vector3::from(sum.map(|s| (255 * s) as f64 / (i128::from(white) * n) as f64));
+    let white2 = i128::from(white) * i128::from(white);
     let covariance = Matrix3::from_fn(|a, b| {
         let (a, b) = (a.min(b), a.max(b));
-        (n * products[a][b] - sum[a] * sum[b]) as f64 / (count * count) * scale * scale
+        let scatter = 255 * 255 * (n * i128::from(products[a][b]) - i128::from(sum[a]) * i128::from(sum[b]));
+        let (scatter, count2) =
+            if scatter % white2 == 0 { (scatter / white2, n * n) } else { (scatter, n * n * white2) };
+        scatter as f64 / count2 as f64
     });
     Some(Ground { mean, covariance, count: n as usize })
 }
@@ -394,9 +407,12 @@ mod tests {
     fn outliers_do_not_move_the_ground() {
         let mut colours: Vec<_> = (0..60).map(|i| [100 + i % 5, 90, 80]).collect();
         colours.extend([[250, 20, 0]; 10]);
-        for (factor, scale) in [(1, 1.0), (257, 1.0 / 257.0)] {
+        let narrow = sample_ground(&colours, 255).expect("enough");
+        for (factor, white) in [(1, 255), (257, 65_535), (16, 4080)] {
             let wide: Vec<[u16; 3]> = colours.iter().map(|c| c.map(|v| v * factor)).collect();
-            let g = sample_ground(&wide, scale).expect("enough");
+            let g = sample_ground(&wide, white).expect("enough");
+            assert_eq!((g.mean, g.covariance), (narrow.mean, narrow.covariance));
+            let scale = 255.0 / f64::from(white);
             let twin: Vec<_> = wide.iter().map(|c| Vector3::from(c.map(|v| f64::from(v) * scale))).collect();
             let twin = ground(&twin).expect("enough");
             assert!((twin.mean - g.mean).norm() < 1e-9 && (twin.covariance - g.covariance).norm() < 1e-9);

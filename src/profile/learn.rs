@@ -153,7 +153,7 @@ fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'stat
     let mut own = Vec::new();
     for _ in 0..2 {
         let colours: Vec<[u16; 3]> = back.iter().map(|&i| patch.rgb[i].map(|v| v.min(patch.white))).collect();
-        let g = sample_ground(&colours, 255.0 / white).ok_or("has too little ground around it")?;
+        let g = sample_ground(&colours, patch.white).ok_or("has too little ground around it")?;
         let inverse = (g.covariance + nalgebra::Matrix3::identity() * 9.0).cholesky().ok_or("has no ground")?.inverse();
         let step = seed_colour - g.mean;
         let direction = inverse * step;
