@@ -219,13 +219,6 @@ impl Problem<'_> {
         ]
     }
 
-    fn cost(&self, p: &Vector) -> f64 {
-        let pose = self.pose(p);
-        let data: f64 =
-            self.samples.iter().zip(&self.weights).map(|(s, w)| w * self.residual(p, &pose, s).0.powi(2)).sum();
-        data + self.priors(p).iter().map(|(r, _)| r * r).sum::<f64>()
-    }
-
     fn normal_equations(&self, p: &Vector) -> (Matrix, Vector, f64) {
         let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::zeros(), 0.0);
         let pose = self.pose(p);
@@ -274,15 +267,16 @@ impl Problem<'_> {
             let inside = next[5].abs() < 2.0
                 && (next[0] - self.start.0).abs() < self.side_px + 2.0
                 && (next[1] - self.start.1).abs() < self.side_px + 2.0;
-            let next_cost = if inside { self.cost(&next) } else { f64::INFINITY };
-            if next_cost <= cost {
+            // Most steps are taken: the next equations are set up with the cost that decides it.
+            let there = inside.then(|| self.normal_equations(&next));
+            if let Some((next_h, next_g, next_cost)) = there.filter(|there| there.2 <= cost) {
                 p = next;
                 damping = (damping * 0.2).max(1e-9);
                 let small = step[0].abs().max(step[1].abs()) < 2e-4 && (cost - next_cost) < 1e-4 * cost;
                 if small {
                     return Some(p);
                 }
-                (h, g, cost) = self.normal_equations(&p);
+                (h, g, cost) = (next_h, next_g, next_cost);
             } else {
                 damping *= 6.0;
                 if damping > 1e9 {

@@ -6,7 +6,7 @@
 //! read, while the file blocks at its faces are still kept. Either way the examination sees the same pixels, so that no
 //! candidate depends on the tiling.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -239,6 +239,12 @@ struct Collector<'a> {
     waiting: BTreeMap<u64, Vec<Region>>,
     /// Of each tile, whether it has come.
     done: Vec<bool>,
+    /// The first tile that has not come.
+    next: u64,
+    /// What complete regions will be examined with, by the region.
+    wanted: HashMap<(u64, u64), Window>,
+    /// Not needed by any tile to come, but perhaps by a region.
+    releasable: Vec<Window>,
 }
 
 impl<'a> Collector<'a> {
@@ -251,6 +257,9 @@ impl<'a> Collector<'a> {
             collected: Collected::default(),
             waiting: BTreeMap::new(),
             done: vec![false; plan.grid.len() as usize],
+            next: 0,
+            wanted: HashMap::new(),
+            releasable: Vec::new(),
         }
     }
 
@@ -265,6 +274,9 @@ impl<'a> Collector<'a> {
         for output in outputs {
             let output = output?;
             let id = output.id;
+            for (first, _) in &output.examined {
+                self.wanted.remove(first);
+            }
             let regions = output.examined.len();
             let marks = self.collected.examined.len();
             self.collected.examined.extend(output.examined.into_iter().filter(|(_, found)| !found.is_empty()));
@@ -276,12 +288,13 @@ impl<'a> Collector<'a> {
                     complete.push(region);
                 }
             });
+            self.done[id as usize] = true;
             if in_order {
                 // A window would take the reader back to the top.
                 self.collected.straddling.extend(complete);
             } else {
-                self.done[id as usize] = true;
                 for region in complete {
+                    self.wanted.insert(region.first, patch_window(&region, self.detector, self.source.info()));
                     let last = self.last_tile(&region);
                     let ready = if self.done[last as usize] { id } else { last };
                     self.waiting.entry(ready).or_default().push(region);
@@ -291,7 +304,7 @@ impl<'a> Collector<'a> {
                     let _ = straddlers.send(region);
                 }
             }
-            self.release_behind(id);
+            self.release_behind();
             let waiting = self.waiting.values().map(Vec::len).sum::<usize>() + self.collected.straddling.len();
             let found = self.collected.examined.len() + waiting;
             if found > MAX_CANDIDATES {
@@ -315,22 +328,34 @@ impl<'a> Collector<'a> {
         row * grid.columns() + column
     }
 
-    /// Lets go of what nobody will ask for again, give or take the tiles under way. What straddles the left and upper faces
-    /// of a tile is examined soon after it is read; what straddles the others, when the tiles below it are.
-    fn release_behind(&self, id: u64) {
+    /// Lets go of what nobody will ask for again: of tiles that have come, whatever no region that is open or waits for its
+    /// turn can reach. What straddles the left and upper faces of a tile is complete soon after it, what straddles the
+    /// others when the tiles below it have come.
+    fn release_behind(&mut self) {
         let grid = &self.plan.grid;
-        let under_way = 2 * self.plan.workers as u64;
         let reach = self.detector.patch_margin_px() + self.detector.largest_mark_px() + 2 * self.plan.halo_px;
-        if let Some(near) = id.checked_sub(under_way) {
-            let core = grid.tile(near).core;
+        // A region at the lower face of a tile may go on over as many rows of tiles.
+        let below = grid.columns() * reach.div_ceil(grid.tile_height()).max(1);
+        while self.next < grid.len() && self.done[self.next as usize] {
+            let core = grid.tile(self.next).core;
             let (width, height) = (core.width.saturating_sub(reach), core.height.saturating_sub(reach));
             if width > 0 && height > 0 {
-                self.source.release(Window::new(core.x, core.y, width, height));
+                self.releasable.push(Window::new(core.x, core.y, width, height));
             }
+            // The tile beside the one below it shares its lower right corner.
+            if let Some(far) = self.next.checked_sub(below + 1) {
+                self.releasable.push(grid.tile(far).core);
+            }
+            self.next += 1;
         }
-        if let Some(far) = id.checked_sub(grid.columns() + under_way) {
-            self.source.release(grid.tile(far).core);
-        }
+        let (source, wanted) = (self.source, &self.wanted);
+        self.releasable.retain(|window| {
+            let needed = wanted.values().any(|patch| !patch.intersect(window).is_empty());
+            if !needed {
+                source.release(*window);
+            }
+            needed
+        });
     }
 }
 
