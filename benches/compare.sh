@@ -1,46 +1,92 @@
 #!/usr/bin/env bash
-# Whole programs side by side in one run, warm: ours (the whole job), GDAL only reading, the codec alone, cat.
+# Whole programs side by side in one run: ours (the whole job, without the HTML report), GDAL only reading, the codec alone, cat.
 #
-#   benches/compare.sh [FOLDER]
+#   benches/compare.sh [FOLDER]          warm: five layouts of the Lerkendal-size sample
+#   benches/compare.sh --python [FOLDER] the uncompressed sample also beside scikit-image and libvips
+#   benches/compare.sh --cold FILE LIST  a file larger than memory, or not in the page cache, beside direct `dd`
 #
-# The Lerkendal-size sample (22,039 × 20,051 px, 20 marks) is made in FOLDER (default: a temporary one, deleted again) in
-# five layouts; photographs from ../shared/data when there, else the drawn landscape. Best of five of each program.
+# The sample (22,039 × 20,051 px, 20 marks) is made in FOLDER (default: a temporary one, deleted again); photographs from
+# ../shared/data when there, else the drawn landscape. The programs take turns, five rounds, and the best of each counts:
+# wall seconds, and processor milliseconds for machines on which other work runs. --python wants an interpreter with
+# numpy, scikit-image, tifffile and pyvips in AUTOREF_BENCH_PYTHON.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+mode=warm
+case ${1:-} in --python | --cold) mode=${1#--}; shift ;; esac
+[ -n "${AUTOREF_BENCH_BUILT:-}" ] || cargo build --release --quiet --example gdal_touch --example codec_floor --bin autoref-stream
+bin=target/release
+rounds=${AUTOREF_BENCH_ROUNDS:-5}
+
+timed() { # appends "wall_s cpu_ms" of a command to a file
+  local to=$1; shift
+  local TIMEFORMAT='%R %U %S'
+  { time "$@" >/dev/null 2>&1 || echo "failed: $*" >&3; } 3>&2 2>>"$to"
+}
+least() { awk -v c="$2" 'NF==3{v=(c==1)?$1:1000*($2+$3); if(n++==0||v<m)m=v} END{printf (c==1)?"%.3f":"%d", m}' "$1"; }
+ratio() { awk "BEGIN{printf \"%.2f\", $1/$2}"; }
+ours() { "$bin/autoref-stream" "$1" --gcps "$2" --overwrite --quiet --no-report; }
+
+if [ "$mode" = cold ]; then
+  file=$1 list=$2; times=$(mktemp -d); trap 'rm -rf "$times"' EXIT
+  forget() { dd if="$file" iflag=nocache count=0 status=none; sync; }
+  for _ in $(seq "${AUTOREF_BENCH_ROUNDS:-2}"); do
+    forget; timed "$times/dd" dd if="$file" of=/dev/null bs=8M iflag=direct
+    forget; timed "$times/ours" ours "$file" "$list"
+  done
+  peak=$(awk -F'[ ,]+' '/"peak_memory_bytes"/{printf "%d", $3/1048576}' "${file%.*}.autoref.json")
+  printf 'cold: ours %s s, direct dd %s s, ratio %s, peak %s MiB\n' "$(least "$times/ours" 1)" "$(least "$times/dd" 1)" \
+    "$(ratio "$(least "$times/ours" 1)" "$(least "$times/dd" 1)")" "$peak"
+  exit
+fi
+
 folder=${1:-$(mktemp -d)}
 [ $# -gt 0 ] || trap 'rm -rf "$folder"' EXIT
-cargo build --release --quiet --example gdal_touch --example codec_floor --bin autoref-stream
-bin=target/release
 photos=(); [ -d ../shared/data/photos ] && photos=(--photos ../shared/data/photos)
-
-best() { # seconds of the fastest of five runs
-  local least=999999
-  for _ in 1 2 3 4 5; do
-    local start end ns; start=$(date +%s%N); "$@" >/dev/null 2>&1 || { echo "failed: $*" >&2; return 1; }
-    end=$(date +%s%N); ns=$(((end - start) / 1000000)); [ "$ns" -lt "$least" ] && least=$ns
-  done
-  awk "BEGIN{printf \"%.3f\", $least/1000}"
-}
-
 make_sample() { # name, options…
   local name=$1; shift
   [ -e "$folder/$name.tif" ] || "$bin/autoref-stream" synth "$folder/$name.tif" --random-gcps 20 --extent-m 600,550 --size 22039,20051 \
     --gsd 0.032 --rotation -0.026 --mark-size 20 --seed 3 "${photos[@]}" --write-gcps "$folder/$name.geojson" "$@" >/dev/null
 }
 
-printf '%-22s %8s %8s %8s %8s %8s %8s %8s\n' layout ours gdal2 codec2 cat ours/gdal ours/codec peak_MiB
+if [ "$mode" = python ]; then
+  make_sample none_tiles512 --compress none --tiles 512
+  python=${AUTOREF_BENCH_PYTHON:?an interpreter with numpy, scikit-image, tifffile and pyvips}
+  times=$(mktemp -d); file=$folder/none_tiles512.tif
+  cat "$file" >/dev/null
+  for _ in 1 2; do
+    timed "$times/ours" ours "$file" "$folder/none_tiles512.geojson"
+    timed "$times/scikit" "$python" benches/scikit_pipeline.py "$file"
+    timed "$times/vips_box" "$python" benches/vips_pipeline.py box "$file"
+    timed "$times/vips_lab" "$python" benches/vips_pipeline.py lab "$file"
+  done
+  for program in scikit vips_box vips_lab; do
+    printf '%-9s %8s s, %s x ours (%s s)\n' $program "$(least "$times/$program" 1)" \
+      "$(ratio "$(least "$times/$program" 1)" "$(least "$times/ours" 1)")" "$(least "$times/ours" 1)"
+  done
+  rm -r "$times"; exit
+fi
+
+printf '%-17s %6s %6s %6s %6s %6s | %6s %7s %6s | %5s %5s %6s %5s | %s\n' layout ours gdal2 gdal1 codec2 cat ours/g ours/c ours/cat \
+  ours gdal2 codec2 cat peak_MiB
 while read -r name options; do
   # shellcheck disable=SC2086
   make_sample "$name" $options
-  file=$folder/$name.tif
+  file=$folder/$name.tif times=$(mktemp -d)
   cat "$file" >/dev/null
-  ours=$(best "$bin/autoref-stream" "$file" --gcps "$folder/$name.geojson" --overwrite --quiet)
-  gdal=$(best "$bin/examples/gdal_touch" "$file" 2)
-  codec=$(best "$bin/examples/codec_floor" "$file" 2)
-  plain=$(best cat "$file")
+  for _ in $(seq "$rounds"); do
+    timed "$times/ours" ours "$file" "$folder/$name.geojson"
+    timed "$times/gdal2" "$bin/examples/gdal_touch" "$file" 2
+    timed "$times/codec2" "$bin/examples/codec_floor" "$file" 2
+    timed "$times/cat" cat "$file"
+  done
+  timed "$times/gdal1" "$bin/examples/gdal_touch" "$file" 1
+  wall() { least "$times/$1" 1; }
   peak=$(awk -F'[ ,]+' '/"peak_memory_bytes"/{printf "%d", $3/1048576}' "$folder/$name.autoref.json")
-  printf '%-22s %8s %8s %8s %8s %8s %8s %8s\n' "$name" "$ours" "$gdal" "$codec" "$plain" \
-    "$(awk "BEGIN{printf \"%.2f\", $ours/$gdal}")" "$(awk "BEGIN{printf \"%.2f\", $ours/$codec}")" "$peak"
+  printf '%-17s %6s %6s %6s %6s %6s | %6s %7s %8s | %5s %5s %6s %5s | %s\n' "$name" \
+    "$(wall ours)" "$(wall gdal2)" "$(wall gdal1)" "$(wall codec2)" "$(wall cat)" "$(ratio "$(wall ours)" "$(wall gdal2)")" \
+    "$(ratio "$(wall ours)" "$(wall codec2)")" "$(ratio "$(wall ours)" "$(wall cat)")" \
+    "$(least "$times/ours" 2)" "$(least "$times/gdal2" 2)" "$(least "$times/codec2" 2)" "$(least "$times/cat" 2)" "$peak"
+  rm -r "$times"
 done <<'LAYOUTS'
 none_tiles512 --compress none --tiles 512
 deflate_tiles512 --compress deflate --predictor --tiles 512

@@ -79,11 +79,15 @@ pub fn rematch(
     };
     let mut answers: Vec<SecondLook> = expected.iter().map(known).collect();
     look_again(source, detector, expected, &mut answers)?;
-    let mut stricter = detector.stricter();
+    let mut stricter: Option<Box<dyn Detector>> = None;
     for _ in 0..STRICTER_LOOKS {
-        let Some(next) = stricter.filter(|_| answers.iter().any(|a| matches!(a, SecondLook::NotFound))) else { break };
+        // A detector costs a table of colours: none is made for nothing.
+        if !answers.iter().any(|a| matches!(a, SecondLook::NotFound)) {
+            break;
+        }
+        let Some(next) = stricter.as_deref().unwrap_or(detector).stricter() else { break };
         look_again(source, next.as_ref(), expected, &mut answers)?;
-        stricter = next.stricter();
+        stricter = Some(next);
     }
     Ok(answers)
 }

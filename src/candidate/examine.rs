@@ -181,7 +181,8 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
     let direction = inverse * step;
     let contrast2 = direction.dot(&step).max(1e-9);
     let (weights, nothing) = (direction * (scene.scale() / contrast2), direction.dot(&ground.mean) / contrast2);
-    let share = |c: &[u16; 3]| Vector3::from(c.map(f64::from)).dot(&weights) - nothing;
+    let [a, b, c] = [weights[0], weights[1], weights[2]];
+    let share = |v: &[u16; 3]| f64::from(v[0]) * a + f64::from(v[1]) * b + f64::from(v[2]) * c - nothing;
     let shares = scene.patch.rgb.iter().map(share).collect();
     (shares, contrast2.sqrt())
 }

@@ -6,21 +6,18 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_stream::coords::PixelPoint;
-use autoref_stream::raster::{Patch, ReaderChoice, open};
+use autoref_stream::raster::Patch;
 
-use super::sample::{matches_of, parse_point, patch_around};
+use super::common::SampleArgs;
+use super::positions::{PositionArgs, patch_around};
 
 /// Cut a window around every mark and write the windows and a contact sheet as PNG.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The image.
     image: PathBuf,
-    /// The result file (.autoref.json) of an earlier run: its matches are cut out.
-    #[arg(long, value_name = "JSON")]
-    result: Option<PathBuf>,
-    /// A position to cut out, pixels; repeat for more.
-    #[arg(long = "at", value_name = "X,Y", value_parser = parse_point)]
-    at: Vec<PixelPoint>,
+    #[command(flatten)]
+    positions: PositionArgs,
     /// Side of a window, pixels; the 2016 prototype used 201.
     #[arg(long, value_name = "PX", default_value_t = 201)]
     side_px: u64,
@@ -33,27 +30,26 @@ pub struct Args {
     /// Print what was done as one JSON document on standard output.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    samples: SampleArgs,
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    let mut marks: Vec<(String, PixelPoint)> =
-        args.at.iter().enumerate().map(|(i, p)| (format!("{:03}", i + 1), *p)).collect();
-    if let Some(path) = &args.result {
-        marks.extend(matches_of(path)?);
-    }
-    if marks.is_empty() {
-        bail!("no marks to cut out; give --result or --at");
-    }
     if !(3..=2001).contains(&args.side_px) {
         bail!("--side-px {} is not between 3 and 2001", args.side_px);
     }
+    let source = args.samples.open(&args.image, 64 << 20)?;
+    let found = args.positions.positions(source.info())?;
+    if !found.outside.is_empty() {
+        eprintln!("outside the image: {}", found.outside.join(", "));
+    }
+    let marks = &found.marks;
     let sheet_path = args.output.join("contact.png");
-    let paths: Vec<PathBuf> = marks.iter().map(|(name, _)| args.output.join(format!("{}.png", plain(name)))).collect();
+    let paths: Vec<PathBuf> = marks.iter().map(|mark| args.output.join(format!("{}.png", plain(&mark.name)))).collect();
     if let Some(path) = paths.iter().chain([&sheet_path]).find(|p| p.exists() && !args.overwrite) {
         bail!("{} exists; give --overwrite to replace it", path.display());
     }
     std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot make it", args.output.display()))?;
-    let source = open(&args.image, ReaderChoice::Auto, 0, 64 << 20)?;
     let side = args.side_px as usize;
     let columns = (marks.len() as f64).sqrt().ceil() as usize;
     let rows = marks.len().div_ceil(columns);
@@ -64,9 +60,9 @@ pub fn run(args: &Args) -> Result<()> {
         bail!("a contact sheet of {} windows of {side} pixels is too large; give a smaller --side-px", marks.len());
     }
     let mut sheet = vec![0u8; width * height * 3];
-    for (i, ((_, at), path)) in marks.iter().zip(&paths).enumerate() {
-        let patch = patch_around(source.as_ref(), *at, args.side_px / 2)?;
-        let chip = centred(&patch, *at, side);
+    for (i, (mark, path)) in marks.iter().zip(&paths).enumerate() {
+        let patch = patch_around(source.as_ref(), mark.at, args.side_px / 2)?;
+        let chip = centred(&patch, mark.at, side);
         write_png(path, &chip, side, side)?;
         let (x0, y0) = (i % columns * pitch, i / columns * pitch);
         for y in 0..side {
@@ -77,7 +73,10 @@ pub fn run(args: &Args) -> Result<()> {
     write_png(&sheet_path, &sheet, width, height)?;
     if args.json {
         let files: Vec<String> = paths.iter().chain([&sheet_path]).map(|path| path.display().to_string()).collect();
-        println!("{}", serde_json::to_string_pretty(&serde_json::json!({"files_written": files}))?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&serde_json::json!({"files_written": files, "outside": found.outside}))?
+        );
     }
     Ok(())
 }

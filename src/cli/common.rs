@@ -37,6 +37,29 @@ pub struct ReadArgs {
     /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Reading")]
     pub page: usize,
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
+    /// NBITS, else the largest value of the samples' type. Never taken from the image's own brightness.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
+    pub white: Option<u16>,
+}
+
+/// How the image is read by the commands that look at a few places of it.
+#[derive(Args, Debug)]
+pub struct SampleArgs {
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
+    /// NBITS, else the largest value of the samples' type.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
+    white: Option<u16>,
+    /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Reading")]
+    page: usize,
+}
+
+impl SampleArgs {
+    pub fn open(&self, image: &Path, cache_bytes: u64) -> anyhow::Result<Arc<dyn RasterSource>> {
+        let source = raster::open(image, ReaderChoice::Auto, self.page, cache_bytes)?;
+        Ok(raster::with_white(source, self.white)?)
+    }
 }
 
 /// What the marks look like.
@@ -271,7 +294,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         ReaderArg::Native => ReaderChoice::Native,
         ReaderArg::Gdal => ReaderChoice::Gdal,
     };
-    let source = raster::open(image, choice, read.page, cache_bytes)?;
+    let source = raster::with_white(raster::open(image, choice, read.page, cache_bytes)?, read.white)?;
     let info = source.info();
     let profile = profile(marks)?;
     let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use autoref_stream::candidate::patch::patch_from_block;
 use autoref_stream::profile::Profile;
-use autoref_stream::raster::{ReaderChoice, open};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::window::Window;
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
+
+use super::common::SampleArgs;
 
 /// Write the colour distance under a profile as a one-band 32-bit float GeoTIFF.
 #[derive(Debug, clap::Args)]
@@ -31,6 +32,8 @@ pub struct Args {
     /// Print what was done as one JSON document on standard output.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    samples: SampleArgs,
 }
 
 pub fn run(args: &Args) -> Result<()> {
@@ -38,7 +41,7 @@ pub fn run(args: &Args) -> Result<()> {
         bail!("{} exists; give --overwrite to replace it", args.output.display());
     }
     let profile = Profile::load(&args.profile)?;
-    let source = open(&args.image, ReaderChoice::Auto, 0, 128 << 20)?;
+    let source = args.samples.open(&args.image, 128 << 20)?;
     let info = source.info();
     let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
     let unit = if args.normalised { 1.0 / profile.colour.limit } else { 1.0 };

@@ -9,6 +9,7 @@ use autoref_stream::film::{
     learn::{self, Pointed},
     roll,
 };
+use autoref_stream::pipeline::plan;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -165,8 +166,10 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
         reviewed_ok = outputs.patch.as_ref().map(|_| frames.iter().all(FrameResult::is_ok));
     }
     if !args.json {
+        let memory = plan::peak_resident_bytes()
+            .map_or(String::new(), |bytes| format!(", {:.0} MiB at most", bytes as f64 / 1_048_576.0));
         println!(
-            "{} frames: {} OK, {} doubtful, {} failed ({} from an earlier run); results in {}",
+            "{} frames: {} OK, {} doubtful, {} failed ({} from an earlier run){memory}; results in {}",
             summary.frames,
             summary.ok,
             summary.doubtful,
@@ -213,7 +216,7 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
 /// "MARK=x,y" in pixels.
 fn parse_pointed(text: &str) -> Result<Pointed, String> {
     let (mark, place) = text.rsplit_once('=').ok_or_else(|| format!("\"{text}\" is not MARK=X,Y"))?;
-    Ok(Pointed { mark: mark.to_owned(), at: super::sample::parse_point(place)? })
+    Ok(Pointed { mark: mark.to_owned(), at: super::positions::parse_point(place)? })
 }
 
 fn parse_size(text: &str) -> Result<[f64; 2], String> {

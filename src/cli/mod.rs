@@ -15,6 +15,7 @@ pub mod fiducials;
 pub mod film_outputs;
 pub mod frame;
 pub mod plan;
+pub mod positions;
 pub mod replay;
 pub mod report;
 pub mod run;

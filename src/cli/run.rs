@@ -140,6 +140,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "memory_budget_bytes": args.read.memory.0,
         "reader": format!("{:?}", args.read.reader).to_lowercase(),
         "page": args.read.page,
+        "white": job.source.info().white,
         "halo_px": job.detector.halo_px(),
         "check": args.gcps.check,
         "accuracy": args.gcps.accuracy.accuracy,

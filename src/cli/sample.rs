@@ -2,24 +2,24 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
-use autoref_stream::candidate::patch::patch_from_block;
+use anyhow::{Result, bail};
+use autoref_stream::candidate::patch::median;
 use autoref_stream::coords::PixelPoint;
+use autoref_stream::georef::atomic;
+use autoref_stream::profile::colour::lab_from_srgb;
 use autoref_stream::profile::{DEFAULT_REACH_PX, Profile, learn};
-use autoref_stream::raster::{Patch, RasterSource, ReaderChoice, open};
-use autoref_stream::window::Window;
+use autoref_stream::raster::Patch;
+
+use super::common::SampleArgs;
+use super::positions::{Mark, PositionArgs, patch_around};
 
 /// Learn a mark profile from marks in an image and write it as TOML.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The image.
     image: PathBuf,
-    /// Position of the middle of a mark, pixels from the upper left corner; repeat for more marks.
-    #[arg(long = "at", value_name = "X,Y", value_parser = parse_point)]
-    at: Vec<PixelPoint>,
-    /// Take the marks from the matches of an earlier run's .autoref.json.
-    #[arg(long, value_name = "JSON")]
-    result: Option<PathBuf>,
+    #[command(flatten)]
+    positions: PositionArgs,
     /// How far around a mark to look, pixels; at least the mark's own size.
     #[arg(long, value_name = "PX", default_value_t = DEFAULT_REACH_PX)]
     reach_px: u64,
@@ -35,50 +35,15 @@ pub struct Args {
     /// Print the profile as one JSON document on standard output, instead of TOML when no file is named.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    samples: SampleArgs,
 }
 
-/// "x,y" in pixels.
-pub fn parse_point(text: &str) -> Result<PixelPoint, String> {
-    let wrong = || format!("\"{text}\" is not X,Y in pixels");
-    let (x, y) = text.split_once(',').ok_or_else(wrong)?;
-    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-    Ok(PixelPoint { x: number(x).ok_or_else(wrong)?, y: number(y).ok_or_else(wrong)? })
-}
-
-/// Names and positions of the matches in a result file.
-pub fn matches_of(path: &std::path::Path) -> Result<Vec<(String, PixelPoint)>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot read it", path.display()))?;
-    let json: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("{}: not a result file", path.display()))?;
-    let matches = json["matches"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let found: Vec<_> = matches
-        .iter()
-        .filter_map(|m| {
-            let name = m["gcp"].as_str().map_or_else(|| m["gcp"].to_string(), str::to_owned);
-            Some((name, PixelPoint { x: m["x"].as_f64()?, y: m["y"].as_f64()? }))
-        })
-        .collect();
-    if found.is_empty() {
-        bail!("{}: holds no matches; give positions with --at", path.display());
-    }
-    Ok(found)
-}
-
-/// The pixels around a position, clipped to the image.
-pub fn patch_around(source: &dyn RasterSource, at: PixelPoint, reach_px: u64) -> Result<Patch> {
-    let info = source.info();
-    if at.x >= info.width as f64 || at.y >= info.height as f64 {
-        bail!(
-            "{}: {},{} lies outside the image, which is {} × {} pixels",
-            info.path.display(),
-            at.x,
-            at.y,
-            info.width,
-            info.height
-        );
-    }
-    let window = Window::new(at.x as u64, at.y as u64, 1, 1).grown(reach_px, &info.bounds());
-    Ok(patch_from_block(&source.read(window)?, info))
+/// A listed mark that nothing is learned from.
+#[derive(Debug, serde::Serialize)]
+struct LeftOut {
+    name: String,
+    reason: String,
 }
 
 pub fn run(args: &Args) -> Result<()> {
@@ -88,33 +53,89 @@ pub fn run(args: &Args) -> Result<()> {
     {
         bail!("{} exists; give --overwrite to replace it", path.display());
     }
-    let mut points = args.at.clone();
-    if let Some(path) = &args.result {
-        points.extend(matches_of(path)?.into_iter().map(|(_, p)| p));
-    }
-    let source = open(&args.image, ReaderChoice::Auto, 0, 64 << 20)?;
+    let source = args.samples.open(&args.image, 64 << 20)?;
+    let found = args.positions.positions(source.info())?;
     let reach_px = args.reach_px.clamp(8, 2048);
-    let marks = points
+    let marks = found
+        .marks
         .into_iter()
-        .map(|at| Ok((patch_around(source.as_ref(), at, reach_px)?, at)))
+        .map(|mark| Ok((patch_around(source.as_ref(), mark.at, reach_px)?, mark)))
         .collect::<Result<Vec<_>>>()?;
+    let (marks, left_out) = sift(marks);
+    if marks.is_empty() {
+        bail!(
+            "{}: no point of the list can be learned from; {}: {}",
+            args.image.display(),
+            left_out[0].name,
+            left_out[0].reason
+        );
+    }
     let profile = learn(&args.name, &marks)?;
-    report(&profile);
+    report(&profile, &found.outside, &left_out);
     match &args.output {
-        Some(path) => std::fs::write(path, profile.to_toml())
-            .with_context(|| format!("{}: cannot write the profile", path.display()))?,
+        Some(path) => atomic::write(path, profile.to_toml().as_bytes())?,
         None if args.json => {}
         None => print!("{}", profile.to_toml()),
     }
     if args.json {
         let files: Vec<String> = args.output.iter().map(|path| path.display().to_string()).collect();
-        let document = serde_json::json!({"files_written": files, "profile": profile});
+        let document = serde_json::json!({
+            "files_written": files,
+            "profile": profile,
+            "outside": found.outside,
+            "left_out": left_out,
+        });
         println!("{}", serde_json::to_string_pretty(&document)?);
     }
     Ok(())
 }
 
-fn report(profile: &Profile) {
+/// Largest distance in a\*b\* of a listed mark's colour from the median of all marks. Paint in shade and sun, fresh and worn, is
+/// within it; a car or a bush over the point is not.
+const LIKE_THE_OTHERS: f64 = 30.0;
+
+/// Leaves out listed marks that do not stand out, or have another colour than most: nobody saw them. What was pointed at
+/// stays, and fails loudly.
+fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
+    let mut left_out = Vec::new();
+    let mut kept = Vec::new();
+    for (patch, mark) in marks {
+        let alone = learn("alone", &[(patch.clone(), mark.at)]);
+        let colour = match &alone {
+            Ok(profile) => profile.learned.as_ref().map(|l| lab_from_srgb(l.mean_srgb)),
+            Err(error) if mark.listed => {
+                let reason = error.to_string();
+                left_out.push(LeftOut { name: mark.name, reason });
+                continue;
+            }
+            Err(_) => None,
+        };
+        kept.push((patch, mark, colour));
+    }
+    let middle = |axis: usize| median(kept.iter().filter_map(|(_, _, c)| c.map(|c| c[axis])).collect());
+    // Of two marks neither is the odd one.
+    if kept.iter().filter(|(_, _, c)| c.is_some()).count() >= 3 {
+        let (a, b) = (middle(1), middle(2));
+        kept.retain(|(_, mark, colour)| {
+            let off = colour.map_or(0.0, |c| (c[1] - a).hypot(c[2] - b));
+            let odd = mark.listed && off > LIKE_THE_OTHERS;
+            if odd {
+                let reason = format!("the colour there is {off:.0} units of a*b* from that of the other marks");
+                left_out.push(LeftOut { name: mark.name.clone(), reason });
+            }
+            !odd
+        });
+    }
+    (kept.into_iter().map(|(patch, mark, _)| (patch, mark.at)).collect(), left_out)
+}
+
+fn report(profile: &Profile, outside: &[String], left_out: &[LeftOut]) {
+    if !outside.is_empty() {
+        eprintln!("outside the image: {}", outside.join(", "));
+    }
+    for mark in left_out {
+        eprintln!("{} is left out: {}", mark.name, mark.reason);
+    }
     let Some(l) = &profile.learned else { return };
     let [r, g, b] = l.mean_srgb.map(|v| (v * 255.0).round());
     eprintln!("{} marks, {} pixels of paint, mean colour {r} {g} {b}", l.marks, l.pixels);

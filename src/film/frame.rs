@@ -7,8 +7,8 @@ use super::check::agreement;
 use super::constellation::{Assembly, Naming, assemble, namings};
 use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
 use super::refine::refine;
-use super::search::{Peak, climb, search, settle};
-use super::template::{Model, draw};
+use super::search::{Levels, Peak, climb, search, settle};
+use super::template::{Model, Picture, draw};
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
 use super::window::{around, open_scan, read_grey};
 use crate::coords::PixelPoint;
@@ -241,7 +241,7 @@ impl Finder {
         // A wide mark needs room to be moved in.
         let half_px = half_px.max((self.model(k).radius_mm() + 0.03 * self.size_mm()) * assumed.px_per_mm());
         let peaks = match around(centre, half_px, half_px, &source.info().bounds()) {
-            Some(window) => search(source, window, self.model(k), linear, PEAKS)?,
+            Some(window) => search(source, window, &Picture::new(self.model(k), linear), PEAKS)?,
             None => vec![],
         };
         slots.push(Slot { class: self.class[k], linear, centre, half_px, peaks: peaks.clone() });
@@ -305,13 +305,15 @@ impl Finder {
         }
         let half_px = (model.radius_mm() * 1.1 + 0.6) * unit + 8.0;
         let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
-        let peaks = search(source, window, model, linear, 3)?;
+        let picture = Picture::new(model, linear);
+        let peaks = search(source, window, &picture, 3)?;
         // Near the prediction, not merely the best: the box also holds what is beside the mark.
         let near = |p: &&Peak| distance(p.centre, predicted) < 0.6 * unit + 4.0;
         let Some(body) = peaks.iter().filter(near).max_by(|a, b| a.score.total_cmp(&b.score)) else {
             return self.point_only(source, model, linear, predicted, unit);
         };
-        let body = settle(source, body.centre, model, linear)?.unwrap_or(*body);
+        let levels = Levels::of(&picture);
+        let body = settle(source, body.centre, &picture, levels.rank, levels.fine)?.unwrap_or(*body);
         Ok(Some(self.place(source, model, linear, &body, unit)?))
     }
 

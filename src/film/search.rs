@@ -4,7 +4,7 @@
 //! image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is brightened
 //! or stretched, so dark frames need no equalisation first.
 
-use super::template::{Linear, Model, Template, draw};
+use super::template::{Model, Picture, Template};
 use super::window::{Grey, around, read_grey};
 use crate::coords::PixelPoint;
 use crate::error::Result;
@@ -21,6 +21,8 @@ pub struct Peak {
 
 /// Smallest side of a coarse template, in values.
 const COARSE_PX: f64 = 20.0;
+/// Largest side of the template that ranks the places of a search box, in values: enough to tell marks from clutter.
+const RANK_PX: f64 = 110.0;
 /// Largest side of the finest template, in values; finer levels add cost but no certainty.
 const FINE_PX: f64 = 230.0;
 /// Standard deviation of grey values, of white, below which a place is called flat: half an 8-bit level.
@@ -28,53 +30,63 @@ const FLAT: f32 = 0.002;
 /// Peaks below this are no marks.
 const LEAST_SCORE: f64 = 0.3;
 
-/// Decimation at which a mark of this model is looked for first, and at which it is placed.
-pub fn levels(model: &Model, linear: Linear) -> (u64, u64) {
-    let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
-    let size = 2.0 * model.radius_mm() * px_per_mm;
-    let mut coarse = 1;
-    while size / (2 * coarse) as f64 >= COARSE_PX
-        && (2 * coarse) as f64 <= 2.0 * model.detail_mm() * px_per_mm
-        && coarse < 64
-    {
-        coarse *= 2;
-    }
-    let mut fine = 1;
-    while size / fine as f64 > FINE_PX && fine < coarse {
-        fine *= 2;
-    }
-    (coarse, fine)
+/// Decimations: pixels along one value, powers of two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Levels {
+    /// At which a mark is looked for first.
+    pub coarse: u64,
+    /// At which the places found are ranked.
+    pub rank: u64,
+    /// At which a mark is placed.
+    pub fine: u64,
 }
 
-/// The best places for `model` in `window`, at most `most`, best first.
+impl Levels {
+    pub fn of(picture: &Picture) -> Levels {
+        let px_per_mm = picture.px_per_mm();
+        let size = 2.0 * picture.model.radius_mm() * px_per_mm;
+        let detail = picture.model.detail_mm() * px_per_mm;
+        let mut coarse = 1;
+        while size / (2 * coarse) as f64 >= COARSE_PX && (2 * coarse) as f64 <= 2.0 * detail && coarse < 64 {
+            coarse *= 2;
+        }
+        let first_below = |most: f64| {
+            let mut level = 1;
+            while size / level as f64 > most && level < coarse {
+                level *= 2;
+            }
+            level
+        };
+        Levels { coarse, rank: first_below(RANK_PX), fine: first_below(FINE_PX) }
+    }
+}
+
+/// The best places for the mark in `window`, at most `most`, best first, placed at the level [`Levels::rank`]. What the reader
+/// keeps of the window is let go.
 ///
 /// # Errors
 /// Those of reading the scan.
-pub fn search(
-    source: &dyn RasterSource,
-    window: Window,
-    model: &Model,
-    linear: Linear,
-    most: usize,
-) -> Result<Vec<Peak>> {
-    let (coarse, _) = levels(model, linear);
-    let Some(template) = draw(model, linear, coarse as f64, None) else { return Ok(vec![]) };
-    let mut grey = read_grey(source, window, coarse)?;
-    level_ground(&mut grey, model);
-    let Some(scores) = correlate(&grey, &template) else { return Ok(vec![]) };
+pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most: usize) -> Result<Vec<Peak>> {
+    let levels = Levels::of(picture);
+    let Some(template) = picture.at(levels.coarse) else { return Ok(vec![]) };
+    let mut grey = read_grey(source, window, levels.coarse)?;
+    level_ground(&mut grey, picture.model);
+    let Some(scores) = correlate(&grey, template) else { return Ok(vec![]) };
     let radius = (template.width.min(template.height) / 3).max(2);
     let mut peaks = vec![];
     for (x, y, _) in highest(&scores, grey.width, grey.height, radius, most) {
         let start = grey.to_scan(x as f64 + 0.5, y as f64 + 0.5);
-        if let Some(peak) = settle(source, start, model, linear)? {
+        if let Some(peak) = settle(source, start, picture, levels.coarse, levels.rank)? {
             peaks.push(peak);
         }
     }
+    source.release(window);
     peaks.sort_by(|a: &Peak, b| b.score.total_cmp(&a.score));
     // Two coarse peaks can climb the same mark.
     let mut kept: Vec<Peak> = vec![];
     for peak in peaks {
-        let apart = |k: &Peak| (k.centre.x - peak.centre.x).hypot(k.centre.y - peak.centre.y) > 2.0 * coarse as f64;
+        let apart =
+            |k: &Peak| (k.centre.x - peak.centre.x).hypot(k.centre.y - peak.centre.y) > 2.0 * levels.coarse as f64;
         if peak.score >= LEAST_SCORE && kept.iter().all(apart) {
             kept.push(peak);
         }
@@ -82,32 +94,87 @@ pub fn search(
     Ok(kept)
 }
 
-/// From about the right place to the place at the finest level, through finer and finer pictures. `None` when the mark
-/// would leave the scan there.
+/// From about the right place, known at decimation `from`, to the place at decimation `to`, through finer and finer
+/// pictures. `None` when the mark would leave the scan there.
 ///
 /// # Errors
 /// Those of reading the scan.
-pub fn settle(source: &dyn RasterSource, start: PixelPoint, model: &Model, linear: Linear) -> Result<Option<Peak>> {
-    let (coarse, fine) = levels(model, linear);
-    let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
-    let (half, out, inward) = model.reach_mm();
-    let half = half.max(out).max(inward) * px_per_mm * 1.05 + 4.0 * coarse as f64;
+pub fn settle(
+    source: &dyn RasterSource,
+    start: PixelPoint,
+    picture: &Picture,
+    from: u64,
+    to: u64,
+) -> Result<Option<Peak>> {
+    let (half, out, inward) = picture.model.reach_mm();
+    let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + 4.0 * from as f64;
     let Some(window) = around(start, half, half, &source.info().bounds()) else { return Ok(None) };
-    let mut full = read_grey(source, window, 1)?;
-    level_ground(&mut full, model);
+    let mut finest = read_grey(source, window, to)?;
+    level_ground(&mut finest, picture.model);
     let mut at = start;
-    let mut level = coarse;
+    let mut level = from.max(to);
     loop {
-        let Some(template) = draw(model, linear, level as f64, None) else { return Ok(None) };
-        let grey = full.decimated(level as usize);
-        let Some(peak) = climb(&grey, &template, at, if level == coarse { 2 } else { 3 }, |_| 0.0) else {
-            return Ok(None);
+        let Some(template) = picture.at(level) else { return Ok(None) };
+        let coarser;
+        let grey = if level == to {
+            &finest
+        } else {
+            coarser = finest.decimated((level / to) as usize);
+            &coarser
         };
+        let Some(peak) = ascend(grey, template, at) else { return Ok(None) };
         at = peak.centre;
-        if level <= fine {
+        if level == to {
             return Ok(Some(peak));
         }
         level /= 2;
+    }
+}
+
+/// Values along one side of the field in which [`ascend`] moves, and how far it looks around a place.
+const FIELD: usize = 15;
+const LOOK: usize = 2;
+
+/// Walks uphill from `start` until no place within two values is better, not further than seven values; then to a
+/// fraction by the parabola through the neighbours. `None` when the template does not lie inside at the start.
+pub fn ascend(grey: &Grey, template: &Template, start: PixelPoint) -> Option<Peak> {
+    let [x0, y0] = grey.from_scan(start).map(|v| v.floor() as i64 - (FIELD / 2) as i64);
+    let mut known: [Option<Option<f64>>; FIELD * FIELD] = [None; FIELD * FIELD];
+    let mut at = |i: usize, j: usize| {
+        *known[j * FIELD + i].get_or_insert_with(|| score_at(grey, template, x0 + i as i64, y0 + j as i64))
+    };
+    let (mut i, mut j) = (FIELD / 2, FIELD / 2);
+    let mut best = f64::MIN;
+    loop {
+        let (ci, cj) = (i, j);
+        for n in cj.saturating_sub(LOOK)..=(cj + LOOK).min(FIELD - 1) {
+            for m in ci.saturating_sub(LOOK)..=(ci + LOOK).min(FIELD - 1) {
+                if let Some(score) = at(m, n).filter(|s| *s > best) {
+                    (best, i, j) = (score, m, n);
+                }
+            }
+        }
+        if (i, j) == (ci, cj) {
+            break;
+        }
+    }
+    let score = at(i, j)?;
+    let mut side = |di: i64, dj: i64| {
+        let (m, n) = (i as i64 + di, j as i64 + dj);
+        let inside = (0..FIELD as i64).contains(&m) && (0..FIELD as i64).contains(&n);
+        if inside { at(m as usize, n as usize) } else { None }
+    };
+    let dx = parabola(side(-1, 0), score, side(1, 0));
+    let dy = parabola(side(0, -1), score, side(0, 1));
+    let (x, y) = ((x0 + i as i64) as f64 + 0.5 + dx, (y0 + j as i64) as f64 + 0.5 + dy);
+    Some(Peak { centre: grey.to_scan(x, y), score })
+}
+
+/// Where between −½ and ½ the parabola through three neighbouring scores is highest.
+fn parabola(before: Option<f64>, here: f64, after: Option<f64>) -> f64 {
+    match (before, after) {
+        (Some(a), Some(b)) if a + b - 2.0 * here < -1e-9 => (0.5 * (a - b) / (a + b - 2.0 * here)).clamp(-0.5, 0.5),
+        _ => 0.0,
     }
 }
 
@@ -136,12 +203,8 @@ pub fn climb(
     if worth == f64::MIN {
         return None;
     }
-    let parabola = |before: Option<f64>, after: Option<f64>| match (before, after) {
-        (Some(a), Some(b)) if a + b - 2.0 * score < -1e-9 => (0.5 * (a - b) / (a + b - 2.0 * score)).clamp(-0.5, 0.5),
-        _ => 0.0,
-    };
-    let dx = parabola(at(x - 1, y), at(x + 1, y));
-    let dy = parabola(at(x, y - 1), at(x, y + 1));
+    let dx = parabola(at(x - 1, y), score, at(x + 1, y));
+    let dy = parabola(at(x, y - 1), score, at(x, y + 1));
     Some(Peak { centre: grey.to_scan(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy), score })
 }
 
@@ -159,16 +222,25 @@ pub fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
     let (mut s1, mut s2, mut st) = (0.0f64, 0.0f64, 0.0f64);
     for j in 0..t.height {
         let row = &grey.data[(top + j) * grey.width + left..][..t.width];
-        let (values, weights) = (&t.values[j * t.width..][..t.width], &t.weights[j * t.width..][..t.width]);
+        let values = &t.values[j * t.width..][..t.width];
+        let weights = &t.weights[j * t.width..][..t.width];
         let (mut a, mut b, mut c) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
-        for ((r, v), w) in row.chunks(8).zip(values.chunks(8)).zip(weights.chunks(8)) {
-            for (i, ((r, v), w)) in r.iter().zip(v).zip(w).enumerate() {
-                let d = r - base;
-                let wd = w * d;
+        let ((r8, r), (v8, v), (w8, w)) = (row.as_chunks::<8>(), values.as_chunks::<8>(), weights.as_chunks::<8>());
+        for k in 0..r8.len() {
+            for i in 0..8 {
+                let d = r8[k][i] - base;
+                let wd = w8[k][i] * d;
                 a[i] += wd;
                 b[i] += wd * d;
-                c[i] += wd * v;
+                c[i] += wd * v8[k][i];
             }
+        }
+        for i in 0..r.len() {
+            let d = r[i] - base;
+            let wd = w[i] * d;
+            a[i] += wd;
+            b[i] += wd * d;
+            c[i] += wd * v[i];
         }
         s1 += f64::from(a.iter().sum::<f32>());
         s2 += f64::from(b.iter().sum::<f32>());
@@ -272,6 +344,7 @@ fn highest(scores: &[f32], width: usize, height: usize, radius: usize, most: usi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::film::template::draw;
     use crate::film::types::MarkKind;
 
     #[test]

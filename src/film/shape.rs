@@ -106,6 +106,9 @@ pub fn point_radius_mm(kind: &MarkKind) -> Option<f64> {
 }
 
 fn turned(u: f64, v: f64, deg: f64) -> (f64, f64) {
+    if deg == 0.0 {
+        return (u, v);
+    }
     let (s, c) = deg.to_radians().sin_cos();
     (c * u + s * v, -s * u + c * v)
 }
@@ -125,7 +128,7 @@ pub fn tone(kind: &MarkKind, u: f64, v: f64) -> Tone {
             hole_diameter_mm,
             ..
         } => {
-            if u.hypot(v) < 0.5 * hole_diameter_mm {
+            if 4.0 * (u * u + v * v) < hole_diameter_mm * hole_diameter_mm {
                 return Tone::Clear;
             }
             let a = u.abs();
@@ -147,7 +150,7 @@ pub fn tone(kind: &MarkKind, u: f64, v: f64) -> Tone {
         MarkKind::Cross { arm_mm, line_mm, gap_mm, lines_deg } => {
             let (p, q) = turned(u, v, lines_deg);
             let (long, across) = (p.abs().max(q.abs()), p.abs().min(q.abs()));
-            if u.hypot(v) > out {
+            if u * u + v * v > out * out {
                 Tone::Unknown
             } else if across < 0.5 * line_mm && long < arm_mm && long >= gap_mm {
                 Tone::Bright
@@ -158,7 +161,7 @@ pub fn tone(kind: &MarkKind, u: f64, v: f64) -> Tone {
         MarkKind::RingCross { ring_diameter_mm, line_mm, arm_from_mm, arm_to_mm, arm_line_mm, lines_deg } => {
             let (p, q) = turned(u, v, lines_deg);
             let (long, across) = (p.abs().max(q.abs()), p.abs().min(q.abs()));
-            let r = u.hypot(v);
+            let r = (u * u + v * v).sqrt();
             let arm = across < 0.5 * arm_line_mm && (arm_from_mm..arm_to_mm).contains(&long);
             if r > out {
                 Tone::Unknown
@@ -169,7 +172,7 @@ pub fn tone(kind: &MarkKind, u: f64, v: f64) -> Tone {
             }
         }
         MarkKind::Dot { diameter_mm, ring_diameter_mm, ring_line_mm } => {
-            let r = u.hypot(v);
+            let r = (u * u + v * v).sqrt();
             let ring = ring_diameter_mm
                 .zip(ring_line_mm)
                 .is_some_and(|(diameter, line)| (r - 0.5 * diameter).abs() < 0.5 * line);

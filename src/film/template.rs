@@ -1,5 +1,6 @@
 //! Pictures of a mark to compare with: drawn from the camera's geometry, or learned from a roll.
 
+use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -159,8 +160,34 @@ pub struct Template {
     pub weight_sum: f32,
 }
 
-/// Places drawn per value along each axis.
+/// Places drawn per value along each axis, where an edge crosses the value.
 const SUB: usize = 4;
+
+/// Coarsest picture: one value for 2⁶ × 2⁶ pixels.
+const COARSEST: usize = 6;
+
+/// A mark as one frame shows it, drawn once for every level at which it is compared.
+pub struct Picture<'a> {
+    pub model: &'a Model,
+    pub linear: Linear,
+    levels: [OnceCell<Option<Template>>; COARSEST + 1],
+}
+
+impl<'a> Picture<'a> {
+    pub fn new(model: &'a Model, linear: Linear) -> Picture<'a> {
+        Picture { model, linear, levels: Default::default() }
+    }
+
+    pub fn px_per_mm(&self) -> f64 {
+        (self.linear[0] * self.linear[3] - self.linear[1] * self.linear[2]).abs().sqrt()
+    }
+
+    /// At one value per `factor` pixels, a power of two up to 64; `None` as for [`draw`].
+    pub fn at(&self, factor: u64) -> Option<&Template> {
+        let level = (factor.trailing_zeros() as usize).min(COARSEST);
+        self.levels[level].get_or_init(|| draw(self.model, self.linear, (1u64 << level) as f64, None)).as_ref()
+    }
+}
 
 /// Draws `model` under `linear` at one value per `factor` pixels. `radius_mm` leaves away what lies further from the
 /// reference point. `None` when nothing with contrast is left.
@@ -187,29 +214,47 @@ pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) 
         weights: vec![0.0; width * height],
         weight_sum: 0.0,
     };
+    // Where a value is smaller than everything drawn, its corners and middle tell whether an edge crosses it.
+    let value_mm = 1.0 / (m[0] * m[3] - m[1] * m[2]).abs().sqrt();
+    let even_tells = model.is_drawn() && value_mm < 0.5 * model.detail_mm();
     for y in 0..height {
         for x in 0..width {
-            let (mut sum, mut weight) = (0.0f32, 0.0f32);
-            for s in 0..SUB * SUB {
-                let dx = x as f64 - left as f64 + ((s % SUB) as f64 + 0.5) / SUB as f64 - 0.5;
-                let dy = y as f64 - above as f64 + ((s / SUB) as f64 + 0.5) / SUB as f64 - 0.5;
+            let (px, py) = (x as f64 - left as f64, y as f64 - above as f64);
+            let sample = |dx: f64, dy: f64| {
+                let (dx, dy) = (px + dx, py + dy);
                 let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
-                if radius_mm.is_some_and(|r| u.hypot(v) > r) {
-                    continue;
-                }
-                if let Some((value, w)) = model.sample(u, v) {
-                    sum += value * w;
-                    weight += w;
-                }
-            }
-            let n = (SUB * SUB) as f32;
-            if weight > 0.25 * n {
-                t.values[y * width + x] = sum / weight;
-                t.weights[y * width + x] = weight / n;
+                if radius_mm.is_some_and(|r| u * u + v * v > r * r) { None } else { model.sample(u, v) }
+            };
+            let even = if even_tells { even(&sample) } else { None };
+            let (value, weight) = even.unwrap_or_else(|| mean(&sample));
+            if weight > 0.25 {
+                t.values[y * width + x] = value;
+                t.weights[y * width + x] = weight;
             }
         }
     }
     normalise(t)
+}
+
+/// Value and weight of a place where its corners and its middle show the same; `None` where they do not.
+fn even(sample: &impl Fn(f64, f64) -> Option<(f32, f32)>) -> Option<(f32, f32)> {
+    let middle = sample(0.0, 0.0);
+    let same = |(dx, dy): (f64, f64)| sample(dx, dy) == middle;
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)];
+    corners.into_iter().all(same).then(|| middle.unwrap_or((0.0, 0.0)))
+}
+
+/// Mean value and weight over a value's area.
+fn mean(sample: &impl Fn(f64, f64) -> Option<(f32, f32)>) -> (f32, f32) {
+    let (mut sum, mut weight) = (0.0f32, 0.0f32);
+    for s in 0..SUB * SUB {
+        let place = |k: usize| (k as f64 + 0.5) / SUB as f64 - 0.5;
+        if let Some((value, w)) = sample(place(s % SUB), place(s / SUB)) {
+            sum += value * w;
+            weight += w;
+        }
+    }
+    if weight > 0.0 { (sum / weight, weight / (SUB * SUB) as f32) } else { (0.0, 0.0) }
 }
 
 fn normalise(mut t: Template) -> Option<Template> {

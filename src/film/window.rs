@@ -195,7 +195,8 @@ impl RasterSource for GreySource {
     }
 }
 
-/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value.
+/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value. What the reader keeps of
+/// the window stays: who reads a place for the last time calls [`RasterSource::release`].
 ///
 /// # Errors
 /// Those of [`RasterSource::read`].
@@ -224,7 +225,6 @@ pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Resu
         }
         top = band.bottom();
     }
-    source.release(used);
     Ok(grey)
 }
 

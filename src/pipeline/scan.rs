@@ -143,7 +143,7 @@ pub fn scan(
         examined.extend(examine_windows(source, detector, batch)?);
     }
     examined.sort_by_key(|(first, _)| *first);
-    let regions_examined = examined.len() as u64;
+    let regions_examined = collected.clutter + examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
         candidates: detector.finish(examined.into_iter().flat_map(|(_, candidates)| candidates).collect()),
@@ -168,7 +168,10 @@ fn difference(after: ReadStats, before: ReadStats) -> ReadStats {
 
 #[derive(Default)]
 struct Collected {
+    /// Only what became candidates: the rest is counted, or a large image would need more memory than a small one.
     examined: Vec<Examined>,
+    /// Regions examined that are no candidates.
+    clutter: u64,
     /// Not examined yet.
     straddling: Vec<Region>,
 }
@@ -259,12 +262,13 @@ impl<'a> Collector<'a> {
         straddlers: &crossbeam_channel::Sender<Region>,
     ) -> Result<()> {
         let in_order = self.source.info().sequential;
-        let mut found = 0;
         for output in outputs {
             let output = output?;
             let id = output.id;
-            found += output.examined.len();
-            self.collected.examined.extend(output.examined);
+            let regions = output.examined.len();
+            let marks = self.collected.examined.len();
+            self.collected.examined.extend(output.examined.into_iter().filter(|(_, found)| !found.is_empty()));
+            self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
             let mut complete = output.straddling;
             let detector = self.detector;
             self.merger.feed(id, output.open, &mut |region| {
@@ -272,7 +276,6 @@ impl<'a> Collector<'a> {
                     complete.push(region);
                 }
             });
-            found += complete.len();
             if in_order {
                 // A window would take the reader back to the top.
                 self.collected.straddling.extend(complete);
@@ -289,6 +292,8 @@ impl<'a> Collector<'a> {
                 }
             }
             self.release_behind(id);
+            let waiting = self.waiting.values().map(Vec::len).sum::<usize>() + self.collected.straddling.len();
+            let found = self.collected.examined.len() + waiting;
             if found > MAX_CANDIDATES {
                 return Err(Error::Limit {
                     what: "the image is full of regions that look like marks".into(),

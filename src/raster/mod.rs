@@ -25,12 +25,14 @@ mod open;
 mod patch;
 mod pool;
 pub mod tiff;
+mod white;
 
 pub use elevation::ElevationModel;
 pub use gdal::{GdalSource, initialise_gdal};
 pub use open::{open, open_dataset, size};
 pub use patch::read_patch;
 pub use pool::BufferPool;
+pub use white::with_white;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -91,7 +93,7 @@ pub struct RasterInfo {
     pub alpha: Option<usize>,
     /// A pixel whose colour bands all have this value holds nothing.
     pub nodata: Option<f64>,
-    /// The value of full white: 255, 65535, or what MaxSampleValue or NBITS say.
+    /// The value of full white: 255, 65535, or what MaxSampleValue, NBITS or the caller ([`with_white`]) say.
     pub white: u16,
     pub layout: BlockLayout,
     /// Number of blocks in the file, of the bands that are read.

@@ -55,8 +55,9 @@ fn copy_row<T: Copy + Into<u16>>(
 ) {
     let nodata = info.nodata_sample();
     if info.alpha.is_none() && nodata.is_none() {
+        let [r, g, b] = info.rgb;
         for (rgb, pixel) in rgb.iter_mut().zip(samples.chunks(stride)) {
-            *rgb = info.rgb.map(|band| pixel[band].into());
+            *rgb = [pixel[r].into(), pixel[g].into(), pixel[b].into()];
         }
         valid.fill(true);
         return;

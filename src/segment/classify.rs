@@ -125,10 +125,15 @@ impl Extent {
             Space::Rgb => (unit(low), unit(high)),
             Space::Lab => {
                 // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it.
-                let f = |c: [u8; 3], slack: f64| {
-                    xyz_from_linear(c.map(|v| linear_of_bytes()[usize::from(v)])).map(|t| lab_f_near(t) * slack)
+                let linear = linear_of_bytes();
+                let f = |[r, g, b]: [u8; 3]| {
+                    let [x, y, z] =
+                        xyz_from_linear([linear[usize::from(r)], linear[usize::from(g)], linear[usize::from(b)]]);
+                    [lab_f_near(x), lab_f_near(y), lab_f_near(z)]
                 };
-                let (f0, f1) = (f(low, 1.0 - LAB_F_NEAR), f(high, 1.0 + LAB_F_NEAR));
+                let f0 = f(low);
+                let f1 = if low == high { f0 } else { f(high) };
+                let (f0, f1) = (f0.map(|v| v * (1.0 - LAB_F_NEAR)), f1.map(|v| v * (1.0 + LAB_F_NEAR)));
                 (
                     [116.0 * f0[1] - 16.0, 500.0 * (f0[0] - f1[1]), 200.0 * (f0[1] - f1[2])],
                     [116.0 * f1[1] - 16.0, 500.0 * (f1[0] - f0[1]), 200.0 * (f1[1] - f0[2])],

@@ -3,8 +3,9 @@
 //! A [`FilmSpec`] says what to draw, [`FilmScene`] draws any window of it on demand and is a [`RasterSource`], so that a frame of
 //! 13,000² pixels costs only the windows that are looked at; [`write_film`] streams it into a TIFF.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 
@@ -197,7 +198,13 @@ pub struct FilmScene {
     info: RasterInfo,
     painter: Painter,
     truth: FilmTruth,
+    /// Blocks of [`BLOCK`] pixels that were read, drawn once; column and row.
+    drawn: Mutex<HashMap<(u64, u64), PieceData>>,
 }
+
+/// Side of the blocks in which a scene is drawn when it is read, pixels, and how many are kept.
+const BLOCK: u64 = 256;
+const MOST_BLOCKS: usize = 512;
 
 impl FilmScene {
     /// # Errors
@@ -249,7 +256,8 @@ impl FilmScene {
         let sample = if spec.bits == 16 { SampleType::U16 } else { SampleType::U8 };
         let name = PathBuf::from(format!("{}-{}.tif", camera.name, spec.seed));
         let white = if spec.bits == 16 { 65_535 } else { 255 };
-        Ok(FilmScene { info: grey_info(&name, width, height, sample, white), painter, truth })
+        let info = grey_info(&name, width, height, sample, white);
+        Ok(FilmScene { info, painter, truth, drawn: Mutex::default() })
     }
 
     pub fn truth(&self) -> &FilmTruth {
@@ -262,22 +270,44 @@ impl FilmScene {
     }
 }
 
+impl FilmScene {
+    fn block(&self, key: (u64, u64), window: Window) -> PieceData {
+        let known = self.drawn.lock().expect("nothing panics while it is held").get(&key).cloned();
+        known.unwrap_or_else(|| {
+            let values = self.render(window);
+            let data = match self.info.sample {
+                SampleType::U8 => PieceData::U8(Arc::new(crate::raster::PooledBytes {
+                    bytes: values.iter().map(|v| *v as u8).collect(),
+                    home: None,
+                })),
+                SampleType::U16 => PieceData::U16(Arc::new(values)),
+            };
+            let mut drawn = self.drawn.lock().expect("nothing panics while it is held");
+            if drawn.len() == MOST_BLOCKS {
+                drawn.clear();
+            }
+            drawn.insert(key, data.clone());
+            data
+        })
+    }
+}
+
 impl RasterSource for FilmScene {
     fn info(&self) -> &RasterInfo {
         &self.info
     }
 
     fn read(&self, window: Window) -> Result<Block> {
-        let values = self.render(window);
-        let data = match self.info.sample {
-            SampleType::U8 => PieceData::U8(Arc::new(crate::raster::PooledBytes {
-                bytes: values.iter().map(|v| *v as u8).collect(),
-                home: None,
-            })),
-            SampleType::U16 => PieceData::U16(Arc::new(values)),
-        };
-        let piece = Piece { window, data, offset: 0, row_stride: window.width as usize, pixel_stride: 1, empty: false };
-        Ok(Block { window, pieces: vec![piece] })
+        let mut pieces = vec![];
+        for row in window.y / BLOCK..window.bottom().div_ceil(BLOCK) {
+            for column in window.x / BLOCK..window.right().div_ceil(BLOCK) {
+                let block = Window::new(column * BLOCK, row * BLOCK, BLOCK, BLOCK).intersect(&self.info.bounds());
+                let data = self.block((column, row), block);
+                let row_stride = block.width as usize;
+                pieces.push(Piece { window: block, data, offset: 0, row_stride, pixel_stride: 1, empty: false });
+            }
+        }
+        Ok(Block { window, pieces })
     }
 
     fn stats(&self) -> ReadStats {

@@ -142,12 +142,16 @@ pub(super) struct Painter {
     places: Vec<PixelPoint>,
     /// Scan → shape of every mark.
     to_shape: Vec<[f64; 4]>,
-    /// Around every mark, pixels: its drawing, and the opaque tongue it stands on.
+    /// Around every mark, pixels: its drawing, and the opaque tongue it stands on. Beyond `bound_mm` along both axes of the
+    /// shape there is neither.
     reach_px: Vec<f64>,
+    bound_mm: Vec<f64>,
     tongue_mm: Vec<f64>,
     damage: Vec<Damage>,
     photo: Option<Arc<GreyPhoto>>,
     image: [f64; 4],
+    /// Upper left corner of the film, millimetres.
+    film: [f64; 2],
     shift: [i64; 2],
 }
 
@@ -167,6 +171,14 @@ impl Painter {
         let tongue_mm: Vec<f64> =
             models.iter().map(|m| if m.shows_image() { 0.0 } else { 1.15 * m.radius_mm() + 0.5 }).collect();
         let reach_px = models.iter().map(|m| 1.5 * m.radius_mm() * pose.px_per_mm() + 4.0).collect();
+        let bound_mm = models
+            .iter()
+            .zip(&tongue_mm)
+            .map(|(m, t)| {
+                let (half, out, inward) = m.reach_mm();
+                half.max(out).max(inward).max(*t)
+            })
+            .collect();
         let (centre, size) = (camera.film_centre(), camera.image_size_mm.unwrap_or(camera.film_size_mm));
         let image = [
             centre[0] - 0.5 * size[0],
@@ -183,10 +195,12 @@ impl Painter {
             places,
             to_shape,
             reach_px,
+            bound_mm,
             tongue_mm,
             damage,
             photo,
             image,
+            film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
         }
     }
@@ -277,6 +291,10 @@ impl Painter {
             let (dx, dy) = (x - self.places[k].x, y - self.places[k].y);
             let s = &self.to_shape[k];
             let (u, v) = (s[0] * dx + s[1] * dy, s[2] * dx + s[3] * dy);
+            // The tongue goes on outwards without end.
+            if u.abs() > self.bound_mm[k] || v > self.bound_mm[k] {
+                continue;
+            }
             match (&self.models[k], self.models[k].sample(u, v)) {
                 (Model::Learned(_), Some((value, _))) => return Some(value),
                 (model, Some((value, _))) if value > 0.5 => {
@@ -286,7 +304,7 @@ impl Painter {
                 (_, None) => {}
             }
             let r = self.tongue_mm[k];
-            if u.hypot(v) < r || (u.abs() < r && v < 0.0) {
+            if u * u + v * v < r * r || (u.abs() < r && v < 0.0) {
                 return Some(OPAQUE);
             }
         }
@@ -296,9 +314,8 @@ impl Painter {
         if inside(&self.image) {
             return None;
         }
-        let c = self.spec.camera.film_centre();
-        let f = self.spec.camera.film_size_mm.map(|v| 0.5 * v);
-        Some(if inside(&[c[0] - f[0], c[1] - f[1], c[0] + f[0], c[1] + f[1]]) { OPAQUE } else { GLASS })
+        let ([left, top], [width, height]) = (self.film, self.spec.camera.film_size_mm);
+        Some(if inside(&[left, top, left + width, top + height]) { OPAQUE } else { GLASS })
     }
 
     pub(super) fn render(&self, window: Window) -> Vec<u16> {
