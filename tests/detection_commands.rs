@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use autoref_stream::gcp::Gcp;
-use autoref_stream::profile::Profile;
+use autoref_stream::profile::{CentreMode, Ordering, Profile, TooClose};
 use autoref_stream::synth::{self, Compression, MarkSize, MarkStyle, Output as File, SynthSpec, Truth};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use serde_json::Value;
@@ -351,4 +351,76 @@ fn sixteen_bit_copies_give_the_candidates_of_the_original() {
     let message = stderr(&autoref(&["detect", text(&image), "--white", "4095"]));
     assert!(message.contains("--white 4095") && message.trim_end().lines().count() == 1, "{message}");
     assert_eq!(autoref(&["detect", text(&image), "--white", "0"]).status.code(), Some(2));
+}
+
+/// Every key that the table of options names exists, and the profile of the prototype has the prototype's defaults.
+#[test]
+fn the_table_of_options_names_what_exists() {
+    let page =
+        std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/detection-options.md")).expect("the page");
+    let rooms = ["colour", "gates", "filters", "examine", "size", "target"];
+    let keys: std::collections::BTreeSet<&str> = page
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .filter(|word| {
+            word.split_once('.').is_some_and(|(room, key)| rooms.contains(&room) && !key.contains([' ', '=']))
+        })
+        .collect();
+    assert!(keys.len() > 30, "{keys:?}");
+    let orange = Profile::builtin("orange").expect("shipped").to_toml();
+    for key in keys {
+        let (room, name) = key.split_once('.').expect("two parts");
+        // A key that exists is refused for its value, or taken; one that does not is called unknown.
+        let line = format!("{name} = []\n");
+        let heading = format!("[{room}]\n");
+        let text = match orange.find(&heading) {
+            Some(at) => {
+                let at = at + heading.len();
+                let rest: Vec<&str> = orange[at..].lines().filter(|l| !l.starts_with(&format!("{name} ="))).collect();
+                format!("{}{line}{}\n", &orange[..at], rest.join("\n"))
+            }
+            None => format!("{orange}\n{heading}{line}"),
+        };
+        let what = Profile::parse(&text).err().map(|(_, what)| what).unwrap_or_default();
+        assert!(!what.contains("unknown field") && !what.contains("duplicate"), "{key}: {what}");
+    }
+    let p = Profile::builtin("autoref-2016").expect("shipped");
+    assert!((p.colour.limit.powi(2) - 6.0).abs() < 1e-9);
+    assert!(p.colour.rough.as_ref().is_some_and(|r| (r.limit.powi(2) - 20.0).abs() < 1e-9));
+    assert!(p.colour.rough_box.is_some());
+    assert_eq!((p.gates.min_side_px, p.gates.min_area_px, p.gates.max_area_px), (Some(3), Some(10), Some(300)));
+    assert_eq!((p.gates.max_eccentricity, p.gates.min_solidity, p.gates.max_solidity), (Some(0.9), None, None));
+    assert_eq!((p.gates.min_tightness, p.gates.max_tightness), (Some(0.4), Some(0.9)));
+    assert_eq!((p.filters.median, p.filters.closing_radius_px, p.filters.fill_holes), (true, 5, true));
+    assert_eq!((p.examine.too_close, p.examine.min_distance_px), (TooClose::Probable, 30.0));
+    assert_eq!((p.examine.centre, p.examine.order), (CentreMode::Centroid, Ordering::Closeness));
+}
+
+#[test]
+fn lessons_give_rough_boxes_and_densities() {
+    let sample = Sample::new(|spec| spec.clutter = 0);
+    sample.place(sample.truth.geotransform.0, Some("EPSG:32632"));
+    let visible = sample.truth.visible().count();
+    let box_of = |extra: &[&str]| {
+        let taught = sample.sample("points.geojson", extra);
+        let rough = taught["profile"]["colour"]["rough_box"].clone();
+        assert!(sample.found(&sample.path("taught.toml")) * 10 >= visible * 9, "{extra:?}");
+        let width = |c: usize| rough["high"][c].as_f64().expect("a box") - rough["low"][c].as_f64().expect("a box");
+        (0..3).map(width).collect::<Vec<_>>()
+    };
+    let (all, middle, wide) =
+        (box_of(&["--rough-box", "1"]), box_of(&["--rough-box", "0.9"]), box_of(&["--rough-box", "3sd"]));
+    assert!((0..3).all(|c| middle[c] > 0.0 && middle[c] < all[c] && wide[c] > 0.0), "{all:?} {middle:?} {wide:?}");
+    let taught = sample.sample("points.geojson", &["--density"]);
+    assert_eq!(taught["profile"]["examine"]["density"]["min_probability"], 1e-7);
+    assert!(sample.found(&sample.path("taught.toml")) * 10 >= visible * 9, "{taught}");
+    for bad in ["0", "1.5", "-1sd", "sd", "half"] {
+        let image = sample.path("image.tif");
+        assert_eq!(
+            autoref(&["sample", text(&image), "--at", "5,5", "--rough-box", bad]).status.code(),
+            Some(2),
+            "{bad}"
+        );
+    }
 }

@@ -176,3 +176,146 @@ fn the_held_out_window_is_counted_as_well() {
     let (hit, _) = hits(&picture, &taught(&other, &COUNTED), HELD_OUT_CORNER, &HELD_OUT);
     assert!(hit * 100 >= HELD_OUT.len() * 95, "{hit} of {}", HELD_OUT.len());
 }
+
+mod whole_program {
+    //! GCP marks among thousands of pumpkins, through the program: image and list in, matches out.
+
+    use std::path::Path;
+    use std::process::Command;
+
+    use autoref_stream::profile::Profile;
+    use autoref_stream::synth::{self, Background, Compression, MarkSize, MarkStyle, Shape, SynthSpec, Truth};
+    use serde_json::Value;
+
+    use super::{COUNTED, targets, taught};
+
+    /// The three photographs laid side by side and mirrored over `side` pixels, with 20 marks.
+    fn scene(folder: &Path, side: u64, mark: MarkStyle) -> Option<Truth> {
+        let photo = |k: u32| format!("{}/../shared/data/photos/pumpkin_field_{k}.jpg", env!("CARGO_MANIFEST_DIR"));
+        let photos: Vec<_> = (12..15).map(|k| photo(k).into()).collect();
+        if photos.iter().any(|p: &std::path::PathBuf| !p.exists()) {
+            eprintln!("skipped: the photographs are absent");
+            return None;
+        }
+        let extent_m = 0.03 * side as f64 * 0.87;
+        let mut spec = SynthSpec {
+            gcps: synth::random_gcps(20, extent_m, extent_m, 9),
+            size_px: Some((side, side)),
+            rotation_deg: 33.0,
+            background: Background::Photographs(photos),
+            mark,
+            seed: 9,
+            ..SynthSpec::default()
+        };
+        spec.output.compression = Compression::Deflate;
+        let truth = synth::write(&spec, &folder.join("field.tif")).expect("a sample");
+        synth::write_gcp_geojson(&folder.join("field.geojson"), &spec.gcps, Some(32632)).expect("a list");
+        Some(truth)
+    }
+
+    fn run(folder: &Path, profile: &Profile, memory: &str) -> Value {
+        let file = folder.join("profile.toml");
+        std::fs::write(&file, profile.to_toml()).expect("writable");
+        let output = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+            .arg(folder.join("field.tif"))
+            .arg("--gcps")
+            .arg(folder.join("field.geojson"))
+            .arg("--profile")
+            .arg(&file)
+            // The scale is known to ±10 %.
+            .args(["--gsd", "0.03", "--memory", memory, "--json", "--no-report"])
+            .output()
+            .expect("the program starts");
+        let result: Value = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&output.stderr)));
+        println!(
+            "{}: {} candidates, {} matched, scan {:.1} s, match {:.1} s, {:.1} s in all, {} MiB",
+            result["status"],
+            result["candidates_found"],
+            result["matches"].as_array().map_or(0, Vec::len),
+            result["timings"]["scan_s"].as_f64().unwrap_or(f64::NAN),
+            result["timings"]["match_s"].as_f64().unwrap_or(f64::NAN),
+            result["elapsed_s"].as_f64().unwrap_or(f64::NAN),
+            result["peak_memory_bytes"].as_u64().unwrap_or(0) >> 20
+        );
+        result
+    }
+
+    /// How many marks are matched; each at its own place.
+    fn right(truth: &Truth, result: &Value) -> usize {
+        let rows = result["matches"].as_array().expect("a list");
+        for row in rows {
+            let gcp = truth.gcps.iter().find(|g| g.name == row["gcp"]).expect("a name of the list");
+            let off = (row["x"].as_f64().expect("x") - gcp.x).hypot(row["y"].as_f64().expect("y") - gcp.y);
+            assert!(gcp.visible && off < 1.0, "{} is {off:.2} px off", gcp.name);
+        }
+        rows.len()
+    }
+
+    /// Orange marks, and a profile taught from five of them.
+    fn orange_marks(side: u64) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mark = MarkStyle { size: MarkSize::Px(10.0), fading: 0.2, ..MarkStyle::default() };
+        let Some(truth) = scene(folder.path(), side, mark) else { return };
+        let file = folder.path().join("taught.toml");
+        let mut sample = Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
+        sample.arg("sample").arg(folder.path().join("field.tif")).arg("-o").arg(&file);
+        for gcp in truth.visible().take(5) {
+            sample.arg("--at").arg(format!("{:.1},{:.1}", gcp.x, gcp.y));
+        }
+        assert!(sample.status().expect("the program starts").success());
+        let profile = Profile::load(file.to_str().expect("plain")).expect("a profile");
+        let result = run(folder.path(), &profile, "512M");
+        assert_eq!(result["status"], "solved", "{}", result["reason"]);
+        assert_eq!(right(&truth, &result), truth.visible().count(), "not found: {}", result["not_found"]);
+    }
+
+    /// Marks that look like pumpkins, and a profile taught from five pumpkins: every pumpkin is a candidate.
+    fn marks_like_pumpkins(side: u64, memory: &str) -> Option<(Truth, Value)> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let picture = targets::photo("photos/pumpkin_field_13.jpg")?;
+        let profile = taught(&picture, &COUNTED);
+        let mark = MarkStyle {
+            size: MarkSize::Px(7.0),
+            shape: Shape::Disc,
+            fading: 0.2,
+            paints: vec!["#dc9c62".parse().expect("a colour")],
+            ..MarkStyle::default()
+        };
+        let truth = scene(folder.path(), side, mark)?;
+        let result = run(folder.path(), &profile, memory);
+        Some((truth, result))
+    }
+
+    fn large() -> bool {
+        std::env::var_os("AUTOREF_LARGE").is_some()
+    }
+
+    #[test]
+    fn orange_marks_among_pumpkins_are_matched() {
+        orange_marks(if large() { 5000 } else { 2000 });
+    }
+
+    #[test]
+    fn marks_like_pumpkins_are_told_by_their_pattern() {
+        let Some((truth, result)) = marks_like_pumpkins(if large() { 3000 } else { 1300 }, "512M") else { return };
+        assert_eq!(result["status"], "solved", "{}", result["reason"]);
+        let found = right(&truth, &result);
+        assert!(found * 10 >= truth.visible().count() * 8, "{found} matched");
+    }
+
+    /// 100,000 candidates: right or refused, in bounded memory and time.
+    #[test]
+    fn a_hundred_thousand_candidates_stay_bounded() {
+        if !large() {
+            return;
+        }
+        let Some((truth, result)) = marks_like_pumpkins(9600, "512M") else { return };
+        assert!(result["candidates_found"].as_u64() >= Some(100_000), "{}", result["candidates_found"]);
+        assert!(result["peak_memory_bytes"].as_u64() <= Some(512 << 20), "{}", result["peak_memory_bytes"]);
+        assert!(result["elapsed_s"].as_f64() < Some(3600.0), "{}", result["elapsed_s"]);
+        if result["status"] == "solved" {
+            right(&truth, &result);
+        }
+    }
+}

@@ -10,7 +10,7 @@ use crate::segment::label::Region;
 pub struct Gates {
     area: (u64, u64),
     side: (u64, u64),
-    max_eccentricity: f64,
+    eccentricity: (f64, f64),
     tightness: (f64, f64),
     area_per_perimeter: (f64, f64),
     mark_side_px: (f64, f64),
@@ -45,7 +45,7 @@ impl Gates {
         Ok(Gates {
             area: (g.min_area_px.unwrap_or(((low * low / 6.0).floor() as u64).max(3)), area),
             side: (g.min_side_px.unwrap_or(if low >= 3.0 { 2 } else { 1 }), side),
-            max_eccentricity: g.max_eccentricity.unwrap_or(eccentricity),
+            eccentricity: (g.min_eccentricity.unwrap_or(0.0), g.max_eccentricity.unwrap_or(eccentricity)),
             tightness: (g.min_tightness.unwrap_or(tightness), g.max_tightness.unwrap_or(1.0)),
             area_per_perimeter: (
                 g.min_area_per_perimeter_px.unwrap_or(0.0),
@@ -98,7 +98,7 @@ impl Gates {
         if ratio < self.area_per_perimeter.0 || ratio > self.area_per_perimeter.1 {
             return false;
         }
-        eccentricity(region) <= self.max_eccentricity
+        (self.eccentricity.0..=self.eccentricity.1).contains(&eccentricity(region))
     }
 }
 

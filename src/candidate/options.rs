@@ -17,8 +17,12 @@ pub(super) fn passes(scene: &Scene<'_>, profile: &Profile) -> bool {
     if options.max_spread.is_some_and(|most| spread(scene) > most) {
         return false;
     }
-    if profile.gates.min_solidity.is_some_and(|least| solidity(scene) < least) {
-        return false;
+    let (least, most) = (profile.gates.min_solidity, profile.gates.max_solidity);
+    if least.is_some() || most.is_some() {
+        let solidity = solidity(scene);
+        if least.is_some_and(|least| solidity < least) || most.is_some_and(|most| solidity > most) {
+            return false;
+        }
     }
     options.density.as_ref().is_none_or(|density| {
         let values: Vec<f64> = box_pixels(scene).map(|i| probability(density, scene, i)).collect();

@@ -7,7 +7,7 @@ use autoref_stream::candidate::patch::median;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::georef::atomic;
 use autoref_stream::profile::colour::lab_from_srgb;
-use autoref_stream::profile::{DEFAULT_REACH_PX, Profile, learn};
+use autoref_stream::profile::{DEFAULT_REACH_PX, LearnOptions, Profile, RoughRule, learn, learn_with};
 use autoref_stream::raster::Patch;
 
 use super::common::SampleArgs;
@@ -26,6 +26,13 @@ pub struct Args {
     /// Name of the new profile.
     #[arg(long, default_value = "taught")]
     name: String,
+    /// Also learn a box in RGB that paint must be in first: the middle share of the marks' values in each band (0.75; 1 is
+    /// smallest to largest), or so many standard deviations about their mean (1.5sd).
+    #[arg(long, value_name = "SHARE|Ksd", value_parser = parse_rough)]
+    rough_box: Option<RoughRule>,
+    /// Also learn kernel densities of L*, a*, b*, and drop candidates that are improbable by them.
+    #[arg(long)]
+    density: bool,
     /// Where to write the profile; standard output when absent.
     #[arg(short, long, value_name = "TOML")]
     output: Option<PathBuf>,
@@ -37,6 +44,19 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     samples: SampleArgs,
+}
+
+/// "0.75" or "1.5sd".
+fn parse_rough(text: &str) -> Result<RoughRule, String> {
+    let wrong =
+        || format!("\"{text}\" is neither a share above 0 and at most 1 nor a number of standard deviations (1.5sd)");
+    let rule = match text.trim().strip_suffix("sd") {
+        Some(k) => RoughRule::Sigma(k.trim().parse().map_err(|_| wrong())?),
+        None => RoughRule::Middle(text.trim().parse().map_err(|_| wrong())?),
+    };
+    let (RoughRule::Sigma(value) | RoughRule::Middle(value)) = rule;
+    let most = if matches!(rule, RoughRule::Middle(_)) { 1.0 } else { f64::MAX };
+    if value > 0.0 && value <= most { Ok(rule) } else { Err(wrong()) }
 }
 
 /// A listed mark that nothing is learned from.
@@ -70,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
             left_out[0].reason
         );
     }
-    let profile = learn(&args.name, &marks)?;
+    let profile = learn_with(&args.name, &marks, &LearnOptions { rough_box: args.rough_box, density: args.density })?;
     report(&profile, &found.outside, &left_out);
     match &args.output {
         Some(path) => atomic::write(path, profile.to_toml().as_bytes())?,

@@ -10,10 +10,15 @@ use crate::matching::field::Field;
 
 /// Marks of a hypothesis closer together than this say nothing about scale and rotation.
 const SMALLEST_BASE_PX: f64 = 16.0;
-/// Search tolerance for the error of one mark, pixels; it grows with the distance from the pair.
-pub(super) const SEARCH_TOLERANCE_PX: f64 = 5.0;
+/// Search tolerance for the error of one mark, pixels; it grows with the distance from the pair. The orthophoto's own
+/// errors are in it, not only the marks'.
+const SEARCH_TOLERANCE_PX: (f64, f64) = (1.5, 5.0);
+/// How often a chance candidate may lie within the tolerance: where they crowd, the tolerance gives way.
+const CHANCE_HIT: f64 = 0.02;
 /// Hypotheses of one GCP pair that are refined.
 const REFINED_PER_PAIR: usize = 6;
+/// From so many candidates on, pairs of GCPs are weighed before they are tried.
+const CROWD: usize = 3000;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -49,6 +54,8 @@ pub(super) struct Search<'a> {
     pub gcps: &'a [MapPoint],
     priors: &'a Priors,
     pub log10_tests: f64,
+    /// Search tolerance in this field, pixels.
+    pub tolerance_px: f64,
 }
 
 /// The pairs of GCPs in the order of trying, and the number of hypotheses that the priors allow.
@@ -125,8 +132,31 @@ impl<'a> Search<'a> {
             return None;
         }
         let bitmaps = Bitmap::all(&field);
-        let search = Search { field, bitmaps, gcps, priors, log10_tests: possible.log10() + log10_searches };
+        let density = field.points().len() as f64 / field.area_px2();
+        let (least, most) = SEARCH_TOLERANCE_PX;
+        let tolerance_px = (CHANCE_HIT / (std::f64::consts::PI * density)).sqrt().clamp(least, most);
+        let log10_tests = possible.log10() + log10_searches;
+        let search = Search { field, bitmaps, gcps, priors, log10_tests, tolerance_px };
+        let pairs = search.telling_first(pairs);
         Some((search, pairs, possible))
+    }
+
+    /// In a crowd the cheapest pairs tell nothing: seen from a short base the other GCPs may be anywhere, and somebody is
+    /// everywhere. Pairs whose true hypothesis would stand out among all chance ones come first, then the rest, both in the
+    /// order in which they came.
+    fn telling_first(&self, pairs: Vec<GcpPair>) -> Vec<GcpPair> {
+        if self.field.points().len() < CROWD || pairs.len() * self.gcps.len() > 20_000_000 {
+            return pairs;
+        }
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let (mut telling, rest): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| {
+            let surprise = |t: &Target| -(-(-density * std::f64::consts::PI * t.radius_px * t.radius_px).exp_m1()).ln();
+            // Less what choosing the hits costs, and a fifth for marks that are covered.
+            let worth: f64 = self.targets(pair).iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
+            worth > pair.cost.max(1.0).ln()
+        });
+        telling.extend(rest);
+        telling
     }
 
     /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried.
@@ -160,7 +190,7 @@ impl<'a> Search<'a> {
             .filter_map(|k| {
                 let gcp = self.gcps[k];
                 let (east, north) = (gcp.easting - a.easting, gcp.northing - a.northing);
-                let radius_px = SEARCH_TOLERANCE_PX * spread_from_pair(a, b, gcp);
+                let radius_px = self.tolerance_px * spread_from_pair(a, b, gcp);
                 let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
                 let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
                 (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
@@ -179,7 +209,7 @@ impl<'a> Search<'a> {
     fn fewest_hits(&self, targets: &[Target]) -> usize {
         let density = self.field.points().len() as f64 / self.field.area_px2();
         let closest = |t: &Target| {
-            let radius = t.radius_px / SEARCH_TOLERANCE_PX * LEVELS_PX[0];
+            let radius = t.radius_px / self.tolerance_px * LEVELS_PX[0];
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
         };
         let probabilities: Vec<f64> = targets.iter().map(closest).collect();

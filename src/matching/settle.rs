@@ -3,7 +3,7 @@
 use crate::coords::PixelPoint;
 use crate::matching::Pattern;
 use crate::matching::evidence::{LEVELS_PX, pair_evidence, spread_from_pair};
-use crate::matching::search::{GcpPair, Hypothesis, SEARCH_TOLERANCE_PX, Search};
+use crate::matching::search::{GcpPair, Hypothesis, Search};
 use crate::solve::Similarity;
 use crate::solve::similarity::{Pair, fit_equal_weights};
 
@@ -14,7 +14,7 @@ impl Search<'_> {
         let ends = [points[hypothesis.i as usize], points[hypothesis.j as usize]];
         let similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
         let spread = |k: usize| spread_from_pair(self.gcps[pair.a], self.gcps[pair.b], self.gcps[k]);
-        let pairs = self.assign(&similarity, |k, _| SEARCH_TOLERANCE_PX * spread(k));
+        let pairs = self.assign(&similarity, |k, _| self.tolerance_px * spread(k));
         self.settle(similarity, pairs)
     }
 

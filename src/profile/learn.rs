@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::colour::{Cloud, Metric, Space, lab_from_srgb};
 use super::mixing::cloud;
-use super::{ColourModel, Examine, Filters, GateLimits, Learned, Profile, Shape, Size, Target};
+use super::{ColourModel, Density, Examine, Filters, GateLimits, Learned, Profile, RoughBox, Shape, Size, Target};
 use crate::candidate::Gates;
 use crate::candidate::patch::{flood, median, sample_ground};
 use crate::candidate::split::score_of;
@@ -15,6 +15,81 @@ use crate::segment::classify::Classifier;
 
 /// How far around a position a patch should reach when the size of the marks is not known.
 pub const DEFAULT_REACH_PX: u64 = 40;
+
+/// How the rough box in RGB follows from the paint's pixels, per band.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RoughRule {
+    /// The middle share of the values, 1 being smallest to largest. The prototype's `min-max` with a percentile of 25 % is
+    /// 0.75.
+    Middle(f64),
+    /// Mean ± so many standard deviations: the prototype's `mean-std`.
+    Sigma(f64),
+}
+
+impl RoughRule {
+    fn of(self, paint: &[[f64; 3]]) -> Result<RoughBox> {
+        let sound = match self {
+            RoughRule::Middle(share) => share > 0.0 && share <= 1.0,
+            RoughRule::Sigma(k) => k > 0.0 && k.is_finite(),
+        };
+        if !sound {
+            return Err(Error::usage(
+                format!("the rough box {self:?} holds nothing"),
+                "give a share above 0 and at most 1, or a positive number of standard deviations",
+            ));
+        }
+        let range = |band: usize| {
+            let mut values: Vec<f64> = paint.iter().map(|c| c[band]).collect();
+            values.sort_by(f64::total_cmp);
+            match self {
+                RoughRule::Middle(share) => {
+                    let at = |q: f64| values[((values.len() - 1) as f64 * q).round() as usize];
+                    (at((1.0 - share) / 2.0), at((1.0 + share) / 2.0))
+                }
+                RoughRule::Sigma(k) => {
+                    let (mean, sd) = mean_and_deviation(&values);
+                    (mean - k * sd, mean + k * sd)
+                }
+            }
+        };
+        let ranges = [range(0), range(1), range(2)];
+        Ok(RoughBox { low: ranges.map(|r| r.0), high: ranges.map(|r| r.1) })
+    }
+}
+
+/// What else a lesson may give.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LearnOptions {
+    pub rough_box: Option<RoughRule>,
+    /// Kernel densities, with the prototype's limits: least probability 1e-7, less than 25 % of zeros.
+    pub density: bool,
+}
+
+/// Values that a density keeps of each axis.
+const DENSITY_SAMPLES: usize = 200;
+
+/// Densities of L\*, a\*, b\*: quantiles of the paint, with B. W. Silverman's bandwidth 1.06·σ·n^(−1/5) (Density Estimation
+/// for Statistics and Data Analysis, 1986, eq. 3.28).
+fn density(paint: &[[f64; 3]]) -> Density {
+    let axis = |axis: usize| {
+        let mut values: Vec<f64> = paint.iter().map(|c| lab_from_srgb(*c)[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        let (_, sd) = mean_and_deviation(&values);
+        let kept = values.len().min(DENSITY_SAMPLES);
+        let samples: Vec<f64> = (0..kept).map(|k| values[(2 * k + 1) * values.len() / (2 * kept)]).collect();
+        // Of paint without any variation, a tenth of a unit.
+        (samples, (1.06 * sd * (values.len() as f64).powf(-0.2)).max(0.1))
+    };
+    let [l, a, b] = [axis(0), axis(1), axis(2)];
+    let bandwidth = [l.1, a.1, b.1];
+    Density { samples: [l.0, a.0, b.0], bandwidth, min_probability: 1e-7, max_zero_share: 0.25 }
+}
+
+fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (mean, (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt())
+}
 
 /// What one example shows.
 struct Example {
@@ -38,6 +113,15 @@ struct Example {
 /// [`Error::Usage`] naming the position when it is outside its patch, on nodata, or does not stand out from its
 /// surroundings; or when there are no positions.
 pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
+    learn_with(name, marks, &LearnOptions::default())
+}
+
+/// [`learn`], with the parts of the 2016 prototype's colour model that need samples (Script A.9): a rough box in RGB, and
+/// kernel densities.
+///
+/// # Errors
+/// Those of [`learn`]; [`Error::Usage`] for a rule that leaves no box.
+pub fn learn_with(name: &str, marks: &[(Patch, PixelPoint)], options: &LearnOptions) -> Result<Profile> {
     if marks.is_empty() {
         return Err(Error::usage("no mark to learn from", "give at least one position with --at x,y"));
     }
@@ -77,7 +161,7 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
             space: Space::Lab,
             metric: Metric::Mahalanobis,
             limit,
-            rough_box: None,
+            rough_box: options.rough_box.map(|rule| rule.of(&paint)).transpose()?,
             rough: None,
             clouds: vec![spec],
         },
@@ -99,6 +183,7 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
             background_share: share,
         }),
     };
+    profile.examine.density = options.density.then(|| density(&paint));
     profile.validate()?;
     profile.examine.min_score = least_score(&profile, marks, &examples)?;
     Ok(profile)

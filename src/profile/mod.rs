@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
-pub use learn::{DEFAULT_REACH_PX, learn};
+pub use learn::{DEFAULT_REACH_PX, LearnOptions, RoughRule, learn, learn_with};
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -174,6 +174,8 @@ pub struct GateLimits {
     pub max_side_px: Option<u64>,
     /// Of the ellipse with the region's second moments, 0 (circle) to 1 (line).
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub min_eccentricity: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub max_eccentricity: Option<f64>,
     /// Area over area of the bounding box.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -188,6 +190,39 @@ pub struct GateLimits {
     /// Area over area of the convex hull; needs pixels, so it is tested in the second look.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_solidity: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_solidity: Option<f64>,
+}
+
+impl GateLimits {
+    /// Every limit is a number that a region can reach, and none is above its fellow.
+    fn check(&self) -> std::result::Result<(), (&'static str, String)> {
+        let count = |v: Option<u64>| v.map(|v| v as f64);
+        for (place, low, high, most) in [
+            ("gates.max_area_px", count(self.min_area_px), count(self.max_area_px), f64::INFINITY),
+            ("gates.max_side_px", count(self.min_side_px), count(self.max_side_px), f64::INFINITY),
+            ("gates.max_eccentricity", self.min_eccentricity, self.max_eccentricity, 1.0),
+            ("gates.max_tightness", self.min_tightness, self.max_tightness, 1.0),
+            ("gates.max_solidity", self.min_solidity, self.max_solidity, 1.0),
+            (
+                "gates.max_area_per_perimeter_px",
+                self.min_area_per_perimeter_px,
+                self.max_area_per_perimeter_px,
+                f64::INFINITY,
+            ),
+        ] {
+            let limits = [low, high];
+            if let Some(bad) = limits.iter().flatten().find(|v| !(v.is_finite() && **v >= 0.0 && **v <= most)) {
+                return Err((place, format!("{bad}: this limit and its fellow lie between 0 and {most}")));
+            }
+            if let (Some(low), Some(high)) = (low, high)
+                && low > high
+            {
+                return Err((place, format!("the smallest {low} is above the largest {high}")));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Filters of the mask before regions are made. Each adds its border to the halo.
@@ -294,6 +329,27 @@ impl Default for Examine {
             order: Ordering::Raster,
             split: false,
         }
+    }
+}
+
+impl Examine {
+    fn check(&self) -> std::result::Result<(), (&'static str, String)> {
+        if self.min_score.is_nan() || !self.min_distance_px.is_finite() || self.min_distance_px < 0.0 {
+            return Err(("examine", "min_score and min_distance_px must be numbers, the latter not negative".into()));
+        }
+        if self.max_spread.is_some_and(|v| !(v.is_finite() && v >= 0.0)) {
+            return Err(("examine.max_spread", "must be a number, not negative".into()));
+        }
+        let Some(d) = &self.density else { return Ok(()) };
+        let filled = d.samples.iter().all(|s| !s.is_empty() && s.iter().all(|v| v.is_finite()));
+        if !filled || !d.bandwidth.iter().all(|b| b.is_finite() && *b > 0.0) {
+            return Err(("examine.density", "needs samples and a positive bandwidth on each axis".into()));
+        }
+        if !(d.min_probability.is_finite() && d.min_probability >= 0.0 && (0.0..=1.0).contains(&d.max_zero_share)) {
+            let what = "min_probability is a number, not negative, max_zero_share a share from 0 to 1";
+            return Err(("examine.density", what.into()));
+        }
+        Ok(())
     }
 }
 
@@ -446,6 +502,8 @@ impl Profile {
     }
 
     fn check_rest(&self) -> std::result::Result<(), (&'static str, String)> {
+        self.gates.check()?;
+        self.examine.check()?;
         let size = &self.size;
         for (place, low, high) in [("size.max_px", size.min_px, size.max_px), ("size.max_m", size.min_m, size.max_m)] {
             if [low, high].into_iter().flatten().any(|v| !(v.is_finite() && v > 0.0)) {
@@ -465,18 +523,6 @@ impl Profile {
         }
         if self.filters.closing_radius_px > 64 || self.filters.opening_radius_px > 64 {
             return Err(("filters", "radii above 64 px are not supported".into()));
-        }
-        if self.examine.min_score.is_nan()
-            || self.examine.min_distance_px.is_nan()
-            || self.examine.min_distance_px < 0.0
-        {
-            return Err(("examine", "min_score and min_distance_px must be numbers, the latter not negative".into()));
-        }
-        if let Some(d) = &self.examine.density {
-            let filled = d.samples.iter().all(|s| !s.is_empty() && s.iter().all(|v| v.is_finite()));
-            if !filled || !d.bandwidth.iter().all(|b| b.is_finite() && *b > 0.0) {
-                return Err(("examine.density", "needs samples and a positive bandwidth on each axis".into()));
-            }
         }
         Ok(())
     }
