@@ -1,7 +1,7 @@
 //! Film ↔ scan: the pose that the search uses, and the inner orientation with residuals and covariance. The least squares are
 //! those of [`crate::solve`].
 
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::DMatrix;
 
 use super::types::{Camera, InnerModel, InnerOrientation};
 use crate::coords::{MapPoint, PixelPoint};
@@ -110,7 +110,7 @@ pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored
     let film: Vec<([f64; 2], PixelPoint)> = marks.iter().map(|m| ([m.mm[0], sign * m.mm[1]], m.pixel)).collect();
     let pose = fit_pose(&film, mirrored)?;
     let h = match model {
-        InnerModel::Similarity => Some(inverse_of(&pose, sign)?),
+        InnerModel::Similarity => similarity_matrix(&film, sign, mirrored),
         InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
         InnerModel::Projective => planar_matrix(marks, planar::Kind::Projective),
     }?;
@@ -145,11 +145,13 @@ pub fn residual_um(inner: &InnerOrientation, mm: [f64; 2], pixel: PixelPoint) ->
     inner.to_mm(pixel).map(|at| [1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])])
 }
 
-fn inverse_of(pose: &Pose, sign: f64) -> Option<[f64; 9]> {
-    let l = &pose.linear;
-    let m = Matrix3::new(l[0], l[1] * sign, pose.offset[0], l[2], l[3] * sign, pose.offset[1], 0.0, 0.0, 1.0);
-    let i = m.try_inverse()?;
-    Some(std::array::from_fn(|k| i[(k / 3, k % 3)]))
+/// The fitted similarity itself, in the camera's axes: turning it over to a pose and back would cost digits.
+fn similarity_matrix(marks: &[([f64; 2], PixelPoint)], sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+    let pairs: Vec<Pair> = marks.iter().map(|(mm, p)| pair(*mm, *p, mirrored)).collect();
+    let g = fit_equal_weights(&pairs)?.geotransform().0;
+    let m = if mirrored { -1.0 } else { 1.0 };
+    // Northing is −y of the film.
+    Some([m * g[1], g[2], g[0], -sign * m * g[4], -sign * g[5], -sign * g[3], 0.0, 0.0, 1.0])
 }
 
 fn planar_matrix(marks: &[Observation], kind: planar::Kind) -> Option<[f64; 9]> {

@@ -1,8 +1,11 @@
-//! MicMac's inner orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` in MicMac's sources). The camera's file is
-//! one `MesureAppuiFlottant1Im` in millimetres, a frame's is a `SetOfMesureAppuisFlottants` with one in pixels.
+//! MicMac's inner orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` and `PackFromCplAPF` in MicMac's sources:
+//! both files are a `MesureAppuiFlottant1Im`, points are paired by name, image = affine(camera) by least squares). The
+//! camera's file is in millimetres, a frame's is in pixels inside a `SetOfMesureAppuisFlottants`, as MicMac's own
+//! `SaisieAppuisInit` writes it.
 
 use quick_xml::escape::escape;
 
+use super::tables::{PixelOrigin, used_marks};
 use super::types::{Camera, FrameResult};
 
 fn measures(image: &str, points: &[(String, [f64; 2])], indent: &str) -> String {
@@ -16,72 +19,40 @@ fn measures(image: &str, points: &[(String, [f64; 2])], indent: &str) -> String 
     text + indent + "</MesureAppuiFlottant1Im>\n"
 }
 
-/// `MeasuresCamera.xml`: millimetres with y **down**, since ReSampFid takes them for the axes of the picture that it writes
-/// and would mirror a film whose y runs up.
+/// Positions of the marks as MicMac and spymicmac want them: millimetres, x right, y **down**, from the upper left corner of
+/// the marks' bounding box.
+///
+/// ReSampFid takes them for the axes of the picture that it writes, and would mirror a film whose y runs up; Apero notes
+/// trouble with origins far from the corner; spymicmac's own resampling needs the corner at zero.
+pub fn camera_points(camera: &Camera) -> Vec<[f64; 2]> {
+    let points = camera.film_points();
+    let low = [0, 1].map(|k| points.iter().map(|p| p[k]).fold(f64::MAX, f64::min));
+    // Certificates state micrometres; the subtraction must not show more.
+    let tidy = |v: f64| (v * 1e9).round() / 1e9;
+    points.iter().map(|p| [tidy(p[0] - low[0]), tidy(p[1] - low[1])]).collect()
+}
+
+/// `MeasuresCamera.xml`: [`camera_points`] by name.
 pub fn camera_xml(camera: &Camera) -> String {
-    let points: Vec<_> = camera.marks.iter().map(|m| m.name.clone()).zip(camera.film_points()).collect();
+    let points: Vec<_> = camera.marks.iter().map(|m| m.name.clone()).zip(camera_points(camera)).collect();
     format!("<?xml version=\"1.0\" ?>\n{}", measures("Glob", &points, ""))
 }
 
-/// `MeasuresIm-NAME.xml` of one frame: the marks of its inner orientation, pixels as in `docs/coordinates.md`; `None` when it
-/// has none.
-pub fn image_xml(frame: &FrameResult) -> Option<String> {
-    let used = &frame.inner.as_ref()?.marks;
-    let points: Vec<_> = frame
-        .marks
-        .iter()
-        .filter(|m| used.contains(&m.mark))
-        .filter_map(|m| m.centre.map(|c| (m.mark.clone(), [c.x, c.y])))
-        .collect();
+/// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its inner orientation, pixels counted from
+/// `origin`; `None` when it has none.
+pub fn image_xml(frame: &FrameResult, origin: PixelOrigin) -> Option<String> {
+    frame.inner.as_ref()?;
+    let points: Vec<_> = used_marks(frame, origin).map(|(m, at)| (m.mark.clone(), at)).collect();
     let one = measures(&file_name(frame), &points, "    ");
     Some(format!("<?xml version=\"1.0\" ?>\n<SetOfMesureAppuisFlottants>\n{one}</SetOfMesureAppuisFlottants>\n"))
+}
+
+/// `id_fiducial.txt`, the list of names that MicMac's and spymicmac's tools ask for.
+pub fn names(camera: &Camera) -> String {
+    camera.marks.iter().map(|m| m.name.clone() + "\n").collect()
 }
 
 /// The scan's name with extension, as MicMac calls images.
 pub fn file_name(frame: &FrameResult) -> String {
     frame.path.file_name().map_or_else(|| frame.name.clone(), |n| n.to_string_lossy().into_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::film::load_camera;
-
-    /// Element names in order of opening, and the text of each.
-    fn read_back(xml: &str) -> Vec<(String, String)> {
-        let mut reader = quick_xml::Reader::from_str(xml);
-        let mut seen: Vec<(String, String)> = vec![];
-        loop {
-            match reader.read_event().expect("well-formed") {
-                quick_xml::events::Event::Start(e) => {
-                    seen.push((
-                        std::str::from_utf8(e.name().into_inner().as_ref()).expect("UTF-8").to_owned(),
-                        String::new(),
-                    ));
-                }
-                quick_xml::events::Event::Text(t) => {
-                    if let Some(last) = seen.last_mut().filter(|l| l.1.is_empty()) {
-                        last.1 = t.trim().to_owned();
-                    }
-                }
-                quick_xml::events::Event::Eof => return seen,
-                _ => {}
-            }
-        }
-    }
-
-    #[test]
-    fn the_camera_file_reads_back_in_order_with_y_down() {
-        let camera = load_camera("wild-15-4").expect("built in");
-        let seen = read_back(&camera_xml(&camera));
-        assert_eq!((seen[0].0.as_str(), seen[1].0.as_str()), ("MesureAppuiFlottant1Im", "NameIm"));
-        assert_eq!(seen.len(), 2 + 3 * camera.marks.len());
-        for (group, (mark, mm)) in seen[2..].chunks(3).zip(camera.marks.iter().zip(camera.film_points())) {
-            assert_eq!(group[0].0, "OneMesureAF1I");
-            assert_eq!(group[1], ("NamePt".into(), mark.name.clone()));
-            let xy: Vec<f64> = group[2].1.split(' ').map(|v| v.parse().expect("a number")).collect();
-            assert_eq!((group[2].0.as_str(), xy.as_slice()), ("PtIm", mm.as_slice()));
-            assert_eq!(Some(-xy[1]), mark.y_mm);
-        }
-    }
 }

@@ -1,104 +1,57 @@
 //! What a reviewer of the contact sheet changed, replayed on the frames.
 
-use std::path::Path;
-
-use serde::{Deserialize, Serialize};
-
 use super::check::agreement;
 use super::frame::FindOptions;
 use super::inner::{Observation, residual_um, solve};
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus};
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
+use crate::review::HAND_VARIANCE_PX2;
+use crate::review::patch::{Action, Edit, Patch, Target};
 
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FilmPatch {
-    pub schema: String,
-    pub schema_version: u32,
-    #[serde(rename = "for")]
-    pub subject: String,
-    pub source: String,
-    pub edits: Vec<FilmEdit>,
-}
-
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FilmEdit {
-    pub frame: String,
-    pub mark: String,
-    pub action: FilmAction,
-    #[serde(default)]
-    pub x: Option<f64>,
-    #[serde(default)]
-    pub y: Option<f64>,
-    #[serde(default)]
-    pub note: String,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum FilmAction {
-    Accept,
-    Reject,
-    Move,
-    NotVisible,
-}
-
-/// Reads a patch file for fiducial marks.
-///
-/// # Errors
-/// When it cannot be read, is for something else, or a `move` has no finite x and y.
-pub fn read_patch(path: &Path) -> Result<FilmPatch> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-    let patch: FilmPatch =
-        serde_json::from_str(&text).map_err(|e| Error::format(path, format!("line {}", e.line()), e.to_string()))?;
-    if (patch.schema.as_str(), patch.schema_version, patch.subject.as_str()) != ("autoref-stream-patch", 1, "fiducials")
-    {
-        let what = format!("{} version {} for {}", patch.schema, patch.schema_version, patch.subject);
-        return Err(Error::unsupported(path, what, "give a patch that a contact sheet saved"));
+/// The frame and the mark that an edit is about; `None` for edits of GCPs, which a patch for fiducial marks has not.
+pub fn names(edit: &Edit) -> Option<(&str, &str)> {
+    match &edit.target {
+        Target::Fiducial { frame, mark } => Some((frame, mark)),
+        Target::Gcp { .. } => None,
     }
-    for (i, edit) in patch.edits.iter().enumerate() {
-        let placed = [edit.x, edit.y].iter().all(|v| v.is_some_and(f64::is_finite));
-        if edit.action == FilmAction::Move && !placed {
-            return Err(Error::format(path, format!("edit {}", i + 1), "move needs x and y"));
-        }
-    }
-    Ok(patch)
 }
 
 /// Applies the edits that name this frame and solves again with the marks that are then OK. Marks that nobody touched keep
 /// what the program said of them. `None` when no edit names the frame.
 ///
 /// # Errors
-/// [`Error::Usage`] when an edit names a mark that the camera has not, or accepts one that has no place.
-pub fn replay(
-    camera: &Camera,
-    frame: &FrameResult,
-    patch: &FilmPatch,
-    model: InnerModel,
-) -> Result<Option<FrameResult>> {
-    let mut edits = patch.edits.iter().filter(|e| e.frame == frame.name).peekable();
+/// [`Error::Usage`] when an edit names a mark that the camera has not, accepts one that has no place, or picks.
+pub fn replay(camera: &Camera, frame: &FrameResult, patch: &Patch, model: InnerModel) -> Result<Option<FrameResult>> {
+    let mine = |e| names(e).filter(|(of, _)| *of == frame.name).map(|(_, mark)| (e, mark));
+    let mut edits = patch.edits.iter().filter_map(mine).peekable();
     if edits.peek().is_none() {
         return Ok(None);
     }
     let mut next = frame.clone();
-    for edit in edits {
-        let place = format!("{} {}", edit.frame, edit.mark);
-        let mark = next.marks.iter_mut().find(|m| m.mark == edit.mark);
+    for (edit, name) in edits {
+        let place = edit.target.to_string();
+        let mark = next.marks.iter_mut().find(|m| m.mark == name);
         let mark =
             mark.ok_or_else(|| Error::usage(format!("{place}: no such mark"), "use the patch with its own roll"))?;
         match (edit.action, edit.x, edit.y) {
-            (FilmAction::Move, Some(x), Some(y)) => {
+            (Action::Move, Some(x), Some(y)) => {
                 mark.centre = Some(PixelPoint { x, y });
+                mark.covariance_px2 = Some([HAND_VARIANCE_PX2, 0.0, HAND_VARIANCE_PX2]);
+                mark.score = None;
                 (mark.status, mark.reason) = (MarkStatus::Ok, Some("placed by hand".into()));
             }
-            (FilmAction::Accept, ..) if mark.centre.is_some() => {
+            (Action::Accept, ..) if mark.centre.is_some() => {
                 (mark.status, mark.reason) = (MarkStatus::Ok, Some("accepted by hand".into()));
             }
-            (FilmAction::Reject, ..) => {
+            (Action::Reject, ..) => {
                 (mark.status, mark.reason) = (MarkStatus::Doubtful, Some("rejected by hand".into()));
             }
-            (FilmAction::NotVisible, ..) => {
+            (Action::NotVisible, ..) => {
                 (mark.status, mark.centre, mark.reason) = (MarkStatus::Missing, None, Some("not visible".into()));
+            }
+            (Action::Pick, ..) => {
+                return Err(Error::usage(format!("{place}: fiducial marks have no list to pick from"), "use move"));
             }
             _ => return Err(Error::usage(format!("{place}: it has no place to accept"), "place it first")),
         }

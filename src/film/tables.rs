@@ -1,28 +1,125 @@
 //! Marks of a frame for other programs: CSV as spymicmac and hipp read it, GeoJSON in pixel space.
+//!
+//! Columns: spymicmac's `get_im_meas(points, …, name='gcp', x='im_col', y='im_row')`; hipp's `iter_detect_fiducials`,
+//! `split_position_tuples` and `image_restitution`, which take all columns between `fileName` and `principal_point` for
+//! pairs of y and x.
 
 use serde_json::{Value, json};
 
-use super::types::FrameResult;
+use super::types::{Camera, FrameResult, MarkFind};
 
-/// `gcp,im_col,im_row` of the marks of the inner orientation, pixels as in `docs/coordinates.md`; the residual columns are
-/// micrometres.
-pub fn measures_csv(frame: &FrameResult) -> String {
+/// From where the pixels of an export count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelOrigin {
+    /// The outer corner of the first pixel, as `docs/coordinates.md` and GDAL.
+    Corner,
+    /// The centre of the first pixel, as numpy, OpenCV and the resampling of MicMac.
+    Centre,
+}
+
+impl PixelOrigin {
+    fn shift(self) -> f64 {
+        match self {
+            PixelOrigin::Corner => 0.0,
+            PixelOrigin::Centre => -0.5,
+        }
+    }
+}
+
+/// The marks of the inner orientation with their pixels from `origin`.
+pub fn used_marks(frame: &FrameResult, origin: PixelOrigin) -> impl Iterator<Item = (&MarkFind, [f64; 2])> {
+    let used = frame.inner.as_ref().map_or(&[][..], |inner| &inner.marks);
+    frame.marks.iter().filter(|m| used.contains(&m.mark)).filter_map(move |m| {
+        let centre = m.centre?;
+        Some((m, [centre.x + origin.shift(), centre.y + origin.shift()]))
+    })
+}
+
+fn text(out: csv::Writer<Vec<u8>>) -> String {
+    String::from_utf8(out.into_inner().expect("memory takes all")).expect("made of strings")
+}
+
+/// `gcp,im_col,im_row` of the marks of the inner orientation; the residual columns are micrometres.
+pub fn measures_csv(frame: &FrameResult, origin: PixelOrigin) -> String {
     let mut out = csv::Writer::from_writer(vec![]);
-    let rows = frame.marks.iter().filter(|m| frame.inner.as_ref().is_some_and(|i| i.marks.contains(&m.mark)));
     out.write_record(["gcp", "im_col", "im_row", "residual_x_um", "residual_y_um"]).expect("memory takes all");
-    for m in rows {
-        let Some(c) = m.centre else { continue };
+    for (m, [x, y]) in used_marks(frame, origin) {
         let r = m.residual_um.map_or(["".into(), "".into()], |r| r.map(|v| format!("{v:.3}")));
         let [rx, ry] = &r;
-        out.write_record([&m.mark, &c.x.to_string(), &c.y.to_string(), rx, ry]).expect("memory takes all");
+        out.write_record([&m.mark, &x.to_string(), &y.to_string(), rx, ry]).expect("memory takes all");
     }
-    String::from_utf8(out.into_inner().expect("memory takes all")).expect("made of strings")
+    text(out)
+}
+
+/// hipp's names of the eight places, in its order.
+const HIPP: [&str; 8] = [
+    "midside_left",
+    "midside_top",
+    "midside_right",
+    "midside_bottom",
+    "corner_top_left",
+    "corner_top_right",
+    "corner_bottom_right",
+    "corner_bottom_left",
+];
+
+/// Which mark stands at each of hipp's places; marks elsewhere have none, and two at one place leave it empty.
+fn hipp_places(camera: &Camera) -> [Option<usize>; 8] {
+    let points = camera.film_points();
+    let centre = camera.film_centre();
+    let half = [0, 1].map(|k| points.iter().map(|p| (p[k] - centre[k]).abs()).fold(1e-9, f64::max));
+    let third = |v: f64| if v < -0.5 { -1 } else { i32::from(v > 0.5) };
+    let place = |p: &[f64; 2]| match (third((p[0] - centre[0]) / half[0]), third((p[1] - centre[1]) / half[1])) {
+        (-1, 0) => Some(0),
+        (0, -1) => Some(1),
+        (1, 0) => Some(2),
+        (0, 1) => Some(3),
+        (-1, -1) => Some(4),
+        (1, -1) => Some(5),
+        (1, 1) => Some(6),
+        (-1, 1) => Some(7),
+        _ => None,
+    };
+    let all: Vec<Option<usize>> = points.iter().map(place).collect();
+    std::array::from_fn(|k| {
+        let mut at = all.iter().enumerate().filter(|(_, p)| **p == Some(k)).map(|(mark, _)| mark);
+        at.next().filter(|_| at.next().is_none())
+    })
+}
+
+/// A row per frame as hipp keeps it: `fileName`, `_y` and `_x` of each place that the camera has a mark at, empty where the
+/// mark takes no part in the orientation, and the principal point: the mean of the midpoints of opposite marks.
+pub fn hipp_csv(camera: &Camera, frames: &[FrameResult], origin: PixelOrigin) -> String {
+    let places = hipp_places(camera);
+    let known: Vec<usize> = (0..8).filter(|&k| places[k].is_some()).collect();
+    let mut out = csv::Writer::from_writer(vec![]);
+    let pair = |name: &str| [format!("{name}_y"), format!("{name}_x")];
+    let head = known.iter().flat_map(|&k| pair(HIPP[k])).chain(pair("principal_point"));
+    out.write_record(std::iter::once("fileName".to_string()).chain(head)).expect("memory takes all");
+    for frame in frames {
+        let at = |k: usize| {
+            let name = &camera.marks[places[k]?].name;
+            used_marks(frame, origin).find(|(m, _)| m.mark == *name).map(|(_, at)| at)
+        };
+        let cells =
+            |at: Option<[f64; 2]>| at.map_or([String::new(), String::new()], |[x, y]| [y, x].map(|v| v.to_string()));
+        let middles: Vec<[f64; 2]> = [(0, 2), (1, 3), (4, 6), (5, 7)]
+            .iter()
+            .filter_map(|&(a, b)| at(a).zip(at(b)))
+            .map(|(a, b)| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])])
+            .collect();
+        let mean = |k: usize| middles.iter().map(|m| m[k]).sum::<f64>() / middles.len() as f64;
+        let principal = (!middles.is_empty()).then(|| [mean(0), mean(1)]);
+        let row = known.iter().flat_map(|&k| cells(at(k))).chain(cells(principal));
+        out.write_record(std::iter::once(frame.path.display().to_string()).chain(row)).expect("memory takes all");
+    }
+    text(out)
 }
 
 /// One point per mark that has a place. GIS programs show pixel space with y upwards, so y is **minus** the row; `x_px` and
 /// `y_px` have the pixels themselves.
 pub fn features(frame: &FrameResult) -> Vec<Value> {
-    let one = |m: &super::types::MarkFind| {
+    let one = |m: &MarkFind| {
         let c = m.centre?;
         Some(json!({
             "type": "Feature",

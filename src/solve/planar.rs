@@ -206,8 +206,14 @@ fn least_squares(design: DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f
 
 fn affine(local: &[Local]) -> Result<Matrix3<f64>, Unsolvable> {
     let design = DMatrix::from_fn(local.len(), 3, |i, c| [local[i].u, local[i].v, 1.0][c]);
-    let e = least_squares(design.clone(), &DVector::from_fn(local.len(), |i, _| local[i].e))?;
-    let n = least_squares(design, &DVector::from_fn(local.len(), |i, _| local[i].n))?;
+    let solved = |right: DVector<f64>| {
+        let first = least_squares(design.clone(), &right)?;
+        // The singular value decomposition leaves some thousand units in the last place; a second step takes them away.
+        let rest = &right - &design * &first;
+        Ok(&first + least_squares(design.clone(), &rest)?)
+    };
+    let e = solved(DVector::from_fn(local.len(), |i, _| local[i].e))?;
+    let n = solved(DVector::from_fn(local.len(), |i, _| local[i].n))?;
     Ok(Matrix3::new(e[0], e[1], e[2], n[0], n[1], n[2], 0.0, 0.0, 1.0))
 }
 
@@ -261,7 +267,9 @@ fn refine(local: &[Local], start: Matrix3<f64>) -> Result<Matrix3<f64>, Unsolvab
         let mut next = homography(&step);
         next[(2, 2)] = 0.0;
         next += h;
-        let Some(after) = misfits(local, &next).filter(|m| m.norm_squared() < misfit.norm_squared()) else { break };
+        // Near the least misfit the sum of squares no longer tells steps apart; they are small and right all the same.
+        let better = |m: &DVector<f64>| m.norm_squared() < misfit.norm_squared() || step.norm() < 1e-6;
+        let Some(after) = misfits(local, &next).filter(better) else { break };
         (h, misfit) = (next, after);
         if step.norm() < 1e-13 {
             break;

@@ -3,6 +3,8 @@
 
 pub mod firefox;
 
+#![allow(dead_code)] // each test file uses its own part
+
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -95,6 +97,12 @@ impl Browser {
             "Page.captureScreenshot",
             json!({"format": "jpeg", "quality": 60, "captureBeyondViewport": true, "clip": clip}),
         );
+        decoded(answer["data"].as_str().expect("a picture"))
+    }
+
+    /// What the window shows, as JPEG.
+    pub fn view(&mut self) -> Vec<u8> {
+        let answer = self.call("Page.captureScreenshot", json!({"format": "jpeg", "quality": 70}));
         decoded(answer["data"].as_str().expect("a picture"))
     }
 
