@@ -130,9 +130,12 @@ pub fn namings(
     all
 }
 
+/// Marks that fit worse than this contain a wrong one, pixels.
+const ONE_WRONG_PX: f64 = 2.5;
+
 fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: bool) -> Option<f64> {
     let whole = rms_px(&fit_pose(points, mirrored)?, points);
-    if points.len() < 4 || whole < 8.0 {
+    if points.len() < 4 || whole < ONE_WRONG_PX {
         return Some(whole);
     }
     let without = (0..points.len()).filter_map(|k| {
