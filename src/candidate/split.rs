@@ -13,6 +13,9 @@ use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use crate::window::Window;
 
+/// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs a second look.
+const MOST_PARTS: usize = 256;
+
 /// [`examine`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark than the
 /// whole.
 pub fn examine_parts(
@@ -25,13 +28,14 @@ pub fn examine_parts(
     let whole = if gates.single(region) { examine(region, patch, classifier, profile, gates) } else { None };
     let Some(scene) = Scene::new(region, patch, classifier, true) else { return whole.into_iter().collect() };
     let middles = middles(&scene, classifier, profile, gates.mark_side_px().0);
-    if middles.len() < 2 {
+    if middles.len() < 2 || middles.len() > MOST_PARTS {
         return whole.into_iter().collect();
     }
+    let owner: Vec<Option<usize>> =
+        (0..scene.own.len()).map(|i| scene.own[i].then(|| nearest(&middles, position(&scene, i)))).collect();
     let parts: Vec<Candidate> = (0..middles.len())
         .filter_map(|k| {
-            let own: Vec<bool> =
-                (0..scene.own.len()).map(|i| scene.own[i] && nearest(&middles, position(&scene, i)) == k).collect();
+            let own: Vec<bool> = owner.iter().map(|&o| o == Some(k)).collect();
             let part = region_of(&own, patch)?;
             let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
             examine_part(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
