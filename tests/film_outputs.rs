@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::film::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus, contact_sheet, load_camera};
-use browser::Browser;
+use browser::{Browser, Page};
 use serde_json::Value;
 
 fn autoref(args: &[&str]) -> Output {
@@ -153,8 +153,14 @@ fn files_for_other_programs_read_back_as_their_formats_say() {
         for (p, m) in film.iter().zip(&roll.camera.marks) {
             let (first, first_mark) = (&film[0], &roll.camera.marks[0]);
             let up = if camera == "wild-15-4" { -1.0 } else { 1.0 };
-            assert!((p.1[0] - first.1[0] - (m.x_mm.unwrap() - first_mark.x_mm.unwrap())).abs() < 1e-9, "x in mm");
-            assert!((p.1[1] - first.1[1] - up * (m.y_mm.unwrap() - first_mark.y_mm.unwrap())).abs() < 1e-9, "y down");
+            assert!(
+                (p.1[0] - first.1[0] - (m.x_mm.expect("there") - first_mark.x_mm.expect("there"))).abs() < 1e-9,
+                "x in mm"
+            );
+            assert!(
+                (p.1[1] - first.1[1] - up * (m.y_mm.expect("there") - first_mark.y_mm.expect("there"))).abs() < 1e-9,
+                "y down"
+            );
         }
         for k in 0..2 {
             assert_eq!(film.iter().map(|p| p.1[k]).fold(f64::MAX, f64::min), 0.0);
@@ -239,13 +245,13 @@ fn tables_read_back(roll: &Roll, name: &str, pixels: &[(String, [f64; 2])]) {
     // JSON: pixel → millimetres by the matrix gives the residuals.
     let raw = json(&roll.out(&format!("{name}.fiducials.json")));
     let h: Vec<f64> =
-        raw["inner"]["pixel_to_mm"].as_array().expect("a matrix").iter().map(|v| v.as_f64().unwrap()).collect();
+        raw["inner"]["pixel_to_mm"].as_array().expect("a matrix").iter().map(|v| v.as_f64().expect("there")).collect();
     for (m, calibrated) in raw["marks"].as_array().expect("marks").iter().zip(&roll.camera.marks) {
-        let (x, y) = (m["centre"]["x"].as_f64().unwrap(), m["centre"]["y"].as_f64().unwrap());
-        let dx = 1e3 * (h[0] * x + h[1] * y + h[2] - calibrated.x_mm.unwrap());
-        let dy = 1e3 * (h[3] * x + h[4] * y + h[5] - calibrated.y_mm.unwrap());
-        assert!((dx - m["residual_um"][0].as_f64().unwrap()).abs() < 1e-6);
-        assert!((dy - m["residual_um"][1].as_f64().unwrap()).abs() < 1e-6);
+        let (x, y) = (m["centre"]["x"].as_f64().expect("there"), m["centre"]["y"].as_f64().expect("there"));
+        let dx = 1e3 * (h[0] * x + h[1] * y + h[2] - calibrated.x_mm.expect("there"));
+        let dy = 1e3 * (h[3] * x + h[4] * y + h[5] - calibrated.y_mm.expect("there"));
+        assert!((dx - m["residual_um"][0].as_f64().expect("there")).abs() < 1e-6);
+        assert!((dy - m["residual_um"][1].as_f64().expect("there")).abs() < 1e-6);
     }
 }
 
@@ -301,7 +307,7 @@ fn a_review_of_the_contact_sheet_replays_to_the_same_numbers() {
         let first = browser.eval("document.querySelector('section h3').textContent");
         assert!(first.as_str().expect("text").starts_with("broken<b>#1"), "worst first: {first}");
         let rmse = browser.eval("Sheet.frames.filter(f => f.status === 'ok').map(f => f.worst)");
-        let rmse: Vec<f64> = rmse.as_array().expect("numbers").iter().map(|v| v.as_f64().unwrap()).collect();
+        let rmse: Vec<f64> = rmse.as_array().expect("numbers").iter().map(|v| v.as_f64().expect("there")).collect();
         assert!(rmse.len() == 3 && rmse.windows(2).all(|w| w[0] >= w[1]), "{rmse:?}");
 
         // The keyboard alone reaches every mark: Tab into the sheet, then arrows.

@@ -286,8 +286,7 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
     let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
     let direction = inverse * step;
     let contrast2 = direction.dot(&step).max(1e-9);
-    let (weights, nothing) = (direction / contrast2, direction.dot(&ground.mean) / contrast2);
-    let shares = (0..scene.own.len()).map(|i| scene.colour(i).dot(&weights) - nothing).collect();
+    let shares = scene.along(direction / contrast2, direction.dot(&ground.mean) / contrast2);
     (shares, contrast2.sqrt())
 }
 

@@ -27,9 +27,10 @@ pub(super) struct Local {
 pub(super) fn local_shares(scene: &Scene<'_>, plateau: Vector3<f64>, ring: (u8, u8)) -> Option<Local> {
     let count = scene.own.len();
     let in_ring: Vec<bool> = (0..count).map(|i| scene.is_ground(i, ring.0, ring.1)).collect();
+    let colours: Vec<Vector3<f64>> = (0..count).map(|i| scene.colour(i)).collect();
     let mut sums: Vec<[f64; 4]> = (0..count)
         .map(|i| {
-            let c = scene.colour(i);
+            let c = colours[i];
             if in_ring[i] { [c[0], c[1], c[2], 1.0] } else { [0.0; 4] }
         })
         .collect();
@@ -38,7 +39,7 @@ pub(super) fn local_shares(scene: &Scene<'_>, plateau: Vector3<f64>, ring: (u8, 
     }
     let near = |i: usize| (sums[i][3] > 1e-9).then(|| Vector3::new(sums[i][0], sums[i][1], sums[i][2]) / sums[i][3]);
     let scatter: Vec<Vector3<f64>> =
-        (0..count).filter(|&i| in_ring[i]).filter_map(|i| Some(scene.colour(i) - near(i)?)).collect();
+        (0..count).filter(|&i| in_ring[i]).filter_map(|i| Some(colours[i] - near(i)?)).collect();
     // Sensor noise and JPEG: 3 levels, as in the first look.
     let noise = ground(&scatter)?.covariance + Matrix3::identity() * 9.0;
     let inverse = noise.cholesky()?.inverse();
@@ -54,7 +55,7 @@ pub(super) fn local_shares(scene: &Scene<'_>, plateau: Vector3<f64>, ring: (u8, 
                 open += 1.0 / contrast2;
                 border += 1;
             }
-            direction.dot(&(scene.colour(i) - ground)) / contrast2
+            direction.dot(&(colours[i] - ground)) / contrast2
         })
         .collect();
     (border > 0).then(|| Local { shares, contrast: (border as f64 / open).sqrt() })

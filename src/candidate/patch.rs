@@ -96,6 +96,16 @@ impl<'a> Scene<'a> {
         (0..self.own.len()).filter(|&i| wanted(i)).map(|i| self.colour(i)).collect()
     }
 
+    /// Every pixel's colour along a direction, less `origin`.
+    pub fn along(&self, direction: Vector3<f64>, origin: f64) -> Vec<f64> {
+        if self.linear {
+            return (0..self.own.len()).map(|i| self.colour(i).dot(&direction) - origin).collect();
+        }
+        let [a, b, c] = [self.scale * direction[0], self.scale * direction[1], self.scale * direction[2]];
+        let along = |v: &[u16; 3]| f64::from(v[0]) * a + f64::from(v[1]) * b + f64::from(v[2]) * c - origin;
+        self.patch.rgb.iter().map(along).collect()
+    }
+
     /// Robust statistics of the pixels that are `wanted`; `None` of fewer than 12.
     pub fn ground(&self, wanted: impl Fn(usize) -> bool) -> Option<Ground> {
         if self.linear { ground(&self.colours(wanted)) } else { sample_ground(&self.samples(wanted), self.patch.white) }

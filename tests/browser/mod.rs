@@ -1,9 +1,9 @@
 //! Real browsers, as far as the tests of pages need them: Chromium over the DevTools protocol
 //! (https://chromedevtools.github.io/devtools-protocol/) here, Firefox in a file of its own.
 
-pub mod firefox;
-
 #![allow(dead_code)] // each test file uses its own part
+
+pub mod firefox;
 
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
