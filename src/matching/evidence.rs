@@ -74,6 +74,8 @@ pub fn pair_evidence(
     let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
     let mut probabilities = Vec::with_capacity(gcps.len());
     let mut hit: Vec<usize> = Vec::new();
+    // Where something was predicted already, and how closely.
+    let mut told: Vec<(PixelPoint, f64)> = pixels.iter().map(|p| (*p, level_px)).collect();
     for (k, gcp) in gcps.iter().enumerate() {
         if k == a || k == b {
             continue;
@@ -83,8 +85,20 @@ pub fn pair_evidence(
             continue;
         }
         let radius = level_px * spread_from_pair(gcps[a], gcps[b], *gcp);
+        let away = told.iter().map(|(p, r)| {
+            let distance = (p.x - predicted.x).hypot(p.y - predicted.y);
+            (distance, distance < r + radius)
+        });
+        let (nearest, touches) = away.fold((f64::INFINITY, false), |(d, t), (e, u)| (d.min(e), t || u));
+        // Circles that touch are one prediction: a point that was surveyed twice is no second witness.
+        if touches {
+            continue;
+        }
+        told.push((predicted, radius));
         let density = field.density_near(predicted);
-        probabilities.push(-(-density * std::f64::consts::PI * radius * radius).exp_m1());
+        let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
+        // Nor is much said by a neighbour where every candidate has one.
+        probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
         // One candidate is evidence for one GCP only.
         if let Some((candidate, _)) = field.nearest(predicted, radius)
             && !hit.contains(&candidate)
@@ -111,6 +125,24 @@ mod tests {
         assert!((log10_tail(&[0.1; 4], 2) - 0.0523f64.log10()).abs() < 1e-12);
         assert_eq!(log10_tail(&[0.5; 3], 0), 0.0);
         assert_eq!(log10_tail(&[0.5; 3], 4), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn a_point_surveyed_twice_is_one_witness() {
+        let pixel = |x: f64, y: f64| PixelPoint { x, y };
+        let marks = [(100.0, 100.0), (900.0, 150.0), (400.0, 700.0), (700.0, 500.0)];
+        let field = Field::new(marks.iter().map(|&(x, y)| pixel(x, y)).collect(), Some((1000.0, 800.0)));
+        let list = |twice: bool| -> Vec<MapPoint> {
+            let copies: &[f64] = if twice { &[0.0, 0.3] } else { &[0.0] };
+            let all = marks.iter().flat_map(|&(x, y)| copies.iter().map(move |d| (x + d, y)));
+            all.map(|(x, y)| MapPoint { easting: x, northing: -y }).collect()
+        };
+        let of = |gcps: &[MapPoint], pair| {
+            pair_evidence(&field, gcps, pair, [pixel(100.0, 100.0), pixel(900.0, 150.0)], 2.0, 3.0).expect("two points")
+        };
+        let (once, twice) = (of(&list(false), (0, 1)), of(&list(true), (0, 2)));
+        assert_eq!((once.hits, once.gcps_in_image), (4, 4));
+        assert_eq!(once, twice);
     }
 
     #[test]

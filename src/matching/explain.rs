@@ -24,15 +24,23 @@ pub(super) fn explain(
         let beaten = best.log10_false_alarms <= limit;
         if beaten {
             advice.push(
-                "the points form a pattern that repeats: give the rotation (--north-up) or the --gsd".to_string(),
+                "the list or the image shows a figure that repeats: give the direction of north (--north-up), the --gsd, or \
+                 only the points that can be in the image (--names)"
+                    .to_string(),
             );
         }
+        let rival = runner_up.as_ref().filter(|_| beaten).map_or(String::new(), |other| {
+            format!(
+                ", but another one is almost as good ({} GCPs, {})",
+                other.pairs.len(),
+                scientific(other.log10_false_alarms)
+            )
+        });
         format!(
-            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{}",
+            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{rival}",
             best.pairs.len(),
             best.gcps_in_image,
             scientific(best.log10_false_alarms),
-            if beaten { ", but another one is almost as good" } else { "" }
         )
     } else {
         format!("no three of {candidates} candidates lie like GCPs of the list")

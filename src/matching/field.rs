@@ -16,7 +16,13 @@ pub struct Field {
     pub height_px: f64,
     /// [`Field::density_near`] each point.
     densities: Vec<f64>,
+    /// Sorted distances from `sampled` of the points to all others within the disc that would hold one by chance.
+    neighbours: Vec<f64>,
+    sampled: usize,
 }
+
+/// Points whose neighbours are counted.
+const MOST_SAMPLED: usize = 2000;
 
 impl Field {
     /// A field of `size_px` from (0, 0), or of the points' own extent.
@@ -46,8 +52,11 @@ impl Field {
             width_px: width,
             height_px: height,
             densities: Vec::new(),
+            neighbours: Vec::new(),
+            sampled: 0,
         };
         field.fill();
+        field.measure_neighbours();
         field.densities = field.points.iter().map(|p| field.density_near(*p)).collect();
         field
     }
@@ -137,6 +146,39 @@ impl Field {
         best.map(|(i, square)| (i, square.sqrt()))
     }
 
+    fn measure_neighbours(&mut self) {
+        let reach = (self.area_px2() / (self.points.len().max(1) as f64 * std::f64::consts::PI)).sqrt();
+        let step = self.points.len().div_ceil(MOST_SAMPLED).max(1);
+        let mut distances = Vec::new();
+        for i in (0..self.points.len()).step_by(step) {
+            let p = self.points[i];
+            self.around(p, reach, |j, q| {
+                let distance = (q.x - p.x).hypot(q.y - p.y);
+                if j != i && distance <= reach {
+                    distances.push(distance);
+                }
+            });
+        }
+        distances.sort_by(f64::total_cmp);
+        self.neighbours = distances;
+        self.sampled = self.points.len().div_ceil(step);
+    }
+
+    /// Where points come in twos or in clumps: how often one has another within twice a distance. `None` where they have
+    /// no more than an even field would give them (B. D. Ripley, "Modelling spatial patterns", 1977: the K function),
+    /// and for distances at which neighbours are no clumps.
+    pub fn company(&self, distance_px: f64) -> Option<f64> {
+        let reach = 2.0 * distance_px;
+        let density = self.points.len() as f64 / self.area_px2();
+        let expected = self.sampled as f64 * density * std::f64::consts::PI * reach * reach;
+        if expected > self.sampled as f64 {
+            return None;
+        }
+        let seen = self.neighbours.partition_point(|d| *d <= reach) as f64;
+        // Pairs are counted from both ends: the spread of the count is twice that of as many single events.
+        (seen > expected + 6.0 * expected.sqrt() + 6.0).then(|| (seen / self.sampled as f64).min(1.0))
+    }
+
     /// Points per px² about `p`: the largest of the whole field's and of discs that would hold 16, 4 and 1 points of the
     /// whole field's. Clutter in clumps and rows makes accidents likelier just there, so the estimate leans to the dense
     /// side. Each disc leaves out one point: the hit whose chance is asked for.
@@ -160,6 +202,23 @@ impl Field {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn points_in_twos_have_company_and_even_ones_have_none() {
+        let mut state = 7u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let even: Vec<PixelPoint> =
+            (0..300).map(|_| PixelPoint { x: 8000.0 * uniform(), y: 6000.0 * uniform() }).collect();
+        let twos: Vec<PixelPoint> =
+            even[..150].iter().flat_map(|p| [*p, PixelPoint { x: p.x + 20.0, y: p.y }]).collect();
+        let (even, twos) = (Field::new(even, Some((8000.0, 6000.0))), Field::new(twos, Some((8000.0, 6000.0))));
+        assert!([5.0, 20.0, 60.0, 100.0].iter().all(|d| even.company(*d).is_none()));
+        assert!(twos.company(20.0).is_some_and(|share| share > 0.95));
+        assert_eq!(twos.company(5.0), None);
+    }
 
     proptest! {
         #[test]

@@ -14,11 +14,18 @@ use crate::matching::explain::explain;
 use crate::matching::search::Search;
 use crate::matching::{Effort, MatchOutcome, Matcher, Pattern, Priors, Solved};
 
-/// How much rarer (log₁₀) the best pattern must be than one that says something else.
+/// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
 const RUNNER_UP_GAP: f64 = 2.0;
+/// A rival rarer than this (log₁₀) is hardly an accident: the limit holds against it too.
+const SUSPECT_LOG10: f64 = -2.0;
+/// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then, because
+/// marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
+const REPETITION_LOG10: f64 = -4.0;
 /// Above this many candidates the best-scored are tried alone first.
 const GUIDED_ABOVE: usize = 6000;
 const GUIDED_FIRST: usize = 2000;
+/// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
+const MOST_CHALLENGES: usize = 3;
 
 /// The default matcher.
 #[derive(Clone, Debug)]
@@ -53,6 +60,19 @@ pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
 }
 
 impl RobustMatcher {
+    /// Whether the best pattern is rare enough, by itself and beside the runner-up.
+    fn believes(&self, best: &Pattern, runner_up: Option<&Pattern>) -> bool {
+        let limit = self.max_false_alarms.log10();
+        let unlike = |other: &Pattern| {
+            let suspect = other.log10_false_alarms <= SUSPECT_LOG10;
+            let repeats = other.log10_false_alarms <= REPETITION_LOG10;
+            let rarer = other.log10_false_alarms.min(0.0) - best.log10_false_alarms;
+            let gap = if suspect { (-limit).max(RUNNER_UP_GAP) } else { RUNNER_UP_GAP };
+            rarer >= gap && (!repeats || best.pairs.len() > 2 * other.pairs.len())
+        };
+        best.log10_false_alarms <= limit && runner_up.is_none_or(unlike)
+    }
+
     /// Believes the best pattern, or says why not.
     pub(super) fn decide(&self, found: Found, candidates: usize, control: &[usize]) -> MatchOutcome {
         let restore = |pattern: Pattern| Pattern {
@@ -62,8 +82,7 @@ impl RobustMatcher {
         let (best, runner_up) = (found.best.map(restore), found.runner_up.map(restore));
         let limit = self.max_false_alarms.log10();
         if let Some(pattern) = &best
-            && pattern.log10_false_alarms <= limit
-            && gap(pattern, runner_up.as_ref()) >= RUNNER_UP_GAP
+            && self.believes(pattern, runner_up.as_ref())
         {
             return MatchOutcome::Solved(Box::new(Solved {
                 pattern: pattern.clone(),
@@ -75,10 +94,6 @@ impl RobustMatcher {
     }
 }
 
-fn gap(best: &Pattern, runner_up: Option<&Pattern>) -> f64 {
-    runner_up.map_or(f64::INFINITY, |other| other.log10_false_alarms.min(0.0) - best.log10_false_alarms)
-}
-
 /// The best two patterns of a search.
 #[derive(Default)]
 pub(super) struct Found {
@@ -88,22 +103,22 @@ pub(super) struct Found {
 }
 
 impl Found {
-    pub fn take(&mut self, pattern: Pattern) {
+    pub fn take(&mut self, pattern: Pattern, gcps: &[MapPoint]) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
         };
         if better(&pattern, &self.best) {
             let old = self.best.replace(pattern);
             let best = self.best.as_ref().expect("just placed");
-            if self.runner_up.as_ref().is_some_and(|r| same_claim(r, best)) {
+            if self.runner_up.as_ref().is_some_and(|r| same_claim(r, best, gcps)) {
                 self.runner_up = None;
             }
-            if let Some(old) = old.filter(|old| !same_claim(old, best))
+            if let Some(old) = old.filter(|old| !same_claim(old, best, gcps))
                 && better(&old, &self.runner_up)
             {
                 self.runner_up = Some(old);
             }
-        } else if self.best.as_ref().is_some_and(|best| !same_claim(best, &pattern))
+        } else if self.best.as_ref().is_some_and(|best| !same_claim(best, &pattern, gcps))
             && better(&pattern, &self.runner_up)
         {
             self.runner_up = Some(pattern);
@@ -111,21 +126,24 @@ impl Found {
     }
 }
 
-/// Two patterns say the same when they put most of their GCPs at the same places: within the sum of their tolerances, so
-/// that two candidates on one mark do not make two claims.
-fn same_claim(one: &Pattern, other: &Pattern) -> bool {
-    let tolerance = 6.0 * (one.noise_px + other.noise_px) + 12.0;
-    let shared = one.pairs.iter().filter(|(c, g)| other.pairs.iter().any(|(d, h)| g == h && c == d)).count();
-    if 2 * shared > one.pairs.len().min(other.pairs.len()) {
+/// Two patterns say the same when they join most of their GCPs with the same candidates, or put the GCPs of one of them at
+/// the same places: within their noise, and a little more where other candidates may be other parts of the same marks.
+fn same_claim(one: &Pattern, other: &Pattern, gcps: &[MapPoint]) -> bool {
+    let most = one.pairs.len().min(other.pairs.len());
+    let shared = one.pairs.iter().filter(|pair| other.pairs.contains(pair)).count();
+    if 2 * shared > most {
         return true;
     }
-    // Different candidates, perhaps of the same marks: compare the transforms where the patterns are.
-    let middle = PixelPoint { x: 0.0, y: 0.0 };
-    let (a, b) = (one.similarity, other.similarity);
-    let there = b.invert(a.apply(middle));
-    (there.x - middle.x).hypot(there.y - middle.y) < tolerance
-        && (a.scale_m_per_px() / b.scale_m_per_px()).ln().abs() < 0.002
-        && (a.rotation_deg() - b.rotation_deg()).abs() < 0.1
+    let candidates = one.pairs.iter().filter(|(c, _)| other.pairs.iter().any(|(d, _)| c == d)).count();
+    let parts_px = if 2 * candidates > most { 0.0 } else { 12.0 };
+    let tolerance_px = 6.0 * (one.noise_px + other.noise_px) + parts_px;
+    let agree = |pattern: &Pattern| {
+        pattern.pairs.iter().all(|&(_, gcp)| {
+            let (p, q) = (one.similarity.invert(gcps[gcp]), other.similarity.invert(gcps[gcp]));
+            (p.x - q.x).hypot(p.y - q.y) < tolerance_px
+        })
+    };
+    agree(one) || agree(other)
 }
 
 impl RobustMatcher {
@@ -143,8 +161,7 @@ impl RobustMatcher {
         // Two searches are two chances for an accident.
         let two = (2.0 * self.tries).log10();
         let mut first = self.search(points(&ranked), gcps, priors, two);
-        let limit = self.max_false_alarms.log10();
-        if first.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit) {
+        if first.best.as_ref().is_some_and(|best| self.believes(best, first.runner_up.as_ref())) {
             for pattern in first.best.iter_mut().chain(first.runner_up.iter_mut()) {
                 pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
             }
@@ -160,21 +177,33 @@ impl RobustMatcher {
         }
         let Some((search, pairs, possible)) = Search::new(points, gcps, priors, log10_searches) else { return found };
         found.effort.hypotheses_possible = possible;
-        // One decade below the limit there is nothing left to weigh.
-        let decided = self.max_false_alarms.log10() - 1.0;
+        let limit = self.max_false_alarms.log10();
+        let mut done = 0;
         for pair in &pairs {
             let (hypotheses, tried) = search.try_pair(pair);
+            done += 1;
             found.effort.hypotheses_tried += tried;
             for hypothesis in hypotheses {
                 if let Some(pattern) = search.refine(pair, hypothesis) {
-                    found.take(pattern);
+                    found.take(pattern, gcps);
                 }
             }
-            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= decided) {
+            // One decade below the limit chance has no say any more; repetition is asked about below.
+            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
                 break;
             }
             if found.effort.hypotheses_tried >= self.budget_hypotheses {
                 found.effort.budget_spent = true;
+                break;
+            }
+        }
+        // A rival that takes the first place must answer the same questions.
+        for _ in 0..MOST_CHALLENGES {
+            let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
+            let (rivals, tried) = search.rivals(&best, &pairs, (done, found.effort.hypotheses_tried));
+            found.effort.hypotheses_tried += tried;
+            rivals.into_iter().for_each(|rival| found.take(rival, gcps));
+            if found.best.as_ref().is_some_and(|now| same_claim(now, &best, gcps)) {
                 break;
             }
         }

@@ -29,7 +29,15 @@ pub(super) struct GcpPair {
     length_m: f64,
     /// Pixel distances that the scale allows.
     reach_px: (f64, f64),
+    /// Pairs of candidates that can be this one.
     cost: f64,
+}
+
+impl GcpPair {
+    /// About as many hypotheses as trying it takes.
+    pub fn hypotheses(&self) -> u64 {
+        self.cost as u64
+    }
 }
 
 /// Another GCP as seen from a pair: its offset from `a`, and tolerance.
@@ -43,7 +51,7 @@ struct Target {
 
 #[derive(Clone, Copy)]
 pub(super) struct Hypothesis {
-    score: f64,
+    pub score: f64,
     pub i: u32,
     pub j: u32,
 }
@@ -179,6 +187,22 @@ impl<'a> Search<'a> {
         (all, tried)
     }
 
+    /// The same with no other points than these at the two ends of the pair.
+    pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize]) -> (Vec<Hypothesis>, u64) {
+        let targets = self.targets(pair);
+        let fewest = self.fewest_hits(&targets);
+        let (mut all, mut tried) = (Vec::new(), 0);
+        for (&i, &j) in points.iter().flat_map(|i| points.iter().map(move |j| (i, j))).filter(|(i, j)| i != j) {
+            let (from, to) = (self.field.points()[i], self.field.points()[j]);
+            let Some(z) = self.turn_and_scale(pair, from, to) else { continue };
+            tried += 1;
+            let score = self.verify((i, j), z, &targets, fewest);
+            all.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
+        }
+        keep_best(&mut all);
+        (all, tried)
+    }
+
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
     fn targets(&self, pair: &GcpPair) -> Vec<Target> {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
@@ -221,11 +245,7 @@ impl<'a> Search<'a> {
     }
 
     fn try_point(&self, pair: &GcpPair, targets: &[Target], fewest: usize, i: usize) -> (Vec<Hypothesis>, u64) {
-        let (low, high) = pair.reach_px;
         let from = self.field.points()[i];
-        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
-        let (de, dn) = (b.easting - a.easting, b.northing - a.northing);
-        let square = de * de + dn * dn;
         let mut best = Vec::new();
         let mut tried = 0;
         let targets = &self.in_reach(pair, targets, from)[..];
@@ -234,18 +254,9 @@ impl<'a> Search<'a> {
         }
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            let (x, y) = (to.x - from.x, -(to.y - from.y));
-            let d2 = x * x + y * y;
-            if i == j || d2 < low * low || d2 > high * high {
-                return;
-            }
-            // Pixels = from + z · (map offset), z = (to − from) / (b − a).
-            let (z_re, z_im) = ((x * de + y * dn) / square, (y * de - x * dn) / square);
-            if !self.turned_right(z_re, z_im) {
-                return;
-            }
+            let Some(z) = self.turn_and_scale(pair, from, to).filter(|_| i != j) else { return };
             tried += 1;
-            if let Some(score) = self.verify(from, (z_re, z_im), targets, fewest) {
+            if let Some(score) = self.verify((i, j), z, targets, fewest) {
                 best.push(Hypothesis { score, i: i as u32, j: j as u32 });
                 if best.len() >= 4 * REFINED_PER_PAIR {
                     keep_best(&mut best);
@@ -254,6 +265,23 @@ impl<'a> Search<'a> {
         });
         keep_best(&mut best);
         (best, tried)
+    }
+
+    /// The factor z of pixels = from + z · (map offset), real and imaginary part, when the priors allow it:
+    /// z = (to − from) / (b − a).
+    #[inline]
+    fn turn_and_scale(&self, pair: &GcpPair, from: PixelPoint, to: PixelPoint) -> Option<(f64, f64)> {
+        let (low, high) = pair.reach_px;
+        let (x, y) = (to.x - from.x, -(to.y - from.y));
+        let d2 = x * x + y * y;
+        if d2 < low * low || d2 > high * high {
+            return None;
+        }
+        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
+        let (de, dn) = (b.easting - a.easting, b.northing - a.northing);
+        let square = de * de + dn * dn;
+        let (z_re, z_im) = ((x * de + y * dn) / square, (y * de - x * dn) / square);
+        self.turned_right(z_re, z_im).then_some((z_re, z_im))
     }
 
     /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale they
@@ -305,7 +333,8 @@ impl<'a> Search<'a> {
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
     /// into one clump.
     #[inline]
-    fn verify(&self, from: PixelPoint, z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
+    fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
+        let from = self.field.points()[ends.0];
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
         for (k, target) in targets.iter().enumerate() {
@@ -324,6 +353,8 @@ impl<'a> Search<'a> {
                 continue;
             }
             if let Some((candidate, _)) = self.field.nearest(p, target.radius_px)
+                && candidate != ends.0
+                && candidate != ends.1
                 && !hit[..hits].contains(&(candidate as u32))
             {
                 hit[hits] = candidate as u32;

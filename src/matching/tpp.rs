@@ -121,7 +121,7 @@ impl Matcher for TppMatcher {
                 })
                 .collect();
             for pattern in proposals.into_iter().filter(|p| allowed(p.similarity, priors)) {
-                found.take(pattern);
+                found.take(pattern, search.gcps);
             }
         }
         judge.decide(found, candidates.len(), &control)

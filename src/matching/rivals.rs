@@ -1,0 +1,73 @@
+//! Before a pattern is believed: does another one explain the same marks, or lay the same GCPs on other marks?
+//!
+//! The search ends with the first pattern that is rare enough. The number of false alarms guards it against chance, not
+//! against repetition: a list may hold the same figure twice, an image may show it twice, and the pair of GCPs that found
+//! the first need not belong to the second. Both questions are asked of few points, so that they cost little.
+
+use rayon::prelude::*;
+
+use crate::matching::Pattern;
+use crate::matching::search::{GcpPair, Hypothesis, SEARCH_TOLERANCE_PX, Search};
+use crate::solve::Similarity;
+
+/// Hypotheses that are refined for each of the two questions.
+const REFINED: usize = 12;
+/// Hypotheses about the pattern's own GCPs that are tried in any case; half as many as the search took when that is more.
+const FEWEST_TRIED: u64 = 200_000;
+
+impl Search<'_> {
+    /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` and of the
+    /// hypotheses have been looked at by the search.
+    pub fn rivals(&self, pattern: &Pattern, pairs: &[GcpPair], tried: (usize, u64)) -> (Vec<Pattern>, u64) {
+        let (mut rivals, few) = self.on_the_same_marks(pattern, pairs);
+        let (others, many) = self.of_the_same_gcps(pattern, &pairs[tried.0..], (tried.1 / 2).max(FEWEST_TRIED));
+        rivals.extend(others);
+        (rivals, few + many)
+    }
+
+    /// Other GCPs laid on the marks of the pattern.
+    fn on_the_same_marks(&self, pattern: &Pattern, pairs: &[GcpPair]) -> (Vec<Pattern>, u64) {
+        let marks: Vec<usize> = pattern.pairs.iter().map(|pair| pair.0).collect();
+        let found: Vec<_> = pairs.par_iter().map(|pair| (pair, self.try_pair_among(pair, &marks))).collect();
+        self.refined(pattern, found.into_iter())
+    }
+
+    /// The GCPs of the pattern laid on other marks, by pairs of GCPs that the search has not come to.
+    fn of_the_same_gcps(&self, pattern: &Pattern, untried: &[GcpPair], budget: u64) -> (Vec<Pattern>, u64) {
+        let joined = |gcp: usize| pattern.pairs.iter().any(|pair| pair.1 == gcp);
+        let own = untried.iter().filter(|pair| joined(pair.a) && joined(pair.b));
+        let mut spent = 0;
+        let affordable = own.take_while(|pair| {
+            spent += pair.hypotheses();
+            spent <= budget
+        });
+        self.refined(pattern, affordable.map(|pair| (pair, self.try_pair(pair))))
+    }
+
+    fn refined<'p>(
+        &self,
+        pattern: &Pattern,
+        found: impl Iterator<Item = (&'p GcpPair, (Vec<Hypothesis>, u64))>,
+    ) -> (Vec<Pattern>, u64) {
+        let mut tried = 0;
+        let mut best: Vec<(&GcpPair, Hypothesis)> = Vec::new();
+        for (pair, (hypotheses, n)) in found {
+            tried += n;
+            best.extend(
+                hypotheses.into_iter().map(|h| (pair, h)).filter(|(p, h)| !self.says(&pattern.similarity, p, h)),
+            );
+            // A stable sort: equals stay in the order of trying.
+            best.sort_by(|s, t| t.1.score.total_cmp(&s.1.score));
+            best.truncate(REFINED);
+        }
+        (best.into_iter().filter_map(|(pair, hypothesis)| self.refine(pair, hypothesis)).collect(), tried)
+    }
+
+    /// Whether the hypothesis puts its two GCPs where the similarity does.
+    fn says(&self, similarity: &Similarity, pair: &GcpPair, hypothesis: &Hypothesis) -> bool {
+        [(pair.a, hypothesis.i), (pair.b, hypothesis.j)].into_iter().all(|(gcp, point)| {
+            let (p, q) = (similarity.invert(self.gcps[gcp]), self.field.points()[point as usize]);
+            (p.x - q.x).hypot(p.y - q.y) <= 4.0 * SEARCH_TOLERANCE_PX
+        })
+    }
+}
