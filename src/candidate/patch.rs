@@ -101,8 +101,10 @@ impl<'a> Scene<'a> {
         if self.linear {
             return (0..self.own.len()).map(|i| self.colour(i).dot(&direction) - origin).collect();
         }
-        let [a, b, c] = [self.scale * direction[0], self.scale * direction[1], self.scale * direction[2]];
-        let along = |v: &[u16; 3]| f64::from(v[0]) * a + f64::from(v[1]) * b + f64::from(v[2]) * c - origin;
+        let ([a, b, c], scale) = ([direction[0], direction[1], direction[2]], self.scale);
+        // Scaled before it is weighed: a multiple of 257 of a byte is that byte, to the last bit.
+        let sample = |v: u16| f64::from(v) * scale;
+        let along = |v: &[u16; 3]| sample(v[0]) * a + sample(v[1]) * b + sample(v[2]) * c - origin;
         self.patch.rgb.iter().map(along).collect()
     }
 
