@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use crate::matching::Pattern;
-use crate::matching::search::{GcpPair, Hypothesis, SEARCH_TOLERANCE_PX, Search};
+use crate::matching::search::{GcpPair, Hypothesis, Search};
 use crate::solve::Similarity;
 
 /// Hypotheses that are refined for each of the two questions.
@@ -67,7 +67,7 @@ impl Search<'_> {
     fn says(&self, similarity: &Similarity, pair: &GcpPair, hypothesis: &Hypothesis) -> bool {
         [(pair.a, hypothesis.i), (pair.b, hypothesis.j)].into_iter().all(|(gcp, point)| {
             let (p, q) = (similarity.invert(self.gcps[gcp]), self.field.points()[point as usize]);
-            (p.x - q.x).hypot(p.y - q.y) <= 4.0 * SEARCH_TOLERANCE_PX
+            (p.x - q.x).hypot(p.y - q.y) <= 4.0 * self.tolerance_px
         })
     }
 }
