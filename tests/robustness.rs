@@ -30,7 +30,8 @@ fn picture(
     rule: impl Fn(usize, usize) -> [u8; 4],
 ) {
     let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
-    let options = RasterCreationOptions::from_iter(["PHOTOMETRIC=RGB", "COMPRESS=DEFLATE"]);
+    let alpha = if bands == 4 { "ALPHA=YES" } else { "ALPHA=NO" };
+    let options = RasterCreationOptions::from_iter(["PHOTOMETRIC=RGB", "COMPRESS=DEFLATE", alpha]);
     let file =
         driver.create_with_band_type_with_options::<u8, _>(path, width, height, bands, &options).expect("a new file");
     for band in 0..bands {

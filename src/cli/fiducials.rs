@@ -159,7 +159,7 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     bar.finish_and_clear();
     let outputs = &args.outputs;
     let mut reviewed_ok = None;
-    if outputs.exports || outputs.resample || outputs.patch.is_some() {
+    if outputs.exports || outputs.resampling.resample || outputs.patch.is_some() {
         let read = |scan: &PathBuf| roll::read_frame(&roll::frame_json(&args.output, scan));
         let mut frames = scans.iter().map(read).collect::<Result<Vec<_>, _>>()?;
         super::film_outputs::write_outputs(&args.output, &camera, &mut frames, options.model, outputs)?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use autoref_stream::film::tables::PixelOrigin;
-use autoref_stream::film::{Camera, FrameResult, InnerModel, contact_sheet, micmac, patch, resample, tables, window};
+use autoref_stream::film::{Camera, FrameResult, InnerModel, contact_sheet, micmac, patch, tables};
 use autoref_stream::georef::atomic;
 use autoref_stream::review::{Patch, Subject};
 use clap::ValueEnum;
@@ -20,12 +20,8 @@ pub struct FilmOutputArgs {
     /// Replay what a contact sheet saved; writes NAME.reviewed.json.
     #[arg(long, value_name = "FILE", help_heading = "Outputs")]
     pub patch: Option<PathBuf>,
-    /// Write every frame with an orientation on the film's own grid, with a mask.
-    #[arg(long, help_heading = "Outputs")]
-    pub resample: bool,
-    /// Pixel size of --resample, millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 0.0135, help_heading = "Outputs")]
-    pub resample_mm: f64,
+    #[command(flatten)]
+    pub resampling: super::film_resample::ResampleArgs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -48,26 +44,8 @@ pub fn write_outputs(
     if args.exports {
         export(dir, camera, frames, model, args)?;
     }
-    if args.resample {
-        if !(0.0005..=1.0).contains(&args.resample_mm) {
-            bail!("--resample-mm must be between 0.0005 and 1");
-        }
-        let options = resample::ResampleOptions { pixel_mm: args.resample_mm, mask_radius_mm: 3.0, boxes_mm: vec![] };
-        // One bad frame never stops a roll: what failed is told when the others are done.
-        let mut failed = Vec::new();
-        for frame in frames.iter() {
-            let Some(inner) = &frame.inner else { continue };
-            let to = |end: &str| dir.join(format!("{}.{end}.tif", frame.name));
-            let done = window::open_scan(&frame.path).and_then(|source| {
-                resample::resample(source.as_ref(), camera, inner, &options, &to("resampled"), &to("mask"))
-            });
-            if let Err(error) = done {
-                failed.push(error.to_string());
-            }
-        }
-        if !failed.is_empty() {
-            bail!("{} frame(s) were not resampled: {}", failed.len(), failed.join("; "));
-        }
+    if args.resampling.resample {
+        super::film_resample::resample_roll(dir, camera, frames, &args.resampling)?;
     }
     Ok(())
 }
@@ -110,6 +88,8 @@ fn export(
     atomic::write(&ori.join("MeasuresCamera.xml"), micmac::camera_xml(camera).as_bytes())?;
     atomic::write(&dir.join("id_fiducial.txt"), micmac::names(camera).as_bytes())?;
     atomic::write(&dir.join("fiducials_hipp.csv"), tables::hipp_csv(camera, frames, origin).as_bytes())?;
+    atomic::write(&dir.join("inner_orientation.csv"), tables::orientations_csv(camera, frames).as_bytes())?;
+    atomic::write(&dir.join("roll_marks.csv"), tables::roll_marks_csv(camera, frames).as_bytes())?;
     for frame in frames {
         let measures = ori.join(format!("MeasuresIm-{}.xml", micmac::file_name(frame)));
         match micmac::image_xml(frame, origin) {

@@ -13,6 +13,7 @@ pub mod distance;
 pub mod doctor;
 pub mod fiducials;
 pub mod film_outputs;
+mod film_resample;
 pub mod frame;
 pub mod plan;
 pub mod positions;

@@ -89,6 +89,12 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     if !(2..=64).contains(&camera.marks.len()) {
         return wrong("marks".into(), "a camera has 2 to 64 marks");
     }
+    if !camera.masked_mm.iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+        return wrong(
+            "masked_mm".into(),
+            "every box is four numbers in millimetres: x, y, x, y of two opposite corners",
+        );
+    }
     let mut names = HashSet::new();
     for mark in &camera.marks {
         let place = || format!("mark \"{}\"", mark.name);
@@ -192,13 +198,17 @@ impl Camera {
         }
     }
 
+    /// The marks' bounding box, millimetres, y down: upper left and lower right corner.
+    pub fn film_box(&self) -> ([f64; 2], [f64; 2]) {
+        let points = self.film_points();
+        let end = |start: f64, pick: fn(f64, f64) -> f64| [0, 1].map(|k| points.iter().map(|p| p[k]).fold(start, pick));
+        (end(f64::MAX, f64::min), end(f64::MIN, f64::max))
+    }
+
     /// The middle of the marks' bounding box, millimetres, y down.
     pub fn film_centre(&self) -> [f64; 2] {
-        let points = self.film_points();
-        [0, 1].map(|k| {
-            let (low, high) = points.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[k]), h.max(p[k])));
-            0.5 * (low + high)
-        })
+        let (low, high) = self.film_box();
+        [0, 1].map(|k| 0.5 * (low[k] + high[k]))
     }
 
     /// Clockwise turn of each mark's shape on an upright frame, degrees.

@@ -109,11 +109,7 @@ pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored
     let sign = camera.y_sign();
     let film: Vec<([f64; 2], PixelPoint)> = marks.iter().map(|m| ([m.mm[0], sign * m.mm[1]], m.pixel)).collect();
     let pose = fit_pose(&film, mirrored)?;
-    let h = match model {
-        InnerModel::Similarity => similarity_matrix(&film, sign, mirrored),
-        InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
-        InnerModel::Projective => planar_matrix(marks, planar::Kind::Projective),
-    }?;
+    let h = matrix(marks, model, sign, mirrored)?;
     let mut inner = InnerOrientation {
         model,
         pixel_to_mm: h,
@@ -121,6 +117,8 @@ pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored
         sigma0_um: None,
         covariance: vec![],
         marks: marks.iter().map(|m| m.name.clone()).collect(),
+        leave_one_out_um: leave_one_out(marks, model, sign, mirrored),
+        leave_one_out_rmse_um: None,
         pixel_um: 1e3 / pose.px_per_mm(),
         rotation_deg: pose.turn_deg(),
         mirrored,
@@ -134,6 +132,9 @@ pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored
         InnerModel::Projective => 8,
     };
     inner.rmse_um = (square / marks.len() as f64).sqrt();
+    let left_out: Option<Vec<f64>> =
+        inner.leave_one_out_um.iter().map(|r| r.map(|r| r[0] * r[0] + r[1] * r[1])).collect();
+    inner.leave_one_out_rmse_um = left_out.map(|r| (r.iter().sum::<f64>() / r.len() as f64).sqrt());
     let redundancy = 2 * marks.len() as i64 - free;
     inner.sigma0_um = (redundancy > 0).then(|| (square / redundancy as f64).sqrt());
     inner.covariance = covariance(&inner, marks, sign)?;
@@ -145,9 +146,31 @@ pub fn residual_um(inner: &InnerOrientation, mm: [f64; 2], pixel: PixelPoint) ->
     inner.to_mm(pixel).map(|at| [1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])])
 }
 
+/// Pixels → millimetres of the camera; `None` when the marks do not determine the model.
+fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+    match model {
+        InnerModel::Similarity => similarity_matrix(marks, sign, mirrored),
+        InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
+        InnerModel::Projective => planar_matrix(marks, planar::Kind::Projective),
+    }
+}
+
+/// Every mark against the model solved from the others.
+fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Vec<Option<[f64; 2]>> {
+    let of = |i: usize| {
+        let others = [&marks[..i], &marks[i + 1..]].concat();
+        let h = matrix(&others, model, sign, mirrored)?;
+        let (p, mm) = (marks[i].pixel, marks[i].mm);
+        let w = h[6] * p.x + h[7] * p.y + h[8];
+        let at = [(h[0] * p.x + h[1] * p.y + h[2]) / w, (h[3] * p.x + h[4] * p.y + h[5]) / w];
+        (w > 0.0).then(|| [0, 1].map(|k| 1e3 * (at[k] - mm[k])))
+    };
+    (0..marks.len()).map(of).collect()
+}
+
 /// The fitted similarity itself, in the camera's axes: turning it over to a pose and back would cost digits.
-fn similarity_matrix(marks: &[([f64; 2], PixelPoint)], sign: f64, mirrored: bool) -> Option<[f64; 9]> {
-    let pairs: Vec<Pair> = marks.iter().map(|(mm, p)| pair(*mm, *p, mirrored)).collect();
+fn similarity_matrix(marks: &[Observation], sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+    let pairs: Vec<Pair> = marks.iter().map(|m| pair([m.mm[0], sign * m.mm[1]], m.pixel, mirrored)).collect();
     let g = fit_equal_weights(&pairs)?.geotransform().0;
     let m = if mirrored { -1.0 } else { 1.0 };
     // Northing is −y of the film.

@@ -25,8 +25,7 @@ fn measures(image: &str, points: &[(String, [f64; 2])], indent: &str) -> String 
 /// ReSampFid takes them for the axes of the picture that it writes, and would mirror a film whose y runs up; Apero notes
 /// trouble with origins far from the corner; spymicmac's own resampling needs the corner at zero.
 pub fn camera_points(camera: &Camera) -> Vec<[f64; 2]> {
-    let points = camera.film_points();
-    let low = [0, 1].map(|k| points.iter().map(|p| p[k]).fold(f64::MAX, f64::min));
+    let (points, (low, _)) = (camera.film_points(), camera.film_box());
     // Certificates state micrometres; the subtraction must not show more.
     let tidy = |v: f64| (v * 1e9).round() / 1e9;
     points.iter().map(|p| [tidy(p[0] - low[0]), tidy(p[1] - low[1])]).collect()

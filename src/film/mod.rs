@@ -24,6 +24,7 @@ pub mod resample;
 pub mod roll;
 pub mod search;
 pub mod shape;
+pub mod spool;
 pub mod tables;
 pub mod template;
 pub mod types;

@@ -6,7 +6,8 @@
 
 use serde_json::{Value, json};
 
-use super::types::{Camera, FrameResult, MarkFind};
+use super::types::{Camera, FrameResult, FrameStatus, InnerModel, InnerOrientation, MarkFind, MarkStatus};
+use crate::coords::PixelPoint;
 
 /// From where the pixels of an export count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,6 +113,140 @@ pub fn hipp_csv(camera: &Camera, frames: &[FrameResult], origin: PixelOrigin) ->
         let principal = (!middles.is_empty()).then(|| [mean(0), mean(1)]);
         let row = known.iter().flat_map(|&k| cells(at(k))).chain(cells(principal));
         out.write_record(std::iter::once(frame.path.display().to_string()).chain(row)).expect("memory takes all");
+    }
+    text(out)
+}
+
+fn digits(v: Option<f64>, digits: usize) -> String {
+    v.map_or(String::new(), |v| format!("{v:.digits$}"))
+}
+
+/// A line per frame about its inner orientation. `scale_difference_ppm` and `shear_urad` say how far the film, as scanned, is
+/// from a similarity: (pixel size along x / along y − 1), and how far the angle between the axes is from a right one, both at
+/// the middle of the marks.
+pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {
+    let mut out = csv::Writer::from_writer(vec![]);
+    out.write_record([
+        "frame",
+        "status",
+        "model",
+        "marks",
+        "redundancy",
+        "rmse_um",
+        "sigma0_um",
+        "largest_residual_um",
+        "leave_one_out_rmse_um",
+        "pixel_um",
+        "rotation_deg",
+        "mirrored",
+        "scale_difference_ppm",
+        "shear_urad",
+    ])
+    .expect("memory takes all");
+    for frame in frames {
+        let status = match &frame.status {
+            FrameStatus::Ok => "ok",
+            FrameStatus::Doubtful { .. } => "doubtful",
+            FrameStatus::Failed { .. } => "failed",
+        };
+        let mut row = vec![frame.name.clone(), status.into()];
+        match &frame.inner {
+            None => row.extend((0..12).map(|_| String::new())),
+            Some(inner) => {
+                let (model, free) = match inner.model {
+                    InnerModel::Similarity => ("similarity", 4),
+                    InnerModel::Affine => ("affine", 6),
+                    InnerModel::Projective => ("projective", 8),
+                };
+                let largest = used_marks(frame, PixelOrigin::Corner)
+                    .filter_map(|(m, _)| m.residual_um)
+                    .map(|r| r[0].hypot(r[1]))
+                    .fold(0.0, f64::max);
+                let form = deformation(camera, inner);
+                row.extend([
+                    model.into(),
+                    inner.marks.len().to_string(),
+                    (2 * inner.marks.len()).saturating_sub(free).to_string(),
+                    digits(Some(inner.rmse_um), 3),
+                    digits(inner.sigma0_um, 3),
+                    digits(Some(largest), 3),
+                    digits(inner.leave_one_out_rmse_um, 3),
+                    digits(Some(inner.pixel_um), 5),
+                    digits(Some(inner.rotation_deg), 5),
+                    inner.mirrored.to_string(),
+                    digits(form.map(|f| 1e6 * f[0]), 1),
+                    digits(form.map(|f| 1e6 * f[1]), 1),
+                ]);
+            }
+        }
+        out.write_record(&row).expect("memory takes all");
+    }
+    text(out)
+}
+
+/// Relative difference of the pixel's sizes along x and y, and the shear in radians.
+fn deformation(camera: &Camera, inner: &InnerOrientation) -> Option<[f64; 2]> {
+    let centre = camera.film_centre();
+    let middle = inner.to_pixel([centre[0], camera.y_sign() * centre[1]])?;
+    let at = |dx: f64, dy: f64| inner.to_mm(PixelPoint { x: middle.x + dx, y: middle.y + dy });
+    let along = |dx: f64, dy: f64| {
+        let (a, b) = (at(dx, dy)?, at(-dx, -dy)?);
+        Some([a[0] - b[0], a[1] - b[1]])
+    };
+    let (x, y) = (along(100.0, 0.0)?, along(0.0, 100.0)?);
+    let (lx, ly) = (x[0].hypot(x[1]), y[0].hypot(y[1]));
+    Some([lx / ly - 1.0, ((x[0] * y[0] + x[1] * y[1]) / (lx * ly)).asin()])
+}
+
+/// A line per mark of the camera over the roll: how often it is part of an orientation, and mean, standard deviation (divisor
+/// n − 1) and largest of its residuals. A mean that is far from zero against its deviation over √n says that the certificate,
+/// or what the finder calls the mark's centre, is off for this mark.
+pub fn roll_marks_csv(camera: &Camera, frames: &[FrameResult]) -> String {
+    let mut out = csv::Writer::from_writer(vec![]);
+    out.write_record([
+        "mark",
+        "frames",
+        "used",
+        "doubtful",
+        "missing",
+        "mean_x_um",
+        "mean_y_um",
+        "sd_x_um",
+        "sd_y_um",
+        "rms_um",
+        "largest_um",
+    ])
+    .expect("memory takes all");
+    for mark in &camera.marks {
+        let of = |frame: &FrameResult| frame.marks.iter().find(|m| m.mark == mark.name).map(|m| m.status);
+        let count = |status: MarkStatus| frames.iter().filter(|f| of(f) == Some(status)).count().to_string();
+        let residuals: Vec<[f64; 2]> = frames
+            .iter()
+            .flat_map(|f| used_marks(f, PixelOrigin::Corner))
+            .filter(|(m, _)| m.mark == mark.name)
+            .filter_map(|(m, _)| m.residual_um)
+            .collect();
+        let n = residuals.len() as f64;
+        let mean = [0, 1].map(|k| residuals.iter().map(|r| r[k]).sum::<f64>() / n);
+        let spread =
+            [0, 1].map(|k| (residuals.iter().map(|r| (r[k] - mean[k]).powi(2)).sum::<f64>() / (n - 1.0)).sqrt());
+        let size = |r: &[f64; 2]| r[0].hypot(r[1]);
+        let rms = (residuals.iter().map(|r| size(r).powi(2)).sum::<f64>() / n).sqrt();
+        let (some, two) = (n > 0.0, n > 1.0);
+        out.write_record([
+            mark.name.clone(),
+            frames.len().to_string(),
+            residuals.len().to_string(),
+            count(MarkStatus::Doubtful),
+            count(MarkStatus::Missing),
+            digits(some.then_some(mean[0]), 3),
+            digits(some.then_some(mean[1]), 3),
+            digits(two.then_some(spread[0]), 3),
+            digits(two.then_some(spread[1]), 3),
+            digits(some.then_some(rms), 3),
+            digits(some.then(|| residuals.iter().map(size).fold(0.0, f64::max)), 3),
+        ])
+        .expect("memory takes all");
     }
     text(out)
 }

@@ -40,6 +40,9 @@ pub struct Camera {
     /// Distances between marks where a certificate gives no coordinates: two names and millimetres.
     #[serde(default)]
     pub distances_mm: Vec<([String; 2], f64)>,
+    /// Boxes of text and instruments that `--resample` masks: two opposite corners x, y, x, y in the camera's axes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub masked_mm: Vec<[f64; 4]>,
 }
 
 /// One fiducial mark of a camera.
@@ -191,6 +194,13 @@ pub struct InnerOrientation {
     pub covariance: Vec<Vec<f64>>,
     /// Names of the marks used.
     pub marks: Vec<String>,
+    /// Per mark used: measured − calibrated through the same model solved from the others alone, micrometres; `None` where
+    /// they do not determine it.
+    #[serde(default)]
+    pub leave_one_out_um: Vec<Option<[f64; 2]>>,
+    /// √(mean(dX² + dY²)) of these, `None` when one is missing.
+    #[serde(default)]
+    pub leave_one_out_rmse_um: Option<f64>,
     /// Size of a pixel on the film, micrometres.
     pub pixel_um: f64,
     /// Clockwise turn of the frame in the scan, degrees: 0 when the film's right is the scan's right.

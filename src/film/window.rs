@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use super::spool::SpooledSource;
 use crate::coords::PixelPoint;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::raster::{
     Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType,
     Samples, open,
@@ -64,28 +65,64 @@ impl Grey {
 
 /// Decoded blocks kept of a scan while it is examined.
 const CACHE_BYTES: u64 = 24 << 20;
-/// Largest scan that is held in memory because its format can only be read from the top down, in pixels.
-const WHOLE_PX: u64 = 400_000_000;
+/// Scans that can only be read from the top down are held in memory up to this size, decoded; larger ones go to a temporary
+/// file.
+const HELD_BYTES: u64 = 24 << 20;
 
-/// Opens a scan for reading in windows. JPEG, PNG and one-strip files, which cannot be, are decoded once and held as grey.
+/// Opens a scan for reading in windows. JPEG, PNG and files of one compressed strip, which cannot be, are decoded once to grey.
 ///
 /// # Errors
-/// Those of [`open`]; [`Error::Limit`] for such a file above 400 megapixels.
+/// Those of [`open`] and, for such a file, of reading it and of [`SpooledSource::of`].
 pub fn open_scan(path: &Path) -> Result<Arc<dyn RasterSource>> {
     let source = open(path, ReaderChoice::Auto, 0, CACHE_BYTES)?;
-    if !source.info().sequential {
+    let info = source.info();
+    if !info.sequential {
         return Ok(source);
     }
-    let pixels = source.info().pixels();
-    if pixels > WHOLE_PX {
-        return Err(Error::Limit {
-            what: format!("{}: its format is read from the top down only, so it must be held whole", path.display()),
-            needed: pixels,
-            allowed: WHOLE_PX,
-            remedy: "copy it to a tiled TIFF: gdal_translate -co TILED=YES IN OUT.tif".into(),
-        });
+    let sample_bytes = if info.sample == SampleType::U8 { 1 } else { 2 };
+    if info.pixels() * sample_bytes > HELD_BYTES {
+        return Ok(Arc::new(SpooledSource::of(source.as_ref())?));
     }
     Ok(Arc::new(GreySource::read_whole(source.as_ref())?))
+}
+
+/// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows.
+///
+/// # Errors
+/// Those of reading and of `sink`.
+pub fn read_rows(source: &dyn RasterSource, sink: &mut dyn FnMut(&[u16]) -> Result<()>) -> Result<()> {
+    let from = source.info();
+    let [r, g, b] = from.rgb;
+    let width = from.width as usize;
+    let mut rows = vec![0u16; width * 64];
+    let mut top = 0;
+    while top < from.height {
+        let band = Window::new(0, top, from.width, 64.min(from.height - top));
+        rows.fill(0);
+        for piece in source.read(band)?.pieces.iter().filter(|p| !p.empty) {
+            let part = piece.window.intersect(&band);
+            for y in part.y..part.bottom() {
+                let row = piece.row(part.x, y, part.width);
+                let out = &mut rows[(y - top) as usize * width + part.x as usize..][..row.len];
+                let stride = row.pixel_stride;
+                match row.samples {
+                    Samples::U8(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                        let p = &s[i * stride..];
+                        *o = u16::from(p[r].max(p[g]).max(p[b]));
+                    }),
+                    Samples::U16(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                        let p = &s[i * stride..];
+                        *o = p[r].max(p[g]).max(p[b]);
+                    }),
+                }
+            }
+        }
+        for row in rows.chunks(width).take(band.height as usize) {
+            sink(row)?;
+        }
+        top = band.bottom();
+    }
+    Ok(())
 }
 
 /// A scan held in memory, one band of 8 or 16 bits.
@@ -112,36 +149,14 @@ impl GreySource {
         let from = source.info();
         let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
         info.geotransform = from.geotransform;
-        let [r, g, b] = from.rgb;
-        let mut bytes: Vec<u8> = vec![];
-        let mut words: Vec<u16> = vec![];
-        match from.sample {
-            SampleType::U8 => bytes.resize(from.pixels() as usize, 0),
-            SampleType::U16 => words.resize(from.pixels() as usize, 0),
-        }
-        let mut top = 0;
-        while top < from.height {
-            let band = Window::new(0, top, from.width, 64.min(from.height - top));
-            for piece in source.read(band)?.pieces.iter().filter(|p| !p.empty) {
-                let part = piece.window.intersect(&band);
-                for y in part.y..part.bottom() {
-                    let row = piece.row(part.x, y, part.width);
-                    let first = (y * from.width + part.x) as usize;
-                    let stride = row.pixel_stride;
-                    match row.samples {
-                        Samples::U8(s) => bytes[first..first + row.len].iter_mut().enumerate().for_each(|(i, o)| {
-                            let p = &s[i * stride..];
-                            *o = p[r].max(p[g]).max(p[b]);
-                        }),
-                        Samples::U16(s) => words[first..first + row.len].iter_mut().enumerate().for_each(|(i, o)| {
-                            let p = &s[i * stride..];
-                            *o = p[r].max(p[g]).max(p[b]);
-                        }),
-                    }
-                }
+        let (mut bytes, mut words): (Vec<u8>, Vec<u16>) = (vec![], vec![]);
+        read_rows(source, &mut |row| {
+            match from.sample {
+                SampleType::U8 => bytes.extend(row.iter().map(|v| *v as u8)),
+                SampleType::U16 => words.extend_from_slice(row),
             }
-            top = band.bottom();
-        }
+            Ok(())
+        })?;
         let data = match from.sample {
             SampleType::U8 => GreyData::U8(Arc::new(crate::raster::PooledBytes { bytes, home: None })),
             SampleType::U16 => GreyData::U16(Arc::new(words)),
