@@ -185,8 +185,8 @@ fn pictures(folder: &Path) -> Vec<(PathBuf, std::ops::RangeInclusive<usize>)> {
     add("border", (200, 140), 3, Some(0.0), 0..=1, &|x, y| {
         if x < 100 { [0; 4] } else { orange(x < 106 && (60..72).contains(&y)) }
     });
-    // Touching at their corners: one region of 1,800 marks, which is no mark.
-    add("touching", (600, 600), 3, None, 0..=0, &|x, y| orange((x / 10 + y / 10) % 2 == 0));
+    // Touching at their corners: one region of 288 marks, which is no mark.
+    add("touching", (240, 240), 3, None, 0..=0, &|x, y| orange((x / 10 + y / 10) % 2 == 0));
     // Two pixels apart: 2,500 marks.
     add("crowd", (600, 600), 3, None, 2500..=2500, &|x, y| orange(x % 12 < 9 && y % 12 < 9));
     add("lines", (300, 300), 3, None, 0..=0, &|x, y| orange(x % 7 == 0 || y % 50 == 0));
