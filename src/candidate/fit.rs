@@ -4,7 +4,7 @@
 //! distribution functions, on a tilted plane of ground. It is fitted by Levenberg–Marquardt (D. W. Marquardt, "An
 //! algorithm for least-squares estimation of nonlinear parameters", 1963) with iteratively reweighted residuals
 //! (P. J. Huber, "Robust statistics", 1981). What is left over is ground texture and JPEG blocks, not white noise, so the
-//! scatter of the centre is summed along the edges; [`super::uncertainty`] makes a covariance of it.
+//! scatter of the centre is summed along the edges; the uncertainty room makes a covariance of it.
 
 use nalgebra::{SMatrix, SVector};
 

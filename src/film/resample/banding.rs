@@ -3,7 +3,7 @@
 //! After section 10.1.1 of the 2017 Svalbard thesis: in the Fourier transform of the image, bands that run along whole rows (or
 //! columns) lie on one axis, and a median across that axis takes them away while the ground, which is not concentrated
 //! there, stays. The axis and its neighbours are all that is needed, so the image is not transformed: while it streams by,
-//! every row is summed against the few slowest waves along it, which gives lines v = 0 to [`NEIGHBOURS`] of the transform.
+//! every row is summed against the few slowest waves along it, which gives lines v = 0 to `NEIGHBOURS` of the transform.
 //! Where we differ: waves longer than an eighth of the image are left alone (they are light, not bands), and only
 //! coefficients that stand out against their neighbours are changed.
 
