@@ -36,8 +36,11 @@ impl Search<'_> {
             similarity = fit_equal_weights(&fitted)?;
             noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
             let (centre, spread) = centre_and_spread(&fitted);
-            let next =
-                self.assign(&similarity, |_, p| tolerance_px(noise_px, fitted.len(), centre, spread, p).min(widest_px));
+            // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from them.
+            let few = 1.0 + 8.0 / (fitted.len() as f64 - 2.0).powi(2);
+            let next = self.assign(&similarity, |_, p| {
+                tolerance_px(few * noise_px, fitted.len(), centre, spread, p).min(widest_px)
+            });
             if next == pairs {
                 break;
             }
