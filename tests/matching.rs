@@ -223,6 +223,17 @@ fn e6_five_visible_among_three_hundred() {
     assert!(score.right * 100 >= count * 99, "{score:?}");
 }
 
+/// Marks five pixels off: whatever happens to fit well among them must not shut out the rest.
+#[test]
+fn marks_far_off_their_places_keep_the_whole_pattern() {
+    let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
+    for (visible, false_candidates, sigma_px, seed) in [(20, 0, 5.0, 31), (14, 30, 5.0, 33)] {
+        let kind = Kind { sigma_px, ..kind(visible, false_candidates, 180.0) };
+        let score = trials(&kind, &priors((0.027, 0.033)), &gcps, count(6, 300), seed);
+        assert_eq!(score.wrong, 0, "{visible} among {false_candidates}, {sigma_px} px: {score:?}");
+    }
+}
+
 #[test]
 fn e6_with_the_scale_known_within_a_factor_of_two() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
