@@ -1,4 +1,4 @@
-//! A paint that the profile does not know well: refused or poor at first, solved when the marks have taught it.
+//! A paint that the profile does not know well: poorly seen at first, better when the marks have taught it.
 
 use std::process::Command;
 
