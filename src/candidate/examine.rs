@@ -9,8 +9,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Candidate;
-use super::fit::{Fit, Form, Priors, Sample, fit, start_cost};
+use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
+use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local, grow, local_shares};
 use super::patch::{Ground, Scene};
 use super::uncertainty::Place;
@@ -291,7 +292,7 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
 }
 
 fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {
-    let mut samples = Vec::new();
+    let mut samples = Samples::default();
     let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
     for (i, &share) in shares.iter().enumerate() {
         let near = scene.outside_px[i] <= FIT_REACH_PX && scene.inside_px[i] <= FIT_DEPTH_PX;
@@ -329,7 +330,7 @@ fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms
             _ => true,
         })
         .min_by(|a, b| {
-            let cost = |s: &(Form, f64, f64)| start_cost(s.0, &samples, start, s.2, s.1, priors);
+            let cost = |s: &(Form, f64, f64)| start_cost(s.0, &samples, start, s.2, s.1, &priors);
             cost(a).total_cmp(&cost(b))
         })?;
     fit(form, &samples, start, side, angle, priors, rms_limit)
