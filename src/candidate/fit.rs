@@ -271,7 +271,7 @@ pub fn fit(
     priors: Priors,
     rms_limit: f64,
 ) -> Option<Fit> {
-    if samples.len() < 12 {
+    if samples.count() < 12 {
         return None;
     }
     let mut p = start_vector(start, side_px, angle_rad, &priors);

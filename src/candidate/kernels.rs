@@ -51,7 +51,7 @@ impl Samples {
         self.len += 1;
     }
 
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.len
     }
 }
@@ -221,15 +221,14 @@ fn equations_in(model: &Model, samples: &Samples, weights: &[f64]) -> Equations 
             weighted[i] = weight[i] * look.left[i];
         }
         add_products(&mut cost, &weighted, &look.left);
-        let mut k = 0;
-        for a in 0..PARAMETERS {
+        let mut triangle = squares.iter_mut();
+        for (a, push) in pushes.iter_mut().enumerate() {
             for i in 0..LANES {
                 weighted[i] = weight[i] * look.gradient[a][i];
             }
-            add_products(&mut pushes[a], &weighted, &look.left);
-            for b in a..PARAMETERS {
-                add_products(&mut squares[k], &weighted, &look.gradient[b]);
-                k += 1;
+            add_products(push, &weighted, &look.left);
+            for (gradient, square) in look.gradient[a..].iter().zip(triangle.by_ref()) {
+                add_products(square, &weighted, gradient);
             }
         }
     }
@@ -388,9 +387,9 @@ mod tests {
                     }
                     shape(&m, x, y).0
                 };
-                for k in 0..6 {
+                for (k, g) in g.into_iter().enumerate() {
                     let slope = (value(k, 1e-3) - value(k, -1e-3)) / 2e-3;
-                    assert!((slope - g[k]).abs() < 3e-4, "{form:?} {k}: {slope} {}", g[k]);
+                    assert!((slope - g).abs() < 3e-4, "{form:?} {k}: {slope} {g}");
                 }
             }
         }
