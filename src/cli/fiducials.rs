@@ -134,8 +134,8 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     let camera = film::load_camera(args.camera.as_deref().context("give --camera NAME or FILE")?)?;
     let scans = scans(&args.frames)?;
     if args.learn {
-        let file = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
-        println!("learned from {} scans; use --camera {}", scans.len(), file.display());
+        let (file, count) = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
+        println!("learned from {} scans; use --camera {}", count, file.display());
         return Ok(ExitCode::SUCCESS);
     }
     let finder = Finder::new(&camera)?;

@@ -4,13 +4,13 @@ use std::path::Path;
 use std::time::Instant;
 
 use super::check::agreement;
-use super::constellation::{Assembly, Naming, assemble, namings};
+use super::constellation::{Assembly, assemble};
 use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
-use super::refine::refine;
-use super::search::{Levels, Peak, climb, search, settle};
-use super::template::{Model, Picture, draw};
+use super::look::Measured;
+use super::search::{Peak, search};
+use super::template::{Model, Picture};
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
-use super::window::{around, open_scan, read_grey};
+use super::window::{around, open_scan};
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::raster::RasterSource;
@@ -49,27 +49,30 @@ impl Default for FindOptions {
     }
 }
 
+impl FindOptions {
+    /// How far a mark may lie from where the others put it.
+    pub(super) fn tolerance_px(&self, pose: &Pose) -> f64 {
+        (self.agreement_um / 1e3 * pose.px_per_mm()).max(self.agreement_px)
+    }
+}
+
 /// The search box grows by these factors while too few marks are found.
 const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 /// Peaks kept per search box.
 const PEAKS: usize = 10;
-/// A mark that correlates less is looked at by a person.
-const GOOD_SCORE: f64 = 0.5;
-/// How far a reference point is found from where its shape puts it, millimetres: the shape's error in front of terrain.
-const HOLE_MM: f64 = 0.05;
-/// A centre less certain than this is looked at by a person, pixels.
-const GOOD_SIGMA_PX: f64 = 0.5;
+/// Another way of lying whose marks reach this share of the best correlation is as good: asymmetric marks lose more.
+const AS_GOOD: f64 = 0.98;
 
 /// A camera ready for work: its shapes drawn or read once for a whole roll.
 #[derive(Clone, Debug)]
 pub struct Finder {
     pub camera: Camera,
-    film: Vec<[f64; 2]>,
-    turns_deg: Vec<f64>,
-    centre: [f64; 2],
+    pub(super) film: Vec<[f64; 2]>,
+    pub(super) turns_deg: Vec<f64>,
+    pub(super) centre: [f64; 2],
     /// For every mark, its shape; marks that look alike share one.
-    class: Vec<usize>,
-    models: Vec<Model>,
+    pub(super) class: Vec<usize>,
+    pub(super) models: Vec<Model>,
 }
 
 /// One search box, done.
@@ -80,16 +83,6 @@ struct Slot {
     centre: PixelPoint,
     half_px: f64,
     peaks: Vec<Peak>,
-}
-
-/// A mark after the second look.
-#[derive(Clone, Debug)]
-struct Measured {
-    centre: PixelPoint,
-    covariance_px2: Option<[f64; 3]>,
-    score: f64,
-    /// Why it is not to be trusted by itself.
-    reason: Option<String>,
 }
 
 impl Finder {
@@ -129,7 +122,7 @@ impl Finder {
         self.camera.film_size_mm[0].max(self.camera.film_size_mm[1])
     }
 
-    fn model(&self, mark: usize) -> &Model {
+    pub(super) fn model(&self, mark: usize) -> &Model {
         &self.models[self.class[mark]]
     }
 
@@ -162,7 +155,7 @@ impl Finder {
     }
 
     /// Turns and mirrorings to try, the usual first.
-    fn orientations(&self, options: &FindOptions) -> Vec<(f64, bool)> {
+    pub(super) fn orientations(&self, options: &FindOptions) -> Vec<(f64, bool)> {
         let turns = options.turn_deg.map_or(vec![0.0, 180.0, 90.0, 270.0], |t| vec![t]);
         let mirrors = options.mirrored.map_or(vec![false, true], |m| vec![m]);
         mirrors.iter().flat_map(|m| turns.iter().map(move |t| (*t, *m))).collect()
@@ -187,6 +180,11 @@ impl Finder {
         let middle = PixelPoint { x: 0.5 * info.width as f64, y: 0.5 * info.height as f64 };
         let wanted = self.film.len().min(3);
         let mut best: Option<Assembly> = None;
+        // How well each way of lying fits: marks found and the score, the best of all boxes.
+        let mut ways: Vec<((f64, bool), usize, f64)> = vec![];
+        let rank = |best: Option<Assembly>, ways: &[((f64, bool), usize, f64)]| {
+            best.map(|b| Assembly { rivals: rivals(&b, ways), ..b })
+        };
         for growth in GROWTH {
             for pixel_um in self.pixel_sizes_um(source, options) {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
@@ -198,19 +196,20 @@ impl Finder {
                         .collect::<Result<Vec<_>>>()?;
                     let Some(found) = assemble(&self.film, &peaks, &assumed) else { continue };
                     let chosen_only = keep_chosen(found, &peaks);
+                    ways.push(((turn_deg, mirrored), chosen_only.marks(), chosen_only.score));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
                     }
                 }
                 if best.as_ref().is_some_and(|b| b.marks() == self.film.len()) {
-                    return Ok(best);
+                    return Ok(rank(best, &ways));
                 }
             }
             if best.as_ref().is_some_and(|b| b.marks() >= wanted.max(self.film.len() - 1)) {
                 break;
             }
         }
-        Ok(best)
+        Ok(rank(best, &ways))
     }
 
     /// The peaks of mark `k` under `assumed`, from a box searched before where shape and place are the same.
@@ -248,229 +247,7 @@ impl Finder {
         Ok(peaks)
     }
 
-    /// Measures every mark under the assembly's pose, names them, checks them and solves.
-    fn second_look(
-        &self,
-        source: &dyn RasterSource,
-        options: &FindOptions,
-        assembly: &Assembly,
-        result: &mut FrameResult,
-    ) -> Result<()> {
-        let mut pose = assembly.pose;
-        let mut measured: Vec<Option<Measured>> = vec![None; self.film.len()];
-        // Twice: the first round's pose is that of coarse peaks.
-        for round in 0..2 {
-            for (k, slot) in measured.iter_mut().enumerate() {
-                if slot.as_ref().is_some_and(|m| m.reason.is_none()) && round > 0 {
-                    continue;
-                }
-                *slot = self.measure(source, &pose, k)?;
-            }
-            let sound = |m: &Measured| m.reason.is_none();
-            let points: Vec<_> = (0..self.film.len())
-                .filter_map(|k| measured[k].as_ref().filter(|m| sound(m)).map(|m| (self.film[k], m.centre)))
-                .collect();
-            if points.len() < 3 {
-                break;
-            }
-            let Some(next) = fit_pose(&points, pose.mirrored) else { break };
-            let agreed = agreement(&points, pose.mirrored, 3.0 * options.agreement_px).iter().all(|a| a.agrees);
-            if agreed {
-                pose = next;
-            }
-            if agreed && points.len() == self.film.len() {
-                break;
-            }
-        }
-        let naming = self.name_marks(options, &mut pose, &mut measured, result);
-        self.judge(options, &pose, &measured, naming, result);
-        Ok(())
-    }
-
-    /// One mark under a pose that is known to a fraction of a millimetre.
-    fn measure(&self, source: &dyn RasterSource, pose: &Pose, k: usize) -> Result<Option<Measured>> {
-        let model = self.model(k);
-        let linear = pose.shape_linear(self.turns_deg[k]);
-        let predicted = pose.apply(self.film[k]);
-        let unit = pose.px_per_mm();
-        let bounds = source.info().bounds();
-        let (half, out, inward) = model.reach_mm();
-        let inside = [(-half, -out), (half, -out), (-half, inward), (half, inward)].iter().all(|(u, v)| {
-            let x = predicted.x + linear[0] * u + linear[1] * v;
-            let y = predicted.y + linear[2] * u + linear[3] * v;
-            x > 0.0 && y > 0.0 && x < bounds.width as f64 && y < bounds.height as f64
-        });
-        if !inside {
-            return self.point_only(source, model, linear, predicted, unit);
-        }
-        let half_px = (model.radius_mm() * 1.1 + 0.6) * unit + 8.0;
-        let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
-        let picture = Picture::new(model, linear);
-        let peaks = search(source, window, &picture, 3)?;
-        // Near the prediction, not merely the best: the box also holds what is beside the mark.
-        let near = |p: &&Peak| distance(p.centre, predicted) < 0.6 * unit + 4.0;
-        let Some(body) = peaks.iter().filter(near).max_by(|a, b| a.score.total_cmp(&b.score)) else {
-            return self.point_only(source, model, linear, predicted, unit);
-        };
-        let levels = Levels::of(&picture);
-        let body = settle(source, body.centre, &picture, levels.rank, levels.fine)?.unwrap_or(*body);
-        Ok(Some(self.place(source, model, linear, &body, unit)?))
-    }
-
-    /// A hole where the other marks put it although the shape around it is not recognised, as in front of dark water.
-    fn point_only(
-        &self,
-        source: &dyn RasterSource,
-        model: &Model,
-        linear: [f64; 4],
-        predicted: PixelPoint,
-        unit: f64,
-    ) -> Result<Option<Measured>> {
-        let Some(radius_mm) = model.point_radius_mm() else { return Ok(None) };
-        let half_px = (1.6 * radius_mm + 0.3) * unit + 8.0;
-        let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
-        let grey = read_grey(source, window, 1)?;
-        let template = draw(model, linear, 1.0, Some(radius_mm));
-        let peak = template.and_then(|t| climb(&grey, &t, predicted, (0.3 * unit).ceil() as i64, |_| 0.0));
-        let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
-        let refined = refine(&grey, model, linear, peak.centre, radius_mm).filter(|r| r.contrast > 0.0);
-        Ok(refined.map(|r| Measured {
-            centre: r.centre,
-            covariance_px2: Some(r.covariance_px2),
-            score: peak.score,
-            reason: Some("only its hole is seen, not its shape".to_owned()),
-        }))
-    }
-
-    /// From the shape's place to the reference point, with everything that makes it doubtful by itself.
-    fn place(
-        &self,
-        source: &dyn RasterSource,
-        model: &Model,
-        linear: [f64; 4],
-        body: &Peak,
-        unit: f64,
-    ) -> Result<Measured> {
-        let point_mm = model.point_radius_mm();
-        let radius_mm = point_mm.unwrap_or(1.5 * model.radius_mm());
-        let half_px = 1.6 * radius_mm * unit + 12.0;
-        let mut measured = Measured { centre: body.centre, covariance_px2: None, score: body.score, reason: None };
-        let Some(window) = around(body.centre, half_px, half_px, &source.info().bounds()) else { return Ok(measured) };
-        let grey = read_grey(source, window, 1)?;
-        let mut start = body.centre;
-        let mut reasons = vec![];
-        if let Some(radius) = point_mm {
-            let point = draw(model, linear, 1.0, Some(radius));
-            // Specks look like holes too: far from where the shape puts it a hole must be seen so much better.
-            let reach = (0.7 * radius * unit).ceil() as i64 + 2;
-            let doubt = |p: PixelPoint| 0.1 * (distance(p, start) / (HOLE_MM * unit + 0.5)).powi(2);
-            match point.and_then(|t| climb(&grey, &t, start, reach, doubt)) {
-                Some(p) if p.score >= GOOD_SCORE => start = p.centre,
-                found => reasons.push(format!(
-                    "its hole is not seen (correlation {:.2}); placed by the teeth",
-                    found.map_or(0.0, |p| p.score)
-                )),
-            }
-        }
-        if reasons.is_empty() {
-            match refine(&grey, model, linear, start, radius_mm) {
-                Some(r) if r.contrast > 0.0 => {
-                    measured.centre = r.centre;
-                    measured.covariance_px2 = Some(r.covariance_px2);
-                    let sigma = r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
-                    if sigma > GOOD_SIGMA_PX {
-                        reasons.push(format!("its centre is only known to {sigma:.1} px"));
-                    }
-                }
-                _ => reasons.push("its centre does not settle; placed by correlation".to_owned()),
-            }
-        }
-        let apart = distance(measured.centre, body.centre);
-        if apart > HOLE_MM * unit + 1.5 {
-            reasons.push(format!("its point lies {apart:.1} px from where its shape puts it; placed by the shape"));
-            (measured.centre, measured.covariance_px2) = (body.centre, None);
-        }
-        if body.score < GOOD_SCORE {
-            reasons.push(format!("its shape is barely recognised (correlation {:.2})", body.score));
-        }
-        measured.reason = (!reasons.is_empty()).then(|| reasons.join("; "));
-        Ok(measured)
-    }
-
-    /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best. Returns
-    /// why the names are doubtful, when they are.
-    fn name_marks(
-        &self,
-        options: &FindOptions,
-        pose: &mut Pose,
-        measured: &mut Vec<Option<Measured>>,
-        result: &mut FrameResult,
-    ) -> Option<String> {
-        if !self.models.iter().all(Model::is_symmetric) {
-            return None;
-        }
-        let located = |sound: bool| -> Vec<(usize, PixelPoint)> {
-            let usable = |m: &&Measured| m.reason.is_none() || !sound;
-            (0..self.film.len()).filter_map(|k| Some((k, measured[k].as_ref().filter(usable)?.centre))).collect()
-        };
-        // Names need places that are right to some pixels only.
-        let places = Some(located(true)).filter(|p| p.len() >= 3).unwrap_or_else(|| located(false));
-        let allowed = self.orientations(options);
-        let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
-        let best = all.first()?;
-        // The usual orientation wins among those that fit as well.
-        let as_good: Vec<&Naming> = all.iter().filter(|n| n.rms_px < best.rms_px + 1.2).collect();
-        let taken = allowed
-            .iter()
-            .find_map(|(t, m)| as_good.iter().find(|n| n.turn_deg == *t && n.mirrored == *m))
-            .copied()
-            .unwrap_or(best)
-            .clone();
-        let mut doubt = None;
-        if as_good.len() > 1 {
-            let said = "the marks' positions do not tell how the frame is turned";
-            if self.tells_turns(pose) {
-                doubt = Some(format!("{said}; taken as {}", orientation_text(&taken)));
-            } else {
-                result.notes.push(format!("{said} with this camera; taken as {}", orientation_text(&taken)));
-            }
-        }
-        let before = std::mem::replace(measured, vec![None; self.film.len()]);
-        let from: Vec<usize> = places.iter().map(|p| p.0).collect();
-        // Places that took no part in the naming follow it through the pose it gives.
-        let points: Vec<_> = taken.names.iter().zip(&places).map(|(n, (_, p))| (self.film[*n], *p)).collect();
-        if let Some(next) = fit_pose(&points, taken.mirrored) {
-            *pose = next;
-        }
-        for (k, m) in before.into_iter().enumerate() {
-            let Some(m) = m else { continue };
-            let name = match from.iter().position(|f| *f == k) {
-                Some(i) => Some(taken.names[i]),
-                None => (0..self.film.len()).min_by(|&a, &b| {
-                    let d = |j: usize| distance(pose.apply(self.film[j]), m.centre);
-                    d(a).total_cmp(&d(b))
-                }),
-            };
-            if let Some(slot) = name.map(|n| &mut measured[n])
-                && slot.is_none()
-            {
-                *slot = Some(m);
-            }
-        }
-        doubt
-    }
-
-    /// Whether the calibrated positions are far enough from symmetric for a scan of this scale.
-    fn tells_turns(&self, pose: &Pose) -> bool {
-        let places: Vec<(usize, PixelPoint)> =
-            self.film.iter().enumerate().map(|(k, mm)| (k, pose.apply(*mm))).collect();
-        let allowed: Vec<(f64, bool)> =
-            [0.0, 90.0, 180.0, 270.0].iter().flat_map(|t| [(*t, false), (*t, true)]).collect();
-        let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
-        all.get(1).is_none_or(|second| second.rms_px > 3.0)
-    }
-
-    fn judge(
+    pub(super) fn judge(
         &self,
         options: &FindOptions,
         pose: &Pose,
@@ -478,7 +255,7 @@ impl Finder {
         doubtful_names: Option<String>,
         result: &mut FrameResult,
     ) {
-        let tolerance_px = (options.agreement_um / 1e3 * pose.px_per_mm()).max(options.agreement_px);
+        let tolerance_px = options.tolerance_px(pose);
         let sound: Vec<usize> =
             (0..self.film.len()).filter(|k| measured[*k].as_ref().is_some_and(|m| m.reason.is_none())).collect();
         let places = |list: &[usize]| -> Vec<([f64; 2], PixelPoint)> {
@@ -579,15 +356,24 @@ fn missing(name: &str, predicted: Option<PixelPoint>, reason: &str) -> MarkFind 
     }
 }
 
-fn orientation_text(naming: &Naming) -> String {
-    let mirrored = if naming.mirrored { ", mirrored" } else { "" };
-    format!("turned by {:.0}°{mirrored}", naming.turn_deg)
-}
-
 /// Leaves only the chosen peaks' agreement in the score: what counts between orientations is also how well they fit.
 fn keep_chosen(mut assembly: Assembly, peaks: &[Vec<Peak>]) -> Assembly {
     assembly.score = assembly.chosen.iter().enumerate().filter_map(|(k, c)| Some(peaks[k][(*c)?].score)).sum();
     assembly
+}
+
+/// The ways in which the frame may lie that fit nearly as well as the assembly taken, its own first.
+fn rivals(best: &Assembly, ways: &[((f64, bool), usize, f64)]) -> Vec<(f64, bool)> {
+    let good = |w: &&((f64, bool), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
+    let mut all: Vec<_> = ways.iter().filter(good).collect();
+    all.sort_by(|a, b| b.2.total_cmp(&a.2));
+    let mut rivals: Vec<(f64, bool)> = vec![];
+    for way in all {
+        if !rivals.contains(&way.0) {
+            rivals.push(way.0);
+        }
+    }
+    rivals
 }
 
 /// Opens and examines one scan; what goes wrong with it becomes its status.

@@ -10,12 +10,15 @@
 
 pub mod camera;
 pub mod check;
+pub mod consistency;
 pub mod constellation;
 pub mod contact_sheet;
 pub mod frame;
 pub mod inner;
 pub mod learn;
+mod look;
 pub mod micmac;
+mod naming;
 pub mod patch;
 pub mod refine;
 pub mod resample;

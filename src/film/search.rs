@@ -69,9 +69,16 @@ impl Levels {
 pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most: usize) -> Result<Vec<Peak>> {
     let levels = Levels::of(picture);
     let Some(template) = picture.at(levels.coarse) else { return Ok(vec![]) };
-    let mut grey = read_grey(source, window, levels.coarse)?;
-    level_ground(&mut grey, picture.model);
-    let Some(scores) = correlate(&grey, template) else { return Ok(vec![]) };
+    let grey = read_grey(source, window, levels.coarse)?;
+    let mut scores: Option<Vec<f32>> = None;
+    for cut in cuts(picture.model) {
+        let Some(now) = correlate(&level_ground(&grey, *cut), template) else { return Ok(vec![]) };
+        match &mut scores {
+            Some(best) => best.iter_mut().zip(now).for_each(|(b, n)| *b = b.max(n)),
+            None => scores = Some(now),
+        }
+    }
+    let Some(scores) = scores else { return Ok(vec![]) };
     let radius = (template.width.min(template.height) / 3).max(2);
     let mut peaks = vec![];
     for (x, y, _) in highest(&scores, grey.width, grey.height, radius, most) {
@@ -109,26 +116,25 @@ pub fn settle(
     let (half, out, inward) = picture.model.reach_mm();
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + 4.0 * from as f64;
     let Some(window) = around(start, half, half, &source.info().bounds()) else { return Ok(None) };
-    let mut finest = read_grey(source, window, to)?;
-    level_ground(&mut finest, picture.model);
-    let mut at = start;
+    let finest = read_grey(source, window, to)?;
     let mut level = from.max(to);
-    loop {
-        let Some(template) = picture.at(level) else { return Ok(None) };
-        let coarser;
-        let grey = if level == to {
-            &finest
-        } else {
-            coarser = finest.decimated((level / to) as usize);
-            &coarser
-        };
-        let Some(peak) = ascend(grey, template, at) else { return Ok(None) };
-        at = peak.centre;
-        if level == to {
-            return Ok(Some(peak));
+    let mut best: Option<(Peak, Grey)> = None;
+    // The cut that shows the mark best at the first level is kept.
+    for cut in cuts(picture.model) {
+        let grey = level_ground(&finest, *cut);
+        let peak = picture.at(level).and_then(|t| ascend(&grey.decimated((level / to) as usize), t, start));
+        if let Some(peak) = peak.filter(|p| best.as_ref().is_none_or(|b| p.score > b.0.score)) {
+            best = Some((peak, grey));
         }
-        level /= 2;
     }
+    let Some((mut peak, finest)) = best else { return Ok(None) };
+    while level > to {
+        level /= 2;
+        let grey = finest.decimated((level / to) as usize);
+        let Some(next) = picture.at(level).and_then(|t| ascend(&grey, t, peak.centre)) else { return Ok(None) };
+        peak = next;
+    }
+    Ok(Some(peak))
 }
 
 /// Values along one side of the field in which [`ascend`] moves, and how far it looks around a place.
@@ -176,6 +182,47 @@ fn parabola(before: Option<f64>, here: f64, after: Option<f64>) -> f64 {
         (Some(a), Some(b)) if a + b - 2.0 * here < -1e-9 => (0.5 * (a - b) / (a + b - 2.0 * here)).clamp(-0.5, 0.5),
         _ => 0.0,
     }
+}
+
+/// The best local maximum within `reach_px` of a prediction, at the finest level; better ones beyond do not count, however
+/// near. `None` when there is none.
+///
+/// # Errors
+/// Those of reading the scan.
+pub fn near(
+    source: &dyn RasterSource,
+    predicted: PixelPoint,
+    picture: &Picture,
+    reach_px: f64,
+) -> Result<Option<Peak>> {
+    let fine = Levels::of(picture).fine;
+    let (half, out, inward) = picture.model.reach_mm();
+    let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * fine as f64;
+    let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(None) };
+    let Some(template) = picture.at(fine) else { return Ok(None) };
+    let read = read_grey(source, window, fine)?;
+    let reach = (reach_px / fine as f64).ceil() as usize + 1;
+    let side = 2 * reach + 1;
+    let mut best: Option<Peak> = None;
+    for cut in cuts(picture.model) {
+        let grey = level_ground(&read, *cut);
+        let [x0, y0] = grey.from_scan(predicted).map(|v| v.floor() as i64 - reach as i64);
+        let scores: Vec<Option<f64>> = (0..side * side)
+            .map(|n| score_at(&grey, template, x0 + (n % side) as i64, y0 + (n / side) as i64))
+            .collect();
+        for (i, j) in (1..side - 1).flat_map(|j| (1..side - 1).map(move |i| (i, j))) {
+            let at = |di: usize, dj: usize| scores[(j + dj - 1) * side + i + di - 1];
+            let Some(score) = at(1, 1).filter(|s| *s >= LEAST_SCORE) else { continue };
+            if (0..9).any(|k| at(k % 3, k / 3).is_none_or(|s| s > score)) || best.is_some_and(|b| b.score >= score) {
+                continue;
+            }
+            let dx = parabola(at(0, 1), score, at(2, 1));
+            let dy = parabola(at(1, 0), score, at(1, 2));
+            let (x, y) = ((x0 + i as i64) as f64 + 0.5 + dx, (y0 + j as i64) as f64 + 0.5 + dy);
+            best = Some(Peak { centre: grey.to_scan(x, y), score });
+        }
+    }
+    Ok(best)
 }
 
 /// The best place within `reach` values of `start`, to a fraction by the parabola through its neighbours. `doubt` is taken
@@ -252,23 +299,26 @@ pub fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
 }
 
 /// Cuts values above a level a little brighter than the opaque frame, for marks whose transparent parts show the image: what
-/// lies behind them (snow beside rock) then hardly counts. The level is a third of the way from the dark peak of the
+/// lies behind them (snow beside rock) then hardly counts. The level is a share of the way from the dark peak of the
 /// histogram to the bright side: the soft form of the 2017 thesis's threshold in the valley after the dark peak. Unlike a
 /// threshold it keeps the edges' positions, and it needs no second attempt with equalisation where there is no valley.
-pub fn level_ground(grey: &mut Grey, model: &Model) {
-    if !model.is_drawn() || !model.shows_image() || grey.data.is_empty() {
-        return;
-    }
-    let mut sample: Vec<f32> = grey.data.iter().step_by(grey.data.len().div_ceil(20_000)).copied().collect();
+pub fn level_ground(grey: &Grey, cut: Option<f32>) -> Grey {
+    let mut levelled = grey.clone();
+    let Some(cut) = cut.filter(|_| !grey.data.is_empty()) else { return levelled };
+    let mut sample: Vec<f32> = grey.data.iter().step_by(grey.data.len().div_ceil(4_000)).copied().collect();
     sample.sort_unstable_by(f32::total_cmp);
     let at = |share: f64| sample[((sample.len() - 1) as f64 * share) as usize];
     let (dark, bright) = (at(0.05), at(0.75));
-    let limit = dark + (CUT * (bright - dark)).max(8.0 * FLAT);
-    grey.data.iter_mut().for_each(|v| *v = v.min(limit));
+    let limit = dark + (cut * (bright - dark)).max(8.0 * FLAT);
+    levelled.data.iter_mut().for_each(|v| *v = v.min(limit));
+    levelled
 }
 
-/// Where values are cut between dark and bright. Chosen, not tuned: no other share was measured.
-const CUT: f32 = 0.35;
+/// Where values are cut between dark and bright, each tried. The lower takes uneven ground away; the upper stays above the
+/// bands and the grain of very dark frames, which reach further into the opaque frame than a third of the way.
+fn cuts(model: &Model) -> &'static [Option<f32>] {
+    if model.is_drawn() && model.shows_image() { &[Some(0.35), Some(0.8)] } else { &[None] }
+}
 
 /// Scores of the template at every value, −1 where it does not lie inside; `None` when it lies inside nowhere.
 fn correlate(grey: &Grey, t: &Template) -> Option<Vec<f32>> {

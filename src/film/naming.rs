@@ -1,0 +1,100 @@
+//! Which way round a frame lies: the names of its marks.
+
+use super::constellation::{Naming, namings};
+use super::frame::{FindOptions, Finder};
+use super::inner::{Pose, distance, fit_pose};
+use super::look::{Measured, located};
+use super::template::Model;
+
+/// What the naming of a frame's marks leaves to say.
+#[derive(Default)]
+pub(super) struct Named {
+    /// Why the names are doubtful.
+    pub doubt: Option<String>,
+    /// What is worth knowing but no reason to look.
+    pub note: Option<String>,
+}
+
+impl Named {
+    /// Of several ways in which the frame may lie one was taken; `known` when somebody stands for that.
+    fn say(&mut self, ways: &[String], taken: &str, known: bool) {
+        let said = format!("the marks do not tell whether the frame is {}; taken as {taken}", ways.join(" or "));
+        if known {
+            self.note = Some(format!("{said}, as the camera's file says"));
+        } else {
+            self.doubt = Some(format!("{said}: say --turn and --mirrored"));
+        }
+    }
+}
+
+impl Finder {
+    /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best. Returns
+    /// what is doubtful about the names. `rivals` are the ways of lying that fit the scan as well as the best, best first.
+    pub(super) fn name_marks(
+        &self,
+        options: &FindOptions,
+        pose: &mut Pose,
+        measured: &mut Vec<Option<Measured>>,
+        rivals: &[(f64, bool)],
+    ) -> Named {
+        let mut named = Named::default();
+        // Shapes that are not their own mirror images tell by themselves, unless another way round looks as good.
+        if !self.models.iter().all(Model::is_symmetric) {
+            if rivals.len() > 1 {
+                let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
+                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, false));
+            }
+            return named;
+        }
+        // Names need places that are right to some pixels only.
+        let sound = located(&self.film, measured, |m| m.reason.is_none());
+        let places = if sound.len() >= 3 { sound } else { located(&self.film, measured, |_| true) };
+        let allowed = self.orientations(options);
+        let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
+        let Some(best) = all.first() else { return named };
+        // The usual orientation wins among those that fit as well.
+        let as_good: Vec<&Naming> = all.iter().filter(|n| n.rms_px < best.rms_px + 1.2).collect();
+        let taken = allowed
+            .iter()
+            .find_map(|(t, m)| as_good.iter().find(|n| n.turn_deg == *t && n.mirrored == *m))
+            .copied()
+            .unwrap_or(best)
+            .clone();
+        if as_good.len() > 1 {
+            let ways: Vec<String> = as_good.iter().map(|n| orientation_text(n)).collect();
+            named.say(&ways, &orientation_text(&taken), self.camera.upright && taken.is_upright());
+        }
+        let before = std::mem::replace(measured, vec![None; self.film.len()]);
+        let from: Vec<usize> = places.iter().map(|p| p.0).collect();
+        // Places that took no part in the naming follow it through the pose it gives.
+        let points: Vec<_> = taken.names.iter().zip(&places).map(|(n, (_, p))| (self.film[*n], *p)).collect();
+        if let Some(next) = fit_pose(&points, taken.mirrored) {
+            *pose = next;
+        }
+        for (k, m) in before.into_iter().enumerate() {
+            let Some(m) = m else { continue };
+            let name = match from.iter().position(|f| *f == k) {
+                Some(i) => Some(taken.names[i]),
+                None => (0..self.film.len()).min_by(|&a, &b| {
+                    let d = |j: usize| distance(pose.apply(self.film[j]), m.centre);
+                    d(a).total_cmp(&d(b))
+                }),
+            };
+            if let Some(slot) = name.map(|n| &mut measured[n])
+                && slot.is_none()
+            {
+                *slot = Some(m);
+            }
+        }
+        named
+    }
+}
+
+fn orientation_text(naming: &Naming) -> String {
+    lies(naming.turn_deg, naming.mirrored)
+}
+
+fn lies(turn_deg: f64, mirrored: bool) -> String {
+    let mirrored = if mirrored { ", mirrored" } else { "" };
+    format!("turned by {turn_deg:.0}°{mirrored}")
+}
