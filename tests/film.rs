@@ -1,5 +1,5 @@
 //! Fiducial marks: measured against drawn frames with known truth, and against the real Wild frame. `AUTOREF_LARGE=1` runs the
-//! trials of 5,000 marks whose figures are in `docs/film.md`; small twins always run.
+//! trials of thousands of marks whose figures are in `docs/film.md`; small twins always run.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use autoref_stream::coords::PixelPoint;
 use autoref_stream::film::learn::{Pointed, learn};
 use autoref_stream::film::template::LearnedTemplate;
 use autoref_stream::film::{
-    Camera, FindOptions, Finder, FrameResult, FrameStatus, MarkKind, MarkStatus, find_frame, load_camera,
+    Camera, FindOptions, Finder, FrameResult, FrameStatus, MarkKind, MarkStatus, Method, find_frame, load_camera,
 };
 use autoref_stream::raster::RasterSource;
 use autoref_stream::synth::{FilmGround, FilmScene, FilmSpec, GreyPhoto};
@@ -17,6 +17,12 @@ const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
 
 fn large() -> bool {
     std::env::var_os("AUTOREF_LARGE").is_some()
+}
+
+/// Seed of the first frame drawn: `AUTOREF_FILM_FIRST_SEED` asks for frames that nobody has looked at, `AUTOREF_FILM_FRAMES`
+/// for another number of them.
+fn first_seed() -> u64 {
+    std::env::var("AUTOREF_FILM_FIRST_SEED").ok().and_then(|v| v.parse().ok()).unwrap_or(0)
 }
 
 /// Grey photographs from above, or noise where the data are not there.
@@ -95,6 +101,24 @@ fn score(scene: &FilmScene, found: &FrameResult) -> Tally {
         if std::env::var_os("AUTOREF_FILM_VERBOSE").is_some()
             && (error.is_none_or(|e| e > 2.0) || (!good && truth.complete))
         {
+            if let Some(folder) =
+                std::env::var_os("AUTOREF_FILM_DUMP").filter(|_| truth.complete && error.is_none_or(|e| e > 2.0))
+            {
+                let half = 60u64;
+                let w = autoref_stream::window::Window::new(
+                    (truth.x as u64).saturating_sub(half),
+                    (truth.y as u64).saturating_sub(half),
+                    2 * half,
+                    2 * half,
+                )
+                .intersect(&scene.info().bounds());
+                let white = f64::from(scene.info().white);
+                let v: Vec<u8> = scene.render(w).iter().map(|v| (f64::from(*v) * 255.0 / white) as u8).collect();
+                let mut out = format!("P5 {} {} 255\n", w.width, w.height).into_bytes();
+                out.extend(v);
+                std::fs::write(Path::new(&folder).join(format!("{}-{}.pgm", found.name, truth.mark)), out)
+                    .expect("writable");
+            }
             println!(
                 "{} {} complete {} damaged {} hole {:?} gain {:.2} error {error:?} score {:?} {:?} {:?} | q {} m {} {:?}",
                 found.name,
@@ -115,22 +139,24 @@ fn score(scene: &FilmScene, found: &FrameResult) -> Tally {
     t
 }
 
-fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool) -> Tally {
+fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool, method: Method) -> Tally {
     let camera = load_camera(camera).expect("built in");
     let finder = Finder::new(&camera).expect("drawn shapes");
     let ground = ground();
+    let frames = std::env::var("AUTOREF_FILM_FRAMES").ok().and_then(|v| v.parse().ok()).unwrap_or(frames);
     // Of the cameras only this one is asymmetric enough to tell how its frames are turned.
     let tells_turns = camera.name == "svalbard-zeiss-1936";
     let all: Vec<Tally> = (0..frames)
         .into_par_iter()
-        .map(|seed| {
+        .map(|k| {
+            let seed = first_seed() + k;
             let mut spec = FilmSpec::archive(&camera, pixel_um, seed);
             if turned {
                 spec.quarters = (seed / 3 % 4) as u8;
                 spec.mirrored = seed % 5 == 4;
             }
             let scene = FilmScene::new(&spec, &ground).expect("drawable");
-            let mut options = FindOptions::default();
+            let mut options = FindOptions { method, ..FindOptions::default() };
             if !tells_turns {
                 options.turn_deg = Some(90.0 * f64::from(spec.quarters));
                 options.mirrored = Some(spec.mirrored);
@@ -141,7 +167,7 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool) -> Tally {
         .collect();
     let sum = all.into_iter().fold(Tally::default(), Tally::add);
     println!(
-        "{}: {} frames ({} OK), {} marks, {:.3} % within 2 px, RMSE {:.3} px on {} undamaged, {} unflagged over 5 px, {} of {} passed",
+        "{} by {method:?}: {} frames ({} OK), {} marks, {:.3} % within 2 px, RMSE {:.3} px on {} undamaged, {} unflagged over 5 px, {} of {} passed",
         camera.name,
         sum.frames,
         sum.frames_ok,
@@ -159,16 +185,29 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool) -> Tally {
 #[test]
 fn svalbard_marks_are_found_and_no_gross_error_is_passed() {
     let (pixel_um, frames) = if large() { (20.0, 1_320) } else { (27.0, 10) };
-    let t = trial("svalbard-zeiss-1936", pixel_um, frames, true);
+    let t = trial("svalbard-zeiss-1936", pixel_um, frames, true, Method::Correlation);
     assert_eq!(t.unflagged, 0);
     assert!(t.share() >= 0.999 || t.marks - t.within_2px <= usize::from(!large()), "{t:?}");
     assert!(t.rmse_px() <= 0.3, "{t:?}");
 }
 
+/// The finder of the 2017 thesis beside the default one, on the same frames.
+#[test]
+fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
+    let (pixel_um, frames) = if large() { (20.0, 300) } else { (27.0, 8) };
+    let [old, new] =
+        [Method::Thesis2017, Method::Correlation].map(|m| trial("svalbard-zeiss-1936", pixel_um, frames, true, m));
+    for (t, name) in [(old, "2017"), (new, "default")] {
+        println!("{name}: {:.3} s a frame, drawing included", t.seconds / t.frames as f64);
+    }
+    assert_eq!(old.unflagged, 0, "the check that follows is the same for both");
+    assert!(old.share() > 0.7 && new.share() > old.share(), "{old:?} {new:?}");
+}
+
 /// The other kinds; how their frames are turned is given, since their positions are symmetric.
 fn other_kind(camera: &str, pixel_um: f64, mark_count: u64) {
-    let frames = if large() { 5_000 / mark_count + 25 } else { 4 };
-    let t = trial(camera, pixel_um, frames, true);
+    let frames = if large() { 1_000 / mark_count + 25 } else { 4 };
+    let t = trial(camera, pixel_um, frames, true, Method::Correlation);
     assert_eq!(t.unflagged, 0, "{camera}");
     assert!(t.share() >= 0.995, "{camera}: {t:?}");
     assert!(t.rmse_px() <= 0.3, "{camera}: {t:?}");
