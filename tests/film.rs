@@ -101,24 +101,6 @@ fn score(scene: &FilmScene, found: &FrameResult) -> Tally {
         if std::env::var_os("AUTOREF_FILM_VERBOSE").is_some()
             && (error.is_none_or(|e| e > 2.0) || (!good && truth.complete))
         {
-            if let Some(folder) =
-                std::env::var_os("AUTOREF_FILM_DUMP").filter(|_| truth.complete && error.is_none_or(|e| e > 2.0))
-            {
-                let half = 60u64;
-                let w = autoref_stream::window::Window::new(
-                    (truth.x as u64).saturating_sub(half),
-                    (truth.y as u64).saturating_sub(half),
-                    2 * half,
-                    2 * half,
-                )
-                .intersect(&scene.info().bounds());
-                let white = f64::from(scene.info().white);
-                let v: Vec<u8> = scene.render(w).iter().map(|v| (f64::from(*v) * 255.0 / white) as u8).collect();
-                let mut out = format!("P5 {} {} 255\n", w.width, w.height).into_bytes();
-                out.extend(v);
-                std::fs::write(Path::new(&folder).join(format!("{}-{}.pgm", found.name, truth.mark)), out)
-                    .expect("writable");
-            }
             println!(
                 "{} {} complete {} damaged {} hole {:?} gain {:.2} error {error:?} score {:?} {:?} {:?} | q {} m {} {:?}",
                 found.name,
@@ -139,7 +121,7 @@ fn score(scene: &FilmScene, found: &FrameResult) -> Tally {
     t
 }
 
-fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool, method: Method) -> Tally {
+fn trial(camera: &str, pixel_um: f64, frames: u64, how: &FindOptions) -> Tally {
     let camera = load_camera(camera).expect("built in");
     let finder = Finder::new(&camera).expect("drawn shapes");
     let ground = ground();
@@ -151,12 +133,10 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool, method: Method)
         .map(|k| {
             let seed = first_seed() + k;
             let mut spec = FilmSpec::archive(&camera, pixel_um, seed);
-            if turned {
-                spec.quarters = (seed / 3 % 4) as u8;
-                spec.mirrored = seed % 5 == 4;
-            }
+            spec.quarters = (seed / 3 % 4) as u8;
+            spec.mirrored = seed % 5 == 4;
             let scene = FilmScene::new(&spec, &ground).expect("drawable");
-            let mut options = FindOptions { method, ..FindOptions::default() };
+            let mut options = how.clone();
             if !tells_turns {
                 options.turn_deg = Some(90.0 * f64::from(spec.quarters));
                 options.mirrored = Some(spec.mirrored);
@@ -167,8 +147,9 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool, method: Method)
         .collect();
     let sum = all.into_iter().fold(Tally::default(), Tally::add);
     println!(
-        "{} by {method:?}: {} frames ({} OK), {} marks, {:.3} % within 2 px, RMSE {:.3} px on {} undamaged, {} unflagged over 5 px, {} of {} passed",
+        "{} by {:?}: {} frames ({} OK), {} marks, {:.3} % within 2 px, RMSE {:.3} px on {} undamaged, {} unflagged over 5 px, {} of {} passed",
         camera.name,
+        how.method,
         sum.frames,
         sum.frames_ok,
         sum.marks,
@@ -185,29 +166,36 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, turned: bool, method: Method)
 #[test]
 fn svalbard_marks_are_found_and_no_gross_error_is_passed() {
     let (pixel_um, frames) = if large() { (20.0, 1_320) } else { (27.0, 10) };
-    let t = trial("svalbard-zeiss-1936", pixel_um, frames, true, Method::Correlation);
+    let t = trial("svalbard-zeiss-1936", pixel_um, frames, &FindOptions::default());
     assert_eq!(t.unflagged, 0);
     assert!(t.share() >= 0.999 || t.marks - t.within_2px <= usize::from(!large()), "{t:?}");
     assert!(t.rmse_px() <= 0.3, "{t:?}");
 }
 
-/// The finder of the 2017 thesis beside the default one, on the same frames.
+/// The finder of the 2017 thesis beside the default one, on the same frames; once more without the agreement between marks, which
+/// the thesis does not ask for.
 #[test]
 fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
     let (pixel_um, frames) = if large() { (20.0, 300) } else { (27.0, 8) };
-    let [old, new] =
-        [Method::Thesis2017, Method::Correlation].map(|m| trial("svalbard-zeiss-1936", pixel_um, frames, true, m));
+    let of = |method: Method, agreement_px: f64| {
+        let how = FindOptions { method, agreement_px, ..FindOptions::default() };
+        trial("svalbard-zeiss-1936", pixel_um, frames, &how)
+    };
+    let usual = FindOptions::default().agreement_px;
+    let (old, new) = (of(Method::Thesis2017, usual), of(Method::Correlation, usual));
+    let alone = of(Method::Thesis2017, f64::MAX);
+    println!("by its own tests the finder of 2017 lets {} errors over 5 px pass", alone.unflagged);
     for (t, name) in [(old, "2017"), (new, "default")] {
         println!("{name}: {:.3} s a frame, drawing included", t.seconds / t.frames as f64);
     }
-    assert_eq!(old.unflagged, 0, "the check that follows is the same for both");
-    assert!(old.share() > 0.7 && new.share() > old.share(), "{old:?} {new:?}");
+    assert_eq!(old.unflagged, 0, "the agreement between marks catches them");
+    assert!(old.share() > 0.5 && new.share() > old.share(), "{old:?} {new:?}");
 }
 
 /// The other kinds; how their frames are turned is given, since their positions are symmetric.
 fn other_kind(camera: &str, pixel_um: f64, mark_count: u64) {
     let frames = if large() { 1_000 / mark_count + 25 } else { 4 };
-    let t = trial(camera, pixel_um, frames, true, Method::Correlation);
+    let t = trial(camera, pixel_um, frames, &FindOptions::default());
     assert_eq!(t.unflagged, 0, "{camera}");
     assert!(t.share() >= 0.995, "{camera}: {t:?}");
     assert!(t.rmse_px() <= 0.3, "{camera}: {t:?}");

@@ -21,7 +21,8 @@ pub struct Refined {
     pub contrast: f64,
     /// Robust standard deviation of a pixel about the model, of white.
     pub sigma: f64,
-    /// Pixels that do not fit the model, as a share of the mark's own.
+    /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more room beside
+    /// the mark, so that what is missing of it weighs more.
     pub misfit: f64,
 }
 
@@ -37,8 +38,12 @@ const FIT: f64 = 0.3;
 const FIT_SIGMA: f64 = 4.0;
 /// Marks of lines that fit worse are looked at from around, and how far around, pixels: a scratch along a line holds the centre
 /// where only that line fits.
-pub const DAMAGED: f64 = 0.08;
+const DAMAGED: f64 = 0.03;
 const AROUND_PX: f64 = 2.0;
+const CLEARLY: f64 = 0.01;
+/// Values of the drawn mark above which a pixel is the mark's, and below which it is not.
+const ON_MARK: f64 = 0.4;
+const BESIDE_MARK: f64 = 0.1;
 
 /// The mark drawn finely and blurred, looked up between its values.
 struct Surface {
@@ -122,7 +127,7 @@ impl Refiner {
             let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
             self.settle(grey, PixelPoint { x: start.x + dx, y: start.y + dy })
         });
-        first.into_iter().chain(others).filter(|r| r.contrast > 0.0).min_by(|a, b| a.misfit.total_cmp(&b.misfit))
+        first.into_iter().chain(others).filter(|r| r.contrast > 0.0).reduce(better)
     }
 
     /// Of several starts the one whose mark fits best, with its index; the first that is undamaged ends the search.
@@ -130,7 +135,7 @@ impl Refiner {
         let mut best: Option<(usize, Refined)> = None;
         for (k, start) in starts.iter().enumerate() {
             let Some(r) = self.settle(grey, *start).filter(|r| r.contrast > 0.0) else { continue };
-            if best.as_ref().is_none_or(|b| r.misfit < b.1.misfit) {
+            if best.as_ref().is_none_or(|b| better(b.1, r) == r) {
                 best = Some((k, r));
             }
             if r.misfit < DAMAGED {
@@ -169,8 +174,7 @@ impl Refiner {
             }
             let variance = sigma * sigma;
             let limit = (FIT * levels[1].abs()).max(FIT_SIGMA * sigma);
-            let off = residuals.iter().filter(|r| r.abs() > limit).count() as f64;
-            let misfit = off / rows.iter().map(|r| r.mark[0]).sum::<f64>().max(1.0);
+            let misfit = misfit(&rows, &residuals, levels[0], limit);
             last = Some(Refined {
                 centre,
                 covariance_px2: [inverse[(p, p)], inverse[(p, p + 1)], inverse[(p + 1, p + 1)]].map(|v| v * variance),
@@ -184,6 +188,11 @@ impl Refiner {
         }
         last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
     }
+}
+
+/// Of two refinements the one that fits clearly better, else the first, which correlates better.
+fn better(first: Refined, other: Refined) -> Refined {
+    if other.misfit < first.misfit - CLEARLY { other } else { first }
 }
 
 /// One pixel: its value, the mark's value there with derivatives, and where it lies from the centre.
@@ -260,6 +269,22 @@ fn normal_equations(
         }
     }
     (normal, right)
+}
+
+/// A pixel of the mark must also stand out from the frame: a faint mark would fit anywhere.
+fn misfit(rows: &[Row], residuals: &[f64], frame: f64, limit: f64) -> f64 {
+    let (mut mark, mut beside) = ((0.0, 1.0), (0.0, 1.0));
+    for (row, r) in rows.iter().zip(residuals) {
+        let fits = r.abs() <= limit;
+        if row.mark[0] > ON_MARK {
+            mark.0 += f64::from(!fits || row.grey - frame <= limit);
+            mark.1 += 1.0;
+        } else if row.mark[0] < BESIDE_MARK {
+            beside.0 += f64::from(!fits);
+            beside.1 += 1.0;
+        }
+    }
+    mark.0 / mark.1 + beside.0 / beside.1
 }
 
 /// 1.4826 × the median of the absolute values, at least a fifth of an 8-bit level.

@@ -85,7 +85,8 @@ pub(super) struct Constellation {
 }
 
 impl Constellation {
-    /// Of a drawn mark under `linear`: on each side the outer and inner corner of the outer tooth and that of the middle one.
+    /// Of a drawn mark under `linear`: on each side the outer corner of the outer tooth, the corner at the bottom of the gap beside it, and
+    /// that of the middle tooth: corners all at the teeth's tops would lie on a line, as those at their bottoms do.
     ///
     /// # Panics
     /// For a mark that is not three-toothed, which the caller has refused.
@@ -101,7 +102,7 @@ impl Constellation {
         let (outer, middle) = (lean(*outer_height_mm), lean(*middle_height_mm));
         let jaws = [
             [0.5 * width_mm - outer, *outer_height_mm],
-            [0.5 * middle_width_mm + gap_mm + 0.5 * outer, *outer_height_mm],
+            [0.5 * middle_width_mm + gap_mm, *base_mm],
             [0.5 * middle_width_mm - middle, *middle_height_mm],
         ];
         let place = |side: f64, [u, v]: [f64; 2]| to_scan(linear, side * u, v);
@@ -161,7 +162,7 @@ mod tests {
         };
         let trained = Constellation::of(&kind, of(0.0));
         let turned = of(3.0);
-        let jaws = [[2.144, 2.0], [1.278, 2.0], [0.43, 1.7]];
+        let jaws = [[2.144, 2.0], [1.2, 0.7], [0.43, 1.7]];
         let mut points: Vec<[f64; 2]> = [-1.0, 1.0]
             .iter()
             .flat_map(|side| jaws.map(|[u, v]| to_scan(turned, side * u, v)))

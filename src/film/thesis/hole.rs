@@ -127,11 +127,13 @@ mod tests {
             let mut set = bits;
             set.resize(width * height, true);
             prop_assume!(set.contains(&false));
-            let found = distances(&set, width);
-            for n in 0..set.len() {
-                let away = |m: usize| ((n % width) as f64 - (m % width) as f64).hypot((n / width) as f64 - (m / width) as f64);
-                let nearest = (0..set.len()).filter(|m| !set[*m]).map(away).fold(f64::MAX, f64::min);
-                prop_assert!((found[n] - nearest).abs() < 1e-9, "{} {}", found[n], nearest);
+            for (n, found) in distances(&set, width).iter().enumerate() {
+                let away = |m: &usize| {
+                    ((n % width) as f64 - (m % width) as f64).hypot((n / width) as f64 - (m / width) as f64)
+                };
+                let dark = (0..set.len()).filter(|m| !set[*m]);
+                let nearest = dark.map(|m| away(&m)).fold(f64::MAX, f64::min);
+                prop_assert!((found - nearest).abs() < 1e-9, "{} {}", found, nearest);
             }
         }
     }
