@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use autoref_stream::film::{
-    self, FindOptions, Finder, FrameResult, FrameStatus, InnerModel,
+    self, FindOptions, Finder, FrameResult, FrameStatus, InnerModel, Method,
     learn::{self, Pointed},
     roll,
 };
@@ -47,6 +47,9 @@ pub struct FiducialsArgs {
     /// Side of the search boxes as a share of the frame's longer side; they grow when marks are not found.
     #[arg(long, value_name = "SHARE", default_value_t = 0.10, help_heading = "Finding")]
     box_share: f64,
+    /// How marks are found; thesis-2017 is for three-toothed marks and there for comparison.
+    #[arg(long, value_enum, default_value_t = FinderName::Correlation, help_heading = "Finding")]
+    finder: FinderName,
     /// Transform of the inner orientation; with three marks it is a similarity.
     #[arg(long, value_enum, default_value_t = Model::Affine, help_heading = "Checking")]
     model: Model,
@@ -70,6 +73,13 @@ pub struct FiducialsArgs {
     quiet: bool,
     #[command(flatten)]
     outputs: super::film_outputs::FilmOutputArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FinderName {
+    Correlation,
+    #[value(name = "thesis-2017")]
+    Thesis2017,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -103,6 +113,10 @@ impl FiducialsArgs {
             bail!("--agreement-um must be between 1 and 1000 micrometres");
         }
         Ok(FindOptions {
+            method: match self.finder {
+                FinderName::Correlation => Method::Correlation,
+                FinderName::Thesis2017 => Method::Thesis2017,
+            },
             pixel_um: self.pixel_um,
             model: match self.model {
                 Model::Similarity => InnerModel::Similarity,
@@ -134,8 +148,8 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     let camera = film::load_camera(args.camera.as_deref().context("give --camera NAME or FILE")?)?;
     let scans = scans(&args.frames)?;
     if args.learn {
-        let file = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
-        println!("learned from {} scans; use --camera {}", scans.len(), file.display());
+        let (file, count) = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
+        println!("learned from {} scans; use --camera {}", count, file.display());
         return Ok(ExitCode::SUCCESS);
     }
     let finder = Finder::new(&camera)?;

@@ -22,6 +22,8 @@ pub struct Assembly {
     pub chosen: Vec<Option<usize>>,
     /// Sum of the chosen peaks' scores, less for peaks that lie off.
     pub score: f64,
+    /// The ways in which a frame may lie (turn, mirrored) that fit the scan as well as this one, which is the first.
+    pub rivals: Vec<(f64, bool)>,
 }
 
 impl Assembly {
@@ -79,7 +81,7 @@ fn gather(film: &[[f64; 2]], peaks: &[Vec<Peak>], pose: Pose) -> Assembly {
     let points: Vec<_> =
         chosen.iter().enumerate().filter_map(|(k, c)| Some((film[k], peaks[k][(*c)?].centre))).collect();
     let pose = fit_pose(&points, pose.mirrored).unwrap_or(pose);
-    Assembly { pose, chosen, score }
+    Assembly { pose, chosen, score, rivals: vec![] }
 }
 
 /// One way of naming the marks that were found.
@@ -91,6 +93,12 @@ pub struct Naming {
     pub names: Vec<usize>,
     /// How badly the calibrated positions fit, pixels; where that is much, without the worst of four or more marks.
     pub rms_px: f64,
+}
+
+impl Naming {
+    pub fn is_upright(&self) -> bool {
+        self.turn_deg == 0.0 && !self.mirrored
+    }
 }
 
 /// Every naming of `places` (found under the naming `now`, film index by film index) that turning the frame by quarters and

@@ -15,9 +15,20 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::raster::RasterSource;
 
+/// How marks are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// Correlation with the drawn or learned mark and least squares.
+    #[default]
+    Correlation,
+    /// The steps of the 2017 thesis; three-toothed marks only.
+    Thesis2017,
+}
+
 /// How frames are looked at.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FindOptions {
+    pub method: Method,
     /// Size of a scanned pixel on the film; `None`: from the film's and the scan's sizes.
     pub pixel_um: Option<f64>,
     /// The inner orientation that is solved when marks allow it.
@@ -38,6 +49,7 @@ impl Default for FindOptions {
     /// coarse scans and still show an error of 5 px in one mark.
     fn default() -> Self {
         FindOptions {
+            method: Method::Correlation,
             pixel_um: None,
             model: InnerModel::Affine,
             turn_deg: None,
@@ -60,6 +72,9 @@ impl FindOptions {
 const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 /// Peaks kept per search box.
 const PEAKS: usize = 10;
+/// Another way of lying whose marks reach this share of the best correlation is as good: asymmetric marks lose more.
+const AS_GOOD: f64 = 0.98;
+
 /// A camera ready for work: its shapes drawn or read once for a whole roll.
 #[derive(Clone, Debug)]
 pub struct Finder {
@@ -126,7 +141,7 @@ impl Finder {
     /// The marks and the inner orientation of one scan. Finding nothing is no error: the status says so.
     ///
     /// # Errors
-    /// Those of reading the scan.
+    /// Those of reading the scan; [`Error::Usage`](crate::error::Error::Usage) when the method does not know the camera's marks.
     pub fn find(&self, source: &dyn RasterSource, options: &FindOptions) -> Result<FrameResult> {
         let started = Instant::now();
         let info = source.info();
@@ -141,11 +156,12 @@ impl Finder {
             notes: vec![],
             elapsed_s: 0.0,
         };
-        match self.assembly(source, options)? {
-            Some(assembly) => self.second_look(source, options, &assembly, &mut result)?,
-            None => {
-                result.marks = self.camera.marks.iter().map(|m| missing(&m.name, None, "not found")).collect();
-            }
+        if options.method == Method::Thesis2017 {
+            self.find_as_in_2017(source, options, &mut result)?;
+        } else if let Some(assembly) = self.assembly(source, options)? {
+            self.second_look(source, options, &assembly, &mut result)?;
+        } else {
+            result.marks = self.camera.marks.iter().map(|m| missing(&m.name, None, "not found")).collect();
         }
         result.elapsed_s = started.elapsed().as_secs_f64();
         Ok(result)
@@ -159,7 +175,7 @@ impl Finder {
     }
 
     /// Possible sizes of a pixel, micrometres, the likeliest first.
-    fn pixel_sizes_um(&self, source: &dyn RasterSource, options: &FindOptions) -> Vec<f64> {
+    pub(super) fn pixel_sizes_um(&self, source: &dyn RasterSource, options: &FindOptions) -> Vec<f64> {
         if let Some(size) = options.pixel_um {
             return vec![size];
         }
@@ -177,6 +193,11 @@ impl Finder {
         let middle = PixelPoint { x: 0.5 * info.width as f64, y: 0.5 * info.height as f64 };
         let wanted = self.film.len().min(3);
         let mut best: Option<Assembly> = None;
+        // How well each way of lying fits: marks found and the score, the best of all boxes.
+        let mut ways: Vec<((f64, bool), usize, f64)> = vec![];
+        let rank = |best: Option<Assembly>, ways: &[((f64, bool), usize, f64)]| {
+            best.map(|b| Assembly { rivals: rivals(&b, ways), ..b })
+        };
         for growth in GROWTH {
             for pixel_um in self.pixel_sizes_um(source, options) {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
@@ -188,19 +209,20 @@ impl Finder {
                         .collect::<Result<Vec<_>>>()?;
                     let Some(found) = assemble(&self.film, &peaks, &assumed) else { continue };
                     let chosen_only = keep_chosen(found, &peaks);
+                    ways.push(((turn_deg, mirrored), chosen_only.marks(), chosen_only.score));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
                     }
                 }
                 if best.as_ref().is_some_and(|b| b.marks() == self.film.len()) {
-                    return Ok(best);
+                    return Ok(rank(best, &ways));
                 }
             }
             if best.as_ref().is_some_and(|b| b.marks() >= wanted.max(self.film.len() - 1)) {
                 break;
             }
         }
-        Ok(best)
+        Ok(rank(best, &ways))
     }
 
     /// The peaks of mark `k` under `assumed`, from a box searched before where shape and place are the same.
@@ -351,6 +373,20 @@ fn missing(name: &str, predicted: Option<PixelPoint>, reason: &str) -> MarkFind 
 fn keep_chosen(mut assembly: Assembly, peaks: &[Vec<Peak>]) -> Assembly {
     assembly.score = assembly.chosen.iter().enumerate().filter_map(|(k, c)| Some(peaks[k][(*c)?].score)).sum();
     assembly
+}
+
+/// The ways in which the frame may lie that fit nearly as well as the assembly taken, its own first.
+fn rivals(best: &Assembly, ways: &[((f64, bool), usize, f64)]) -> Vec<(f64, bool)> {
+    let good = |w: &&((f64, bool), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
+    let mut all: Vec<_> = ways.iter().filter(good).collect();
+    all.sort_by(|a, b| b.2.total_cmp(&a.2));
+    let mut rivals: Vec<(f64, bool)> = vec![];
+    for way in all {
+        if !rivals.contains(&way.0) {
+            rivals.push(way.0);
+        }
+    }
+    rivals
 }
 
 /// Opens and examines one scan; what goes wrong with it becomes its status.

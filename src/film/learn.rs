@@ -24,7 +24,7 @@ pub struct Pointed {
 }
 
 /// Spread of brightness between frames, of the window's own range, at which a value counts half.
-const SPREAD: f32 = 0.12;
+const SPREAD: f64 = 0.12;
 /// Marks that correlate less are not averaged.
 const LEAST_SCORE: f64 = 0.5;
 /// Values along the longer side of a template, at most.
@@ -45,33 +45,56 @@ pub fn learn(
     window_mm: [f64; 2],
     options: &FindOptions,
 ) -> Result<Vec<Option<LearnedTemplate>>> {
-    let Some(first) = scans.first() else {
+    let visit = |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(scans[k]);
+    learn_visiting(scans.len(), &visit, camera, pointed, window_mm, options)
+}
+
+/// Shows the scan of a number to somebody; it is open only that long.
+type Visit<'a> = &'a dyn Fn(usize, &mut dyn FnMut(&dyn RasterSource) -> Result<()>) -> Result<()>;
+
+fn learn_visiting(
+    count: usize,
+    visit: Visit,
+    camera: &Camera,
+    pointed: &[Pointed],
+    window_mm: [f64; 2],
+    options: &FindOptions,
+) -> Result<Vec<Option<LearnedTemplate>>> {
+    if count == 0 {
         return Err(Error::usage("no frames to learn from", "name the scans of a roll"));
-    };
+    }
     let mut templates: Vec<Option<LearnedTemplate>> = vec![None; camera.marks.len()];
     let mut finder = Finder::new(&drawn_only(camera, pointed)?)?;
     if !pointed.is_empty() {
         let (pose, places) = pose_of_pointed(camera, pointed)?;
         for (k, at) in places {
             let grid = Grid::new(&pose, window_mm);
-            let window = cut(*first, camera, &pose, k, at, &grid)?;
-            templates[k] = window.map(|w| average(&[w], &grid));
+            visit(0, &mut |scan| {
+                templates[k] = cut(scan, camera, &pose, k, at, &grid)?.map(|w| Stack::of(&w).average(&grid));
+                Ok(())
+            })?;
         }
         finder = with_templates(camera, &templates)?;
     }
     // The second round looks with the average of the first.
     for _ in 0..2 {
-        let mut windows: Vec<Vec<Vec<f32>>> = vec![vec![]; camera.marks.len()];
+        let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
         let mut grid: Option<Grid> = None;
-        for scan in scans {
-            let frame = finder.find(*scan, options)?;
-            let Some(pose) = pose_of(&finder.camera, &frame) else { continue };
-            let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
-            for (k, at) in good_marks(camera, &frame) {
-                if let Some(w) = cut(*scan, camera, &pose, k, at, &grid)? {
-                    windows[k].push(w);
+        for number in 0..count {
+            visit(number, &mut |scan| {
+                let frame = finder.find(scan, options)?;
+                let Some(pose) = pose_of(&finder.camera, &frame) else { return Ok(()) };
+                let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
+                for (k, at) in good_marks(camera, &frame) {
+                    if let Some(w) = cut(scan, camera, &pose, k, at, &grid)? {
+                        match &mut stacks[k] {
+                            Some(stack) => stack.add(&w),
+                            empty => *empty = Some(Stack::of(&w)),
+                        }
+                    }
                 }
-            }
+                Ok(())
+            })?;
         }
         let Some(grid) = grid else {
             return Err(Error::usage(
@@ -79,10 +102,9 @@ pub fn learn(
                 "point at them in the first frame with --at MARK=X,Y, two or more",
             ));
         };
-        let least = scans.len().min(2);
-        for (k, windows) in windows.iter().enumerate() {
-            if windows.len() >= least {
-                templates[k] = Some(average(windows, &grid));
+        for (template, stack) in templates.iter_mut().zip(stacks) {
+            if let Some(stack) = stack.filter(|s| s.windows >= count.min(2)) {
+                *template = Some(stack.average(&grid));
             }
         }
         finder = with_templates(camera, &templates)?;
@@ -90,8 +112,8 @@ pub fn learn(
     Ok(templates)
 }
 
-/// As [`learn`] from files, opened one at a time per look, writing `NAME-learned.toml` and a template per mark into `folder`. Returns
-/// the camera's file.
+/// As [`learn`] from files, opened one at a time, writing `NAME-learned.toml` and a template per mark into `folder`. Returns
+/// the camera's file and how many scans were learned from: those that cannot be read are left out with a warning.
 ///
 /// # Errors
 /// Those of [`learn`] and of writing.
@@ -102,10 +124,19 @@ pub fn learn_files(
     window_mm: [f64; 2],
     options: &FindOptions,
     folder: &Path,
-) -> Result<PathBuf> {
-    let sources = scans.iter().map(|s| open_scan(s)).collect::<Result<Vec<_>>>()?;
-    let borrowed: Vec<&dyn RasterSource> = sources.iter().map(AsRef::as_ref).collect();
-    let templates = learn(&borrowed, camera, pointed, window_mm, options)?;
+) -> Result<(PathBuf, usize)> {
+    let mut readable = vec![];
+    for (number, scan) in scans.iter().enumerate() {
+        match open_scan(scan) {
+            Ok(_) => readable.push(scan),
+            // What was pointed at lies in the first.
+            Err(error) if number == 0 && !pointed.is_empty() => return Err(error),
+            Err(error) => tracing::warn!("left out: {error}"),
+        }
+    }
+    let visit =
+        |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(open_scan(readable[k])?.as_ref());
+    let templates = learn_visiting(readable.len(), &visit, camera, pointed, window_mm, options)?;
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
     let mut learned = camera.clone();
     learned.name = format!("{}-learned", camera.name);
@@ -129,7 +160,7 @@ pub fn learn_files(
     let path = folder.join(format!("{}.toml", learned.name));
     let text = toml::to_string(&learned).map_err(|e| Error::format(&path, "camera", e.to_string()))?;
     atomic::write(&path, text.as_bytes())?;
-    Ok(path)
+    Ok((path, readable.len()))
 }
 
 /// With pointed marks the camera's own shapes are not wanted, and may not exist.
@@ -271,23 +302,41 @@ fn bilinear(grey: &Grey, p: PixelPoint) -> Option<f32> {
     Some(row(j) + (row(j + 1) - row(j)) * fy)
 }
 
-fn average(windows: &[Vec<f32>], grid: &Grid) -> LearnedTemplate {
-    let n = windows.len() as f32;
-    let mut values = vec![0.0f32; grid.width * grid.height];
-    let mut weights = vec![1.0f32; grid.width * grid.height];
-    for k in 0..values.len() {
-        let mean = windows.iter().map(|w| w[k]).sum::<f32>() / n;
-        let variance = windows.iter().map(|w| (w[k] - mean).powi(2)).sum::<f32>() / n;
-        values[k] = mean;
-        weights[k] = 1.0 / (1.0 + variance / (SPREAD * SPREAD));
+/// Windows of one mark, summed: memory does not depend on their number.
+#[derive(Clone)]
+struct Stack {
+    windows: usize,
+    sum: Vec<f64>,
+    square: Vec<f64>,
+}
+
+impl Stack {
+    fn of(window: &[f32]) -> Stack {
+        let mut stack = Stack { windows: 0, sum: vec![0.0; window.len()], square: vec![0.0; window.len()] };
+        stack.add(window);
+        stack
     }
-    LearnedTemplate {
-        pixel_um: 1e3 * grid.step_mm,
-        width: grid.width,
-        height: grid.height,
-        reference: [0.5 * grid.width as f64, 0.5 * grid.height as f64],
-        values,
-        weights,
-        marks: windows.len(),
+
+    fn add(&mut self, window: &[f32]) {
+        self.windows += 1;
+        for ((sum, square), v) in self.sum.iter_mut().zip(&mut self.square).zip(window) {
+            *sum += f64::from(*v);
+            *square += f64::from(*v).powi(2);
+        }
+    }
+
+    fn average(&self, grid: &Grid) -> LearnedTemplate {
+        let n = self.windows as f64;
+        let mean = |k: usize| self.sum[k] / n;
+        let variance = |k: usize| (self.square[k] / n - mean(k).powi(2)).max(0.0);
+        LearnedTemplate {
+            pixel_um: 1e3 * grid.step_mm,
+            width: grid.width,
+            height: grid.height,
+            reference: [0.5 * grid.width as f64, 0.5 * grid.height as f64],
+            values: (0..self.sum.len()).map(|k| mean(k) as f32).collect(),
+            weights: (0..self.sum.len()).map(|k| (1.0 / (1.0 + variance(k) / SPREAD.powi(2))) as f32).collect(),
+            marks: self.windows,
+        }
     }
 }

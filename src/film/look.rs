@@ -5,7 +5,7 @@ use super::check::agreement;
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
 use super::inner::{Pose, distance, fit_pose};
-use super::refine::{Refined, refine};
+use super::refine::{Refined, Refiner};
 use super::search::{Levels, Peak, climb, near, search, settle};
 use super::template::{Model, Picture, draw, invert};
 use super::types::FrameResult;
@@ -22,6 +22,9 @@ const REACH_MM: f64 = 0.6;
 const NEAR_MM: f64 = 0.1;
 /// Peaks looked at around a prediction.
 const NEAR_PEAKS: usize = 4;
+const LINE_PEAKS: usize = 12;
+/// Least squares of a whole mark reach so many times as far as the mark.
+const REFINED: f64 = 1.5;
 /// How far a reference point may lie from where the shape puts it when the frame's other marks tell how the shape was drawn,
 /// millimetres and pixels, added. In made frames shapes keep to half a pixel.
 const POINT_MM: f64 = 0.015;
@@ -56,7 +59,7 @@ impl Finder {
         let all = 0..self.film.len();
         let mut measured = all.map(|k| self.measure(source, &pose, k, None)).collect::<Result<Vec<_>>>()?;
         self.settle_points(source, &pose, &mut measured)?;
-        let mut naming = self.name_marks(options, &mut pose, &mut measured);
+        let mut naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         // Under the names and the pose of those that agree, the others are looked for again.
         let points = located(&self.film, &measured, |_| true);
         let agreed = agreeing(&self.film, &points, &pose, options.tolerance_px(&pose));
@@ -71,7 +74,7 @@ impl Finder {
                 }
             }
             self.settle_points(source, &pose, &mut measured)?;
-            naming = self.name_marks(options, &mut pose, &mut measured);
+            naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         }
         result.notes.extend(naming.note);
         self.judge(options, &pose, &measured, naming.doubt, result);
@@ -140,7 +143,8 @@ impl Finder {
         let peak = template.and_then(|t| climb(&grey, &t, expected, reach_px.ceil() as i64, |_| 0.0));
         let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
         let near = |r: &Refined| r.contrast > 0.0 && distance(r.centre, expected) <= reach_px;
-        Ok(refine(&grey, model, linear, peak.centre, radius_mm).filter(near))
+        let refiner = Refiner::new(model, linear, radius_mm);
+        Ok(refiner.and_then(|r| r.refine(&grey, peak.centre)).filter(near))
     }
 
     /// One mark under a pose that is known to a fraction of a millimetre.
@@ -166,9 +170,13 @@ impl Finder {
             return self.point_only(source, model, linear, predicted, unit);
         }
         let picture = Picture::new(model, linear);
-        let body = match near_mm {
-            Some(mm) => near(source, predicted, &picture, mm * unit + 4.0)?,
-            None => self.body(source, predicted, &picture)?,
+        let reach_px = near_mm.unwrap_or(REACH_MM) * unit + 4.0;
+        let body = if model.sectors_deg().is_some() {
+            self.lines(source, predicted, &picture, reach_px)?
+        } else if near_mm.is_some() {
+            near(source, predicted, &picture, reach_px, Levels::of(&picture).fine, 1)?.first().copied()
+        } else {
+            self.body(source, predicted, &picture)?
         };
         let Some(body) = body else { return self.point_only(source, model, linear, predicted, unit) };
         Ok(Some(self.place(source, model, linear, &body, unit)?))
@@ -187,6 +195,26 @@ impl Finder {
         Ok(Some(settle(source, peak.centre, picture, levels.rank, levels.fine)?.unwrap_or(*peak)))
     }
 
+    /// The best place for a mark of lines. A scratch beside a line can correlate better than the line itself, so that the places are
+    /// told apart by how many pixels do not fit the mark once it is refined there.
+    fn lines(
+        &self,
+        source: &dyn RasterSource,
+        predicted: PixelPoint,
+        picture: &Picture,
+        reach_px: f64,
+    ) -> Result<Option<Peak>> {
+        let peaks = near(source, predicted, picture, reach_px, Levels::of(picture).rank, LINE_PEAKS)?;
+        let radius_mm = REFINED * picture.model.radius_mm();
+        let half_px = radius_mm * picture.px_per_mm() + reach_px + 12.0;
+        let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
+        let grey = read_grey(source, window, 1)?;
+        let starts: Vec<PixelPoint> = peaks.iter().map(|p| p.centre).collect();
+        let refiner = Refiner::new(picture.model, picture.linear, radius_mm);
+        let best = refiner.and_then(|r| r.best_of(&grey, &starts));
+        Ok(best.map(|(k, r)| Peak { centre: r.centre, score: peaks[k].score }).or(peaks.first().copied()))
+    }
+
     /// A hole where the other marks put it although the shape around it is not recognised, as in front of dark water.
     fn point_only(
         &self,
@@ -203,7 +231,8 @@ impl Finder {
         let template = draw(model, linear, 1.0, Some(radius_mm));
         let peak = template.and_then(|t| climb(&grey, &t, predicted, (0.3 * unit).ceil() as i64, |_| 0.0));
         let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
-        let refined = refine(&grey, model, linear, peak.centre, radius_mm).filter(|r| r.contrast > 0.0);
+        let refiner = Refiner::new(model, linear, radius_mm);
+        let refined = refiner.and_then(|r| r.refine(&grey, peak.centre)).filter(|r| r.contrast > 0.0);
         Ok(refined.map(|r| Measured {
             centre: r.centre,
             covariance_px2: Some(r.covariance_px2),
@@ -223,7 +252,7 @@ impl Finder {
         unit: f64,
     ) -> Result<Measured> {
         let point_mm = model.point_radius_mm();
-        let radius_mm = point_mm.unwrap_or(1.5 * model.radius_mm());
+        let radius_mm = point_mm.unwrap_or(REFINED * model.radius_mm());
         let half_px = 1.6 * radius_mm * unit + 12.0;
         let mut measured =
             Measured { centre: body.centre, covariance_px2: None, score: body.score, body: None, reason: None };
@@ -246,7 +275,7 @@ impl Finder {
             }
         }
         if reasons.is_empty() {
-            match refine(&grey, model, linear, start, radius_mm) {
+            match Refiner::new(model, linear, radius_mm).and_then(|r| r.refine(&grey, start)) {
                 Some(r) if r.contrast > 0.0 => {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);

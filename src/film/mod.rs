@@ -10,6 +10,7 @@
 
 pub mod camera;
 pub mod check;
+pub mod consistency;
 pub mod constellation;
 pub mod contact_sheet;
 pub mod frame;
@@ -27,9 +28,10 @@ pub mod shape;
 pub mod spool;
 pub mod tables;
 pub mod template;
+mod thesis;
 pub mod types;
 pub mod window;
 
 pub use camera::{builtin_cameras, load_camera};
-pub use frame::{FindOptions, Finder, find_frame};
+pub use frame::{FindOptions, Finder, Method, find_frame};
 pub use types::*;

@@ -5,7 +5,11 @@ use super::frame::{FindOptions, Finder};
 use super::inner::{Pose, distance, fit_pose};
 use super::look::{Measured, located};
 use super::template::Model;
-use crate::coords::PixelPoint;
+
+/// Names whose calibrated positions fit worse than the best by no more than this fit as well: errors of certificate and film,
+/// micrometres, and of measuring, pixels.
+const SAME_UM: f64 = 23.0;
+const SAME_PX: f64 = 0.4;
 
 /// What the naming of a frame's marks leaves to say.
 #[derive(Default)]
@@ -16,17 +20,35 @@ pub(super) struct Named {
     pub note: Option<String>,
 }
 
+impl Named {
+    /// Of several ways in which the frame may lie one was taken; `known` when somebody stands for that.
+    fn say(&mut self, ways: &[String], taken: &str, known: bool) {
+        let said = format!("the marks do not tell whether the frame is {}; taken as {taken}", ways.join(" or "));
+        if known {
+            self.note = Some(format!("{said}, as the camera's file says"));
+        } else {
+            self.doubt = Some(format!("{said}: say --turn and --mirrored"));
+        }
+    }
+}
+
 impl Finder {
     /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best. Returns
-    /// why the names are doubtful, when they are.
+    /// what is doubtful about the names. `rivals` are the ways of lying that fit the scan as well as the best, best first.
     pub(super) fn name_marks(
         &self,
         options: &FindOptions,
         pose: &mut Pose,
         measured: &mut Vec<Option<Measured>>,
+        rivals: &[(f64, bool)],
     ) -> Named {
         let mut named = Named::default();
+        // Shapes that are not their own mirror images tell by themselves, unless another way round looks as good.
         if !self.models.iter().all(Model::is_symmetric) {
+            if rivals.len() > 1 {
+                let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
+                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, false));
+            }
             return named;
         }
         // Names need places that are right to some pixels only.
@@ -36,7 +58,8 @@ impl Finder {
         let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
         let Some(best) = all.first() else { return named };
         // The usual orientation wins among those that fit as well.
-        let as_good: Vec<&Naming> = all.iter().filter(|n| n.rms_px < best.rms_px + 1.2).collect();
+        let same_px = (SAME_UM / 1e3 * pose.px_per_mm()).hypot(SAME_PX);
+        let as_good: Vec<&Naming> = all.iter().filter(|n| n.rms_px < best.rms_px + same_px).collect();
         let taken = allowed
             .iter()
             .find_map(|(t, m)| as_good.iter().find(|n| n.turn_deg == *t && n.mirrored == *m))
@@ -44,12 +67,8 @@ impl Finder {
             .unwrap_or(best)
             .clone();
         if as_good.len() > 1 {
-            let said = "the marks' positions do not tell how the frame is turned";
-            if self.tells_turns(pose) {
-                named.doubt = Some(format!("{said}; taken as {}", orientation_text(&taken)));
-            } else {
-                named.note = Some(format!("{said} with this camera; taken as {}", orientation_text(&taken)));
-            }
+            let ways: Vec<String> = as_good.iter().map(|n| orientation_text(n)).collect();
+            named.say(&ways, &orientation_text(&taken), self.camera.upright && taken.is_upright());
         }
         let before = std::mem::replace(measured, vec![None; self.film.len()]);
         let from: Vec<usize> = places.iter().map(|p| p.0).collect();
@@ -75,19 +94,13 @@ impl Finder {
         }
         named
     }
-
-    /// Whether the calibrated positions are far enough from symmetric for a scan of this scale.
-    fn tells_turns(&self, pose: &Pose) -> bool {
-        let places: Vec<(usize, PixelPoint)> =
-            self.film.iter().enumerate().map(|(k, mm)| (k, pose.apply(*mm))).collect();
-        let allowed: Vec<(f64, bool)> =
-            [0.0, 90.0, 180.0, 270.0].iter().flat_map(|t| [(*t, false), (*t, true)]).collect();
-        let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
-        all.get(1).is_none_or(|second| second.rms_px > 3.0)
-    }
 }
 
 fn orientation_text(naming: &Naming) -> String {
-    let mirrored = if naming.mirrored { ", mirrored" } else { "" };
-    format!("turned by {:.0}°{mirrored}", naming.turn_deg)
+    lies(naming.turn_deg, naming.mirrored)
+}
+
+fn lies(turn_deg: f64, mirrored: bool) -> String {
+    let mirrored = if mirrored { ", mirrored" } else { "" };
+    format!("turned by {turn_deg:.0}°{mirrored}")
 }

@@ -8,7 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::template::{Linear, Model, invert};
-use super::window::Grey;
+use super::window::{Grey, blur};
 use crate::coords::PixelPoint;
 
 /// A refined centre.
@@ -21,8 +21,9 @@ pub struct Refined {
     pub contrast: f64,
     /// Robust standard deviation of a pixel about the model, of white.
     pub sigma: f64,
-    /// Share of the pixels that fit the model.
-    pub inliers: f64,
+    /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more room beside
+    /// the mark, so that what is missing of it weighs more.
+    pub misfit: f64,
 }
 
 /// Places drawn per pixel.
@@ -31,6 +32,18 @@ const FINE: usize = 4;
 const BLUR_PX: f64 = 0.7;
 /// No centre moves further than this from where it starts, pixels.
 const MOST_PX: f64 = 6.0;
+
+/// A pixel does not fit when it is off by this share of the mark's contrast and by so many standard deviations.
+const FIT: f64 = 0.3;
+const FIT_SIGMA: f64 = 4.0;
+/// Marks of lines that fit worse are looked at from around, and how far around, pixels: a scratch along a line holds the centre
+/// where only that line fits.
+const DAMAGED: f64 = 0.03;
+const AROUND_PX: f64 = 2.0;
+const CLEARLY: f64 = 0.01;
+/// Values of the drawn mark above which a pixel is the mark's, and below which it is not.
+const ON_MARK: f64 = 0.4;
+const BESIDE_MARK: f64 = 0.1;
 
 /// The mark drawn finely and blurred, looked up between its values.
 struct Surface {
@@ -84,71 +97,102 @@ impl Surface {
     }
 }
 
-fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
-    let reach = (3.0 * sigma).ceil() as i64;
-    let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
-    let total: f64 = kernel.iter().sum();
-    let mut line = vec![];
-    let mut pass = |count: usize, length: usize, step: usize, across: usize| {
-        for n in 0..count {
-            line.clear();
-            line.extend((0..length).map(|k| f64::from(values[n * across + k * step])));
-            for k in 0..length {
-                let sum: f64 = kernel
-                    .iter()
-                    .enumerate()
-                    .map(|(i, w)| w * line[(k as i64 + i as i64 - reach).clamp(0, length as i64 - 1) as usize])
-                    .sum();
-                values[n * across + k * step] = (sum / total) as f32;
-            }
-        }
-    };
-    pass(height, width, 1, width);
-    pass(width, height, width, 1);
+/// A mark drawn for one frame, to be refined from one or several starts.
+pub struct Refiner {
+    surface: Surface,
+    slopes: bool,
+    /// For marks of lines, how far around a start is tried where the mark is damaged.
+    around_px: Option<f64>,
 }
 
-/// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
-pub fn refine(grey: &Grey, model: &Model, linear: Linear, start: PixelPoint, radius_mm: f64) -> Option<Refined> {
-    let surface = Surface::new(model, linear, radius_mm)?;
-    let slopes = model.is_drawn() && model.shows_image();
-    let mut c = grey.from_scan(start);
-    let mut weights: Vec<f64> = vec![];
-    let mut last = None;
-    for round in 0..25 {
-        let rows = rows(grey, &surface, c);
-        if rows.len() < 24 {
-            return None;
-        }
-        if weights.len() != rows.len() {
-            weights = vec![1.0; rows.len()];
-        }
-        let levels = solve_levels(&rows, &weights, slopes)?;
-        let residuals: Vec<f64> = rows.iter().map(|r| r.grey - level(&levels, r)).collect();
-        let sigma = spread(&residuals);
-        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-        let (normal, right) = normal_equations(&rows, &residuals, &weights, &levels, slopes);
-        let inverse = normal.try_inverse()?;
-        let step = &inverse * right;
-        let p = step.len() - 2;
-        let (dx, dy) = (step[p].clamp(-1.0, 1.0), step[p + 1].clamp(-1.0, 1.0));
-        c = [c[0] + dx, c[1] + dy];
-        let centre = grey.to_scan(c[0], c[1]);
-        if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !dx.is_finite() || !dy.is_finite() {
-            return None;
-        }
-        let variance = sigma * sigma;
-        last = Some(Refined {
-            centre,
-            covariance_px2: [inverse[(p, p)], inverse[(p, p + 1)], inverse[(p + 1, p + 1)]].map(|v| v * variance),
-            contrast: levels[1],
-            sigma,
-            inliers: weights.iter().filter(|w| **w > 0.2).count() as f64 / weights.len() as f64,
-        });
-        if round > 2 && dx.hypot(dy) < 2e-3 {
-            break;
-        }
+impl Refiner {
+    /// `radius_mm`: what lies further from the reference point takes no part. `None` for a degenerate pose.
+    pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Refiner> {
+        let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
+        Some(Refiner {
+            surface: Surface::new(model, linear, radius_mm)?,
+            slopes: model.is_drawn() && model.shows_image(),
+            around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
+        })
     }
-    last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
+
+    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
+    pub fn refine(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
+        let first = self.settle(grey, start);
+        let Some(step) = self.around_px else { return first };
+        if first.is_some_and(|r| r.contrast > 0.0 && r.misfit < DAMAGED) {
+            return first;
+        }
+        let others = (0..9).filter(|k| *k != 4).filter_map(|k| {
+            let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
+            self.settle(grey, PixelPoint { x: start.x + dx, y: start.y + dy })
+        });
+        first.into_iter().chain(others).filter(|r| r.contrast > 0.0).reduce(better)
+    }
+
+    /// Of several starts the one whose mark fits best, with its index; the first that is undamaged ends the search.
+    pub fn best_of(&self, grey: &Grey, starts: &[PixelPoint]) -> Option<(usize, Refined)> {
+        let mut best: Option<(usize, Refined)> = None;
+        for (k, start) in starts.iter().enumerate() {
+            let Some(r) = self.settle(grey, *start).filter(|r| r.contrast > 0.0) else { continue };
+            if best.as_ref().is_none_or(|b| better(b.1, r) == r) {
+                best = Some((k, r));
+            }
+            if r.misfit < DAMAGED {
+                break;
+            }
+        }
+        best
+    }
+
+    fn settle(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
+        let (surface, slopes) = (&self.surface, self.slopes);
+        let mut c = grey.from_scan(start);
+        let mut weights: Vec<f64> = vec![];
+        let mut last = None;
+        for round in 0..25 {
+            let rows = rows(grey, surface, c);
+            if rows.len() < 24 {
+                return None;
+            }
+            if weights.len() != rows.len() {
+                weights = vec![1.0; rows.len()];
+            }
+            let levels = solve_levels(&rows, &weights, slopes)?;
+            let residuals: Vec<f64> = rows.iter().map(|r| r.grey - level(&levels, r)).collect();
+            let sigma = spread(&residuals);
+            weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
+            let (normal, right) = normal_equations(&rows, &residuals, &weights, &levels, slopes);
+            let inverse = normal.try_inverse()?;
+            let step = &inverse * right;
+            let p = step.len() - 2;
+            let (dx, dy) = (step[p].clamp(-1.0, 1.0), step[p + 1].clamp(-1.0, 1.0));
+            c = [c[0] + dx, c[1] + dy];
+            let centre = grey.to_scan(c[0], c[1]);
+            if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !dx.is_finite() || !dy.is_finite() {
+                return None;
+            }
+            let variance = sigma * sigma;
+            let limit = (FIT * levels[1].abs()).max(FIT_SIGMA * sigma);
+            let misfit = misfit(&rows, &residuals, levels[0], limit);
+            last = Some(Refined {
+                centre,
+                covariance_px2: [inverse[(p, p)], inverse[(p, p + 1)], inverse[(p + 1, p + 1)]].map(|v| v * variance),
+                contrast: levels[1],
+                sigma,
+                misfit,
+            });
+            if round > 2 && dx.hypot(dy) < 2e-3 {
+                break;
+            }
+        }
+        last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
+    }
+}
+
+/// Of two refinements the one that fits clearly better, else the first, which correlates better.
+fn better(first: Refined, other: Refined) -> Refined {
+    if other.misfit < first.misfit - CLEARLY { other } else { first }
 }
 
 /// One pixel: its value, the mark's value there with derivatives, and where it lies from the centre.
@@ -225,6 +269,22 @@ fn normal_equations(
         }
     }
     (normal, right)
+}
+
+/// A pixel of the mark must also stand out from the frame: a faint mark would fit anywhere.
+fn misfit(rows: &[Row], residuals: &[f64], frame: f64, limit: f64) -> f64 {
+    let (mut mark, mut beside) = ((0.0, 1.0), (0.0, 1.0));
+    for (row, r) in rows.iter().zip(residuals) {
+        let fits = r.abs() <= limit;
+        if row.mark[0] > ON_MARK {
+            mark.0 += f64::from(!fits || row.grey - frame <= limit);
+            mark.1 += 1.0;
+        } else if row.mark[0] < BESIDE_MARK {
+            beside.0 += f64::from(!fits);
+            beside.1 += 1.0;
+        }
+    }
+    mark.0 / mark.1 + beside.0 / beside.1
 }
 
 /// 1.4826 × the median of the absolute values, at least a fifth of an 8-bit level.

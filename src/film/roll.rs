@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::consistency::{Facts, lowered, unlike};
 use super::frame::{FindOptions, Finder, find_frame};
 use super::types::{FrameResult, FrameStatus, MarkStatus};
 use crate::error::{Error, Result};
@@ -46,6 +47,21 @@ struct FrameFile {
     #[serde(flatten)]
     result: FrameResult,
     inputs: String,
+    /// What was found of the frame by itself, where its roll made it doubtful: a later run starts from that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    alone: Option<FrameResult>,
+}
+
+impl FrameFile {
+    fn by_itself(&self) -> &FrameResult {
+        self.alone.as_ref().unwrap_or(&self.result)
+    }
+
+    fn write(&self, path: &Path) -> Result<()> {
+        let mut json = serde_json::to_vec_pretty(self).expect("a result is plain data");
+        json.push(b'\n');
+        atomic::write(path, &json)
+    }
 }
 
 /// Where the result of a scan lies.
@@ -94,7 +110,11 @@ impl Hasher for Fnv {
 /// Examines `scans` into `folder`: one JSON per frame as soon as it is done, then the roll's table `fiducials.csv`. Frames
 /// whose JSON is there and whose inputs are unchanged are taken over. A scan that cannot be read is a failed frame.
 ///
-/// `progress` is told after every frame: done, and the frame. At any time one frame per thread is in memory.
+/// Then every frame is held against the roll ([`super::consistency`]); one that is unlike it becomes doubtful, its own verdict is
+/// kept under `alone`.
+///
+/// `progress` is told after every frame: done, and the frame; and once more of frames that the roll made doubtful. At any time one
+/// frame per thread is in memory.
 ///
 /// # Errors
 /// [`Error::Usage`] for two scans of one name; [`Error::Io`] when the folder cannot be written.
@@ -109,24 +129,42 @@ pub fn run(
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
     let done = AtomicUsize::new(0);
     let resumed = AtomicUsize::new(0);
-    scans.par_iter().try_for_each(|scan| -> Result<()> {
+    let facts = scans
+        .par_iter()
+        .map(|scan| -> Result<Option<Facts>> {
+            let file = frame_json(folder, scan);
+            let now = inputs(scan, finder, options);
+            let before = read_file(&file).ok().filter(|f| now.as_deref() == Some(f.inputs.as_str()));
+            let content = if let Some(before) = before {
+                resumed.fetch_add(1, Ordering::Relaxed);
+                before
+            } else {
+                let result = find_frame(finder, scan, options);
+                let content = FrameFile { result, inputs: now.unwrap_or_default(), alone: None };
+                content.write(&file)?;
+                content
+            };
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, content.by_itself());
+            Ok(Facts::of(&finder.camera, content.by_itself()))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    for (scan, reasons) in scans.iter().zip(unlike(&finder.camera, &facts)) {
         let file = frame_json(folder, scan);
-        let now = inputs(scan, finder, options);
-        let before = read_file(&file).ok().filter(|f| now.as_deref() == Some(f.inputs.as_str()));
-        let result = if let Some(before) = before {
-            resumed.fetch_add(1, Ordering::Relaxed);
-            before.result
+        let before = read_file(&file)?;
+        if reasons.is_empty() && before.alone.is_none() {
+            continue;
+        }
+        let own = before.by_itself().clone();
+        let now = if reasons.is_empty() {
+            FrameFile { result: own, inputs: before.inputs, alone: None }
         } else {
-            let result = find_frame(finder, scan, options);
-            let content = FrameFile { result, inputs: now.unwrap_or_default() };
-            let mut json = serde_json::to_vec_pretty(&content).expect("a result is plain data");
-            json.push(b'\n');
-            atomic::write(&file, &json)?;
-            content.result
+            FrameFile { result: lowered(&own, &reasons), inputs: before.inputs, alone: Some(own) }
         };
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1, &result);
-        Ok(())
-    })?;
+        now.write(&file)?;
+        if now.alone.is_some() {
+            progress(scans.len(), &now.result);
+        }
+    }
     let mut summary = write_table(scans, folder)?;
     summary.resumed = resumed.into_inner();
     Ok(summary)

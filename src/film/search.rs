@@ -184,8 +184,8 @@ fn parabola(before: Option<f64>, here: f64, after: Option<f64>) -> f64 {
     }
 }
 
-/// The best local maximum within `reach_px` of a prediction, at the finest level; better ones beyond do not count, however
-/// near. `None` when there is none.
+/// Local maxima within `reach_px` of a prediction at the decimation `level`, best first, at most `most`; better places beyond do
+/// not count, however near.
 ///
 /// # Errors
 /// Those of reading the scan.
@@ -194,16 +194,17 @@ pub fn near(
     predicted: PixelPoint,
     picture: &Picture,
     reach_px: f64,
-) -> Result<Option<Peak>> {
-    let fine = Levels::of(picture).fine;
+    level: u64,
+    most: usize,
+) -> Result<Vec<Peak>> {
     let (half, out, inward) = picture.model.reach_mm();
-    let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * fine as f64;
-    let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(None) };
-    let Some(template) = picture.at(fine) else { return Ok(None) };
-    let read = read_grey(source, window, fine)?;
-    let reach = (reach_px / fine as f64).ceil() as usize + 1;
+    let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * level as f64;
+    let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(vec![]) };
+    let Some(template) = picture.at(level) else { return Ok(vec![]) };
+    let read = read_grey(source, window, level)?;
+    let reach = (reach_px / level as f64).ceil() as usize + 1;
     let side = 2 * reach + 1;
-    let mut best: Option<Peak> = None;
+    let mut peaks: Vec<Peak> = vec![];
     for cut in cuts(picture.model) {
         let grey = level_ground(&read, *cut);
         let [x0, y0] = grey.from_scan(predicted).map(|v| v.floor() as i64 - reach as i64);
@@ -213,16 +214,18 @@ pub fn near(
         for (i, j) in (1..side - 1).flat_map(|j| (1..side - 1).map(move |i| (i, j))) {
             let at = |di: usize, dj: usize| scores[(j + dj - 1) * side + i + di - 1];
             let Some(score) = at(1, 1).filter(|s| *s >= LEAST_SCORE) else { continue };
-            if (0..9).any(|k| at(k % 3, k / 3).is_none_or(|s| s > score)) || best.is_some_and(|b| b.score >= score) {
+            if (0..9).any(|k| at(k % 3, k / 3).is_none_or(|s| s > score)) {
                 continue;
             }
             let dx = parabola(at(0, 1), score, at(2, 1));
             let dy = parabola(at(1, 0), score, at(1, 2));
             let (x, y) = ((x0 + i as i64) as f64 + 0.5 + dx, (y0 + j as i64) as f64 + 0.5 + dy);
-            best = Some(Peak { centre: grey.to_scan(x, y), score });
+            peaks.push(Peak { centre: grey.to_scan(x, y), score });
         }
     }
-    Ok(best)
+    peaks.sort_by(|a, b| b.score.total_cmp(&a.score));
+    peaks.truncate(most);
+    Ok(peaks)
 }
 
 /// The best place within `reach` values of `start`, to a fraction by the parabola through its neighbours. `doubt` is taken
@@ -255,9 +258,21 @@ pub fn climb(
     Some(Peak { centre: grey.to_scan(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy), score })
 }
 
-/// Correlation with the template's reference value on value (x, y); `None` when the template does not lie inside.
+/// How well the template fits with its reference value on value (x, y): its correlation, or the mean of its sectors'
+/// correlations by their shares. `None` when the template does not lie inside.
 pub fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
-    let (left, top) = (x - t.reference[0] as i64, y - t.reference[1] as i64);
+    if t.parts.is_empty() {
+        return correlation_at(grey, t, x, y);
+    }
+    let mut score = 0.0;
+    for (share, part) in &t.parts {
+        score += f64::from(*share) * correlation_at(grey, part, x, y)?;
+    }
+    Some(score)
+}
+
+fn correlation_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
+    let (left, top) = (x - t.reference[0], y - t.reference[1]);
     let inside =
         left >= 0 && top >= 0 && left as usize + t.width <= grey.width && top as usize + t.height <= grey.height;
     if !inside {
@@ -320,7 +335,7 @@ fn cuts(model: &Model) -> &'static [Option<f32>] {
     if model.is_drawn() && model.shows_image() { &[Some(0.35), Some(0.8)] } else { &[None] }
 }
 
-/// Scores of the template at every value, −1 where it does not lie inside; `None` when it lies inside nowhere.
+/// Scores of the template, as [`score_at`] gives them, at every value, −1 where it does not lie inside; `None` when it lies inside nowhere.
 fn correlate(grey: &Grey, t: &Template) -> Option<Vec<f32>> {
     let (width, height) = (grey.width, grey.height);
     if t.width > width || t.height > height {
@@ -332,31 +347,31 @@ fn correlate(grey: &Grey, t: &Template) -> Option<Vec<f32>> {
     let n = width - t.width + 1;
     let mut scores = vec![-1.0f32; width * height];
     let (mut s1, mut s2, mut st) = (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
+    let whole = [(1.0, t.clone())];
+    let parts = if t.parts.is_empty() { &whole[..] } else { &t.parts };
     for y in 0..=height - t.height {
-        s1.fill(0.0);
-        s2.fill(0.0);
-        st.fill(0.0);
-        for j in 0..t.height {
-            let first = (y + j) * width;
-            for i in 0..t.width {
-                let w = t.weights[j * t.width + i];
-                if w == 0.0 {
-                    continue;
-                }
-                let wv = w * t.values[j * t.width + i];
-                let (row, square) = (&centred[first + i..][..n], &squared[first + i..][..n]);
+        let out = &mut scores[(y + t.reference[1] as usize) * width + t.reference[0] as usize..][..n];
+        out.fill(0.0);
+        for (share, part) in parts {
+            let [left, top] = [0, 1].map(|k| (t.reference[k] - part.reference[k]) as usize);
+            s1.fill(0.0);
+            s2.fill(0.0);
+            st.fill(0.0);
+            for (k, w) in part.weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                let first = (y + top + k / part.width) * width + left + k % part.width;
+                let wv = w * part.values[k];
+                let (row, square) = (&centred[first..][..n], &squared[first..][..n]);
                 for x in 0..n {
                     s1[x] += w * row[x];
                     s2[x] += w * square[x];
                     st[x] += wv * row[x];
                 }
             }
-        }
-        let out = &mut scores[(y + t.reference[1]) * width + t.reference[0]..][..n];
-        for x in 0..n {
-            let mean = s1[x] / t.weight_sum;
-            let variance = (s2[x] / t.weight_sum - mean * mean).max(0.0) + FLAT * FLAT;
-            out[x] = st[x] / t.weight_sum / variance.sqrt();
+            for x in 0..n {
+                let mean = s1[x] / part.weight_sum;
+                let variance = (s2[x] / part.weight_sum - mean * mean).max(0.0) + FLAT * FLAT;
+                out[x] += share * st[x] / part.weight_sum / variance.sqrt();
+            }
         }
     }
     Some(scores)

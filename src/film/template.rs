@@ -139,6 +139,15 @@ impl Model {
         }
     }
 
+    /// For marks with light of their own, the direction of a line or 0: they are compared in sectors about it.
+    pub fn sectors_deg(&self) -> Option<f64> {
+        match self {
+            Model::Drawn(MarkKind::Cross { lines_deg, .. } | MarkKind::RingCross { lines_deg, .. }) => Some(*lines_deg),
+            Model::Drawn(MarkKind::Dot { .. }) => Some(0.0),
+            Model::Drawn(_) | Model::Learned(_) => None,
+        }
+    }
+
     /// Whether its bright parts show the image and so have no brightness of their own.
     pub fn shows_image(&self) -> bool {
         !matches!(self, Model::Drawn(MarkKind::Cross { .. } | MarkKind::RingCross { .. } | MarkKind::Dot { .. }))
@@ -153,11 +162,14 @@ pub type Linear = [f64; 4];
 pub struct Template {
     pub width: usize,
     pub height: usize,
-    /// The value whose centre is the reference point.
-    pub reference: [usize; 2],
+    /// The value whose centre is the reference point; outside of the template for parts.
+    pub reference: [i64; 2],
     pub values: Vec<f32>,
     pub weights: Vec<f32>,
     pub weight_sum: f32,
+    /// Sectors about the reference point with the share of each in the mark's contrast; empty where the mark is compared as a
+    /// whole.
+    pub parts: Vec<(f32, Template)>,
 }
 
 /// Places drawn per value along each axis, where an edge crosses the value.
@@ -209,10 +221,11 @@ pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) 
     let mut t = Template {
         width,
         height,
-        reference: [left, above],
+        reference: [left as i64, above as i64],
         values: vec![0.0; width * height],
         weights: vec![0.0; width * height],
         weight_sum: 0.0,
+        parts: vec![],
     };
     // Where a value is smaller than everything drawn, its corners and middle tell whether an edge crosses it.
     let value_mm = 1.0 / (m[0] * m[3] - m[1] * m[2]).abs().sqrt();
@@ -233,7 +246,60 @@ pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) 
             }
         }
     }
+    if radius_mm.is_none()
+        && let Some(lines_deg) = model.sectors_deg()
+    {
+        t.parts = sectors(&t, inverse, lines_deg);
+    }
     normalise(t)
+}
+
+/// Sectors of a mark with light of its own, each compared by itself: a scratch is as bright as a line of the mark, and where it
+/// runs along one the whole mark would correlate better beside its place. It spoils the sectors it crosses only.
+const SECTORS: usize = 8;
+/// Sectors with less of the mark's contrast than this share of an even one say nothing.
+const LEAST_SHARE: f64 = 0.25;
+
+/// `lines_deg` is the middle of the first sector. Empty where fewer than three have contrast.
+fn sectors(t: &Template, inverse: Linear, lines_deg: f64) -> Vec<(f32, Template)> {
+    let sector_of = |x: usize, y: usize| {
+        let (dx, dy) = (x as f64 - t.reference[0] as f64, y as f64 - t.reference[1] as f64);
+        let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
+        let turn = (v.atan2(u).to_degrees() - lines_deg) / 360.0;
+        (turn * SECTORS as f64).round().rem_euclid(SECTORS as f64) as usize
+    };
+    let mut found: Vec<(f64, Template)> = vec![];
+    for sector in 0..SECTORS {
+        let inside = |x: usize, y: usize| t.weights[y * t.width + x] > 0.0 && sector_of(x, y) == sector;
+        let places: Vec<(usize, usize)> =
+            (0..t.width * t.height).map(|n| (n % t.width, n / t.width)).filter(|(x, y)| inside(*x, *y)).collect();
+        let least = |f: fn(&(usize, usize)) -> usize| places.iter().map(f).min().unwrap_or(0);
+        let most = |f: fn(&(usize, usize)) -> usize| places.iter().map(f).max().unwrap_or(0);
+        let (left, top) = (least(|p| p.0), least(|p| p.1));
+        let (width, height) = (most(|p| p.0) - left + 1, most(|p| p.1) - top + 1);
+        let mut part = Template {
+            width,
+            height,
+            reference: [t.reference[0] - left as i64, t.reference[1] - top as i64],
+            values: vec![0.0; width * height],
+            weights: vec![0.0; width * height],
+            weight_sum: 0.0,
+            parts: vec![],
+        };
+        for (x, y) in places {
+            let (from, to) = (y * t.width + x, (y - top) * width + x - left);
+            (part.values[to], part.weights[to]) = (t.values[from], t.weights[from]);
+        }
+        let contrast = part.contrast();
+        found.extend(normalise(part).map(|p| (contrast, p)));
+    }
+    let even = found.iter().map(|f| f.0).sum::<f64>() / SECTORS as f64;
+    found.retain(|f| f.0 >= LEAST_SHARE * even);
+    if found.len() < 3 {
+        return vec![];
+    }
+    let sum: f64 = found.iter().map(|f| f.0).sum();
+    found.into_iter().map(|(contrast, part)| ((contrast / sum) as f32, part)).collect()
 }
 
 /// Value and weight of a place where its corners and its middle show the same; `None` where they do not.
@@ -257,13 +323,26 @@ fn mean(sample: &impl Fn(f64, f64) -> Option<(f32, f32)>) -> (f32, f32) {
     if weight > 0.0 { (sum / weight, weight / (SUB * SUB) as f32) } else { (0.0, 0.0) }
 }
 
+impl Template {
+    /// Sum of the weights, mean and standard deviation of the values.
+    fn moments(&self) -> (f64, f64, f64) {
+        let sum: f64 = self.weights.iter().map(|w| f64::from(*w)).sum();
+        let dot = |f: &dyn Fn(f64) -> f64| {
+            self.values.iter().zip(&self.weights).map(|(v, w)| f64::from(*w) * f(f64::from(*v))).sum::<f64>() / sum
+        };
+        let mean = dot(&|v| v);
+        (sum, mean, dot(&|v| (v - mean).powi(2)).sqrt())
+    }
+
+    /// Weighted sum of squares about the mean.
+    fn contrast(&self) -> f64 {
+        let (sum, _, sigma) = self.moments();
+        if sum > 0.0 { sum * sigma * sigma } else { 0.0 }
+    }
+}
+
 fn normalise(mut t: Template) -> Option<Template> {
-    let sum: f64 = t.weights.iter().map(|w| f64::from(*w)).sum();
-    let dot = |f: &dyn Fn(f64) -> f64| {
-        t.values.iter().zip(&t.weights).map(|(v, w)| f64::from(*w) * f(f64::from(*v))).sum::<f64>() / sum
-    };
-    let mean = dot(&|v| v);
-    let sigma = dot(&|v| (v - mean).powi(2)).sqrt();
+    let (sum, mean, sigma) = t.moments();
     if !(sum > 8.0 && sigma > 1e-4) {
         return None;
     }
@@ -287,8 +366,8 @@ mod tests {
     fn a_drawn_dot_is_bright_at_its_reference_point() {
         let dot = Model::Drawn(MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None });
         let t = draw(&dot, [50.0, 0.0, 0.0, -50.0], 1.0, None).expect("has contrast");
-        let at = t.values[t.reference[1] * t.width + t.reference[0]];
-        assert!(at > 0.5 && t.values[t.reference[1] * t.width + t.reference[0] + 12] < 0.0);
+        let middle = t.reference[1] as usize * t.width + t.reference[0] as usize;
+        assert!(t.values[middle] > 0.5 && t.values[middle + 12] < 0.0);
         let mean: f32 = t.values.iter().zip(&t.weights).map(|(v, w)| v * w).sum();
         assert!(mean.abs() < 1e-2, "{mean}");
     }

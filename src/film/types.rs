@@ -36,6 +36,10 @@ pub struct Camera {
     #[serde(default)]
     pub focal_length_mm: Option<f64>,
     pub y_axis: YAxis,
+    /// Scans of this camera are known to be upright and not mirrored where the marks do not tell; else such frames are
+    /// doubtful.
+    #[serde(default)]
+    pub upright: bool,
     pub marks: Vec<CameraMark>,
     /// Distances between marks where a certificate gives no coordinates: two names and millimetres.
     #[serde(default)]

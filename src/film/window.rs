@@ -273,6 +273,30 @@ fn add_row(row: &PixelRow, info: &RasterInfo, first: u64, factor: u64, scale: f3
     }
 }
 
+/// Gaussian of standard deviation `sigma` values, in place; beyond an edge its last value goes on.
+pub(super) fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
+    let reach = (3.0 * sigma).ceil() as i64;
+    let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let total: f64 = kernel.iter().sum();
+    let mut line = vec![];
+    let mut pass = |count: usize, length: usize, step: usize, across: usize| {
+        for n in 0..count {
+            line.clear();
+            line.extend((0..length).map(|k| f64::from(values[n * across + k * step])));
+            for k in 0..length {
+                let sum: f64 = kernel
+                    .iter()
+                    .enumerate()
+                    .map(|(i, w)| w * line[(k as i64 + i as i64 - reach).clamp(0, length as i64 - 1) as usize])
+                    .sum();
+                values[n * across + k * step] = (sum / total) as f32;
+            }
+        }
+    };
+    pass(height, width, 1, width);
+    pass(width, height, width, 1);
+}
+
 /// The window of half width `half_px` around a place, clipped to the scan; `None` when nothing of it lies inside.
 pub fn around(centre: PixelPoint, half_x_px: f64, half_y_px: f64, bounds: &Window) -> Option<Window> {
     let clip = |v: f64, end: u64| v.clamp(0.0, end as f64) as u64;

@@ -43,8 +43,7 @@ impl MaskFilters {
             *mask = median3(mask);
         }
         if f.closing_radius_px > 0 {
-            let grown = dilate(mask, f.closing_radius_px);
-            *mask = complement(&dilate(&complement(&grown), f.closing_radius_px));
+            *mask = closed(mask, f.closing_radius_px);
         }
         if f.fill_holes {
             fill_holes(mask, self.max_side_px);
@@ -78,7 +77,12 @@ fn trim(mask: &mut Mask) {
     }
 }
 
-fn complement(mask: &Mask) -> Mask {
+/// Dilation, then erosion, with a disc.
+pub(crate) fn closed(mask: &Mask, radius_px: u32) -> Mask {
+    complement(&dilate(&complement(&dilate(mask, radius_px)), radius_px))
+}
+
+pub(crate) fn complement(mask: &Mask) -> Mask {
     let mut out = mask.clone();
     let window = mask.window();
     for y in window.y..window.bottom() {

@@ -264,10 +264,12 @@ impl Painter {
                     if m < n { m } else { 2 * n - 1 - m }
                 };
                 let (x0, y0) = (i as i64 + self.shift[0], j as i64 + self.shift[1]);
-                let at =
-                    |x: i64, y: i64| f32::from(photo.data[fold(y, photo.height) * photo.width + fold(x, photo.width)]);
-                let top = at(x0, y0) + (at(x0 + 1, y0) - at(x0, y0)) * fx;
-                let bottom = at(x0, y0 + 1) + (at(x0 + 1, y0 + 1) - at(x0, y0 + 1)) * fx;
+                let [left, right] = [x0, x0 + 1].map(|x| fold(x, photo.width));
+                let line = |y: i64| {
+                    let row = &photo.data[fold(y, photo.height) * photo.width..][..photo.width];
+                    f32::from(row[left]) + (f32::from(row[right]) - f32::from(row[left])) * fx
+                };
+                let (top, bottom) = (line(y0), line(y0 + 1));
                 (top + (bottom - top) * fy) / 255.0
             }
             None => {
@@ -327,6 +329,7 @@ impl Painter {
             let row: Vec<usize> =
                 (0..self.places.len()).filter(|k| (self.places[*k].y - cy).abs() < 2.0 * self.reach_px[*k]).collect();
             let mut near: Vec<usize> = vec![];
+            let mut only_image = false;
             for x in 0..width {
                 let cx = (window.x + x as u64) as f64 + 0.5;
                 if x % 16 == 0 {
@@ -334,8 +337,12 @@ impl Painter {
                     near.extend(
                         row.iter().copied().filter(|k| (self.places[*k].x - cx).abs() < 2.0 * self.reach_px[*k] + 16.0),
                     );
+                    // The image's outline is convex.
+                    let ends = [(-2.0, -2.0), (18.0, -2.0), (-2.0, 2.0), (18.0, 2.0)];
+                    only_image =
+                        near.is_empty() && ends.iter().all(|(dx, dy)| self.tone(cx + dx, cy + dy, &near).is_none());
                 }
-                light[y * width + x] = self.pixel(cx, cy, &near);
+                light[y * width + x] = if only_image { self.ground(cx, cy) } else { self.pixel(cx, cy, &near) };
             }
         }
         self.damage_window(window, &mut light);
@@ -394,6 +401,9 @@ impl Painter {
         let white = if spec.bits == 16 { 65_535.0f32 } else { 255.0 };
         let (gain, sigma) = (spec.gain as f32, spec.noise as f32);
         let width = window.width as usize;
+        let bands: Vec<f32> = (window.y..window.bottom())
+            .map(|y| spec.banding as f32 * ((y as f32 * 0.031).sin() + 0.5 * (y as f32 * 0.19).sin()))
+            .collect();
         light
             .iter()
             .enumerate()
@@ -403,9 +413,8 @@ impl Painter {
                 // Sum of four uniform numbers: variance 1/3.
                 let bits = |k: u32| ((h >> (16 * k)) & 0xffff) as f32 / 65_536.0;
                 let normal = (bits(0) + bits(1) + bits(2) + bits(3) - 2.0) * 1.732;
-                let band = spec.banding as f32 * ((y as f32 * 0.031).sin() + 0.5 * (y as f32 * 0.19).sin());
                 // A dark exposure has less grain too.
-                let value = v * gain + band + sigma * normal * (0.3 + 0.7 * gain.min(1.0));
+                let value = v * gain + bands[i / width] + sigma * normal * (0.3 + 0.7 * gain.min(1.0));
                 (value * white + 0.5).clamp(0.0, white) as u16
             })
             .collect()
