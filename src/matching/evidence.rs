@@ -90,8 +90,9 @@ pub fn pair_evidence(
             (distance, distance < r + radius)
         });
         let (nearest, touches) = away.fold((f64::INFINITY, false), |(d, t), (e, u)| (d.min(e), t || u));
-        // Circles that touch are one prediction: a point that was surveyed twice is no second witness.
-        if touches {
+        // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed twice is
+        // no second witness, nor is a mark that was found in two pieces.
+        if touches || nearest < field.usual_place_px() {
             continue;
         }
         told.push((predicted, radius));
@@ -99,9 +100,9 @@ pub fn pair_evidence(
         let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
-        // One candidate is evidence for one GCP only.
+        // One mark is evidence for one GCP only.
         if let Some((candidate, _)) = field.nearest(predicted, radius)
-            && !hit.contains(&candidate)
+            && !hit.iter().any(|other| field.one_place(candidate, *other))
         {
             hit.push(candidate);
         }
