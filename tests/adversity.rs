@@ -252,8 +252,10 @@ fn marks_found_in_pieces() {
                     })
                     .collect();
                 let case = usual.case(random, gcps, &pieces);
-                // Half the distance off at every mark, all the same way: no matcher can know.
-                let mut case = Case { allowed_px: 5.0 + apart_px, ..case };
+                // Half the distance off at every mark: all the same way, which no matcher can know, or five sigma.
+                let allowed_px =
+                    if same_way { 5.0 + apart_px / 2.0 } else { 5.0 * (apart_px / 2.0 / 2f64.sqrt()).max(1.0) };
+                let mut case = Case { allowed_px, ..case };
                 for candidate in &mut case.candidates {
                     candidate.size_px = Some([0.8 * apart_px; 2]);
                 }

@@ -82,7 +82,10 @@ impl Field {
         sizes_px.iter_mut().for_each(|side| *side = known(side));
         let mut sorted = sizes_px.clone();
         sorted.sort_by(f64::total_cmp);
-        self.usual_size_px = sorted.get(sorted.len() / 2).copied().unwrap_or(UNKNOWN_SIZE_PX);
+        let usual_px = sorted.get(sorted.len() / 2).copied().unwrap_or(UNKNOWN_SIZE_PX);
+        // A roof among the marks must not make a whole quarter one place.
+        sizes_px.iter_mut().for_each(|side| *side = side.min(2.0 * usual_px));
+        self.usual_size_px = usual_px;
         self.sizes_px = sizes_px;
         self
     }
