@@ -74,6 +74,7 @@ pub fn pair_evidence(
     let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
     let mut probabilities = Vec::with_capacity(gcps.len());
     let mut hit: Vec<usize> = Vec::new();
+    let mut places: Vec<(PixelPoint, f64)> = Vec::new();
     // Where something was predicted already, and how closely.
     let mut told: Vec<(PixelPoint, f64)> = pixels.iter().map(|p| (*p, level_px)).collect();
     for (k, gcp) in gcps.iter().enumerate() {
@@ -90,20 +91,39 @@ pub fn pair_evidence(
             (distance, distance < r + radius)
         });
         let (nearest, touches) = away.fold((f64::INFINITY, false), |(d, t), (e, u)| (d.min(e), t || u));
-        // Circles that touch are one prediction: a point that was surveyed twice is no second witness.
-        if touches {
+        // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed twice is
+        // no second witness, nor is a mark that was found in two pieces.
+        if touches || nearest < field.usual_place_px() {
             continue;
         }
         told.push((predicted, radius));
+        places.push((predicted, radius));
         let density = field.density_near(predicted);
         let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
-        // One candidate is evidence for one GCP only.
+        // One mark is evidence for one GCP only.
         if let Some((candidate, _)) = field.nearest(predicted, radius)
-            && !hit.contains(&candidate)
+            && !hit.iter().any(|other| field.one_place(candidate, *other))
         {
             hit.push(candidate);
+        }
+    }
+    // Points on a line and clutter in a row meet far more often than their density tells.
+    for half_width_px in ROWS.map(|widths| widths * field.usual_place_px()) {
+        let row = Row::along(field, pixels, half_width_px);
+        let on_it: Vec<usize> = (0..places.len()).filter(|&i| row.holds(places[i].0)).collect();
+        if on_it.len() < 2 {
+            continue;
+        }
+        let others = |i: usize| !hit.contains(&i) && pixels.iter().all(|p| *p != field.points()[i]);
+        if let Some(per_px) = row.crowd(field, others) {
+            for i in on_it {
+                let radius = places[i].1;
+                let share = (std::f64::consts::FRAC_PI_2 * radius / half_width_px).min(2.0);
+                let share = if half_width_px > field.usual_place_px() { share } else { 2.0 };
+                probabilities[i] = probabilities[i].max(-(-share * radius * per_px).exp_m1());
+            }
         }
     }
     let tail = log10_tail(&probabilities, hit.len());
@@ -113,6 +133,51 @@ pub fn pair_evidence(
         hits: hit.len() + 2,
         gcps_in_image: probabilities.len() + 2,
     })
+}
+
+/// Half-widths of the rows that are looked at, in usual places.
+const ROWS: [f64; 3] = [1.0, 4.0, 16.0];
+
+/// A strip of the field along a line.
+struct Row {
+    from: PixelPoint,
+    direction: (f64, f64),
+    half_width_px: f64,
+    /// Of the line in the field.
+    length_px: f64,
+}
+
+impl Row {
+    fn along(field: &Field, pixels: [PixelPoint; 2], half_width_px: f64) -> Row {
+        let [from, to] = pixels;
+        let length = (to.x - from.x).hypot(to.y - from.y);
+        let direction = ((to.x - from.x) / length, (to.y - from.y) / length);
+        // Where the line leaves the field on either side.
+        let (origin, mut low, mut high) = (field.origin(), f64::NEG_INFINITY, f64::INFINITY);
+        for (start, step, least, most) in [
+            (from.x, direction.0, origin.x, origin.x + field.width_px),
+            (from.y, direction.1, origin.y, origin.y + field.height_px),
+        ] {
+            if step != 0.0 {
+                let (s, t) = ((least - start) / step, (most - start) / step);
+                (low, high) = (low.max(s.min(t)), high.min(s.max(t)));
+            }
+        }
+        Row { from, direction, half_width_px, length_px: (high - low).max(1.0) }
+    }
+
+    fn holds(&self, p: PixelPoint) -> bool {
+        let across = (p.x - self.from.x) * self.direction.1 - (p.y - self.from.y) * self.direction.0;
+        across.abs() < self.half_width_px
+    }
+
+    /// Points of the strip for each pixel of its length, when they are more than an even field would put there.
+    fn crowd(&self, field: &Field, counts: impl Fn(usize) -> bool) -> Option<f64> {
+        let points = field.points();
+        let seen = (0..points.len()).filter(|&i| self.holds(points[i]) && counts(i)).count() as f64;
+        let expected = points.len() as f64 / field.area_px2() * 2.0 * self.half_width_px * self.length_px;
+        (seen > expected + 6.0 * expected.sqrt() + 6.0).then_some(seen / self.length_px)
+    }
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ pub(super) fn explain(
         if beaten {
             advice.push(
                 "the list or the image shows a figure that repeats: give the direction of north (--north-up), the --gsd, or \
-                 only the points that can be in the image (--names)"
+                 only the points that can be in the image (--names), each of them once"
                     .to_string(),
             );
         }

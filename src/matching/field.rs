@@ -19,7 +19,15 @@ pub struct Field {
     /// Sorted distances from `sampled` of the points to all others within the disc that would hold one by chance.
     neighbours: Vec<f64>,
     sampled: usize,
+    /// Larger side of each point's mark, pixels; empty when unknown.
+    sizes_px: Vec<f64>,
+    usual_size_px: f64,
 }
+
+/// Side of a mark of which only the centre is known.
+const UNKNOWN_SIZE_PX: f64 = 8.0;
+/// Parts of one mark lie this far apart at most, in sides of a part.
+const PLACE_PER_SIZE: f64 = 1.5;
 
 /// Points whose neighbours are counted.
 const MOST_SAMPLED: usize = 2000;
@@ -54,11 +62,48 @@ impl Field {
             densities: Vec::new(),
             neighbours: Vec::new(),
             sampled: 0,
+            sizes_px: Vec::new(),
+            usual_size_px: UNKNOWN_SIZE_PX,
         };
         field.fill();
         field.measure_neighbours();
         field.densities = field.points.iter().map(|p| field.density_near(*p)).collect();
         field
+    }
+
+    /// With the larger side of each point's mark, pixels; zero or less where it is unknown.
+    ///
+    /// # Panics
+    /// When there are not as many sides as points.
+    #[must_use]
+    pub fn with_sizes(mut self, mut sizes_px: Vec<f64>) -> Self {
+        assert_eq!(sizes_px.len(), self.points.len(), "a size for every point");
+        let known = |side: &f64| if *side > 0.0 { *side } else { UNKNOWN_SIZE_PX };
+        sizes_px.iter_mut().for_each(|side| *side = known(side));
+        let mut sorted = sizes_px.clone();
+        sorted.sort_by(f64::total_cmp);
+        let usual_px = sorted.get(sorted.len() / 2).copied().unwrap_or(UNKNOWN_SIZE_PX);
+        // A roof among the marks must not make a whole quarter one place.
+        sizes_px.iter_mut().for_each(|side| *side = side.min(2.0 * usual_px));
+        self.usual_size_px = usual_px;
+        self.sizes_px = sizes_px;
+        self
+    }
+
+    /// Distance within which another point may be a part of the same mark, pixels.
+    pub fn place_px(&self, index: usize) -> f64 {
+        PLACE_PER_SIZE * self.sizes_px.get(index).copied().unwrap_or(UNKNOWN_SIZE_PX)
+    }
+
+    /// The same for the usual mark.
+    pub fn usual_place_px(&self) -> f64 {
+        PLACE_PER_SIZE * self.usual_size_px
+    }
+
+    /// Whether two points may be parts of one mark.
+    pub fn one_place(&self, one: usize, other: usize) -> bool {
+        let (p, q) = (self.points[one], self.points[other]);
+        (p.x - q.x).hypot(p.y - q.y) < (self.place_px(one) + self.place_px(other)) / 2.0
     }
 
     fn fill(&mut self) {

@@ -36,6 +36,7 @@ pub mod robust;
 mod search;
 mod settle;
 pub mod tpp;
+mod twins;
 
 use serde::{Deserialize, Serialize};
 

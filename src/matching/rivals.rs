@@ -70,4 +70,23 @@ impl Search<'_> {
             (p.x - q.x).hypot(p.y - q.y) <= 4.0 * self.tolerance_px
         })
     }
+
+    /// Two patterns say the same when one of them has most marks of the other where it expects them: within the noise of
+    /// both, and a mark's size where it has another candidate there, which may be another part of the same mark.
+    pub fn same_claim(&self, one: &Pattern, other: &Pattern) -> bool {
+        let noise_px = 6.0 * (one.noise_px + other.noise_px);
+        let expects = |one: &Pattern, other: &Pattern| {
+            let expected = |&&(candidate, gcp): &&(usize, usize)| {
+                if one.pairs.contains(&(candidate, gcp)) {
+                    return true;
+                }
+                let renamed = one.pairs.iter().any(|pair| pair.0 == candidate);
+                let parts_px = if renamed { 0.0 } else { self.field.place_px(candidate) };
+                let (p, q) = (one.similarity.invert(self.gcps[gcp]), self.field.points()[candidate]);
+                (p.x - q.x).hypot(p.y - q.y) < noise_px + parts_px
+            };
+            2 * other.pairs.iter().filter(expected).count() > other.pairs.len()
+        };
+        expects(one, other) || expects(other, one)
+    }
 }

@@ -8,7 +8,7 @@
 //! choice.
 
 use crate::candidate::Candidate;
-use crate::coords::{MapPoint, PixelPoint};
+use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::search::Search;
@@ -106,22 +106,22 @@ pub(super) struct Found {
 }
 
 impl Found {
-    pub fn take(&mut self, pattern: Pattern, gcps: &[MapPoint]) {
+    pub fn take(&mut self, pattern: Pattern, search: &Search) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
         };
         if better(&pattern, &self.best) {
             let old = self.best.replace(pattern);
             let best = self.best.as_ref().expect("just placed");
-            if self.runner_up.as_ref().is_some_and(|r| same_claim(r, best, gcps)) {
+            if self.runner_up.as_ref().is_some_and(|r| search.same_claim(r, best)) {
                 self.runner_up = None;
             }
-            if let Some(old) = old.filter(|old| !same_claim(old, best, gcps))
+            if let Some(old) = old.filter(|old| !search.same_claim(old, best))
                 && better(&old, &self.runner_up)
             {
                 self.runner_up = Some(old);
             }
-        } else if self.best.as_ref().is_some_and(|best| !same_claim(best, &pattern, gcps))
+        } else if self.best.as_ref().is_some_and(|best| !search.same_claim(best, &pattern))
             && better(&pattern, &self.runner_up)
         {
             self.runner_up = Some(pattern);
@@ -129,33 +129,13 @@ impl Found {
     }
 }
 
-/// Two patterns say the same when they join most of their GCPs with the same candidates, or put the GCPs of one of them at
-/// the same places: within their noise, and a little more where other candidates may be other parts of the same marks.
-fn same_claim(one: &Pattern, other: &Pattern, gcps: &[MapPoint]) -> bool {
-    let most = one.pairs.len().min(other.pairs.len());
-    let shared = one.pairs.iter().filter(|pair| other.pairs.contains(pair)).count();
-    if 2 * shared > most {
-        return true;
-    }
-    let candidates = one.pairs.iter().filter(|(c, _)| other.pairs.iter().any(|(d, _)| c == d)).count();
-    let parts_px = if 2 * candidates > most { 0.0 } else { 12.0 };
-    let tolerance_px = 6.0 * (one.noise_px + other.noise_px) + parts_px;
-    let agree = |pattern: &Pattern| {
-        pattern.pairs.iter().all(|&(_, gcp)| {
-            let (p, q) = (one.similarity.invert(gcps[gcp]), other.similarity.invert(gcps[gcp]));
-            (p.x - q.x).hypot(p.y - q.y) < tolerance_px
-        })
-    };
-    agree(one) || agree(other)
-}
-
 impl RobustMatcher {
     /// All candidates; of very many first the best-scored, then more and more of them.
     fn search_guided(&self, candidates: &[Candidate], gcps: &[MapPoint], priors: &Priors) -> Found {
-        let points = |indices: &[usize]| indices.iter().map(|&i| candidates[i].centre).collect::<Vec<_>>();
+        let some = |indices: &[usize]| indices.iter().map(|&i| &candidates[i]).collect::<Vec<_>>();
         let all: Vec<usize> = (0..candidates.len()).collect();
         if candidates.len() <= GUIDED_ABOVE || candidates.iter().any(|c| c.score.is_none()) {
-            return self.search(points(&all), gcps, priors, self.tries.log10());
+            return self.search(&some(&all), gcps, priors, self.tries.log10());
         }
         let mut ranked = all.clone();
         let score = |i: usize| candidates[i].score.unwrap_or(f64::NEG_INFINITY);
@@ -167,7 +147,7 @@ impl RobustMatcher {
         let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
         for rung in rungs {
             let ranked = &ranked[..rung];
-            let mut found = self.search(points(ranked), gcps, priors, log10_searches);
+            let mut found = self.search(&some(ranked), gcps, priors, log10_searches);
             if found.best.as_ref().is_some_and(|best| self.believes(best, found.runner_up.as_ref())) {
                 for pattern in found.best.iter_mut().chain(found.runner_up.iter_mut()) {
                     pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
@@ -175,15 +155,17 @@ impl RobustMatcher {
                 return found;
             }
         }
-        self.search(points(&all), gcps, priors, log10_searches)
+        self.search(&some(&all), gcps, priors, log10_searches)
     }
 
-    fn search(&self, points: Vec<PixelPoint>, gcps: &[MapPoint], priors: &Priors, log10_searches: f64) -> Found {
+    fn search(&self, candidates: &[&Candidate], gcps: &[MapPoint], priors: &Priors, log10_searches: f64) -> Found {
         let mut found = Found::default();
-        if points.len() < 3 || gcps.len() < 3 {
+        if candidates.len() < 3 || gcps.len() < 3 {
             return found;
         }
-        let Some((search, pairs, possible)) = Search::new(points, gcps, priors, log10_searches) else { return found };
+        let Some((search, pairs, possible)) = Search::new(candidates, gcps, priors, log10_searches) else {
+            return found;
+        };
         found.effort.hypotheses_possible = possible;
         let limit = self.max_false_alarms.log10();
         let mut done = 0;
@@ -194,7 +176,7 @@ impl RobustMatcher {
             found.effort.hypotheses_tried += tried;
             for hypothesis in hypotheses {
                 if let Some(pattern) = search.refine(pair, hypothesis) {
-                    found.take(pattern, gcps);
+                    found.take(pattern, &search);
                 }
             }
             // One decade below the limit chance has no say any more; repetition is asked about below.
@@ -211,9 +193,18 @@ impl RobustMatcher {
             let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
             let (rivals, tried) = search.rivals(&best, &pairs, (done, found.effort.hypotheses_tried));
             found.effort.hypotheses_tried += tried;
-            rivals.into_iter().for_each(|rival| found.take(rival, gcps));
-            if found.best.as_ref().is_some_and(|now| same_claim(now, &best, gcps)) {
+            rivals.into_iter().for_each(|rival| found.take(rival, &search));
+            if found.best.as_ref().is_some_and(|now| search.same_claim(now, &best)) {
                 break;
+            }
+        }
+        if let Some((sharper, other)) = found.best.as_ref().and_then(|best| search.told_apart(best)) {
+            found.best = Some(sharper);
+            let rarer = |one: &Pattern| {
+                found.runner_up.as_ref().is_none_or(|two| one.log10_false_alarms < two.log10_false_alarms)
+            };
+            if let Some(other) = other.filter(rarer) {
+                found.runner_up = Some(other);
             }
         }
         found

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::candidate::Candidate;
 use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
@@ -129,12 +130,14 @@ impl<'a> Search<'a> {
     /// The field ready for searching, the pairs of GCPs in order of trying, and the number of hypotheses that the priors
     /// allow; `None` when they allow none.
     pub fn new(
-        points: Vec<PixelPoint>,
+        candidates: &[&Candidate],
         gcps: &'a [MapPoint],
         priors: &'a Priors,
         log10_searches: f64,
     ) -> Option<(Search<'a>, Vec<GcpPair>, f64)> {
-        let field = Field::new(points, priors.image_size_px);
+        let side = |c: &&Candidate| c.size_px.map_or(0.0, |[w, h]| w.max(h));
+        let field = Field::new(candidates.iter().map(|c| c.centre).collect(), priors.image_size_px)
+            .with_sizes(candidates.iter().map(side).collect());
         let (pairs, possible) = gcp_pairs(&field, gcps, priors);
         if possible < 1.0 {
             return None;

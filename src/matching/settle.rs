@@ -79,25 +79,34 @@ impl Search<'_> {
             .map(|(i, _)| i)
     }
 
-    fn pair(&self, candidate: usize, gcp: usize) -> Pair {
+    pub fn pair(&self, candidate: usize, gcp: usize) -> Pair {
         let pixel = self.field.points()[candidate];
         Pair { pixel, covariance_px2: None, map: self.gcps[gcp], survey_sigma_m: None }
     }
 
-    /// The nearest candidate to every GCP in the image, each candidate once.
+    /// The nearest candidate to every GCP in the image. Marks found in pieces and points listed twice are one pair each: the
+    /// closest.
     fn assign(&self, similarity: &Similarity, radius_px: impl Fn(usize, PixelPoint) -> f64) -> Vec<(usize, usize)> {
-        let mut hits: Vec<(f64, usize, usize)> = (0..self.gcps.len())
+        let mut hits: Vec<(f64, usize, usize, PixelPoint)> = (0..self.gcps.len())
             .filter_map(|k| {
                 let p = similarity.invert(self.gcps[k]);
                 let (candidate, distance) =
                     self.field.contains(p).then(|| self.field.nearest(p, radius_px(k, p)))??;
-                Some((distance, candidate, k))
+                Some((distance, candidate, k, p))
             })
             .collect();
         hits.sort_by(|s, t| s.0.total_cmp(&t.0).then(s.2.cmp(&t.2)));
-        let mut taken = std::collections::HashSet::new();
-        hits.retain(|(_, candidate, _)| taken.insert(*candidate));
-        let mut pairs: Vec<(usize, usize)> = hits.into_iter().map(|(_, candidate, k)| (candidate, k)).collect();
+        let twin_px = self.field.usual_place_px();
+        let mut taken: Vec<(usize, usize, PixelPoint)> = Vec::new();
+        for (_, candidate, k, p) in hits {
+            let again = |&(other, _, q): &(usize, usize, PixelPoint)| {
+                self.field.one_place(candidate, other) || (p.x - q.x).hypot(p.y - q.y) < twin_px
+            };
+            if !taken.iter().any(again) {
+                taken.push((candidate, k, p));
+            }
+        }
+        let mut pairs: Vec<(usize, usize)> = taken.into_iter().map(|(candidate, k, _)| (candidate, k)).collect();
         pairs.sort_by_key(|pair| pair.1);
         pairs
     }

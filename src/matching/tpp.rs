@@ -85,7 +85,8 @@ impl Matcher for TppMatcher {
         let points: Vec<PixelPoint> = candidates.iter().map(|c| c.centre).collect();
         if points.len() >= 3
             && positions.len() >= 3
-            && let Some((search, _, possible)) = Search::new(points.clone(), &positions, priors, 0.0)
+            && let Some((search, _, possible)) =
+                Search::new(&candidates.iter().collect::<Vec<_>>(), &positions, priors, 0.0)
         {
             found.effort.hypotheses_possible = possible;
             let upright: Vec<(f64, f64)> = points.iter().map(|p| (p.x, -p.y)).collect();
@@ -121,7 +122,7 @@ impl Matcher for TppMatcher {
                 })
                 .collect();
             for pattern in proposals.into_iter().filter(|p| allowed(p.similarity, priors)) {
-                found.take(pattern, search.gcps);
+                found.take(pattern, &search);
             }
         }
         judge.decide(found, candidates.len(), &control)
