@@ -151,6 +151,14 @@ impl TileGrid {
         Tile { id, core, read: core.grown(self.halo_px, &self.bounds) }
     }
 
+    /// The tiles whose cores a window that lies in the raster reaches into, row by row.
+    pub fn tiles_of(&self, window: &Window) -> impl Iterator<Item = u64> + use<> {
+        let (columns, width, height) = (self.columns(), self.tile_width, self.tile_height);
+        let across = window.x / width..window.right().div_ceil(width);
+        let down = window.y / height..window.bottom().div_ceil(height);
+        down.flat_map(move |row| across.clone().map(move |column| row * columns + column))
+    }
+
     /// All tiles in row-major order.
     pub fn iter(&self) -> impl Iterator<Item = Tile> + '_ {
         (0..self.len()).map(|id| self.tile(id))

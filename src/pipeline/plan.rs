@@ -228,6 +228,9 @@ fn worker_bytes(info: &RasterInfo, tile_width: u64, tile_height: u64, halo_px: u
             whole_blocks(read_height, height, info.height, tile_height.is_multiple_of(height.max(1))),
         ),
         BlockLayout::Strips { rows } => {
+            // A strip that streams comes in chunks of a few rows.
+            let row_bytes = info.width.saturating_mul(pixel_bytes).max(1);
+            let rows = if info.sequential { (info.chunk_bytes / row_bytes).clamp(1, rows.max(1)) } else { rows };
             (info.width, whole_blocks(read_height, rows, info.height, tile_height.is_multiple_of(rows.max(1))))
         }
     };

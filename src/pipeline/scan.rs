@@ -243,7 +243,7 @@ struct Collector<'a> {
     detector: &'a dyn Detector,
     merger: RegionMerger,
     collected: Collected,
-    /// Complete regions by the last tile that their surroundings reach into.
+    /// Complete regions by a tile that their surroundings reach into and that has not come.
     waiting: BTreeMap<u64, Vec<Region>>,
     /// Of each tile, whether it has come.
     done: Vec<bool>,
@@ -290,13 +290,12 @@ impl<'a> Collector<'a> {
             });
             self.done[id as usize] = true;
             self.seams.keep(id, output.seam);
+            complete.extend(self.waiting.remove(&id).into_iter().flatten());
             for region in complete {
-                let last = self.last_tile(&region);
-                let ready = if self.done[last as usize] { id } else { last };
-                self.waiting.entry(ready).or_default().push(region);
-            }
-            for region in self.waiting.remove(&id).into_iter().flatten() {
-                self.pass_on(region, straddlers);
+                match self.missing_tile(&region) {
+                    Some(missing) => self.waiting.entry(missing).or_default().push(region),
+                    None => self.pass_on(region, straddlers),
+                }
             }
             self.release_behind(id);
             let waiting = self.waiting.values().map(Vec::len).sum::<usize>() + self.collected.straddling.len();
@@ -315,12 +314,10 @@ impl<'a> Collector<'a> {
         Ok(())
     }
 
-    /// The tile that holds the last pixel of a region's surroundings.
-    fn last_tile(&self, region: &Region) -> u64 {
+    /// A tile that a region's surroundings reach into and that has not come.
+    fn missing_tile(&self, region: &Region) -> Option<u64> {
         let window = patch_window(region, self.detector, self.source.info());
-        let grid = &self.plan.grid;
-        let (column, row) = ((window.right() - 1) / grid.tile_width(), (window.bottom() - 1) / grid.tile_height());
-        row * grid.columns() + column
+        self.plan.grid.tiles_of(&window).find(|&id| !self.done[id as usize])
     }
 
     /// All tiles around the region have come. What the seams do not hold is read again after the scan.

@@ -161,15 +161,11 @@ impl Seams {
 
     /// The pixels of a window, when every tile that it reaches into has kept them.
     pub fn block(&self, window: Window) -> Option<Block> {
-        let (width, height) = (self.grid.tile_width(), self.grid.tile_height());
         let mut pieces = Vec::new();
-        for row in window.y / height..=(window.bottom() - 1) / height {
-            for column in window.x / width..=(window.right() - 1) / width {
-                let id = row * self.grid.columns() + column;
-                let part = self.grid.tile(id).core.intersect(&window);
-                let kept = self.kept.get(&id)?.part_with(&part)?;
-                pieces.extend(kept.pieces.iter().filter_map(|piece| narrowed(piece, &part)));
-            }
+        for id in self.grid.tiles_of(&window) {
+            let part = self.grid.tile(id).core.intersect(&window);
+            let kept = self.kept.get(&id)?.part_with(&part)?;
+            pieces.extend(kept.pieces.iter().filter_map(|piece| narrowed(piece, &part)));
         }
         Some(Block { window, pieces })
     }
