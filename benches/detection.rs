@@ -171,7 +171,13 @@ fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
 }
 
 /// One line a mark found, for whoever models the errors.
-fn write_rows(file: &mut std::fs::File, label: &str, detector: &Detector, picture: &Picture, truth: &[(f64, f64)]) {
+fn write_rows(
+    file: &mut std::fs::File,
+    (label, cover): (&str, &str),
+    detector: &Detector,
+    picture: &Picture,
+    truth: &[(f64, f64)],
+) {
     use std::io::Write;
     for (region, candidate) in detector.candidates(picture) {
         let at = candidate.centre;
@@ -188,8 +194,8 @@ fn write_rows(file: &mut std::fs::File, label: &str, detector: &Detector, pictur
         let raw = fit.scatter_px2;
         writeln!(
             file,
-            "{}\t{:.4}\t{:.4}\t{:.6}\t{:.6}\t{:.6}\t{:.6}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{:.4}\t{:.3}\t{:.3}\t{:.3}",
-            label,
+            "{label}\t{cover}\t{:?}\t{:.4}\t{:.4}\t{:.6}\t{:.6}\t{:.6}\t{:.6}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{:.4}\t{:.3}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{}\t{:.6}\t{:.6}",
+            fit.form,
             at.x - t.0,
             at.y - t.1,
             v[0],
@@ -203,7 +209,12 @@ fn write_rows(file: &mut std::fs::File, label: &str, detector: &Detector, pictur
             fit.hidden,
             fit.angle_rad,
             seen.contrast,
-            fit.chi2
+            fit.chi2,
+            fit.edge_sd,
+            fit.height,
+            u8::from(seen.local),
+            v[1],
+            raw[1]
         )
         .expect("room for a line");
     }
@@ -278,7 +289,7 @@ fn main() {
             let results: Vec<_> = covers
                 .par_iter()
                 .enumerate()
-                .map(|(i, (_, picture))| {
+                .map(|(i, (name, picture))| {
                     let side = if least < 1000 { 400 } else { 1000 };
                     let (w, h) = (picture.width.saturating_sub(side), picture.height.saturating_sub(side));
                     let mut random = Random(1 + 1_000_003 * (number as u64 + 1) + 7919 * i as u64 + 104_729 * round);
@@ -288,16 +299,16 @@ fn main() {
                         cell,
                         &mut random,
                     );
-                    (ours.list(&planted), prototype.list(&planted), truth, planted)
+                    (ours.list(&planted), prototype.list(&planted), truth, planted, *name)
                 })
                 .collect();
             let pictures: Vec<&Picture> = results.iter().map(|r| &r.3).collect();
-            for ((.., truth, _), list) in results.iter().zip(scikit(&pictures).unwrap_or_default()) {
+            for ((.., truth, _, _), list) in results.iter().zip(scikit(&pictures).unwrap_or_default()) {
                 python.add((0.0, 0.0), truth, &list, cell.side_px);
             }
-            for (a, b, truth, planted) in results {
+            for (a, b, truth, planted, name) in results {
                 if let Some(file) = &mut rows {
-                    write_rows(file, &cell.label, &ours, &planted, &truth);
+                    write_rows(file, (&cell.label, name), &ours, &planted, &truth);
                 }
                 if let Some(folder) = &misses {
                     write_misses(folder, &cell.label, &ours, &planted, &truth, cell.side_px);

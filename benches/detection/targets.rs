@@ -77,8 +77,8 @@ pub fn plant_targets(
                 let (dx, dy) = ((x - cx) / side, (y - cy) / side);
                 colour(kind, cos * dx + sin * dy, cos * dy - sin * dx)
             };
-            let covered = blurred(size, blur, |x, y| turned(x, y).0);
-            let white = blurred(size, blur, |x, y| turned(x, y) == (true, true));
+            let covered = blurred(size, blur, |x, y| f64::from(u8::from(turned(x, y).0)));
+            let white = blurred(size, blur, |x, y| f64::from(u8::from(turned(x, y) == (true, true))));
             for i in (0..size * size).filter(|&i| covered[i] > 1e-4) {
                 let at = (y0 + i / size) * out.width + x0 + i % size;
                 for c in 0..3 {

@@ -9,8 +9,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Candidate;
-use super::fit::{Fit, Form, Priors, Sample, fit, start_cost};
+use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
+use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local, grow, local_shares};
 use super::patch::{Ground, Scene};
 use super::uncertainty::Place;
@@ -291,7 +292,7 @@ fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (V
 }
 
 fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {
-    let mut samples = Vec::new();
+    let mut samples = Samples::default();
     let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
     for (i, &share) in shares.iter().enumerate() {
         let near = scene.outside_px[i] <= FIT_REACH_PX && scene.inside_px[i] <= FIT_DEPTH_PX;
@@ -322,17 +323,26 @@ fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms
     let quarter = std::f64::consts::FRAC_PI_8;
     let starts =
         (0..4).map(|k| (Form::Rectangle, f64::from(k) * quarter, side)).chain([(Form::Disc, 0.0, side * 1.128)]);
-    let (form, angle, side) = starts
-        .filter(|(form, ..)| match shape {
-            Shape::Square => *form == Form::Rectangle,
-            Shape::Disc => *form == Form::Disc,
-            _ => true,
-        })
-        .min_by(|a, b| {
-            let cost = |s: &(Form, f64, f64)| start_cost(s.0, &samples, start, s.2, s.1, priors);
-            cost(a).total_cmp(&cost(b))
-        })?;
-    fit(form, &samples, start, side, angle, priors, rms_limit)
+    let nearest = |starts: &mut dyn Iterator<Item = (Form, f64, f64)>| {
+        starts
+            .map(|s| (start_cost(s.0, &samples, start, s.2, s.1, &priors), s))
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, s)| s)
+    };
+    let fitted = |(form, angle, side): (Form, f64, f64)| fit(form, &samples, start, side, angle, priors, rms_limit);
+    let allowed = |s: &(Form, f64, f64)| match shape {
+        Shape::Square => s.0 == Form::Rectangle,
+        Shape::Disc => s.0 == Form::Disc,
+        _ => true,
+    };
+    let chosen = nearest(&mut starts.clone().filter(allowed))?;
+    let first = fitted(chosen)?;
+    if chosen.0 != Form::Disc || shape == Shape::Disc || first.rms > rms_limit {
+        return Some(first);
+    }
+    // Half covered, a square lies as near to a disc as to itself.
+    let square = nearest(&mut starts.filter(|s| s.0 == Form::Rectangle)).and_then(fitted);
+    Some(square.filter(|square| square.rms < first.rms).unwrap_or(first))
 }
 
 /// Log-likelihood ratio of "mark" against "something else of this colour", natural logarithm.

@@ -14,6 +14,7 @@
 pub mod examine;
 pub mod fit;
 pub mod gates;
+pub mod kernels;
 mod local;
 pub mod options;
 pub mod patch;

@@ -41,7 +41,7 @@ impl Search<'_> {
             spent += pair.hypotheses();
             spent <= budget
         });
-        self.refined(pattern, affordable.map(|pair| (pair, self.try_pair(pair))))
+        self.refined(pattern, affordable.map(|pair| (pair, self.try_pair(pair, budget))))
     }
 
     fn refined<'p>(

@@ -21,9 +21,12 @@ const SUSPECT_LOG10: f64 = -2.0;
 /// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then, because
 /// marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
 const REPETITION_LOG10: f64 = -4.0;
-/// Above this many candidates the best-scored are tried alone first.
+/// Above this many candidates the best-scored are tried alone first, ...
 const GUIDED_ABOVE: usize = 6000;
 const GUIDED_FIRST: usize = 2000;
+/// ... then this many times as many, and so on to all (after O. Chum and J. Matas, "Matching with PROSAC", 2005): hypotheses grow
+/// with the square of the candidates.
+const GUIDED_STEP: usize = 4;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
 
@@ -147,7 +150,7 @@ fn same_claim(one: &Pattern, other: &Pattern, gcps: &[MapPoint]) -> bool {
 }
 
 impl RobustMatcher {
-    /// All candidates, or first the best-scored of very many.
+    /// All candidates; of very many first the best-scored, then more and more of them.
     fn search_guided(&self, candidates: &[Candidate], gcps: &[MapPoint], priors: &Priors) -> Found {
         let points = |indices: &[usize]| indices.iter().map(|&i| candidates[i].centre).collect::<Vec<_>>();
         let all: Vec<usize> = (0..candidates.len()).collect();
@@ -157,17 +160,22 @@ impl RobustMatcher {
         let mut ranked = all.clone();
         let score = |i: usize| candidates[i].score.unwrap_or(f64::NEG_INFINITY);
         ranked.sort_by(|&a, &b| score(b).total_cmp(&score(a)).then(a.cmp(&b)));
-        ranked.truncate(GUIDED_FIRST);
-        // Two searches are two chances for an accident.
-        let two = (2.0 * self.tries).log10();
-        let mut first = self.search(points(&ranked), gcps, priors, two);
-        if first.best.as_ref().is_some_and(|best| self.believes(best, first.runner_up.as_ref())) {
-            for pattern in first.best.iter_mut().chain(first.runner_up.iter_mut()) {
-                pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
+        let rungs: Vec<usize> = std::iter::successors(Some(GUIDED_FIRST), |n| Some(n * GUIDED_STEP))
+            .take_while(|n| 2 * n < candidates.len())
+            .collect();
+        // Every search is a chance for an accident.
+        let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
+        for rung in rungs {
+            let ranked = &ranked[..rung];
+            let mut found = self.search(points(ranked), gcps, priors, log10_searches);
+            if found.best.as_ref().is_some_and(|best| self.believes(best, found.runner_up.as_ref())) {
+                for pattern in found.best.iter_mut().chain(found.runner_up.iter_mut()) {
+                    pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
+                }
+                return found;
             }
-            return first;
         }
-        self.search(points(&all), gcps, priors, two)
+        self.search(points(&all), gcps, priors, log10_searches)
     }
 
     fn search(&self, points: Vec<PixelPoint>, gcps: &[MapPoint], priors: &Priors, log10_searches: f64) -> Found {
@@ -180,7 +188,8 @@ impl RobustMatcher {
         let limit = self.max_false_alarms.log10();
         let mut done = 0;
         for pair in &pairs {
-            let (hypotheses, tried) = search.try_pair(pair);
+            let left = self.budget_hypotheses.saturating_sub(found.effort.hypotheses_tried);
+            let (hypotheses, tried) = search.try_pair(pair, left);
             done += 1;
             found.effort.hypotheses_tried += tried;
             for hypothesis in hypotheses {
@@ -192,7 +201,7 @@ impl RobustMatcher {
             if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
                 break;
             }
-            if found.effort.hypotheses_tried >= self.budget_hypotheses {
+            if left < pair.hypotheses() || found.effort.hypotheses_tried >= self.budget_hypotheses {
                 found.effort.budget_spent = true;
                 break;
             }

@@ -167,15 +167,18 @@ impl<'a> Search<'a> {
         telling
     }
 
-    /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried.
-    pub fn try_pair(&self, pair: &GcpPair) -> (Vec<Hypothesis>, u64) {
+    /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried: all, or from evenly
+    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions.
+    pub fn try_pair(&self, pair: &GcpPair, budget: u64) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair);
         let fewest = self.fewest_hits(&targets);
         if targets.len() < fewest {
             return (Vec::new(), 0);
         }
-        let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
-        let (mut all, tried) = (0..self.field.points().len()).into_par_iter().map(per_point).reduce(
+        let points = self.field.points().len();
+        let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
+        let per_point = |k: usize| self.try_point(pair, &targets, fewest, k * points / affordable);
+        let (mut all, tried) = (0..affordable).into_par_iter().map(per_point).reduce(
             || (Vec::new(), 0),
             |(mut one, n), (other, m)| {
                 one.extend(other);

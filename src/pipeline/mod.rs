@@ -33,6 +33,7 @@ pub mod marks;
 pub mod paint;
 pub mod plan;
 pub mod scan;
+mod seams;
 pub mod second_pass;
 
 pub use marks::MarkDetector;

@@ -19,7 +19,7 @@ pub const SMALLEST_BUDGET_BYTES: u64 = 112 << 20;
 pub const DEFAULT_BUDGET_BYTES: u64 = 512 << 20;
 
 /// Kept free of the budget for matching, outputs and the allocator's slack.
-const RESERVE_BYTES: u64 = 14 << 20;
+const RESERVE_BYTES: u64 = 10 << 20;
 /// Stack, channel entries and codec state of one worker.
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
 /// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
@@ -51,6 +51,9 @@ pub struct ScanPlan {
     pub baseline_bytes: u64,
     pub bytes_per_worker: u64,
     pub cache_bytes: u64,
+    /// Pixels along the faces of tiles.
+    #[serde(default)]
+    pub seam_bytes: u64,
     pub reserve_bytes: u64,
     /// The sum: what the process may take at its peak.
     pub planned_bytes: u64,
@@ -71,7 +74,7 @@ impl ScanPlan {
     pub fn line(&self) -> String {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         format!(
-            "{} tiles of {}×{} px, halo {} px; {} workers × {:.1} MiB + cache {:.1} MiB + base {:.1} MiB + reserve {:.1} MiB = {:.1} MiB ≤ {:.1} MiB",
+            "{} tiles of {}×{} px, halo {} px; {} workers × {:.1} MiB + cache {:.1} MiB + seams {:.1} MiB + base {:.1} MiB + reserve {:.1} MiB = {:.1} MiB ≤ {:.1} MiB",
             self.tiles,
             self.tile_width_px,
             self.tile_height_px,
@@ -79,6 +82,7 @@ impl ScanPlan {
             self.workers,
             mib(self.bytes_per_worker),
             mib(self.cache_bytes),
+            mib(self.seam_bytes),
             mib(self.baseline_bytes),
             mib(self.reserve_bytes),
             mib(self.planned_bytes),
@@ -90,8 +94,7 @@ impl ScanPlan {
 /// Share of the budget that a raster source may keep of decoded blocks, so that neighbouring tiles need not decode them
 /// again. Known before the source is opened.
 pub fn cache_share_bytes(memory_budget_bytes: u64) -> u64 {
-    // 8 MiB at the smallest budget; at the default 88 MiB, which hold the file blocks along the faces of a row of tiles of
-    // an image 30,000 pixels wide.
+    // 8 MiB at the smallest budget, 88 MiB at the default.
     (memory_budget_bytes.saturating_sub(SMALLEST_BUDGET_BYTES) / 5 + (8 << 20)).min(memory_budget_bytes / 5)
 }
 
@@ -111,7 +114,11 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
     let mut notes = Vec::new();
     let (mut tile_width, mut tile_height) = wished_tile(info, options.tile_px);
     let mut workers = if info.sequential { options.threads.min(2) } else { options.threads }.max(1);
-    let fixed = options.baseline_bytes + options.cache_bytes + RESERVE_BYTES;
+    // 44 MiB at the default, enough along a row of tiles of an image 100,000 pixels wide.
+    let seam_bytes = options.cache_bytes / 2;
+    // Chunks that are larger than the cache are never kept.
+    let cache_bytes = if info.chunk_bytes > options.cache_bytes { 0 } else { options.cache_bytes };
+    let fixed = options.baseline_bytes + cache_bytes + seam_bytes + RESERVE_BYTES;
     let available = options.memory_budget_bytes.saturating_sub(fixed);
     let fits = |width: u64, height: u64, workers: usize| {
         worker_bytes(info, width, height, halo_px).saturating_mul(workers as u64) <= available
@@ -162,7 +169,8 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
         workers,
         baseline_bytes: options.baseline_bytes,
         bytes_per_worker,
-        cache_bytes: options.cache_bytes,
+        cache_bytes,
+        seam_bytes,
         reserve_bytes: RESERVE_BYTES,
         planned_bytes: fixed + bytes_per_worker * workers as u64,
         memory_budget_bytes: options.memory_budget_bytes,

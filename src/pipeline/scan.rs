@@ -2,11 +2,11 @@
 //!
 //! Workers take tiles from a bounded channel, each does one tile at a time from reading to labelling, and the calling
 //! thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
-//! there; those that straddle tiles are examined through small windows of their own as soon as the last of these tiles is
-//! read, while the file blocks at its faces are still kept. Either way the examination sees the same pixels, so that no
-//! candidate depends on the tiling.
+//! there; those that straddle tiles are examined as soon as the last of these tiles is read, from pixels along the faces
+//! that were kept for them ([`super::seams`]), or else through small windows read again. Either way the examination sees the
+//! same pixels, so that no candidate depends on the tiling.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -19,6 +19,7 @@ use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
 use crate::pipeline::plan::ScanPlan;
+use crate::pipeline::seams::{Seam, Seams};
 use crate::raster::{Block, Patch, RasterInfo, RasterSource, ReadStats};
 use crate::segment::label::{Labeller, Region, TileRegions};
 use crate::segment::mask::Mask;
@@ -115,6 +116,13 @@ struct TileOutput {
     straddling: Vec<Region>,
     /// Only what is open at the faces is left in it.
     open: TileRegions,
+    seam: Seam,
+}
+
+/// A complete region that lies in several tiles, with the pixels around it when the seams held them.
+struct Straddler {
+    region: Region,
+    block: Option<Block>,
 }
 
 /// Scans the raster as planned.
@@ -138,7 +146,7 @@ pub fn scan(
     if !straddling.is_empty() {
         progress.stage("looking at marks that straddle tiles");
     }
-    straddling.sort_by_key(|region| region.first);
+    straddling.sort_by_key(|straddler| straddler.region.first);
     for batch in straddling.chunks(EXAMINE_BATCH) {
         examined.extend(examine_windows(source, detector, batch)?);
     }
@@ -173,7 +181,7 @@ struct Collected {
     /// Regions examined that are no candidates.
     clutter: u64,
     /// Not examined yet.
-    straddling: Vec<Region>,
+    straddling: Vec<Straddler>,
 }
 
 fn scan_tiles(
@@ -185,7 +193,7 @@ fn scan_tiles(
     let stop = AtomicBool::new(false);
     let in_order = Mutex::new(());
     let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
-    let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Region>();
+    let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let stop = &stop;
@@ -241,10 +249,7 @@ struct Collector<'a> {
     done: Vec<bool>,
     /// The first tile that has not come.
     next: u64,
-    /// What complete regions will be examined with, by the region.
-    wanted: HashMap<(u64, u64), Window>,
-    /// Not needed by any tile to come, but perhaps by a region.
-    releasable: Vec<Window>,
+    seams: Seams,
 }
 
 impl<'a> Collector<'a> {
@@ -258,8 +263,7 @@ impl<'a> Collector<'a> {
             waiting: BTreeMap::new(),
             done: vec![false; plan.grid.len() as usize],
             next: 0,
-            wanted: HashMap::new(),
-            releasable: Vec::new(),
+            seams: Seams::new(plan.grid, plan.seam_bytes),
         }
     }
 
@@ -268,15 +272,11 @@ impl<'a> Collector<'a> {
     fn run(
         &mut self,
         outputs: &crossbeam_channel::Receiver<Result<TileOutput>>,
-        straddlers: &crossbeam_channel::Sender<Region>,
+        straddlers: &crossbeam_channel::Sender<Straddler>,
     ) -> Result<()> {
-        let in_order = self.source.info().sequential;
         for output in outputs {
             let output = output?;
             let id = output.id;
-            for (first, _) in &output.examined {
-                self.wanted.remove(first);
-            }
             let regions = output.examined.len();
             let marks = self.collected.examined.len();
             self.collected.examined.extend(output.examined.into_iter().filter(|(_, found)| !found.is_empty()));
@@ -289,22 +289,16 @@ impl<'a> Collector<'a> {
                 }
             });
             self.done[id as usize] = true;
-            if in_order {
-                // A window would take the reader back to the top.
-                self.collected.straddling.extend(complete);
-            } else {
-                for region in complete {
-                    self.wanted.insert(region.first, patch_window(&region, self.detector, self.source.info()));
-                    let last = self.last_tile(&region);
-                    let ready = if self.done[last as usize] { id } else { last };
-                    self.waiting.entry(ready).or_default().push(region);
-                }
-                for region in self.waiting.remove(&id).into_iter().flatten() {
-                    // Nobody listens when all workers have ended: then it is examined after the scan.
-                    let _ = straddlers.send(region);
-                }
+            self.seams.keep(id, output.seam);
+            for region in complete {
+                let last = self.last_tile(&region);
+                let ready = if self.done[last as usize] { id } else { last };
+                self.waiting.entry(ready).or_default().push(region);
             }
-            self.release_behind();
+            for region in self.waiting.remove(&id).into_iter().flatten() {
+                self.pass_on(region, straddlers);
+            }
+            self.release_behind(id);
             let waiting = self.waiting.values().map(Vec::len).sum::<usize>() + self.collected.straddling.len();
             let found = self.collected.examined.len() + waiting;
             if found > MAX_CANDIDATES {
@@ -316,7 +310,8 @@ impl<'a> Collector<'a> {
                 });
             }
         }
-        self.collected.straddling.extend(std::mem::take(&mut self.waiting).into_values().flatten());
+        let waiting = std::mem::take(&mut self.waiting).into_values().flatten();
+        self.collected.straddling.extend(waiting.map(|region| Straddler { region, block: None }));
         Ok(())
     }
 
@@ -328,34 +323,39 @@ impl<'a> Collector<'a> {
         row * grid.columns() + column
     }
 
-    /// Lets go of what nobody will ask for again: of tiles that have come, whatever no region that is open or waits for its
-    /// turn can reach. What straddles the left and upper faces of a tile is complete soon after it, what straddles the
-    /// others when the tiles below it have come.
-    fn release_behind(&mut self) {
+    /// All tiles around the region have come. What the seams do not hold is read again after the scan.
+    fn pass_on(&mut self, region: Region, straddlers: &crossbeam_channel::Sender<Straddler>) {
+        let window = patch_window(&region, self.detector, self.source.info());
+        let straddler = Straddler { block: self.seams.block(window), region };
+        if straddler.block.is_none() {
+            self.collected.straddling.push(straddler);
+        } else if let Err(unsent) = straddlers.send(straddler) {
+            // Nobody listens when all workers have ended.
+            self.collected.straddling.push(unsent.0);
+        }
+    }
+
+    /// Lets go of the tiles that have come: of their file blocks at once, and of their seams when no region that straddles
+    /// them can be open still.
+    fn release_behind(&mut self, id: u64) {
         let grid = &self.plan.grid;
+        if self.plan.halo_px == 0 {
+            // No other tile reads its pixels, though it may be far ahead of the first that has not come.
+            self.source.release(grid.tile(id).core);
+        }
         let reach = self.detector.patch_margin_px() + self.detector.largest_mark_px() + 2 * self.plan.halo_px;
         // A region at the lower face of a tile may go on over as many rows of tiles.
         let below = grid.columns() * reach.div_ceil(grid.tile_height()).max(1);
         while self.next < grid.len() && self.done[self.next as usize] {
-            let core = grid.tile(self.next).core;
-            let (width, height) = (core.width.saturating_sub(reach), core.height.saturating_sub(reach));
-            if width > 0 && height > 0 {
-                self.releasable.push(Window::new(core.x, core.y, width, height));
+            if self.plan.halo_px > 0 {
+                self.source.release(grid.tile(self.next).core);
             }
             // The tile beside the one below it shares its lower right corner.
             if let Some(far) = self.next.checked_sub(below + 1) {
-                self.releasable.push(grid.tile(far).core);
+                self.seams.drop_tile(far);
             }
             self.next += 1;
         }
-        let (source, wanted) = (self.source, &self.wanted);
-        self.releasable.retain(|window| {
-            let needed = wanted.values().any(|patch| !patch.intersect(window).is_empty());
-            if !needed {
-                source.release(*window);
-            }
-            needed
-        });
     }
 }
 
@@ -367,7 +367,7 @@ struct Worker<'a> {
     /// Held from taking a tile until it is read, when the source can only be read from the top down.
     in_order: &'a Mutex<()>,
     /// Regions whose surroundings reach over tiles that have all been read.
-    straddlers: crossbeam_channel::Receiver<Region>,
+    straddlers: crossbeam_channel::Receiver<Straddler>,
 }
 
 impl Worker<'_> {
@@ -386,8 +386,8 @@ impl Worker<'_> {
                 let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
                 self.progress.saw(&block, tile.core, &found);
                 drop(block);
-                for region in self.straddlers.try_iter() {
-                    output.examined.push(examine_window(self.source, self.detector, &region)?);
+                for straddler in self.straddlers.try_iter() {
+                    output.examined.push(examine_straddler(self.source, self.detector, &straddler)?);
                 }
                 self.progress.scanned(tile.core.area());
                 Ok(output)
@@ -415,8 +415,13 @@ impl Worker<'_> {
         mask.reset(block.window);
         self.detector.segment(block, mask);
         let mut regions = labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region));
-        let mut output =
-            TileOutput { id: tile.id, examined: Vec::new(), straddling: Vec::new(), open: TileRegions::default() };
+        let mut output = TileOutput {
+            id: tile.id,
+            examined: Vec::new(),
+            straddling: Vec::new(),
+            open: TileRegions::default(),
+            seam: Seam::default(),
+        };
         for region in std::mem::take(&mut regions.finished) {
             let window = patch_window(&region, self.detector, info);
             if block.window.contains_window(&window) {
@@ -426,6 +431,7 @@ impl Worker<'_> {
                 output.straddling.push(region);
             }
         }
+        output.seam = Seam::of_tile(block, tile, &output.straddling, &regions.open, self.detector, info);
         output.open = regions;
         debug_assert!(self.plan.grid.bounds() == info.bounds());
         output
@@ -437,17 +443,25 @@ fn patch_window(region: &Region, detector: &dyn Detector, info: &RasterInfo) -> 
 }
 
 /// Region → Candidate through windows of their own.
-fn examine_windows(source: &dyn RasterSource, detector: &dyn Detector, regions: &[Region]) -> Result<Vec<Examined>> {
-    let examine = |region: &Region| examine_window(source, detector, region);
+fn examine_windows(
+    source: &dyn RasterSource,
+    detector: &dyn Detector,
+    straddlers: &[Straddler],
+) -> Result<Vec<Examined>> {
+    let examine = |straddler: &Straddler| examine_straddler(source, detector, straddler);
     if source.info().sequential {
         // One pass from the top down: in parallel the reader would have to go back and forth.
-        return regions.iter().map(examine).collect();
+        return straddlers.iter().map(examine).collect();
     }
-    regions.par_iter().map(examine).collect()
+    straddlers.par_iter().map(examine).collect()
 }
 
-fn examine_window(source: &dyn RasterSource, detector: &dyn Detector, region: &Region) -> Result<Examined> {
-    let window = patch_window(region, detector, source.info());
-    let patch = source.read(window)?.patch(window, source.info());
+fn examine_straddler(source: &dyn RasterSource, detector: &dyn Detector, straddler: &Straddler) -> Result<Examined> {
+    let Straddler { region, block } = straddler;
+    let info = source.info();
+    let patch = match block {
+        Some(block) => block.to_patch(info),
+        None => source.read(patch_window(region, detector, info))?.to_patch(info),
+    };
     Ok((region.first, detector.examine_all(region, &patch)))
 }

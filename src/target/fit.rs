@@ -8,7 +8,8 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Motif;
-use crate::candidate::fit::{correlated_scatter, normal};
+use crate::candidate::fit::correlated_scatter;
+use crate::candidate::kernels::normal;
 
 /// Centre x, y; directions of the two lines; logarithms of the two bar widths and of the blur; ground level, height of the
 /// bright over it, slope of the ground in x and y.

@@ -1,0 +1,215 @@
+//! Pixels along the faces of tiles, kept until the regions that straddle them are complete, so that no file block must be kept
+//! or decoded again for a mark that lies in two tiles.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::scan::Detector;
+use crate::raster::{Block, Piece, PieceData, PooledBytes, RasterInfo};
+use crate::segment::label::Region;
+use crate::window::{Tile, TileGrid, Window};
+
+/// With more parts than this per 1024 pixels of a tile's sides whole bands along the faces are kept instead.
+const MANY: u64 = 100;
+
+/// What is kept of one tile: parts of its core, copied out of the file blocks.
+#[derive(Default)]
+pub(super) struct Seam {
+    parts: Vec<Block>,
+    bytes: u64,
+}
+
+impl Seam {
+    /// Whatever of this tile the examination of a straddling region can ask for: a margin along every face for regions of
+    /// the neighbours, and the surroundings of its own regions as far as they may grow beyond the face.
+    pub fn of_tile(
+        block: &Block,
+        tile: &Tile,
+        straddling: &[Region],
+        open: &[Region],
+        detector: &dyn Detector,
+        info: &RasterInfo,
+    ) -> Seam {
+        let (core, bounds, margin) = (tile.core, info.bounds(), detector.patch_margin_px());
+        let largest = detector.largest_mark_px();
+        let mut wanted: Vec<Window> = faces(core, bounds, margin).to_vec();
+        wanted.extend(straddling.iter().map(|region| region.bounds.grown(margin, &bounds)));
+        let small = |side: u64| side <= largest;
+        wanted.extend(open.iter().map(|region| region.bounds).filter(|b| small(b.width) && small(b.height)).map(|b| {
+            // A mark no larger than the largest that holds this part.
+            let (x, y) = ((b.right()).saturating_sub(largest), b.bottom().saturating_sub(largest));
+            Window { x, y, width: b.x + largest - x, height: b.y + largest - y }.grown(margin, &bounds)
+        }));
+        if wanted.len() as u64 > MANY * (1 + (core.width + core.height) / 1024) {
+            wanted = faces(core, bounds, largest + 2 * margin).to_vec();
+        }
+        let mut seam = Seam::default();
+        for window in joined(wanted.into_iter().map(|window| window.intersect(&core))) {
+            let part = Block { window, pieces: block.pieces.iter().filter_map(|p| copied(p, window)).collect() };
+            seam.bytes += part.pieces.iter().map(bytes_of).sum::<u64>();
+            seam.parts.push(part);
+        }
+        seam
+    }
+
+    fn part_with(&self, window: &Window) -> Option<&Block> {
+        self.parts.iter().find(|part| part.window.contains_window(window))
+    }
+}
+
+/// Windows that cover the given ones, in which two are one where that is no larger.
+fn joined(windows: impl Iterator<Item = Window>) -> Vec<Window> {
+    let mut out: Vec<Window> = Vec::new();
+    for mut window in windows.filter(|window| !window.is_empty()) {
+        while let Some(i) = out.iter().position(|w| w.union(&window).area() <= w.area() + window.area()) {
+            window = out.swap_remove(i).union(&window);
+        }
+        out.push(window);
+    }
+    out
+}
+
+/// The margin inside each face that is not the raster's edge.
+fn faces(core: Window, bounds: Window, margin: u64) -> [Window; 4] {
+    let none = Window::new(core.x, core.y, 0, 0);
+    let shared = |yes: bool, window: Window| if yes { window.intersect(&core) } else { none };
+    [
+        shared(core.x > bounds.x, Window { width: margin, ..core }),
+        shared(core.y > bounds.y, Window { height: margin, ..core }),
+        shared(core.right() < bounds.right(), Window { x: core.right().saturating_sub(margin), width: margin, ..core }),
+        shared(
+            core.bottom() < bounds.bottom(),
+            Window { y: core.bottom().saturating_sub(margin), height: margin, ..core },
+        ),
+    ]
+}
+
+/// The part of a piece inside a window, in memory of its own.
+fn copied(piece: &Piece, window: Window) -> Option<Piece> {
+    let part = piece.window.intersect(&window);
+    if part.is_empty() {
+        return None;
+    }
+    if piece.empty {
+        return Some(Piece { window: part, ..piece.clone() });
+    }
+    let (mut narrow, mut wide) = (Vec::new(), Vec::new());
+    let row_stride = part.width as usize * piece.pixel_stride;
+    for y in part.y..part.bottom() {
+        // The last pixel of a row may end where the buffer does: the stride is filled up.
+        match piece.row(part.x, y, part.width).samples {
+            crate::raster::Samples::U8(row) => {
+                narrow.extend_from_slice(row);
+                narrow.resize((y - part.y + 1) as usize * row_stride, 0);
+            }
+            crate::raster::Samples::U16(row) => {
+                wide.extend_from_slice(row);
+                wide.resize((y - part.y + 1) as usize * row_stride, 0);
+            }
+        }
+    }
+    let data = match piece.data {
+        PieceData::U16(_) => PieceData::U16(Arc::new(wide)),
+        _ => PieceData::U8(Arc::new(PooledBytes { bytes: narrow, home: None })),
+    };
+    Some(Piece { window: part, data, offset: 0, row_stride, pixel_stride: piece.pixel_stride, empty: false })
+}
+
+fn bytes_of(piece: &Piece) -> u64 {
+    match &piece.data {
+        PieceData::U8(buffer) => buffer.bytes.len() as u64,
+        PieceData::U16(buffer) => 2 * buffer.len() as u64,
+        PieceData::Mapped(..) => 0,
+    }
+}
+
+/// The part of a piece inside a window, in the same memory.
+fn narrowed(piece: &Piece, window: &Window) -> Option<Piece> {
+    let part = piece.window.intersect(window);
+    let offset = piece.offset
+        + (part.y.saturating_sub(piece.window.y)) as usize * piece.row_stride
+        + (part.x.saturating_sub(piece.window.x)) as usize * piece.pixel_stride;
+    (!part.is_empty()).then(|| Piece { window: part, offset, ..piece.clone() })
+}
+
+/// The seams of the tiles that have come.
+pub(super) struct Seams {
+    grid: TileGrid,
+    kept: HashMap<u64, Seam>,
+    bytes: u64,
+    capacity_bytes: u64,
+}
+
+impl Seams {
+    /// Keeps at most `capacity_bytes`; what does not fit is read from the file again.
+    pub fn new(grid: TileGrid, capacity_bytes: u64) -> Seams {
+        Seams { grid, kept: HashMap::new(), bytes: 0, capacity_bytes }
+    }
+
+    pub fn keep(&mut self, tile: u64, seam: Seam) {
+        if self.bytes + seam.bytes <= self.capacity_bytes {
+            self.bytes += seam.bytes;
+            self.kept.insert(tile, seam);
+        }
+    }
+
+    pub fn drop_tile(&mut self, tile: u64) {
+        if let Some(seam) = self.kept.remove(&tile) {
+            self.bytes -= seam.bytes;
+        }
+    }
+
+    /// The pixels of a window, when every tile that it reaches into has kept them.
+    pub fn block(&self, window: Window) -> Option<Block> {
+        let (width, height) = (self.grid.tile_width(), self.grid.tile_height());
+        let mut pieces = Vec::new();
+        for row in window.y / height..=(window.bottom() - 1) / height {
+            for column in window.x / width..=(window.right() - 1) / width {
+                let id = row * self.grid.columns() + column;
+                let part = self.grid.tile(id).core.intersect(&window);
+                let kept = self.kept.get(&id)?.part_with(&part)?;
+                pieces.extend(kept.pieces.iter().filter_map(|piece| narrowed(piece, &part)));
+            }
+        }
+        Some(Block { window, pieces })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::RasterSource;
+    use crate::raster::memory::MemorySource;
+
+    #[test]
+    fn windows_are_joined_where_that_saves() {
+        let windows =
+            [Window::new(0, 0, 10, 4), Window::new(8, 0, 10, 4), Window::new(50, 0, 3, 3), Window::new(0, 0, 0, 0)];
+        assert_eq!(joined(windows.into_iter()), [Window::new(0, 0, 18, 4), Window::new(50, 0, 3, 3)]);
+    }
+
+    #[test]
+    fn seams_give_the_pixels_of_the_source_or_nothing() {
+        let (width, height) = (50u64, 40u64);
+        let samples = (0..width * height * 3).map(|i| (i * 7919 % 251) as u8).collect();
+        let source = MemorySource::rgb8(width, height, samples);
+        let grid = TileGrid::new(width, height, 20, 20, 0);
+        let mut seams = Seams::new(grid, 1 << 20);
+        for tile in grid.iter() {
+            let block = source.read(tile.read).expect("in memory");
+            let parts: Vec<Block> = joined(faces(tile.core, source.info().bounds(), 4).into_iter())
+                .into_iter()
+                .map(|window| Block { window, pieces: block.pieces.iter().filter_map(|p| copied(p, window)).collect() })
+                .collect();
+            seams.keep(tile.id, Seam { bytes: parts.iter().flat_map(|p| &p.pieces).map(bytes_of).sum(), parts });
+        }
+        let window = Window::new(17, 17, 6, 5);
+        let (kept, read) =
+            (seams.block(window).expect("at a corner of four tiles"), source.read(window).expect("there"));
+        let (kept, read) = (kept.to_patch(source.info()), read.to_patch(source.info()));
+        assert_eq!((kept.rgb, kept.valid), (read.rgb, read.valid));
+        assert!(seams.block(Window::new(15, 15, 8, 8)).is_none(), "goes deeper than what was kept");
+        seams.drop_tile(0);
+        assert!(seams.block(window).is_none());
+    }
+}
