@@ -36,8 +36,8 @@ const MOST_PX: f64 = 6.0;
 /// A pixel does not fit when it is off by this share of the mark's contrast and by so many standard deviations.
 const FIT: f64 = 0.3;
 const FIT_SIGMA: f64 = 4.0;
-/// Marks of lines that fit worse are looked at from around, and how far around, pixels: a scratch along a line holds the centre
-/// where only that line fits.
+/// Marks of lines that fit worse are looked at from around, how far around, pixels, and by how much another place must fit better: a
+/// scratch along a line holds the centre where only that line fits.
 const DAMAGED: f64 = 0.03;
 const AROUND_PX: f64 = 2.0;
 const CLEARLY: f64 = 0.01;
