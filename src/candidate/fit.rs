@@ -91,6 +91,7 @@ impl Fit {
 
 /// Standard normal density and distribution. The distribution is Abramowitz and Stegun, "Handbook of mathematical
 /// functions" (1964), 7.1.26, good to 1.5e-7, because it shares its exponential with the density.
+#[inline]
 pub(crate) fn normal(t: f64) -> (f64, f64) {
     const INV_SQRT_2PI: f64 = 0.398_942_280_401_432_7;
     let e = (-0.5 * t * t).exp();
@@ -241,15 +242,7 @@ impl Problem<'_> {
                 h[(a, b)] = h[(b, a)];
             }
         }
-        for (r, j) in self.priors(p) {
-            cost += r * r;
-            for (a, ja) in j {
-                g[a] -= ja * r;
-                for (b, jb) in j {
-                    h[(a, b)] += ja * jb;
-                }
-            }
-        }
+        add_priors(self.priors(p), &mut h, &mut g, &mut cost);
         (h, g, cost)
     }
 
@@ -449,6 +442,24 @@ fn edge_scatter(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3]
     }
     let [along, across] = lines.map(|l| l.iter().map(|v| v * v).sum::<f64>());
     [cos * cos * along + sin * sin * across, sin * cos * (along - across), sin * sin * along + cos * cos * across]
+}
+
+/// Adds priors to normal equations: of each its residual over its standard deviation and the parameters that it pulls at.
+pub(crate) fn add_priors<const N: usize>(
+    priors: impl IntoIterator<Item = (f64, [(usize, f64); 2])>,
+    h: &mut SMatrix<f64, N, N>,
+    g: &mut SVector<f64, N>,
+    cost: &mut f64,
+) {
+    for (r, j) in priors {
+        *cost += r * r;
+        for (a, ja) in j {
+            g[a] -= ja * r;
+            for (b, jb) in j {
+                h[(a, b)] += ja * jb;
+            }
+        }
+    }
 }
 
 /// Scatter (xx, xy, yy) of a sum of pushes (W. K. Newey and K. D. West, "A simple, positive semi-definite, heteroskedasticity
