@@ -168,15 +168,7 @@ impl Problem<'_> {
                 (h[(a, b)], h[(b, a)]) = (sum, sum);
             }
         }
-        for (r, j) in self.priors(p) {
-            cost += r * r;
-            for (a, ja) in j {
-                g[a] -= ja * r;
-                for (b, jb) in j {
-                    h[(a, b)] += ja * jb;
-                }
-            }
-        }
+        add_priors(self.priors(p), &mut h, &mut g, &mut cost);
         (h, g, cost)
     }
 
@@ -352,6 +344,24 @@ fn edge_scatter(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3]
     });
     let [along, across] = lines.map(|l| l.iter().map(|v| v * v).sum::<f64>());
     [cos * cos * along + sin * sin * across, sin * cos * (along - across), sin * sin * along + cos * cos * across]
+}
+
+/// Adds priors to normal equations: of each its residual over its standard deviation and the parameters that it pulls at.
+pub(crate) fn add_priors<const N: usize>(
+    priors: impl IntoIterator<Item = (f64, [(usize, f64); 2])>,
+    h: &mut SMatrix<f64, N, N>,
+    g: &mut SVector<f64, N>,
+    cost: &mut f64,
+) {
+    for (r, j) in priors {
+        *cost += r * r;
+        for (a, ja) in j {
+            g[a] -= ja * r;
+            for (b, jb) in j {
+                h[(a, b)] += ja * jb;
+            }
+        }
+    }
 }
 
 /// Scatter (xx, xy, yy) of a sum of pushes (W. K. Newey and K. D. West, "A simple, positive semi-definite, heteroskedasticity

@@ -8,7 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Motif;
-use crate::candidate::fit::correlated_scatter;
+use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
 /// Centre x, y; directions of the two lines; logarithms of the two bar widths and of the blur; ground level, height of the
@@ -16,6 +16,17 @@ use crate::candidate::kernels::normal;
 const PARAMETERS: usize = 11;
 type Vector = SVector<f64, PARAMETERS>;
 type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// What is given up before a fit is finished, as shares of the samples' variance that are left over: where the fit starts (with
+/// the best ground and height), after the first rounds, and after least squares, which no robust fit undercuts. Of 402 fits to
+/// targets and to what scores like one in photographs, no share was larger than 0.93, 0.67 and 0.44; on a picture that is itself
+/// a checkerboard most fits end at the first.
+const MOST_UNLIKE: f64 = 0.96;
+const MOST_LEFT_EARLY: f64 = 0.85;
+const MOST_LEFT: f64 = 0.6;
+const EARLY_ROUNDS: usize = 4;
+/// Of a descent's first step.
+const FIRST_DAMPING: f64 = 1e-3;
 
 /// One cell: its middle in cells from the patch's corner, and its grey level, 0..=255.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +66,7 @@ pub struct Fit {
 }
 
 /// Bar of width exp(p) across signed distance d: value and derivatives by d, ln width, ln σ.
+#[inline]
 fn bar(d: f64, width: f64, sigma: f64) -> [f64; 4] {
     let (tp, tm) = ((d + width / 2.0) / sigma, (d - width / 2.0) / sigma);
     let ((gp, cp), (gm, cm)) = (normal(tp), normal(tm));
@@ -70,39 +82,67 @@ struct Problem<'a> {
     skew: f64,
 }
 
+/// What of the parameters is the same for all samples.
+struct Posed<'a> {
+    p: &'a Vector,
+    /// Sine and cosine of the two directions.
+    turned: [(f64, f64); 2],
+    widths: [f64; 2],
+    sigma: f64,
+}
+
+impl<'a> Posed<'a> {
+    fn new(p: &'a Vector) -> Posed<'a> {
+        Posed { p, turned: [p[2].sin_cos(), p[3].sin_cos()], widths: [p[4].exp(), p[5].exp()], sigma: p[6].exp() }
+    }
+}
+
 impl Problem<'_> {
-    fn model(&self, p: &Vector, x: f64, y: f64) -> (f64, Vector) {
-        let (dx, dy) = (x - p[0], y - p[1]);
-        let sigma = p[6].exp();
-        let mut g = Vector::zeros();
-        let mut part = [(0.0, 0.0, 0.0, 0.0); 2];
+    /// The two lines at a place, the shape there (0..=1), and its derivatives by the two: for each line the value and the
+    /// derivatives by distance, ln width, ln σ.
+    #[inline]
+    fn shape(&self, pose: &Posed<'_>, dx: f64, dy: f64) -> ([[f64; 4]; 2], f64, [f64; 2]) {
+        let mut part = [[0.0; 4]; 2];
         for (i, part) in part.iter_mut().enumerate() {
-            let (sin, cos) = p[2 + i].sin_cos();
+            let (sin, cos) = pose.turned[i];
             let d = cos * dy - sin * dx;
             *part = match self.motif {
-                Motif::Cross => {
-                    let [v, by_d, by_w, by_s] = bar(d, p[4 + i].exp(), sigma);
-                    (v, by_d, by_w, by_s)
-                }
+                Motif::Cross => bar(d, pose.widths[i], pose.sigma),
                 Motif::Saddle => {
-                    let (density, below) = normal(d / sigma);
-                    (2.0 * below - 1.0, 2.0 * density / sigma, 0.0, -2.0 * density * d / sigma)
+                    let (density, below) = normal(d / pose.sigma);
+                    [2.0 * below - 1.0, 2.0 * density / pose.sigma, 0.0, -2.0 * density * d / pose.sigma]
                 }
             };
         }
-        let (value, by_part) = match self.motif {
-            Motif::Cross => (part[0].0 + part[1].0 - part[0].0 * part[1].0, [1.0 - part[1].0, 1.0 - part[0].0]),
-            Motif::Saddle => (0.5 - 0.5 * part[0].0 * part[1].0, [-0.5 * part[1].0, -0.5 * part[0].0]),
-        };
+        let (one, two) = (part[0][0], part[1][0]);
+        match self.motif {
+            Motif::Cross => (part, one + two - one * two, [1.0 - two, 1.0 - one]),
+            Motif::Saddle => (part, 0.5 - 0.5 * one * two, [-0.5 * two, -0.5 * one]),
+        }
+    }
+
+    #[inline]
+    fn value(&self, pose: &Posed<'_>, x: f64, y: f64) -> f64 {
+        let p = pose.p;
+        let (_, value, _) = self.shape(pose, x - p[0], y - p[1]);
+        p[7] + p[8] * value + p[9] * (x - self.start.x) + p[10] * (y - self.start.y)
+    }
+
+    #[inline]
+    fn model(&self, pose: &Posed<'_>, x: f64, y: f64) -> (f64, [f64; PARAMETERS]) {
+        let p = pose.p;
+        let (dx, dy) = (x - p[0], y - p[1]);
+        let (part, value, by_part) = self.shape(pose, dx, dy);
+        let mut g = [0.0; PARAMETERS];
         let height = p[8];
         for i in 0..2 {
-            let (sin, cos) = p[2 + i].sin_cos();
-            let by_d = height * by_part[i] * part[i].1;
+            let (sin, cos) = pose.turned[i];
+            let by_d = height * by_part[i] * part[i][1];
             g[0] += by_d * sin;
             g[1] -= by_d * cos;
             g[2 + i] = -by_d * (sin * dy + cos * dx);
-            g[4 + i] = height * by_part[i] * part[i].2;
-            g[6] += height * by_part[i] * part[i].3;
+            g[4 + i] = height * by_part[i] * part[i][2];
+            g[6] += height * by_part[i] * part[i][3];
         }
         let (rx, ry) = (x - self.start.x, y - self.start.y);
         g[7] = 1.0;
@@ -129,43 +169,68 @@ impl Problem<'_> {
     }
 
     fn cost(&self, p: &Vector) -> f64 {
+        let pose = Posed::new(p);
         let data: f64 = self
             .samples
             .iter()
             .zip(&self.weights)
-            .map(|(s, w)| w * (s.level - self.model(p, s.x, s.y).0).powi(2))
+            .map(|(s, w)| w * (s.level - self.value(&pose, s.x, s.y)).powi(2))
             .sum();
         data + self.priors(p).iter().map(|(r, _)| r * r).sum::<f64>()
     }
 
+    /// Sum of squared residuals, all samples alike.
+    fn left_over(&self, p: &Vector) -> f64 {
+        let pose = Posed::new(p);
+        self.samples.iter().map(|s| (s.level - self.value(&pose, s.x, s.y)).powi(2)).sum()
+    }
+
+    /// Share of the samples' variance that the shape at `p` leaves over with the ground and the height that suit it best.
+    fn unlike(&self, p: &Vector) -> f64 {
+        let pose = Posed::new(p);
+        let n = self.samples.len() as f64;
+        let (mut a, mut b, mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for s in self.samples {
+            let (_, v, _) = self.shape(&pose, s.x - p[0], s.y - p[1]);
+            a += v;
+            b += s.level;
+            aa += v * v;
+            ab += v * s.level;
+            bb += s.level * s.level;
+        }
+        let (aa, ab, bb) = (aa - a * a / n, ab - a * b / n, bb - b * b / n);
+        1.0 - ab * ab / (aa * bb).max(1e-9)
+    }
+
     fn normal_equations(&self, p: &Vector) -> (Matrix, Vector, f64) {
-        let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::zeros(), 0.0);
+        let (mut upper, mut g, mut cost) = ([[0.0; PARAMETERS]; PARAMETERS], [0.0; PARAMETERS], 0.0);
+        let pose = Posed::new(p);
         for (s, &w) in self.samples.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0) {
-            let (value, j) = self.model(p, s.x, s.y);
+            let (value, j) = self.model(&pose, s.x, s.y);
             let r = s.level - value;
             cost += w * r * r;
-            g += j * (w * r);
-            h.ger(w, &j, &j, 1.0);
-        }
-        for (r, j) in self.priors(p) {
-            cost += r * r;
-            for (a, ja) in j {
-                g[a] -= ja * r;
-                for (b, jb) in j {
-                    h[(a, b)] += ja * jb;
+            for a in 0..PARAMETERS {
+                let wj = w * j[a];
+                g[a] += wj * r;
+                for b in a..PARAMETERS {
+                    upper[a][b] += wj * j[b];
                 }
             }
         }
+        let mut h = Matrix::from_fn(|a, b| upper[a.min(b)][a.max(b)]);
+        let mut g = Vector::from(g);
+        add_priors(self.priors(p), &mut h, &mut g, &mut cost);
         (h, g, cost)
     }
 
-    fn descend(&self, mut p: Vector, rounds: usize) -> Option<Vector> {
-        let mut damping = 1e-3;
+    /// Levenberg–Marquardt from `p`, at most `rounds` accepted or refused steps; `damping` is that of the last. `true` when it has
+    /// come to rest.
+    fn descend(&self, mut p: Vector, rounds: usize, damping: &mut f64) -> Option<(Vector, bool)> {
         let (mut h, mut g, mut cost) = self.normal_equations(&p);
         for _ in 0..rounds {
             let mut damped = h;
             for i in 0..PARAMETERS {
-                damped[(i, i)] *= 1.0 + damping;
+                damped[(i, i)] *= 1.0 + *damping;
             }
             let step = damped.cholesky()?.solve(&g);
             let next = p + step;
@@ -177,25 +242,26 @@ impl Problem<'_> {
             let next_cost = if inside { self.cost(&next) } else { f64::INFINITY };
             if next_cost <= cost {
                 p = next;
-                damping = (damping * 0.2).max(1e-9);
+                *damping = (*damping * 0.2).max(1e-9);
                 if step[0].hypot(step[1]) < 2e-4 && cost - next_cost < 1e-4 * cost {
-                    return Some(p);
+                    return Some((p, true));
                 }
                 (h, g, cost) = self.normal_equations(&p);
             } else {
-                damping *= 6.0;
-                if damping > 1e9 {
-                    return Some(p);
+                *damping *= 6.0;
+                if *damping > 1e9 {
+                    return Some((p, true));
                 }
             }
         }
-        Some(p)
+        Some((p, false))
     }
 
     /// Tukey's biweight about the fit `p`, with the noise that the residuals show.
     fn reweigh(&mut self, p: &Vector) {
         const CUT: f64 = 4.7;
-        let residuals: Vec<f64> = self.samples.iter().map(|s| s.level - self.model(p, s.x, s.y).0).collect();
+        let pose = Posed::new(p);
+        let residuals: Vec<f64> = self.samples.iter().map(|s| s.level - self.value(&pose, s.x, s.y)).collect();
         let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
         // A hundredth of the height: paint and cloth are never flatter than that.
         let noise = spread.max(0.01 * p[8].abs()).max(0.3);
@@ -209,7 +275,8 @@ impl Problem<'_> {
     }
 }
 
-/// Fits the motif. `None` with fewer than 40 samples, samples without any contrast, or when the equations break down.
+/// Fits the motif. `None` with fewer than 40 samples, samples without any contrast or nothing like the motif, or when the
+/// equations break down.
 pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<Fit> {
     let n = samples.len() as f64;
     let mean = samples.iter().map(|s| s.level).sum::<f64>() / n;
@@ -236,19 +303,32 @@ pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<
     ]);
     let noise = (0.1 * start.height.abs()).max(2.0);
     let mut problem = Problem { motif, samples, start, weights: vec![1.0 / (noise * noise); samples.len()], skew };
-    p = problem.descend(p, 20)?;
+    if problem.unlike(&p) > MOST_UNLIKE {
+        return None;
+    }
+    // The two parts are one descent; most of what is no target shows it after the first.
+    let mut damping = FIRST_DAMPING;
+    let (early, at_rest) = problem.descend(p, EARLY_ROUNDS, &mut damping)?;
+    if problem.left_over(&early) > MOST_LEFT_EARLY * total {
+        return None;
+    }
+    p = if at_rest { early } else { problem.descend(early, 20 - EARLY_ROUNDS, &mut damping)?.0 };
+    if problem.left_over(&p) > MOST_LEFT * total {
+        return None;
+    }
     for _ in 0..2 {
         problem.reweigh(&p);
-        p = problem.descend(p, 8)?;
+        p = problem.descend(p, 8, &mut { FIRST_DAMPING })?.0;
     }
     let inverse = problem.normal_equations(&p).0.cholesky()?.inverse();
+    let pose = Posed::new(&p);
     let pushes: Vec<_> = samples
         .iter()
         .zip(&problem.weights)
         .filter(|(_, w)| **w > 0.0)
         .map(|(s, &w)| {
-            let (value, j) = problem.model(&p, s.x, s.y);
-            let along = inverse.fixed_rows::<2>(0) * j * (w * (s.level - value));
+            let (value, j) = problem.model(&pose, s.x, s.y);
+            let along = inverse.fixed_rows::<2>(0) * Vector::from(j) * (w * (s.level - value));
             (s.x.floor() as i64, s.y.floor() as i64, along[0], along[1])
         })
         .collect();
@@ -256,7 +336,6 @@ pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<
     // Residuals of a fit are smaller than the noise, by the parameters that were spent.
     let lost = n / (n - PARAMETERS as f64);
     let covariance = scatter.map(|v| v * lost);
-    let left: f64 = samples.iter().map(|s| (s.level - problem.model(&p, s.x, s.y).0).powi(2)).sum();
     let finite = p.iter().chain(&covariance).all(|v| v.is_finite()) && covariance[0] > 0.0 && covariance[2] > 0.0;
     finite.then(|| Fit {
         x: p[0],
@@ -267,7 +346,7 @@ pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<
         ground: p[7],
         height: p[8],
         covariance,
-        misfit: left / total,
+        misfit: problem.left_over(&p) / total,
     })
 }
 
@@ -286,12 +365,12 @@ mod tests {
             let q = problem(motif, &[]);
             let p = Vector::from([10.2, 9.9, 0.3, 1.9, 1.5, 1.6, 0.2, 40.0, 90.0, 0.3, -0.2]);
             for (x, y) in [(12.0, 10.0), (8.5, 13.0), (10.5, 10.0)] {
-                let (_, g) = q.model(&p, x, y);
+                let (_, g) = q.model(&Posed::new(&p), x, y);
                 for k in 0..PARAMETERS {
                     let (mut up, mut down) = (p, p);
                     up[k] += 1e-3;
                     down[k] -= 1e-3;
-                    let slope = (q.model(&up, x, y).0 - q.model(&down, x, y).0) / 2e-3;
+                    let slope = (q.value(&Posed::new(&up), x, y) - q.value(&Posed::new(&down), x, y)) / 2e-3;
                     assert!((slope - g[k]).abs() < 0.05, "{motif:?} {k}: {slope} {}", g[k]);
                 }
             }
@@ -305,13 +384,49 @@ mod tests {
             let truth = Vector::from([10.37, 9.81, 0.3, 1.9, 1.5, 1.5, 0.1, 40.0, 90.0, 0.0, 0.0]);
             let samples: Vec<Sample> = (0..400)
                 .map(|i| (f64::from(i % 20) + 0.5, f64::from(i / 20) + 0.5))
-                .map(|(x, y)| Sample { x, y, level: q.model(&truth, x, y).0 })
+                .map(|(x, y)| Sample { x, y, level: q.value(&Posed::new(&truth), x, y) })
                 .collect();
             let start = Start { angles: [0.2, 1.77], ..q.start };
             let f = fit(motif, &samples, start, 0.3).expect("well posed");
             assert!((f.x - 10.37).abs() < 0.005 && (f.y - 9.81).abs() < 0.005, "{f:?}");
             assert!(f.misfit < 1e-3, "{f:?}");
         }
+    }
+
+    /// A picture that is itself a checkerboard answers at every crossing and scale: there a fit must be given up before its
+    /// first round, or the picture takes minutes.
+    #[test]
+    fn a_checkerboard_of_smaller_squares_is_given_up_at_once() {
+        let disc = |level: &dyn Fn(f64, f64) -> f64| -> Vec<Sample> {
+            let middle = |i: i32| f64::from(i) + 0.5;
+            (0..40 * 40)
+                .map(|i| (middle(i % 40), middle(i / 40)))
+                .filter(|(x, y)| (x - 20.0).hypot(y - 20.0) <= 13.5)
+                .map(|(x, y)| Sample { x, y, level: level(x, y) })
+                .collect()
+        };
+        let start = Start {
+            x: 20.0,
+            y: 20.0,
+            angles: [0.0, std::f64::consts::FRAC_PI_2],
+            width: 5.4,
+            blur: 1.35,
+            height: 100.0,
+        };
+        let unlike = |samples: &[Sample]| {
+            let q = Problem { motif: Motif::Saddle, samples, start, weights: Vec::new(), skew: 0.15 };
+            let (one, two) = (start.angles[0], start.angles[1]);
+            q.unlike(&Vector::from([20.0, 20.0, one, two, 1.5, 1.5, 0.3, 0.0, 100.0, 0.0, 0.0]))
+        };
+        for side in [4.0, 6.0] {
+            let odd = |v: f64| ((v - 20.0) / side).floor().rem_euclid(2.0) == 1.0;
+            let board = disc(&|x, y| if odd(x) == odd(y) { 255.0 } else { 0.0 });
+            assert!(unlike(&board) > MOST_UNLIKE, "{side}: {}", unlike(&board));
+            assert!(fit(Motif::Saddle, &board, start, 0.15).is_none());
+        }
+        let target = disc(&|x, y| if (x > 20.0) == (y > 20.0) { 255.0 } else { 0.0 });
+        assert!(unlike(&target) < 0.2, "{}", unlike(&target));
+        assert!(fit(Motif::Saddle, &target, start, 0.15).is_some());
     }
 
     #[test]
