@@ -1,4 +1,4 @@
-//! Marks planted into real photographs, with centres known to a thousandth of a pixel: what the detection benchmark
+//! Marks planted into real photographs, with centres known to a hundredth of a pixel: what the detection benchmark
 //! measures on, and the self-test on the customer's own image.
 
 use super::shape::{Figure, Shape};
@@ -281,7 +281,7 @@ mod tests {
                     drawn.iter().enumerate().map(|(i, v)| v * (at(i) as f64 + 0.5)).sum::<f64>() / sum
                 };
                 let (x, y) = (mean(|i| i % 30), mean(|i| i / 30));
-                assert!((x - cx).abs() < 0.003 && (y - cy).abs() < 0.003, "{disc} {angle}: {x} {y} for {cx} {cy}");
+                assert!((x - cx).abs() < 0.01 && (y - cy).abs() < 0.01, "{disc} {angle}: {x} {y} for {cx} {cy}");
             }
         }
     }
