@@ -28,7 +28,7 @@ use crate::window::{Tile, Window};
 /// More marks than this are no marks; also what bounds memory on a picture of confetti.
 pub const MAX_CANDIDATES: usize = 1_000_000;
 /// Windows of straddling marks examined together.
-const EXAMINE_BATCH: usize = 64;
+const EXAMINE_BATCH: usize = 16;
 
 /// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
 pub trait Detector: Sync {
@@ -149,6 +149,8 @@ pub fn scan(
     straddling.sort_by_key(|straddler| straddler.region.first);
     for batch in straddling.chunks(EXAMINE_BATCH) {
         examined.extend(examine_windows(source, detector, batch)?);
+        // Or the blocks around far windows would fill the cache, in a long scan more than in a short one.
+        source.release(source.info().bounds());
     }
     examined.sort_by_key(|(first, _)| *first);
     let regions_examined = collected.clutter + examined.len() as u64;
