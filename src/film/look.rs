@@ -23,8 +23,9 @@ const NEAR_MM: f64 = 0.1;
 /// Peaks looked at around a prediction.
 const NEAR_PEAKS: usize = 4;
 const LINE_PEAKS: usize = 12;
-/// Least squares of a whole mark reach so many times as far as the mark.
+/// Least squares of a whole mark reach so many times as far as the mark: to the corners of its box, or round marks.
 const REFINED: f64 = 1.5;
+const REFINED_ROUND: f64 = 1.02;
 /// How far a reference point may lie from where the shape puts it when the frame's other marks tell how the shape was drawn,
 /// millimetres and pixels, added. In made frames shapes keep to half a pixel.
 const POINT_MM: f64 = 0.015;
@@ -171,15 +172,16 @@ impl Finder {
         }
         let picture = Picture::new(model, linear);
         let reach_px = near_mm.unwrap_or(REACH_MM) * unit + 4.0;
-        let body = if model.sectors_deg().is_some() {
-            self.lines(source, predicted, &picture, reach_px)?
+        let of_lines = model.sectors_deg().and_then(|_| Refiner::new(model, linear, refined_mm(model)));
+        let body = if let Some(refiner) = &of_lines {
+            self.lines(source, predicted, &picture, reach_px, refiner)?
         } else if near_mm.is_some() {
             near(source, predicted, &picture, reach_px, Levels::of(&picture).fine, 1)?.first().copied()
         } else {
             self.body(source, predicted, &picture)?
         };
         let Some(body) = body else { return self.point_only(source, model, linear, predicted, unit) };
-        Ok(Some(self.place(source, model, linear, &body, unit)?))
+        Ok(Some(self.place(source, model, linear, &body, unit, of_lines)?))
     }
 
     /// The best place for a mark whose prediction is good to a fraction of a millimetre.
@@ -203,15 +205,14 @@ impl Finder {
         predicted: PixelPoint,
         picture: &Picture,
         reach_px: f64,
+        refiner: &Refiner,
     ) -> Result<Option<Peak>> {
         let peaks = near(source, predicted, picture, reach_px, Levels::of(picture).rank, LINE_PEAKS)?;
-        let radius_mm = REFINED * picture.model.radius_mm();
-        let half_px = radius_mm * picture.px_per_mm() + reach_px + 12.0;
+        let half_px = refined_mm(picture.model) * picture.px_per_mm() + reach_px + 12.0;
         let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
         let grey = read_grey(source, window, 1)?;
         let starts: Vec<PixelPoint> = peaks.iter().map(|p| p.centre).collect();
-        let refiner = Refiner::new(picture.model, picture.linear, radius_mm);
-        let best = refiner.and_then(|r| r.best_of(&grey, &starts));
+        let best = refiner.best_of(&grey, &starts);
         Ok(best.map(|(k, r)| Peak { centre: r.centre, score: peaks[k].score }).or(peaks.first().copied()))
     }
 
@@ -250,9 +251,10 @@ impl Finder {
         linear: [f64; 4],
         body: &Peak,
         unit: f64,
+        of_lines: Option<Refiner>,
     ) -> Result<Measured> {
         let point_mm = model.point_radius_mm();
-        let radius_mm = point_mm.unwrap_or(REFINED * model.radius_mm());
+        let radius_mm = point_mm.unwrap_or(refined_mm(model));
         let half_px = 1.6 * radius_mm * unit + 12.0;
         let mut measured =
             Measured { centre: body.centre, covariance_px2: None, score: body.score, body: None, reason: None };
@@ -275,7 +277,8 @@ impl Finder {
             }
         }
         if reasons.is_empty() {
-            match Refiner::new(model, linear, radius_mm).and_then(|r| r.refine(&grey, start)) {
+            let refiner = of_lines.or_else(|| Refiner::new(model, linear, radius_mm));
+            match refiner.and_then(|r| r.refine(&grey, start)) {
                 Some(r) if r.contrast > 0.0 => {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);
@@ -298,6 +301,11 @@ impl Finder {
         measured.reason = (!reasons.is_empty()).then(|| reasons.join("; "));
         Ok(measured)
     }
+}
+
+/// How far the least squares of a whole mark reach.
+fn refined_mm(model: &Model) -> f64 {
+    model.radius_mm() * if model.sectors_deg().is_some() { REFINED_ROUND } else { REFINED }
 }
 
 /// Those that agree within `tolerance_px`; where fewer than three do, within three times as much.
