@@ -149,8 +149,11 @@ pub fn scan(
     straddling.sort_by_key(|straddler| straddler.region.first);
     for batch in straddling.chunks(EXAMINE_BATCH) {
         examined.extend(examine_windows(source, detector, batch)?);
-        // Or the blocks around far windows would fill the cache, in a long scan more than in a short one.
-        source.release(source.info().bounds());
+        // Or the blocks around far windows would fill the cache, in a long scan more than in a short one. A source that reads
+        // from the top down needs its cache to step back.
+        if !source.info().sequential {
+            source.release(source.info().bounds());
+        }
     }
     examined.sort_by_key(|(first, _)| *first);
     let regions_examined = collected.clutter + examined.len() as u64;
