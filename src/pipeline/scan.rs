@@ -3,7 +3,7 @@
 //! Workers take tiles from a bounded channel, each does one tile at a time from reading to labelling, and the calling
 //! thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
 //! there; those that straddle tiles are examined as soon as the last of these tiles is read, from pixels along the faces
-//! that were kept for them ([`super::seams`]), or else through small windows read again. Either way the examination sees the
+//! that were kept for them (`pipeline::seams`), or else through small windows read again. Either way the examination sees the
 //! same pixels, so that no candidate depends on the tiling.
 
 use std::collections::BTreeMap;
