@@ -31,6 +31,7 @@ pub mod doctor;
 pub mod evidence;
 mod explain;
 pub mod field;
+mod grow;
 mod rivals;
 pub mod robust;
 mod search;

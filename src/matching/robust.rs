@@ -11,6 +11,7 @@ use crate::candidate::Candidate;
 use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
+use crate::matching::grow::GROWN_FROM;
 use crate::matching::search::Search;
 use crate::matching::{Effort, MatchOutcome, Matcher, Pattern, Priors, Solved};
 
@@ -27,6 +28,9 @@ const GUIDED_FIRST: usize = 2000;
 /// ... then this many times as many, and so on to all (after O. Chum and J. Matas, "Matching with PROSAC", 2005): hypotheses grow
 /// with the square of the candidates.
 const GUIDED_STEP: usize = 4;
+/// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
+const EARLY_SHARE: u64 = 8;
+const GROWTH_SHARE: u64 = 3;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
 
@@ -135,7 +139,7 @@ impl RobustMatcher {
         let some = |indices: &[usize]| indices.iter().map(|&i| &candidates[i]).collect::<Vec<_>>();
         let all: Vec<usize> = (0..candidates.len()).collect();
         if candidates.len() <= GUIDED_ABOVE || candidates.iter().any(|c| c.score.is_none()) {
-            return self.search(&some(&all), gcps, priors, self.tries.log10());
+            return self.search(&some(&all), gcps, priors, self.tries.log10(), self.budget_hypotheses);
         }
         let mut ranked = all.clone();
         let score = |i: usize| candidates[i].score.unwrap_or(f64::NEG_INFINITY);
@@ -145,9 +149,11 @@ impl RobustMatcher {
             .collect();
         // Every search is a chance for an accident.
         let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
+        let early = self.budget_hypotheses / EARLY_SHARE;
+        let last = self.budget_hypotheses.saturating_sub(rungs.len() as u64 * early).max(early);
         for rung in rungs {
             let ranked = &ranked[..rung];
-            let mut found = self.search(&some(ranked), gcps, priors, log10_searches);
+            let mut found = self.search(&some(ranked), gcps, priors, log10_searches, early);
             if found.best.as_ref().is_some_and(|best| self.believes(best, found.runner_up.as_ref())) {
                 for pattern in found.best.iter_mut().chain(found.runner_up.iter_mut()) {
                     pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
@@ -155,10 +161,17 @@ impl RobustMatcher {
                 return found;
             }
         }
-        self.search(&some(&all), gcps, priors, log10_searches)
+        self.search(&some(&all), gcps, priors, log10_searches, last)
     }
 
-    fn search(&self, candidates: &[&Candidate], gcps: &[MapPoint], priors: &Priors, log10_searches: f64) -> Found {
+    fn search(
+        &self,
+        candidates: &[&Candidate],
+        gcps: &[MapPoint],
+        priors: &Priors,
+        log10_searches: f64,
+        budget: u64,
+    ) -> Found {
         let mut found = Found::default();
         if candidates.len() < 3 || gcps.len() < 3 {
             return found;
@@ -168,9 +181,18 @@ impl RobustMatcher {
         };
         found.effort.hypotheses_possible = possible;
         let limit = self.max_false_alarms.log10();
+        if candidates.len() >= GROWN_FROM {
+            let (patterns, tried) = search.grown(&pairs, budget / GROWTH_SHARE);
+            found.effort.hypotheses_tried += tried;
+            patterns.into_iter().for_each(|pattern| found.take(pattern, &search));
+        }
         let mut done = 0;
         for pair in &pairs {
-            let left = self.budget_hypotheses.saturating_sub(found.effort.hypotheses_tried);
+            // One decade below the limit chance has no say any more; repetition is asked about below.
+            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
+                break;
+            }
+            let left = budget.saturating_sub(found.effort.hypotheses_tried);
             let (hypotheses, tried) = search.try_pair(pair, left);
             done += 1;
             found.effort.hypotheses_tried += tried;
@@ -179,11 +201,7 @@ impl RobustMatcher {
                     found.take(pattern, &search);
                 }
             }
-            // One decade below the limit chance has no say any more; repetition is asked about below.
-            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
-                break;
-            }
-            if left < pair.hypotheses() || found.effort.hypotheses_tried >= self.budget_hypotheses {
+            if left < pair.hypotheses() || found.effort.hypotheses_tried >= budget {
                 found.effort.budget_spent = true;
                 break;
             }

@@ -178,10 +178,8 @@ impl<'a> Search<'a> {
         if targets.len() < fewest {
             return (Vec::new(), 0);
         }
-        let points = self.field.points().len();
-        let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
-        let per_point = |k: usize| self.try_point(pair, &targets, fewest, k * points / affordable);
-        let (mut all, tried) = (0..affordable).into_par_iter().map(per_point).reduce(
+        let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
+        let (mut all, tried) = self.evenly_chosen(pair, budget).map(per_point).reduce(
             || (Vec::new(), 0),
             |(mut one, n), (other, m)| {
                 one.extend(other);
@@ -191,6 +189,25 @@ impl<'a> Search<'a> {
         );
         keep_best(&mut all);
         (all, tried)
+    }
+
+    /// Points for the first end of a pair: all, or evenly chosen about as many as the budget of hypotheses allows.
+    pub fn evenly_chosen(&self, pair: &GcpPair, budget: u64) -> impl ParallelIterator<Item = usize> + use<> {
+        let points = self.field.points().len();
+        let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
+        (0..affordable).into_par_iter().map(move |k| k * points / affordable)
+    }
+
+    /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.
+    #[inline]
+    pub fn ends_of(&self, pair: &GcpPair, i: usize, mut visit: impl FnMut(usize, PixelPoint)) {
+        let from = self.field.points()[i];
+        let (left, right, up, down) = self.sector(pair);
+        self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
+            if i != j && self.turn_and_scale(pair, from, to).is_some() {
+                visit(j, to);
+            }
+        });
     }
 
     /// The same with no other points than these at the two ends of the pair.

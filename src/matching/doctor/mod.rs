@@ -23,6 +23,7 @@ use crate::candidate::Candidate;
 use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
 use crate::georef::crs::{Coordinate, Crs};
+use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
 
 /// Metres in an international foot, and in a US survey foot.
@@ -113,10 +114,12 @@ impl Doctor<'_> {
             return Vec::new();
         }
         let attempts = self.attempts();
+        // In a dense field hypotheses cost several times as much: there all attempts share what else is for each.
+        let sharing = if self.candidates.len() < GROWN_FROM { 1 } else { attempts.len().max(1) as u64 };
         let matcher = RobustMatcher {
             // Each attempt is one more chance for an accident, and must not take long.
             tries: self.matcher.tries * (1.0 + attempts.len() as f64),
-            budget_hypotheses: self.matcher.budget_hypotheses / 4,
+            budget_hypotheses: self.matcher.budget_hypotheses / 4 / sharing,
             ..self.matcher.clone()
         };
         for attempt in &attempts {
