@@ -361,6 +361,37 @@ fn blocks_that_the_file_does_not_hold_read_as_gdal_reads_them() {
 }
 
 #[test]
+fn compressed_blocks_without_content_are_decoded_once() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for (bands, sixteen, nodata) in
+        [(3, false, Some(0.0)), (3, false, Some(255.0)), (4, false, None), (4, true, None), (1, true, Some(7.0))]
+    {
+        for codec in ["COMPRESS=DEFLATE", "COMPRESS=ZSTD", "COMPRESS=LZW"] {
+            let options = ["TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", codec, "INTERLEAVE=PIXEL"];
+            // One column of blocks holds ground, one ends in the collar, three are nothing else.
+            let collar_from = Some(700);
+            let kind = Kind { width: 2560, height: 1024, nodata, collar_from, ..Kind::new(bands, sixteen, &options) };
+            let path = kind.write(folder.path(), "collar.tif");
+            let what = format!("{kind:?}");
+            let source = open(&path, ReaderChoice::Native, 0, CACHE).unwrap_or_else(|e| panic!("{what}: {e}"));
+            let whole = source.info().bounds();
+            let block = source.read(whole).expect("readable");
+            let stats = source.stats();
+            assert_eq!((stats.blocks_decoded, stats.blocks_skipped), (4 + 1, 6 - 1), "{what}");
+            assert_eq!(block.pieces.iter().filter(|piece| piece.empty).count(), 6, "{what}");
+            same(&block.to_patch(source.info()), &kind.truth(whole), &what);
+        }
+    }
+    // Where no value means "nothing" black is a colour, and is decoded.
+    let options = ["TILED=YES", "BLOCKXSIZE=512", "BLOCKYSIZE=512", "COMPRESS=DEFLATE", "INTERLEAVE=PIXEL"];
+    let kind = Kind { width: 2560, height: 1024, collar_from: Some(700), ..Kind::new(3, false, &options) };
+    let source = open(&kind.write(folder.path(), "black.tif"), ReaderChoice::Native, 0, CACHE).expect("readable");
+    let whole = source.info().bounds();
+    same(&read_patch(&*source, whole).expect("readable"), &kind.truth(whole), "black");
+    assert_eq!(source.stats().blocks_skipped, 0);
+}
+
+#[test]
 fn mapped_and_read_blocks_are_the_same() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for layout in LAYOUTS {

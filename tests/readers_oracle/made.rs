@@ -19,17 +19,19 @@ pub struct Kind {
     /// Leave every block but the first out of the file.
     pub sparse: bool,
     pub nodata: Option<f64>,
+    /// From this column on every pixel is nodata, or transparent, and in the file all the same.
+    pub collar_from: Option<usize>,
 }
 
 impl Kind {
     pub fn new(bands: usize, sixteen: bool, options: &[&str]) -> Self {
         let options = options.iter().map(|s| s.to_string()).collect();
-        Kind { width: 203, height: 157, bands, sixteen, options, sparse: false, nodata: None }
+        Kind { width: 203, height: 157, bands, sixteen, options, sparse: false, nodata: None, collar_from: None }
     }
 
     /// Smooth with noise, so that predictors, runs and dictionaries all have work; alpha has holes.
     pub fn sample(&self, x: usize, y: usize, band: usize) -> u16 {
-        if self.sparse && (x >= 64 || y >= 48) {
+        if self.sparse && (x >= 64 || y >= 48) || self.collar_from.is_some_and(|column| x >= column) {
             return self.nodata.map_or(0, |value| value as u16);
         }
         if band + 1 == self.bands && self.bands.is_multiple_of(2) {

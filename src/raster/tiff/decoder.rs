@@ -1,13 +1,13 @@
 //! From chunks of the grid to blocks of the file.
 
 use std::cell::RefCell;
-use std::collections::VecDeque;
-use std::io::Read;
 use std::os::unix::fs::FileExt;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use super::container::{ByteOrder, Directories};
+use super::hollow::{Hollow, holds_nothing};
 use super::layout::{Codec, Layout};
+use super::rows::Stream;
 use super::{codec, mapping, predictor, stream};
 use crate::error::{Error, Result};
 use crate::raster::cache::Chunk;
@@ -57,37 +57,23 @@ thread_local! {
 
 /// The part of the native reader that knows TIFF.
 pub struct TiffDecoder {
-    file: std::sync::Arc<std::fs::File>,
+    pub(super) file: std::sync::Arc<std::fs::File>,
     order: ByteOrder,
-    layout: Layout,
-    info: RasterInfo,
-    grid: TileGrid,
+    pub(super) layout: Layout,
+    pub(super) info: RasterInfo,
+    pub(super) grid: TileGrid,
     /// Bands of the file in the order in which they are handed out; of interleaved files all.
     planes: Vec<usize>,
-    pool: BufferPool,
-    fill: u16,
+    pub(super) pool: BufferPool,
+    pub(super) fill: u16,
     kernel: predictor::Kernel,
     mapped: bool,
+    hollow: Hollow,
     /// Only for strips too large to be decoded whole.
     stream: Option<Mutex<Stream>>,
     /// The file is so large that its pages must not push everything else out of memory.
     drop_behind: bool,
 }
-
-/// Where the row-by-row decoder stands.
-#[derive(Default)]
-struct Stream {
-    /// The chunk that comes next.
-    next: u64,
-    /// Row of the image that comes next.
-    row: u64,
-    strip: Option<Box<dyn Read + Send>>,
-    /// Chunks decoded on the way to one that was asked for earlier than they were.
-    recent: VecDeque<(u64, Chunk)>,
-}
-
-/// Chunks that a stream keeps for threads that come late.
-const RECENT_CHUNKS: usize = 8;
 
 impl TiffDecoder {
     fn new(all: &Directories, index: usize, cache_bytes: u64, georeference: bool) -> Result<Self> {
@@ -152,6 +138,7 @@ impl TiffDecoder {
             fill: info.fill_value(),
             kernel: predictor::Kernel::best(),
             mapped: false,
+            hollow: Hollow::default(),
             stream: streams.then(Mutex::default),
             drop_behind: all.len > mapping::memory_bytes() / 2,
             layout,
@@ -159,11 +146,11 @@ impl TiffDecoder {
         })
     }
 
-    fn samples(&self) -> usize {
+    pub(super) fn samples(&self) -> usize {
         self.planes.len()
     }
 
-    fn broken(&self, block: u64, what: String) -> Error {
+    pub(super) fn broken(&self, block: u64, what: String) -> Error {
         Error::format(&self.info.path, self.layout.block_name(block), what)
     }
 
@@ -207,7 +194,7 @@ impl TiffDecoder {
         codec::decompress(&self.layout, data, rows, out).map_err(|what| self.broken(block, what))
     }
 
-    fn undo_predictor_u8(&self, bytes: &mut [u8]) {
+    pub(super) fn undo_predictor_u8(&self, bytes: &mut [u8]) {
         if self.layout.predictor {
             let row_bytes = self.layout.block_row_bytes() as usize;
             predictor::undo_u8(self.kernel, bytes, row_bytes, self.layout.block_samples());
@@ -312,7 +299,31 @@ impl TiffDecoder {
         }))
     }
 
-    fn chunk_u8(&self, out: Vec<u8>, any: bool, row_stride: usize) -> Chunk {
+    /// A chunk of one compressed block: not decoded where the file's bytes are those of a block that was found to hold
+    /// nothing.
+    fn unless_hollow(&self, block: u64, counters: &Counters, decode: impl Fn() -> Result<Chunk>) -> Result<Chunk> {
+        let (offset, length) = self.layout.extent(block);
+        let decoded = self.layout.block_row_bytes() * self.layout.block_height;
+        if self.layout.codec == Codec::None || !Hollow::worth_a_look(&self.info, length, decoded) {
+            return decode();
+        }
+        let mut data = vec![0; length as usize];
+        self.pread(&mut data, offset)?;
+        let known = self.hollow.knows(&data);
+        if known {
+            counters.add(0, 1, length);
+        }
+        let chunk = match known {
+            true => None,
+            false => Some(decode()?).filter(|chunk| !holds_nothing(chunk, &self.info)),
+        };
+        Ok(chunk.unwrap_or_else(|| {
+            self.hollow.remember(&data);
+            Chunk { data: None, offset: 0, row_stride: 0, pixel_stride: self.samples(), bytes: 0 }
+        }))
+    }
+
+    pub(super) fn chunk_u8(&self, out: Vec<u8>, any: bool, row_stride: usize) -> Chunk {
         let bytes = out.len() as u64;
         let data = PieceData::U8(self.pool.share(out));
         self.finish(data, any, row_stride, bytes)
@@ -320,7 +331,7 @@ impl TiffDecoder {
 
     /// A chunk without a block in the file is handed out as empty only where its pixels count as holding nothing; zeros
     /// that are valid pixels are given as such.
-    fn finish(&self, data: PieceData, any: bool, row_stride: usize, bytes: u64) -> Chunk {
+    pub(super) fn finish(&self, data: PieceData, any: bool, row_stride: usize, bytes: u64) -> Chunk {
         let transparent = self.info.alpha.is_some() && self.fill == 0;
         let hollow = !any && (self.info.nodata_sample() == Some(self.fill) || transparent);
         let (data, bytes) = if hollow { (None, 0) } else { (Some(data), bytes) };
@@ -353,7 +364,7 @@ impl TiffDecoder {
         self.undo_predictor_u8(row);
     }
 
-    fn row_u16(&self, raw: &[u8], row: &mut [u16]) {
+    pub(super) fn row_u16(&self, raw: &[u8], row: &mut [u16]) {
         predictor::words(raw, row, self.order == ByteOrder::Big);
         if self.layout.predictor {
             predictor::undo_u16(self.kernel, row, self.layout.block_samples());
@@ -403,89 +414,6 @@ impl TiffDecoder {
         Ok(any)
     }
 
-    /// A chunk of a strip that is decoded row by row. One thread at a time; chunks passed on the way are kept for those
-    /// who come late, and going back further starts again from the top.
-    fn streamed(&self, id: u64, stream: &Mutex<Stream>, counters: &Counters) -> Result<Chunk> {
-        let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = stream.recent.iter().position(|(key, _)| *key == id) {
-            return Ok(stream.recent.remove(at).expect("it was just found").1);
-        }
-        if id < stream.next {
-            *stream = Stream::default();
-        }
-        loop {
-            let chunk = match self.next_chunk(&mut stream, counters) {
-                Ok(chunk) => chunk,
-                Err(error) => {
-                    // The position is unknown now.
-                    *stream = Stream::default();
-                    return Err(error);
-                }
-            };
-            let key = stream.next;
-            stream.next += 1;
-            if key == id {
-                return Ok(chunk);
-            }
-            if stream.recent.len() == RECENT_CHUNKS {
-                stream.recent.pop_front();
-            }
-            stream.recent.push_back((key, chunk));
-        }
-    }
-
-    fn next_chunk(&self, stream: &mut Stream, counters: &Counters) -> Result<Chunk> {
-        let chunk = self.grid.tile(stream.next).core;
-        let row_bytes = self.layout.block_row_bytes() as usize;
-        let row_stride = chunk.width as usize * self.samples();
-        let mut raw = self.pool.take(row_bytes * chunk.height as usize);
-        let (mut done, mut any) = (0, false);
-        while done < chunk.height {
-            let strip = stream.row / self.layout.block_height;
-            let left = (strip + 1) * self.layout.block_height - stream.row;
-            let rows = left.min(chunk.height - done);
-            let to = &mut raw[done as usize * row_bytes..][..rows as usize * row_bytes];
-            let (position, length) = self.layout.extent(strip);
-            if stream.row.is_multiple_of(self.layout.block_height) {
-                counters.add(u64::from(length > 0), u64::from(length == 0), length);
-                stream.strip = match length {
-                    0 => None,
-                    _ => Some(
-                        stream::open(self.layout.codec, &self.file, position, length)
-                            .map_err(|e| self.broken(strip, e.to_string()))?,
-                    ),
-                };
-            }
-            match &mut stream.strip {
-                None => to.fill(0),
-                Some(reader) => {
-                    let row = stream.row;
-                    reader.read_exact(to).map_err(|e| self.broken(strip, format!("near row {row}: {e}")))?;
-                    any = true;
-                }
-            }
-            stream.row += rows;
-            done += rows;
-        }
-        let bytes = raw.len() as u64;
-        if self.layout.sample == SampleType::U8 {
-            if any {
-                self.undo_predictor_u8(&mut raw);
-            } else {
-                raw.fill(self.fill as u8);
-            }
-            return Ok(self.chunk_u8(raw, any, row_stride));
-        }
-        let mut out = vec![self.fill; raw.len() / 2];
-        if any {
-            for (from, to) in raw.chunks_exact(row_bytes).zip(out.chunks_exact_mut(row_stride)) {
-                self.row_u16(from, to);
-            }
-        }
-        self.pool.put(raw);
-        Ok(self.finish(PieceData::U16(out.into()), any, row_stride, bytes))
-    }
-
     /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as possible.
     fn runs(&self, window: Window, whole_chunks: bool, mut tell: impl FnMut((u64, u64))) {
         let planes: Vec<usize> = if self.layout.planar { self.planes.clone() } else { vec![0] };
@@ -527,11 +455,14 @@ impl ChunkDecoder for TiffDecoder {
         let block = (self.layout.block_width, self.layout.block_height);
         // A grid of one chunk clips its tile; what counts is whether one block fills the chunk.
         let single = self.blocks_of(chunk).take(2).count() == 1;
+        let number = chunk.y / block.1 * self.layout.blocks_across() + chunk.x / block.0;
         match (simple, self.layout.tiled) {
             (true, false) => self.view(chunk, counters).unwrap_or_else(|| self.strips_u8(chunk, counters)),
-            (true, true) if single => {
-                let block = chunk.y / block.1 * self.layout.blocks_across() + chunk.x / block.0;
-                self.view(chunk, counters).unwrap_or_else(|| self.tile_u8(block, counters))
+            (true, true) if single => self
+                .view(chunk, counters)
+                .unwrap_or_else(|| self.unless_hollow(number, counters, || self.tile_u8(number, counters))),
+            (false, true) if single && !self.layout.planar => {
+                self.unless_hollow(number, counters, || self.assembled(chunk, counters))
             }
             _ => self.assembled(chunk, counters),
         }

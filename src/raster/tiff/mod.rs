@@ -3,10 +3,12 @@
 mod codec;
 pub mod container;
 mod decoder;
+mod hollow;
 mod layout;
 mod lzw;
 mod mapping;
 mod predictor;
+mod rows;
 mod stream;
 
 pub use container::{Directories, is_tiff};
