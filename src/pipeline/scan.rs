@@ -345,12 +345,18 @@ impl<'a> Collector<'a> {
             // No other tile reads its pixels, though it may be far ahead of the first that has not come.
             self.source.release(grid.tile(id).core);
         }
-        let reach = self.detector.patch_margin_px() + self.detector.largest_mark_px() + 2 * self.plan.halo_px;
+        let (margin, largest) = (self.detector.patch_margin_px(), self.detector.largest_mark_px());
+        let reach = margin + largest + 2 * self.plan.halo_px;
+        // So many tiles to the right of one must have come before a region above its lowest rows is complete.
+        let beside = 1 + reach / grid.tile_width().max(1);
         // A region at the lower face of a tile may go on over as many rows of tiles.
         let below = grid.columns() * reach.div_ceil(grid.tile_height()).max(1);
         while self.next < grid.len() && self.done[self.next as usize] {
             if self.plan.halo_px > 0 {
                 self.source.release(grid.tile(self.next).core);
+            }
+            if let Some(surrounded) = self.next.checked_sub(beside) {
+                self.seams.keep_lowest(surrounded, largest + 2 * margin);
             }
             // The tile beside the one below it shares its lower right corner.
             if let Some(far) = self.next.checked_sub(below + 1) {

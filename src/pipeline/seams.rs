@@ -45,10 +45,9 @@ impl Seam {
         }
         let mut seam = Seam::default();
         for window in joined(wanted.into_iter().map(|window| window.intersect(&core))) {
-            let part = Block { window, pieces: block.pieces.iter().filter_map(|p| copied(p, window)).collect() };
-            seam.bytes += part.pieces.iter().map(bytes_of).sum::<u64>();
-            seam.parts.push(part);
+            seam.parts.push(part_of(block, window));
         }
+        seam.bytes = bytes_in(&seam.parts);
         seam
     }
 
@@ -84,6 +83,11 @@ fn faces(core: Window, bounds: Window, margin: u64) -> [Window; 4] {
     ]
 }
 
+/// The part of a block inside a window, in memory of its own.
+fn part_of(block: &Block, window: Window) -> Block {
+    Block { window, pieces: block.pieces.iter().filter_map(|piece| copied(piece, window)).collect() }
+}
+
 /// The part of a piece inside a window, in memory of its own.
 fn copied(piece: &Piece, window: Window) -> Option<Piece> {
     let part = piece.window.intersect(&window);
@@ -115,12 +119,13 @@ fn copied(piece: &Piece, window: Window) -> Option<Piece> {
     Some(Piece { window: part, data, offset: 0, row_stride, pixel_stride: piece.pixel_stride, empty: false })
 }
 
-fn bytes_of(piece: &Piece) -> u64 {
-    match &piece.data {
+fn bytes_in(parts: &[Block]) -> u64 {
+    let of_piece = |piece: &Piece| match &piece.data {
         PieceData::U8(buffer) => buffer.bytes.len() as u64,
         PieceData::U16(buffer) => 2 * buffer.len() as u64,
         PieceData::Mapped(..) => 0,
-    }
+    };
+    parts.iter().flat_map(|part| &part.pieces).map(of_piece).sum()
 }
 
 /// The part of a piece inside a window, in the same memory.
@@ -151,6 +156,19 @@ impl Seams {
             self.bytes += seam.bytes;
             self.kept.insert(tile, seam);
         }
+    }
+
+    /// Keeps of a tile no more than its lowest rows: what a region can ask for when all tiles above and beside it have come.
+    pub fn keep_lowest(&mut self, tile: u64, rows: u64) {
+        let core = self.grid.tile(tile).core;
+        let lowest =
+            Window { y: core.bottom().saturating_sub(rows).max(core.y), height: rows.min(core.height), ..core };
+        let Some(seam) = self.kept.get_mut(&tile).filter(|_| rows < core.height) else { return };
+        let within = seam.parts.iter().map(|part| part_of(part, part.window.intersect(&lowest)));
+        let parts: Vec<Block> = within.filter(|part| !part.window.is_empty()).collect();
+        let bytes = bytes_in(&parts);
+        self.bytes = self.bytes - seam.bytes + bytes;
+        *seam = Seam { parts, bytes };
     }
 
     pub fn drop_tile(&mut self, tile: u64) {
@@ -195,16 +213,22 @@ mod tests {
             let block = source.read(tile.read).expect("in memory");
             let parts: Vec<Block> = joined(faces(tile.core, source.info().bounds(), 4).into_iter())
                 .into_iter()
-                .map(|window| Block { window, pieces: block.pieces.iter().filter_map(|p| copied(p, window)).collect() })
+                .map(|window| part_of(&block, window))
                 .collect();
-            seams.keep(tile.id, Seam { bytes: parts.iter().flat_map(|p| &p.pieces).map(bytes_of).sum(), parts });
+            seams.keep(tile.id, Seam { bytes: bytes_in(&parts), parts });
         }
         let window = Window::new(17, 17, 6, 5);
         let (kept, read) =
             (seams.block(window).expect("at a corner of four tiles"), source.read(window).expect("there"));
         let (kept, read) = (kept.to_patch(source.info()), read.to_patch(source.info()));
-        assert_eq!((kept.rgb, kept.valid), (read.rgb, read.valid));
+        assert_eq!((&kept.rgb, &kept.valid), (&read.rgb, &read.valid));
         assert!(seams.block(Window::new(15, 15, 8, 8)).is_none(), "goes deeper than what was kept");
+        let before = seams.bytes;
+        (0..3).for_each(|tile| seams.keep_lowest(tile, 6));
+        assert!(seams.bytes < before);
+        let again = seams.block(window).expect("in the lowest rows").to_patch(source.info());
+        assert_eq!(again.rgb, kept.rgb);
+        assert!(seams.block(Window::new(18, 2, 4, 4)).is_none(), "above the lowest rows");
         seams.drop_tile(0);
         assert!(seams.block(window).is_none());
     }
