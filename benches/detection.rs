@@ -8,7 +8,8 @@
 //! `AUTOREF_BENCH_PYTHON=python3` (with scikit-image) adds the pipeline of `benches/scikit_pipeline.py` on the same pictures;
 //! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;
 //! `AUTOREF_BENCH_MISSES=folder` writes a window around every mark missed, as PNG, and what the detector saw there;
-//! `AUTOREF_BENCH_ONLY=covered` measures the conditions whose label holds that word only. The photographs are looked for in `../shared/data`.
+//! `AUTOREF_BENCH_ONLY=covered,JPEG` measures only the conditions and covers whose name holds one of these words. The photographs are
+//! looked for in `../shared/data`.
 
 #[path = "detection/scan.rs"]
 mod scan;
@@ -192,9 +193,13 @@ fn write_rows(
         let (Some(seen), Some(v)) = (seen, candidate.covariance_px2) else { continue };
         let Some(fit) = seen.fit else { continue };
         let raw = fit.scatter_px2;
+        let refined = seen.refined.map_or([0.0; 4], |r| {
+            let [xx, xy, yy] = r.covariance_px2;
+            [f64::from(r.quality), xx, xy, yy]
+        });
         writeln!(
             file,
-            "{label}\t{cover}\t{:?}\t{:.4}\t{:.4}\t{:.6}\t{:.6}\t{:.6}\t{:.6}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{:.4}\t{:.3}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{}\t{:.6}\t{:.6}",
+            "{label}\t{cover}\t{:?}\t{:.4}\t{:.4}\t{:.6}\t{:.6}\t{:.6}\t{:.6}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{:.4}\t{:.3}\t{:.3}\t{:.3}\t{:.4}\t{:.3}\t{}\t{:.6}\t{:.6}\t{:?}",
             fit.form,
             at.x - t.0,
             at.y - t.1,
@@ -214,7 +219,8 @@ fn write_rows(
             fit.height,
             u8::from(seen.local),
             v[1],
-            raw[1]
+            raw[1],
+            refined
         )
         .expect("room for a line");
     }
@@ -282,7 +288,8 @@ fn main() {
     let mut rows = std::env::var_os("AUTOREF_BENCH_ROWS").map(|p| std::fs::File::create(p).expect("a file of rows"));
     let misses = std::env::var_os("AUTOREF_BENCH_MISSES").map(PathBuf::from);
     let only = std::env::var("AUTOREF_BENCH_ONLY").unwrap_or_default();
-    for (number, cell) in cells().iter().enumerate().filter(|(_, c)| c.label.contains(&only)) {
+    let wanted = |name: &str| only.split(',').any(|word| name.contains(word));
+    for (number, cell) in cells().iter().enumerate().filter(|(_, c)| wanted(&c.label)) {
         let (mut mine, mut theirs, mut python) = (Tally::default(), Tally::default(), Tally::default());
         // Larger marks need more ground for the same number.
         for round in 0..6u64 {
@@ -332,7 +339,7 @@ fn main() {
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     let more = load(&MORE);
-    for (number, (name, picture)) in covers.iter().chain(&more).enumerate() {
+    for (number, (name, picture)) in covers.iter().chain(&more).enumerate().filter(|(_, c)| wanted(c.0)) {
         let size = (picture.width * picture.height) as f64 / 1e6;
         let mine = base_case(&ours, picture, number as u64, least / 4);
         let (a, b) = (ours.list(picture).len() as f64 / size, prototype.list(picture).len() as f64 / size);

@@ -9,6 +9,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Candidate;
+use super::blocks::{Refined, refine};
 use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
 use super::kernels::{Sample, Samples};
@@ -33,9 +34,26 @@ const FIT_DEPTH_PX: u8 = 6;
 /// A first fit may leave this much more over than the last may.
 const SLACK: f64 = 1.5;
 
+/// How far the looks at the ground reach beyond a region's bounds.
+const LOOK_PX: u64 = RING_TO_PX as u64 + 1;
+/// Half a block of a JPEG's chroma further: the blocks that the border of a mark lies in are then whole, or nearly.
+const BLOCK_PX: u64 = 8;
+
 /// How far a patch must reach beyond a region's bounds.
 pub fn patch_margin_px(_profile: &Profile) -> u64 {
-    u64::from(RING_TO_PX) + 1
+    LOOK_PX + BLOCK_PX
+}
+
+/// The part of a patch that the looks at the ground see.
+pub(super) fn near(patch: &Patch, region: &Region) -> Patch {
+    patch.crop(&region.bounds.grown(LOOK_PX, &patch.window))
+}
+
+/// What the centre of a likely mark is refined from; without it, shape and score are all that is asked for.
+#[derive(Clone, Copy)]
+pub(super) struct Around<'a> {
+    pub patch: &'a Patch,
+    pub classifier: &'a Classifier,
 }
 
 /// What the second look measured; [`score`] turns it into one number.
@@ -46,6 +64,8 @@ pub struct Evidence {
     /// Relative squared colour distance of the mark's plateau from the profile: 1 is the profile's limit.
     pub colour: f64,
     pub fit: Option<Fit>,
+    /// The fit to the coefficients of a JPEG, where the patch shows one.
+    pub refined: Option<Refined>,
     /// Share of the ring that looks like the paint (projected share of paint above one half).
     pub ring_paint: f64,
     /// Stands out so little that no fit, however good, could raise its score to the profile's limit: not fitted.
@@ -66,13 +86,15 @@ pub fn examine(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    let scene = Scene::new(region, patch, classifier, profile.filters == Filters::default())?;
+    let around = Some(Around { patch, classifier });
+    let patch = near(patch, region);
+    let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
     if !super::options::passes(&scene, profile) {
         return None;
     }
-    let mut evidence = measure_scene(&scene, region, classifier, profile);
+    let mut evidence = measure_scene(&scene, around, region, classifier, profile);
     if worth_another_look(&evidence, profile, gates) {
-        evidence = look_again(&scene, region, classifier, profile)?;
+        evidence = look_again(&scene, around, region, classifier, profile)?;
     }
     candidate(evidence, &scene, region, classifier, profile, gates)
 }
@@ -80,6 +102,7 @@ pub fn examine(
 /// The same for a part of a region, whose neighbours are other marks: it is neither grown nor looked at again.
 pub(super) fn examine_part(
     scene: &Scene<'_>,
+    patch: &Patch,
     region: &Region,
     classifier: &Classifier,
     profile: &Profile,
@@ -88,7 +111,8 @@ pub(super) fn examine_part(
     if !super::options::passes(scene, profile) {
         return None;
     }
-    candidate(measure_scene(scene, region, classifier, profile), scene, region, classifier, profile, gates)
+    let evidence = measure_scene(scene, Some(Around { patch, classifier }), region, classifier, profile);
+    candidate(evidence, scene, region, classifier, profile, gates)
 }
 
 fn candidate(
@@ -128,10 +152,12 @@ pub fn measure(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Evidence> {
-    let scene = Scene::new(region, patch, classifier, profile.filters == Filters::default())?;
-    let evidence = measure_scene(&scene, region, classifier, profile);
+    let around = Some(Around { patch, classifier });
+    let patch = near(patch, region);
+    let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
+    let evidence = measure_scene(&scene, around, region, classifier, profile);
     if worth_another_look(&evidence, profile, gates) {
-        return look_again(&scene, region, classifier, profile);
+        return look_again(&scene, around, region, classifier, profile);
     }
     Some(evidence)
 }
@@ -149,7 +175,13 @@ fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> 
 
 /// The third look ([`super::local`]): against the ground right beside each pixel, the region grown over its whole mark.
 /// `None` when the mark is another region's.
-fn look_again(scene: &Scene<'_>, region: &Region, classifier: &Classifier, profile: &Profile) -> Option<Evidence> {
+fn look_again(
+    scene: &Scene<'_>,
+    around: Option<Around<'_>>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+) -> Option<Evidence> {
     let ring = (RING_FROM_PX, RING_TO_PX);
     let first = plateau(scene);
     let seen = local_shares(scene, first, ring);
@@ -174,13 +206,15 @@ fn look_again(scene: &Scene<'_>, region: &Region, classifier: &Classifier, profi
     evidence.hopeless = true;
     if let Some(Local { shares, contrast }) = seen {
         evidence.contrast = contrast;
-        fit_shape(&mut evidence, scene, &shares, profile);
+        fit_shape(&mut evidence, scene, around, &shares, profile);
     }
     Some(evidence)
 }
 
+/// Without `around` the centre is that of the plain fit: for scores.
 pub(super) fn measure_scene(
     scene: &Scene<'_>,
+    around: Option<Around<'_>>,
     region: &Region,
     classifier: &Classifier,
     profile: &Profile,
@@ -202,7 +236,7 @@ pub(super) fn measure_scene(
     if profile.examine.centre != CentreMode::Fit {
         return evidence;
     }
-    fit_shape(&mut evidence, scene, &shares, profile);
+    fit_shape(&mut evidence, scene, around, &shares, profile);
     evidence
 }
 
@@ -225,6 +259,7 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
         contrast: 0.0,
         colour: classifier.reference().nearest2(byte) / limit2,
         fit: None,
+        refined: None,
         ring_paint: 0.0,
         hopeless: false,
         local: false,
@@ -235,7 +270,13 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
 }
 
 /// Fits the shape when that can lead to a score that is high enough.
-fn fit_shape(evidence: &mut Evidence, scene: &Scene<'_>, shares: &[f64], profile: &Profile) {
+fn fit_shape(
+    evidence: &mut Evidence,
+    scene: &Scene<'_>,
+    around: Option<Around<'_>>,
+    shares: &[f64],
+    profile: &Profile,
+) {
     let populations = Populations::of(evidence.local);
     let (contrast, min_score) = (evidence.contrast, profile.examine.min_score);
     evidence.hopeless = populations.best_possible_score(contrast) < min_score;
@@ -246,10 +287,16 @@ fn fit_shape(evidence: &mut Evidence, scene: &Scene<'_>, shares: &[f64], profile
     if let Some(best) = best_fit(scene, shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
         let window = &scene.patch.window;
         let mut place = Place::of(&best);
-        if best.rms <= rms_limit / SLACK
-            && let Some(other) = fit_in_linear_light(scene, evidence.local, profile.shape)
-        {
-            place = place.averaged_with(&best, &other);
+        if let Some(around) = around.filter(|_| best.rms <= rms_limit / SLACK) {
+            let mut spread = [0.0; 3];
+            if let Some(other) = fit_in_linear_light(scene, evidence.local, profile.shape) {
+                (place, spread) = place.averaged_with(&best, &other);
+            }
+            evidence.refined = ring_ground(scene)
+                .and_then(|ground| refine(scene, around.patch, around.classifier, &best, (plateau(scene), &ground)));
+            if let Some(refined) = &evidence.refined {
+                place = place.refined(&best, spread, refined);
+            }
         }
         evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
         evidence.covariance_px2 = place.covariance_px2;

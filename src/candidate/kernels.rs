@@ -138,7 +138,7 @@ fn bar(u: f64, a: f64, inverse_sigma: f64) -> [f64; 4] {
 
 /// Value of the shape and its gradient by centre, logarithms of the sides, angle and logarithm of the blur.
 #[inline(always)]
-fn shape(model: &Model, x: f64, y: f64) -> (f64, [f64; 6]) {
+pub(super) fn shape(model: &Model, x: f64, y: f64) -> (f64, [f64; 6]) {
     let (dx, dy) = (x - model.x, y - model.y);
     let (sin, cos) = (model.sin, model.cos);
     let inverse_sigma = 1.0 / model.sigma;

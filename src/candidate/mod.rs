@@ -11,6 +11,7 @@
 //! # Ok::<(), autoref_stream::Error>(())
 //! ```
 
+mod blocks;
 pub mod examine;
 pub mod fit;
 pub mod gates;
@@ -19,6 +20,7 @@ mod local;
 pub mod options;
 pub mod patch;
 pub mod split;
+mod steps;
 mod uncertainty;
 
 use serde::{Deserialize, Serialize};

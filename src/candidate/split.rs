@@ -4,7 +4,7 @@
 //! goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine, examine_part, measure_scene, score};
+use super::examine::{examine, examine_part, measure_scene, near, score};
 use super::gates::Gates;
 use super::patch::Scene;
 use crate::profile::Profile;
@@ -26,7 +26,8 @@ pub fn examine_parts(
     gates: &Gates,
 ) -> Vec<Candidate> {
     let whole = if gates.single(region) { examine(region, patch, classifier, profile, gates) } else { None };
-    let Some(scene) = Scene::new(region, patch, classifier, true) else { return whole.into_iter().collect() };
+    let inner = near(patch, region);
+    let Some(scene) = Scene::new(region, &inner, classifier, true) else { return whole.into_iter().collect() };
     let middles = middles(&scene, classifier, profile, gates.mark_side_px().0);
     if middles.len() < 2 || middles.len() > MOST_PARTS {
         return whole.into_iter().collect();
@@ -36,9 +37,9 @@ pub fn examine_parts(
     let parts: Vec<Candidate> = (0..middles.len())
         .filter_map(|k| {
             let own: Vec<bool> = owner.iter().map(|&o| o == Some(k)).collect();
-            let part = region_of(&own, patch)?;
+            let part = region_of(&own, &inner)?;
             let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
-            examine_part(&Scene::of_pixels(patch, own, paint), &part, classifier, profile, gates)
+            examine_part(&Scene::of_pixels(&inner, own, paint), patch, &part, classifier, profile, gates)
         })
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);
@@ -175,5 +176,5 @@ pub(crate) fn score_of(
     let mut profile = profile.clone();
     profile.examine.min_score = f64::NEG_INFINITY;
     let scene = Scene::of_pixels(patch, own.clone(), own);
-    Some(score(&measure_scene(&scene, &region, classifier, &profile), &profile, gates))
+    Some(score(&measure_scene(&scene, None, &region, classifier, &profile), &profile, gates))
 }

@@ -8,6 +8,7 @@
 //! uncovered conditions of `docs/benchmark-detection.md` weighted alike, on all covers but `IMG_0046`. Nothing in it knows a
 //! condition. What a strip that is lost on one side leaves open is reasoned, not fitted ([`cut_side`]).
 
+use super::blocks::Refined;
 use super::fit::{Fit, Form};
 
 /// A centre in the patch and its covariance.
@@ -40,15 +41,36 @@ impl Place {
     /// Optics mix paint and ground in linear light, image editors and resampling in sRGB; where the grounds on two sides
     /// differ the two models put the edges differently. The picture tells little about which holds, so the centres are
     /// averaged, weighted by how well each explains the border, and their difference widens the covariance.
-    pub fn averaged_with(self, fit: &Fit, other: &Fit) -> Place {
+    /// The second answer is what was added to the covariance.
+    pub fn averaged_with(self, fit: &Fit, other: &Fit) -> (Place, [f64; 3]) {
         let (dx, dy) = (other.x - fit.x, other.y - fit.y);
         let weight = weight(fit, other, dx.hypot(dy));
-        let spread = weight * (1.0 - weight);
-        let [xx, xy, yy] = self.covariance_px2;
+        let spread = [dx * dx, dx * dy, dy * dy].map(|d| weight * (1.0 - weight) * d);
+        let covariance_px2 = std::array::from_fn(|k| self.covariance_px2[k] + spread[k]);
+        (Place { x: self.x + weight * dx, y: self.y + weight * dy, covariance_px2 }, spread)
+    }
+
+    /// The place by the fit to a JPEG's coefficients, where there is one: moved and widened by the other mixing as the fit to
+    /// pixels (`fit`) is here. Its covariance is the inverse of its normal equations, whose noise was measured in the patch,
+    /// and nothing that was fitted to planted marks.
+    pub fn refined(self, fit: &Fit, spread_px2: [f64; 3], refined: &Refined) -> Place {
+        const FLOOR_PX: f64 = 0.005;
+        let [xx, xy, yy] = refined.covariance_px2;
+        let [a, b] = refined.sides_px;
+        let extra = FLOOR_PX * FLOOR_PX + hidden(fit, (a * b).sqrt().max(6.0));
+        let cut = if fit.form == Form::Disc {
+            [0.0; 3]
+        } else {
+            cut_side(refined.sides_px, refined.angle_rad, (xx + yy) / 2.0 + extra)
+        };
         Place {
-            x: self.x + weight * dx,
-            y: self.y + weight * dy,
-            covariance_px2: [xx + spread * dx * dx, xy + spread * dx * dy, yy + spread * dy * dy],
+            x: refined.x + self.x - fit.x,
+            y: refined.y + self.y - fit.y,
+            covariance_px2: [
+                xx + extra + cut[0] + spread_px2[0],
+                xy + cut[1] + spread_px2[1],
+                yy + extra + cut[2] + spread_px2[2],
+            ],
         }
     }
 }
@@ -87,7 +109,10 @@ fn covariance(fit: &Fit) -> [f64; 3] {
     // The axes differ by a power of the scatter's; so does their correlation.
     let xy = AXIS * sxy / (sxx * syy).sqrt().max(1e-12) * (xx * yy).sqrt();
     let extra = FLOOR_PX * FLOOR_PX + hidden(fit, side.max(6.0));
-    let cut = cut_side(fit, (xx + yy) / 2.0 + extra);
+    let cut = match fit.form {
+        Form::Disc => [0.0; 3],
+        Form::Rectangle => cut_side(fit.sides_px, fit.angle_rad, (xx + yy) / 2.0 + extra),
+    };
     [xx + extra + cut[0], xy + cut[1], yy + extra + cut[2]]
 }
 
@@ -102,20 +127,16 @@ fn hidden(fit: &Fit, side: f64) -> f64 {
 /// measurement; four independent edges give it √8 times the standard deviation of a coordinate of the centre (on 33,000
 /// planted marks its median is that of the half-normal distribution to 2 %, its tail a little longer); otherwise any d up to
 /// half the longer side is as likely as another.
-fn cut_side(fit: &Fit, variance_px2: f64) -> [f64; 3] {
+fn cut_side([a, b]: [f64; 2], angle_rad: f64, variance_px2: f64) -> [f64; 3] {
     /// Marks that are cut, of all that are put out.
     const OFTEN: f64 = 0.05;
     const LONGER_TAIL: f64 = 1.15;
-    if fit.form == Form::Disc {
-        return [0.0; 3];
-    }
-    let [a, b] = fit.sides_px;
     let d = (a - b).abs();
     let sd = LONGER_TAIL * (8.0 * variance_px2).sqrt();
     let by_error = (1.0 - OFTEN) * (2.0 / std::f64::consts::PI).sqrt() / sd * (-0.5 * (d / sd).powi(2)).exp();
     let by_loss = OFTEN * 2.0 / a.max(b);
     let variance = by_loss / (by_loss + by_error) * (d / 2.0).powi(2);
-    let along = if a < b { fit.angle_rad } else { fit.angle_rad + std::f64::consts::FRAC_PI_2 };
+    let along = if a < b { angle_rad } else { angle_rad + std::f64::consts::FRAC_PI_2 };
     let (sin, cos) = along.sin_cos();
     [variance * cos * cos, variance * sin * cos, variance * sin * sin]
 }
@@ -194,12 +215,12 @@ mod tests {
         let one = fit(10.0, 0.3, 0.03, [3e-4, 0.0, 3e-4]);
         let mut other = one.clone();
         other.x += 0.2;
-        let both = Place::of(&one).averaged_with(&one, &other);
+        let both = Place::of(&one).averaged_with(&one, &other).0;
         assert!((5.01..5.15).contains(&both.x) && both.y == 6.0, "{}", both.x);
         assert!(both.covariance_px2[0] > Place::of(&one).covariance_px2[0] + 0.003);
         other.edge_sd = 0.015;
-        assert!(Place::of(&one).averaged_with(&one, &other).x > both.x, "the better explanation draws it");
+        assert!(Place::of(&one).averaged_with(&one, &other).0.x > both.x, "the better explanation draws it");
         other.x += 2.0;
-        assert_eq!(Place::of(&one).averaged_with(&one, &other).x, 5.0);
+        assert_eq!(Place::of(&one).averaged_with(&one, &other).0.x, 5.0);
     }
 }

@@ -245,6 +245,25 @@ pub struct Patch {
     pub white: u16,
 }
 
+impl Patch {
+    /// The part of the patch in `window`, which is clipped at the patch's own.
+    pub fn crop(&self, window: &Window) -> Patch {
+        let window = window.intersect(&self.window);
+        if window.is_empty() {
+            return Patch { window, rgb: Vec::new(), valid: Vec::new(), white: self.white };
+        }
+        let width = self.window.width as usize;
+        let left = (window.x - self.window.x) as usize;
+        let rows = (window.y - self.window.y) as usize..(window.bottom() - self.window.y) as usize;
+        let (mut rgb, mut valid) = (Vec::new(), Vec::new());
+        for first in rows.map(|y| y * width + left) {
+            rgb.extend_from_slice(&self.rgb[first..first + window.width as usize]);
+            valid.extend_from_slice(&self.valid[first..first + window.width as usize]);
+        }
+        Patch { window, rgb, valid, white: self.white }
+    }
+}
+
 /// How much was read, for the report and the tests of "each file block is decoded once".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReadStats {
