@@ -127,33 +127,37 @@ impl Refiner {
         })
     }
 
-    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
-    pub fn refine(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
-        let first = self.settle(grey, start);
-        let Some(step) = self.around_px else { return first };
-        if first.is_some_and(|r| r.contrast > 0.0 && r.misfit < DAMAGED) {
-            return first;
-        }
-        let others = (0..9).filter(|k| *k != 4).filter_map(|k| {
+    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away. Of
+    /// several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
+    pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
+        let Some(step) = self.around_px else { return self.settle(grey, start) };
+        let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
             let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
-            self.settle(grey, PixelPoint { x: start.x + dx, y: start.y + dy })
+            PixelPoint { x: start.x + dx, y: start.y + dy }
         });
-        first.into_iter().chain(others).filter(|r| r.contrast > 0.0).reduce(better)
+        Some(self.best_of(grey, &around, doubt)?.1)
     }
 
-    /// Of several starts the one whose mark fits best, with its index; the first that is undamaged ends the search.
-    pub fn best_of(&self, grey: &Grey, starts: &[PixelPoint]) -> Option<(usize, Refined)> {
-        let mut best: Option<(usize, Refined)> = None;
+    /// Of several starts the one whose mark fits best, with its index; of those that fit equally well the first, and the first that is
+    /// undamaged ends the search. `doubt` is added to the misfit of a place.
+    pub fn best_of(
+        &self,
+        grey: &Grey,
+        starts: &[PixelPoint],
+        doubt: impl Fn(PixelPoint) -> f64,
+    ) -> Option<(usize, Refined)> {
+        let mut best: Option<(usize, Refined, f64)> = None;
         for (k, start) in starts.iter().enumerate() {
             let Some(r) = self.settle(grey, *start).filter(|r| r.contrast > 0.0) else { continue };
-            if best.as_ref().is_none_or(|b| better(b.1, r) == r) {
-                best = Some((k, r));
+            let misfit = r.misfit + doubt(r.centre);
+            if best.as_ref().is_none_or(|b| misfit < b.2 - CLEARLY) {
+                best = Some((k, r, misfit));
             }
-            if r.misfit < DAMAGED {
+            if misfit < DAMAGED {
                 break;
             }
         }
-        best
+        best.map(|(k, r, _)| (k, r))
     }
 
     fn settle(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
@@ -201,11 +205,6 @@ impl Refiner {
         }
         last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
     }
-}
-
-/// Of two refinements the one that fits clearly better, else the first, which correlates better.
-fn better(first: Refined, other: Refined) -> Refined {
-    if other.misfit < first.misfit - CLEARLY { other } else { first }
 }
 
 /// One pixel: its value, the mark's value there with derivatives, and where it lies from the centre.

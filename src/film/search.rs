@@ -31,6 +31,9 @@ pub(super) const FLAT: f32 = 0.002;
 /// Peaks below this are no marks.
 const LEAST_SCORE: f64 = 0.3;
 
+/// Values added beyond the scan's edge.
+const EDGE_VALUES: u64 = 2;
+
 /// Decimations: pixels along one value, powers of two.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Levels {
@@ -70,7 +73,7 @@ impl Levels {
 pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most: usize) -> Result<Vec<Peak>> {
     let levels = Levels::of(picture);
     let Some(template) = picture.at(levels.coarse) else { return Ok(vec![]) };
-    let grey = read_grey(source, window, levels.coarse)?;
+    let grey = read_around(source, window, picture.model, levels.coarse, levels.coarse)?;
     if template.width > grey.width || template.height > grey.height {
         return Ok(vec![]);
     }
@@ -101,6 +104,14 @@ pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most
     Ok(kept)
 }
 
+/// Reads a window for comparing at decimations from `factor` to `coarsest`, with room beyond the scan's edge for marks of lines: what
+/// is beside them is opaque there as well. Marks that show the image keep to the scan, where they may end in the scanner's glass.
+fn read_around(source: &dyn RasterSource, window: Window, model: &Model, factor: u64, coarsest: u64) -> Result<Grey> {
+    let grey = read_grey(source, window, factor)?;
+    let room = (EDGE_VALUES * coarsest / factor) as usize;
+    Ok(if model.sectors_deg().is_some() { grey.beyond_edges(&source.info().bounds(), room) } else { grey })
+}
+
 /// From about the right place, known at decimation `from`, to the place at decimation `to`, through finer and finer
 /// pictures. `None` when the mark would leave the scan there.
 ///
@@ -116,7 +127,7 @@ pub fn settle(
     let (half, out, inward) = picture.model.reach_mm();
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + 4.0 * from as f64;
     let Some(window) = around(start, half, half, &source.info().bounds()) else { return Ok(None) };
-    let finest = read_grey(source, window, to)?;
+    let finest = read_around(source, window, picture.model, to, from.max(to))?;
     let mut level = from.max(to);
     let mut best: Option<(Peak, Grey)> = None;
     // The cut that shows the mark best at the first level is kept.
@@ -201,7 +212,7 @@ pub fn near(
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * level as f64;
     let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(vec![]) };
     let Some(template) = picture.at(level) else { return Ok(vec![]) };
-    let read = read_grey(source, window, level)?;
+    let read = read_around(source, window, picture.model, level, level)?;
     let reach = (reach_px / level as f64).ceil() as usize + 1;
     let side = 2 * reach + 1;
     let mut peaks: Vec<Peak> = vec![];

@@ -22,8 +22,8 @@ pub struct Grey {
     pub width: usize,
     pub height: usize,
     pub data: Vec<f32>,
-    /// Pixel of the scan at the outer corner of the first value.
-    pub origin: [u64; 2],
+    /// Pixel of the scan at the outer corner of the first value; negative where values were added before the scan's edge.
+    pub origin: [i64; 2],
     /// Pixels of the scan along one value.
     pub factor: u64,
 }
@@ -42,6 +42,26 @@ impl Grey {
     pub fn from_scan(&self, p: PixelPoint) -> [f64; 2] {
         let f = self.factor as f64;
         [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]
+    }
+
+    /// With `by` more values along the sides that lie at the scan's edge, each as the one it follows. A mark that lies whole in the
+    /// scan but close to its edge then keeps room for its decimated picture, which reaches up to two values further.
+    pub fn beyond_edges(self, scan: &Window, by: usize) -> Grey {
+        let step = self.factor as i64;
+        let end = |k: usize, n: usize| self.origin[k] + (n as i64 + 1) * step;
+        let before = [0, 1].map(|k| if self.origin[k] < step { by } else { 0 });
+        let after = [(0, self.width, scan.width), (1, self.height, scan.height)]
+            .map(|(k, n, size)| if end(k, n) > size as i64 { by } else { 0 });
+        if self.data.is_empty() || before == [0, 0] && after == [0, 0] {
+            return self;
+        }
+        let (width, height) = (before[0] + self.width + after[0], before[1] + self.height + after[1]);
+        let nearest = |v: usize, before: usize, n: usize| v.saturating_sub(before).min(n - 1);
+        let data = (0..width * height)
+            .map(|i| self.at(nearest(i % width, before[0], self.width), nearest(i / width, before[1], self.height)))
+            .collect();
+        let origin = [0, 1].map(|k| self.origin[k] - before[k] as i64 * step);
+        Grey { width, height, data, origin, factor: self.factor }
     }
 
     /// Means over `by` × `by` values; what does not fill a block at the right and lower edge is left away.
@@ -219,7 +239,8 @@ pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Resu
     let info = source.info();
     let window = window.intersect(&info.bounds());
     let (width, height) = ((window.width / factor) as usize, (window.height / factor) as usize);
-    let mut grey = Grey { width, height, data: vec![0.0; width * height], origin: [window.x, window.y], factor };
+    let mut grey =
+        Grey { width, height, data: vec![0.0; width * height], origin: [window.x as i64, window.y as i64], factor };
     if width == 0 || height == 0 {
         return Ok(grey);
     }
