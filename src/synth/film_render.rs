@@ -142,7 +142,7 @@ pub(super) struct Painter {
     places: Vec<PixelPoint>,
     /// Scan → shape of every mark.
     to_shape: Vec<[f64; 4]>,
-    /// Around every mark, pixels: its drawing, and the opaque tongue it stands on. Beyond `bound_mm` along both axes of the
+    /// Around every mark, pixels: how far its drawing, and the opaque tongue it stands on, are looked for. Beyond `bound_mm` along both axes of the
     /// shape there is neither.
     reach_px: Vec<f64>,
     bound_mm: Vec<f64>,
@@ -172,13 +172,20 @@ impl Painter {
         let to_shape = linears.iter().map(|l| invert(*l).expect("a pose is regular")).collect();
         let tongue_mm: Vec<f64> =
             models.iter().map(|m| if m.shows_image() { 0.0 } else { 1.15 * m.radius_mm() + 0.5 }).collect();
-        let reach_px = models.iter().map(|m| 1.5 * m.radius_mm() * pose.px_per_mm() + 4.0).collect();
-        let bound_mm = models
+        let bound_mm: Vec<f64> = models
             .iter()
             .zip(&tongue_mm)
             .map(|(m, t)| {
                 let (half, out, inward) = m.reach_mm();
                 half.max(out).max(inward).max(*t)
+            })
+            .collect();
+        // A tongue is drawn out to twice its mark; without one there is nothing beyond the bound, however it is turned.
+        let unit = pose.px_per_mm();
+        let reach_px = (0..models.len())
+            .map(|k| match tongue_mm[k] {
+                0.0 => 1.5 * bound_mm[k] * unit + 4.0,
+                _ => 3.0 * models[k].radius_mm() * unit + 8.0,
             })
             .collect();
         let (centre, size) = (camera.film_centre(), camera.image_size_mm.unwrap_or(camera.film_size_mm));
@@ -330,7 +337,7 @@ impl Painter {
             let cy = (window.y + y as u64) as f64 + 0.5;
             // Marks near this row.
             let row: Vec<usize> =
-                (0..self.places.len()).filter(|k| (self.places[*k].y - cy).abs() < 2.0 * self.reach_px[*k]).collect();
+                (0..self.places.len()).filter(|k| (self.places[*k].y - cy).abs() < self.reach_px[*k]).collect();
             let mut near: Vec<usize> = vec![];
             // What a stretch of 16 pixels shows where it is the same all over.
             let mut even: Option<Option<f32>> = None;
@@ -339,7 +346,7 @@ impl Painter {
                 if x % 16 == 0 {
                     near.clear();
                     near.extend(
-                        row.iter().copied().filter(|k| (self.places[*k].x - cx).abs() < 2.0 * self.reach_px[*k] + 16.0),
+                        row.iter().copied().filter(|k| (self.places[*k].x - cx).abs() < self.reach_px[*k] + 16.0),
                     );
                     even = if near.is_empty() { self.even(cx, cy) } else { None };
                 }
