@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::film::learn::{Pointed, learn};
-use autoref_stream::film::template::LearnedTemplate;
+use autoref_stream::film::template::{LearnedTemplate, Model};
 use autoref_stream::film::{
     Camera, FindOptions, Finder, FrameResult, FrameStatus, MarkKind, MarkStatus, Method, find_frame, load_camera,
 };
@@ -216,6 +216,24 @@ fn crosses_are_found() {
 fn dots_are_found() {
     other_kind("rmk-dot", 30.0, 4);
     other_kind("corner-dot-ring", 30.0, 4);
+}
+
+/// A quarter of a pixel from being cut: decimated pictures of the mark reach beyond the scan's edge there.
+#[test]
+fn whole_marks_at_the_edge_of_the_scan_are_found() {
+    for (name, pixel_um) in [("rmk-dot", 30.0), ("rmk-cross", 20.0)] {
+        let camera = load_camera(name).expect("built in");
+        let reach_mm = Model::of(&camera.marks[0].kind).expect("drawn").reach_mm().0;
+        let leftmost_mm = camera.marks.iter().filter_map(|m| m.x_mm).fold(0.0, f64::min);
+        let mut spec = FilmSpec::plain(&camera, pixel_um, 7);
+        (spec.jitter_um, spec.crop_mm[0]) = (0.0, 0.5 * camera.film_size_mm[0] + leftmost_mm - reach_mm - 0.005);
+        let scene = FilmScene::new(&spec, &FilmGround::default()).expect("drawable");
+        let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(false), ..FindOptions::default() };
+        let found = Finder::new(&camera).expect("drawn shapes").find(&scene, &options).expect("in memory");
+        assert!(found.is_ok(), "{name}: {:?}", found.status);
+        let t = score(&scene, &found);
+        assert_eq!((t.marks, t.within_2px), (4, 4), "{name}: {:?}", scene.truth());
+    }
 }
 
 #[test]

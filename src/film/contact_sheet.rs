@@ -135,7 +135,7 @@ fn chip(source: &dyn RasterSource, camera: &Camera, frame: &FrameResult, k: usiz
     ranks.sort_by(f32::total_cmp);
     let (mut plain, mut equal) = (vec![0u8; SIDE * SIDE], vec![0u8; SIDE * SIDE]);
     // Values of a window that the scan's edge cuts begin within the chip.
-    let offset = |from: u64, edge: f64| ((from as f64 - edge) / step as f64).round() as usize;
+    let offset = |from: i64, edge: f64| ((from as f64 - edge) / step as f64).round() as usize;
     let (x0, y0) = (offset(grey.origin[0], left), offset(grey.origin[1], top));
     for (i, v) in grey.data.iter().enumerate() {
         let (x, y) = (x0 + i % grey.width, y0 + i / grey.width);

@@ -23,6 +23,9 @@ const NEAR_MM: f64 = 0.1;
 /// Peaks looked at around a prediction.
 const NEAR_PEAKS: usize = 4;
 const LINE_PEAKS: usize = 12;
+/// What a place is worth less for lying as far from a sure prediction as marks may disagree, as a share of misfitting pixels: specks as
+/// large as a dot fit nearly as well as a dot that one of them covers in part.
+const ASTRAY: f64 = 0.05;
 /// Least squares of a whole mark reach so many times as far as the mark: to the corners of its box, or round marks.
 const REFINED: f64 = 1.5;
 const REFINED_ROUND: f64 = 1.02;
@@ -47,6 +50,21 @@ pub(super) struct Measured {
     pub reason: Option<String>,
 }
 
+/// A mark of lines, drawn to be refined.
+struct Lines {
+    refiner: Refiner,
+    predicted: PixelPoint,
+    /// How far marks may disagree, where others that agree put this one.
+    tolerance_px: Option<f64>,
+}
+
+impl Lines {
+    /// What a place is worth less for lying far from a sure prediction, as a share of misfitting pixels.
+    fn doubt(&self, place: PixelPoint) -> f64 {
+        self.tolerance_px.map_or(0.0, |t| ASTRAY * (distance(place, self.predicted) / t).powi(2))
+    }
+}
+
 impl Finder {
     /// Measures every mark under the assembly's pose, names them, checks them and solves.
     pub(super) fn second_look(
@@ -58,7 +76,7 @@ impl Finder {
     ) -> Result<()> {
         let mut pose = assembly.pose;
         let all = 0..self.film.len();
-        let mut measured = all.map(|k| self.measure(source, &pose, k, None)).collect::<Result<Vec<_>>>()?;
+        let mut measured = all.map(|k| self.measure(source, options, &pose, k, None)).collect::<Result<Vec<_>>>()?;
         self.settle_points(source, &pose, &mut measured)?;
         let mut naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         // Under the names and the pose of those that agree, the others are looked for again.
@@ -69,7 +87,7 @@ impl Finder {
             for (k, slot) in measured.iter_mut().enumerate() {
                 let sound = slot.as_ref().is_some_and(|m| m.reason.is_none());
                 if (!sound || agreed.iter().all(|a| a.0 != k))
-                    && let Some(again) = self.measure(source, &pose, k, Some(NEAR_MM))?
+                    && let Some(again) = self.measure(source, options, &pose, k, Some(NEAR_MM))?
                 {
                     *slot = Some(again);
                 }
@@ -145,13 +163,14 @@ impl Finder {
         let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
         let near = |r: &Refined| r.contrast > 0.0 && distance(r.centre, expected) <= reach_px;
         let refiner = Refiner::new(model, linear, radius_mm);
-        Ok(refiner.and_then(|r| r.refine(&grey, peak.centre)).filter(near))
+        Ok(refiner.and_then(|r| r.refine(&grey, peak.centre, |_| 0.0)).filter(near))
     }
 
     /// One mark under a pose that is known to a fraction of a millimetre.
     fn measure(
         &self,
         source: &dyn RasterSource,
+        options: &FindOptions,
         pose: &Pose,
         k: usize,
         near_mm: Option<f64>,
@@ -160,21 +179,27 @@ impl Finder {
         let linear = pose.shape_linear(self.turns_deg[k]);
         let predicted = pose.apply(self.film[k]);
         let unit = pose.px_per_mm();
+        // A mark of lines may lie whole in the scan where its prediction does not quite.
+        let slack_px = if model.sectors_deg().is_some() { near_mm.unwrap_or(NEAR_MM) * unit + 4.0 } else { 0.0 };
         let bounds = source.info().bounds();
         let (half, out, inward) = model.reach_mm();
         let inside = [(-half, -out), (half, -out), (-half, inward), (half, inward)].iter().all(|(u, v)| {
             let x = predicted.x + linear[0] * u + linear[1] * v;
             let y = predicted.y + linear[2] * u + linear[3] * v;
-            x > 0.0 && y > 0.0 && x < bounds.width as f64 && y < bounds.height as f64
+            let within = |v: f64, size: u64| v > -slack_px && v < size as f64 + slack_px;
+            within(x, bounds.width) && within(y, bounds.height)
         });
         if !inside {
             return self.point_only(source, model, linear, predicted, unit);
         }
         let picture = Picture::new(model, linear);
         let reach_px = near_mm.unwrap_or(REACH_MM) * unit + 4.0;
-        let of_lines = model.sectors_deg().and_then(|_| Refiner::new(model, linear, refined_mm(model)));
-        let body = if let Some(refiner) = &of_lines {
-            self.lines(source, predicted, &picture, reach_px, refiner)?
+        let of_lines = model.sectors_deg().and_then(|_| {
+            let refiner = Refiner::new(model, linear, refined_mm(model))?;
+            Some(Lines { refiner, predicted, tolerance_px: near_mm.map(|_| options.tolerance_px(pose)) })
+        });
+        let body = if let Some(lines) = &of_lines {
+            self.lines(source, &picture, reach_px, lines)?
         } else if near_mm.is_some() {
             near(source, predicted, &picture, reach_px, Levels::of(&picture).fine, 1)?.first().copied()
         } else {
@@ -202,17 +227,17 @@ impl Finder {
     fn lines(
         &self,
         source: &dyn RasterSource,
-        predicted: PixelPoint,
         picture: &Picture,
         reach_px: f64,
-        refiner: &Refiner,
+        lines: &Lines,
     ) -> Result<Option<Peak>> {
-        let peaks = near(source, predicted, picture, reach_px, Levels::of(picture).rank, LINE_PEAKS)?;
+        let peaks = near(source, lines.predicted, picture, reach_px, Levels::of(picture).rank, LINE_PEAKS)?;
         let half_px = refined_mm(picture.model) * picture.px_per_mm() + reach_px + 12.0;
-        let Some(window) = around(predicted, half_px, half_px, &source.info().bounds()) else { return Ok(None) };
+        let bounds = source.info().bounds();
+        let Some(window) = around(lines.predicted, half_px, half_px, &bounds) else { return Ok(None) };
         let grey = read_grey(source, window, 1)?;
         let starts: Vec<PixelPoint> = peaks.iter().map(|p| p.centre).collect();
-        let best = refiner.best_of(&grey, &starts);
+        let best = lines.refiner.best_of(&grey, &starts, |p| lines.doubt(p));
         Ok(best.map(|(k, r)| Peak { centre: r.centre, score: peaks[k].score }).or(peaks.first().copied()))
     }
 
@@ -233,7 +258,7 @@ impl Finder {
         let peak = template.and_then(|t| climb(&grey, &t, predicted, (0.3 * unit).ceil() as i64, |_| 0.0));
         let Some(peak) = peak.filter(|p| p.score >= GOOD_SCORE) else { return Ok(None) };
         let refiner = Refiner::new(model, linear, radius_mm);
-        let refined = refiner.and_then(|r| r.refine(&grey, peak.centre)).filter(|r| r.contrast > 0.0);
+        let refined = refiner.and_then(|r| r.refine(&grey, peak.centre, |_| 0.0)).filter(|r| r.contrast > 0.0);
         Ok(refined.map(|r| Measured {
             centre: r.centre,
             covariance_px2: Some(r.covariance_px2),
@@ -251,7 +276,7 @@ impl Finder {
         linear: [f64; 4],
         body: &Peak,
         unit: f64,
-        of_lines: Option<Refiner>,
+        of_lines: Option<Lines>,
     ) -> Result<Measured> {
         let point_mm = model.point_radius_mm();
         let radius_mm = point_mm.unwrap_or(refined_mm(model));
@@ -277,8 +302,11 @@ impl Finder {
             }
         }
         if reasons.is_empty() {
-            let refiner = of_lines.or_else(|| Refiner::new(model, linear, radius_mm));
-            match refiner.and_then(|r| r.refine(&grey, start)) {
+            let refined = match &of_lines {
+                Some(lines) => lines.refiner.refine(&grey, start, |p| lines.doubt(p)),
+                None => Refiner::new(model, linear, radius_mm).and_then(|r| r.refine(&grey, start, |_| 0.0)),
+            };
+            match refined {
                 Some(r) if r.contrast > 0.0 => {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);

@@ -13,6 +13,7 @@ pub mod check;
 pub mod consistency;
 pub mod constellation;
 pub mod contact_sheet;
+mod correlate;
 pub mod frame;
 pub mod inner;
 pub mod learn;

@@ -59,7 +59,8 @@ impl Finder {
         let Some(best) = all.first() else { return named };
         // The usual orientation wins among those that fit as well.
         let same_px = (SAME_UM / 1e3 * pose.px_per_mm()).hypot(SAME_PX);
-        let as_good: Vec<&Naming> = all.iter().filter(|n| n.rms_px < best.rms_px + same_px).collect();
+        let as_good: Vec<&Naming> =
+            all.iter().filter(|n| n.leaves_out == best.leaves_out && n.rms_px < best.rms_px + same_px).collect();
         let taken = allowed
             .iter()
             .find_map(|(t, m)| as_good.iter().find(|n| n.turn_deg == *t && n.mirrored == *m))

@@ -32,6 +32,13 @@ const FINE: usize = 4;
 const BLUR_PX: f64 = 0.7;
 /// No centre moves further than this from where it starts, pixels.
 const MOST_PX: f64 = 6.0;
+/// Rounds of least squares; a centre that moves less is settled, pixels.
+const MOST_ROUNDS: usize = 25;
+const STEP_PX: f64 = 2e-3;
+/// Of marks that reach further than this one pixel in so many is taken until the centre moves less than that, pixels.
+const LARGE_PX: f64 = 25.0;
+const SPARSE: usize = 5;
+const SPARSE_STEP_PX: f64 = 0.05;
 
 /// A pixel does not fit when it is off by this share of the mark's contrast and by so many standard deviations.
 const FIT: f64 = 0.3;
@@ -67,14 +74,18 @@ impl Surface {
             for x in 0..width {
                 let (dx, dy) = ((x as f64 - half as f64) / FINE as f64, (y as f64 - half as f64) / FINE as f64);
                 let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
-                let r = u.hypot(v);
                 let sample = model.sample(u, v);
-                known[y * width + x] = r <= radius_mm && sample.is_some_and(|(_, w)| w > 0.3);
+                known[y * width + x] = u * u + v * v <= radius_mm * radius_mm && sample.is_some_and(|(_, w)| w > 0.3);
                 values[y * width + x] = sample.map_or(0.0, |(value, _)| value);
             }
         }
         blur(&mut values, width, width, BLUR_PX * FINE as f64);
         Some(Surface { width, height: width, reference: [half as f64; 2], values, known })
+    }
+
+    /// How far it reaches along both axes, pixels.
+    fn half_px(&self) -> f64 {
+        self.reference[0] / FINE as f64
     }
 
     /// Value and derivatives per pixel at (dx, dy) pixels from the reference point; `None` where nothing is known.
@@ -116,83 +127,84 @@ impl Refiner {
         })
     }
 
-    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away.
-    pub fn refine(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
-        let first = self.settle(grey, start);
-        let Some(step) = self.around_px else { return first };
-        if first.is_some_and(|r| r.contrast > 0.0 && r.misfit < DAMAGED) {
-            return first;
-        }
-        let others = (0..9).filter(|k| *k != 4).filter_map(|k| {
+    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away. Of
+    /// several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
+    pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
+        let Some(step) = self.around_px else { return self.settle(grey, start) };
+        let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
             let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
-            self.settle(grey, PixelPoint { x: start.x + dx, y: start.y + dy })
+            PixelPoint { x: start.x + dx, y: start.y + dy }
         });
-        first.into_iter().chain(others).filter(|r| r.contrast > 0.0).reduce(better)
+        Some(self.best_of(grey, &around, doubt)?.1)
     }
 
-    /// Of several starts the one whose mark fits best, with its index; the first that is undamaged ends the search.
-    pub fn best_of(&self, grey: &Grey, starts: &[PixelPoint]) -> Option<(usize, Refined)> {
-        let mut best: Option<(usize, Refined)> = None;
+    /// Of several starts the one whose mark fits best, with its index; of those that fit equally well the first, and the first that is
+    /// undamaged ends the search. `doubt` is added to the misfit of a place.
+    pub fn best_of(
+        &self,
+        grey: &Grey,
+        starts: &[PixelPoint],
+        doubt: impl Fn(PixelPoint) -> f64,
+    ) -> Option<(usize, Refined)> {
+        let mut best: Option<(usize, Refined, f64)> = None;
         for (k, start) in starts.iter().enumerate() {
             let Some(r) = self.settle(grey, *start).filter(|r| r.contrast > 0.0) else { continue };
-            if best.as_ref().is_none_or(|b| better(b.1, r) == r) {
-                best = Some((k, r));
+            let misfit = r.misfit + doubt(r.centre);
+            if best.as_ref().is_none_or(|b| misfit < b.2 - CLEARLY) {
+                best = Some((k, r, misfit));
             }
-            if r.misfit < DAMAGED {
+            if misfit < DAMAGED {
                 break;
             }
         }
-        best
+        best.map(|(k, r, _)| (k, r))
     }
 
     fn settle(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
-        let (surface, slopes) = (&self.surface, self.slopes);
+        if self.slopes { self.descend::<6>(grey, start) } else { self.descend::<4>(grey, start) }
+    }
+
+    /// Gauss-Newton with `N` unknowns: two or four levels and the centre. Of a large mark on some of its pixels while the
+    /// centre still moves, then on all.
+    fn descend<const N: usize>(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
         let mut c = grey.from_scan(start);
-        let mut weights: Vec<f64> = vec![];
+        let mut fit = Fit::<N>::default();
+        let mut sparse = if self.surface.half_px() > LARGE_PX { SPARSE } else { 1 };
         let mut last = None;
-        for round in 0..25 {
-            let rows = rows(grey, surface, c);
-            if rows.len() < 24 {
+        for round in 0..MOST_ROUNDS {
+            fit.gather(grey, &self.surface, c, sparse);
+            if fit.rows.len() < 24 {
                 return None;
             }
-            if weights.len() != rows.len() {
-                weights = vec![1.0; rows.len()];
-            }
-            let levels = solve_levels(&rows, &weights, slopes)?;
-            let residuals: Vec<f64> = rows.iter().map(|r| r.grey - level(&levels, r)).collect();
-            let sigma = spread(&residuals);
-            weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-            let (normal, right) = normal_equations(&rows, &residuals, &weights, &levels, slopes);
-            let inverse = normal.try_inverse()?;
-            let step = &inverse * right;
-            let p = step.len() - 2;
-            let (dx, dy) = (step[p].clamp(-1.0, 1.0), step[p + 1].clamp(-1.0, 1.0));
+            fit.solve_levels()?;
+            let (inverse, step) = fit.step()?;
+            let (dx, dy) = (step[N - 2].clamp(-1.0, 1.0), step[N - 1].clamp(-1.0, 1.0));
             c = [c[0] + dx, c[1] + dy];
             let centre = grey.to_scan(c[0], c[1]);
             if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !dx.is_finite() || !dy.is_finite() {
                 return None;
             }
-            let variance = sigma * sigma;
-            let limit = (FIT * levels[1].abs()).max(FIT_SIGMA * sigma);
-            let misfit = misfit(&rows, &residuals, levels[0], limit);
+            if sparse > 1 {
+                if dx.hypot(dy) < SPARSE_STEP_PX || round == MOST_ROUNDS / 2 {
+                    sparse = 1;
+                }
+                continue;
+            }
+            let variance = fit.sigma * fit.sigma;
+            let p = N - 2;
             last = Some(Refined {
                 centre,
                 covariance_px2: [inverse[(p, p)], inverse[(p, p + 1)], inverse[(p + 1, p + 1)]].map(|v| v * variance),
-                contrast: levels[1],
-                sigma,
-                misfit,
+                contrast: fit.levels[1],
+                sigma: fit.sigma,
+                misfit: fit.misfit(),
             });
-            if round > 2 && dx.hypot(dy) < 2e-3 {
+            if dx.hypot(dy) < STEP_PX {
                 break;
             }
         }
         last.filter(|r| r.covariance_px2.iter().all(|v| v.is_finite()))
     }
-}
-
-/// Of two refinements the one that fits clearly better, else the first, which correlates better.
-fn better(first: Refined, other: Refined) -> Refined {
-    if other.misfit < first.misfit - CLEARLY { other } else { first }
 }
 
 /// One pixel: its value, the mark's value there with derivatives, and where it lies from the centre.
@@ -203,93 +215,135 @@ struct Row {
     dy: f64,
 }
 
-fn rows(grey: &Grey, surface: &Surface, c: [f64; 2]) -> Vec<Row> {
-    let half = surface.reference[0] / FINE as f64;
-    let range =
-        |c: f64, n: usize| (((c - half).floor().max(0.0)) as usize, ((c + half).ceil().clamp(0.0, n as f64)) as usize);
-    let ((x0, x1), (y0, y1)) = (range(c[0], grey.width), range(c[1], grey.height));
-    let mut rows = vec![];
-    for y in y0..y1 {
-        for x in x0..x1 {
-            let (dx, dy) = (x as f64 + 0.5 - c[0], y as f64 + 0.5 - c[1]);
-            if let Some(mark) = surface.at(dx, dy) {
-                rows.push(Row { grey: f64::from(grey.at(x, y)), mark, dx, dy });
+/// The least squares of one mark, kept from round to round.
+struct Fit<const N: usize> {
+    rows: Vec<Row>,
+    residuals: Vec<f64>,
+    weights: Vec<f64>,
+    /// Of the opaque frame, of the mark above it, and how that changes across; the last two stay 0 without slopes.
+    levels: [f64; 4],
+    /// Of the last round; 0 before the first.
+    sigma: f64,
+    scratch: Vec<f64>,
+}
+
+impl<const N: usize> Default for Fit<N> {
+    fn default() -> Self {
+        Fit { rows: vec![], residuals: vec![], weights: vec![], levels: [0.0; 4], sigma: 0.0, scratch: vec![] }
+    }
+}
+
+impl<const N: usize> Fit<N> {
+    const LEVELS: usize = N - 2;
+
+    /// The pixels around `c` that the mark says something about, one in `sparse` (a lattice that no line of the mark slips through),
+    /// weighted by how well they fitted the last round's levels.
+    fn gather(&mut self, grey: &Grey, surface: &Surface, c: [f64; 2], sparse: usize) {
+        let half = surface.half_px();
+        let range = |c: f64, n: usize| {
+            (((c - half).floor().max(0.0)) as usize, ((c + half).ceil().clamp(0.0, n as f64)) as usize)
+        };
+        let ((x0, x1), (y0, y1)) = (range(c[0], grey.width), range(c[1], grey.height));
+        self.rows.clear();
+        self.weights.clear();
+        for y in y0..y1 {
+            let first = x0 + (sparse - (x0 + 2 * y) % sparse) % sparse;
+            for x in (first..x1).step_by(sparse) {
+                let (dx, dy) = (x as f64 + 0.5 - c[0], y as f64 + 0.5 - c[1]);
+                if let Some(mark) = surface.at(dx, dy) {
+                    self.rows.push(Row { grey: f64::from(grey.at(x, y)), mark, dx, dy });
+                }
             }
         }
+        let (levels, sigma) = (self.levels, self.sigma);
+        let weight = |r: &Row| if sigma > 0.0 { tukey((r.grey - level::<N>(&levels, r)) / sigma) } else { 1.0 };
+        self.weights.extend(self.rows.iter().map(weight));
     }
-    rows
-}
 
-fn level(levels: &[f64], r: &Row) -> f64 {
-    let slope = if levels.len() > 2 { levels[2] * r.dx + levels[3] * r.dy } else { 0.0 };
-    levels[0] + r.mark[0] * (levels[1] + slope)
-}
-
-fn solve_levels(rows: &[Row], weights: &[f64], slopes: bool) -> Option<Vec<f64>> {
-    let n = if slopes { 4 } else { 2 };
-    let mut normal = DMatrix::<f64>::zeros(n, n);
-    let mut right = DVector::<f64>::zeros(n);
-    for (r, w) in rows.iter().zip(weights) {
-        let t = r.mark[0];
-        let row = [1.0, t, t * r.dx, t * r.dy];
-        for a in 0..n {
-            right[a] += w * row[a] * r.grey;
-            for b in 0..n {
-                normal[(a, b)] += w * row[a] * row[b];
+    /// Levels under the present weights, then residuals, their spread and new weights.
+    fn solve_levels(&mut self) -> Option<()> {
+        let mut normal = [[0.0f64; 4]; 4];
+        let mut right = [0.0f64; 4];
+        for (r, w) in self.rows.iter().zip(&self.weights) {
+            let t = r.mark[0];
+            let row = [1.0, t, t * r.dx, t * r.dy];
+            for a in 0..Self::LEVELS {
+                let wa = w * row[a];
+                right[a] += wa * r.grey;
+                for b in a..Self::LEVELS {
+                    normal[a][b] += wa * row[b];
+                }
             }
         }
+        let n = Self::LEVELS;
+        let matrix = DMatrix::from_fn(n, n, |a, b| normal[a.min(b)][a.max(b)]);
+        let levels = matrix.try_inverse()? * DVector::from_fn(n, |a, _| right[a]);
+        levels.iter().enumerate().for_each(|(k, v)| self.levels[k] = *v);
+        let levels = self.levels;
+        self.residuals.clear();
+        self.residuals.extend(self.rows.iter().map(|r| r.grey - level::<N>(&levels, r)));
+        self.sigma = spread(&self.residuals, &mut self.scratch);
+        let sigma = self.sigma;
+        self.weights.clear();
+        self.weights.extend(self.residuals.iter().map(|r| tukey(r / sigma)));
+        Some(())
     }
-    let levels: DVector<f64> = normal.try_inverse()? * right;
-    Some(levels.iter().copied().collect())
-}
 
-fn normal_equations(
-    rows: &[Row],
-    residuals: &[f64],
-    weights: &[f64],
-    levels: &[f64],
-    slopes: bool,
-) -> (DMatrix<f64>, DVector<f64>) {
-    let n = if slopes { 6 } else { 4 };
-    let mut normal = DMatrix::<f64>::zeros(n, n);
-    let mut right = DVector::<f64>::zeros(n);
-    for ((r, v), w) in rows.iter().zip(residuals).zip(weights) {
-        let t = r.mark[0];
-        let gain = levels[1] + if slopes { levels[2] * r.dx + levels[3] * r.dy } else { 0.0 };
-        let mut row = vec![1.0, t];
-        if slopes {
-            row.extend([t * r.dx, t * r.dy]);
-        }
-        row.extend([-gain * r.mark[1], -gain * r.mark[2]]);
-        for a in 0..n {
-            right[a] += w * row[a] * v;
-            for b in 0..n {
-                normal[(a, b)] += w * row[a] * row[b];
+    /// The inverse of the normal equations and the step of all unknowns, the centre's last.
+    fn step(&self) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let mut normal = [[0.0f64; N]; N];
+        let mut right = [0.0f64; N];
+        let levels = &self.levels;
+        for ((r, v), w) in self.rows.iter().zip(&self.residuals).zip(&self.weights) {
+            let t = r.mark[0];
+            let gain = gain::<N>(levels, r);
+            let mut row = [0.0f64; N];
+            row[..Self::LEVELS].copy_from_slice(&[1.0, t, t * r.dx, t * r.dy][..Self::LEVELS]);
+            (row[N - 2], row[N - 1]) = (-gain * r.mark[1], -gain * r.mark[2]);
+            for a in 0..N {
+                let wa = w * row[a];
+                right[a] += wa * v;
+                for b in a..N {
+                    normal[a][b] += wa * row[b];
+                }
             }
         }
+        let inverse = DMatrix::from_fn(N, N, |a, b| normal[a.min(b)][a.max(b)]).try_inverse()?;
+        let step = &inverse * DVector::from_fn(N, |a, _| right[a]);
+        Some((inverse, step))
     }
-    (normal, right)
+
+    /// A pixel of the mark must also stand out from the frame: a faint mark would fit anywhere.
+    fn misfit(&self) -> f64 {
+        let limit = (FIT * self.levels[1].abs()).max(FIT_SIGMA * self.sigma);
+        let (mut mark, mut beside) = ((0.0, 1.0), (0.0, 1.0));
+        for (row, r) in self.rows.iter().zip(&self.residuals) {
+            let fits = r.abs() <= limit;
+            if row.mark[0] > ON_MARK {
+                mark.0 += f64::from(!fits || row.grey - self.levels[0] <= limit);
+                mark.1 += 1.0;
+            } else if row.mark[0] < BESIDE_MARK {
+                beside.0 += f64::from(!fits);
+                beside.1 += 1.0;
+            }
+        }
+        mark.0 / mark.1 + beside.0 / beside.1
+    }
 }
 
-/// A pixel of the mark must also stand out from the frame: a faint mark would fit anywhere.
-fn misfit(rows: &[Row], residuals: &[f64], frame: f64, limit: f64) -> f64 {
-    let (mut mark, mut beside) = ((0.0, 1.0), (0.0, 1.0));
-    for (row, r) in rows.iter().zip(residuals) {
-        let fits = r.abs() <= limit;
-        if row.mark[0] > ON_MARK {
-            mark.0 += f64::from(!fits || row.grey - frame <= limit);
-            mark.1 += 1.0;
-        } else if row.mark[0] < BESIDE_MARK {
-            beside.0 += f64::from(!fits);
-            beside.1 += 1.0;
-        }
-    }
-    mark.0 / mark.1 + beside.0 / beside.1
+/// Brightness of the mark above the opaque frame at a pixel.
+fn gain<const N: usize>(levels: &[f64; 4], r: &Row) -> f64 {
+    levels[1] + if N > 4 { levels[2] * r.dx + levels[3] * r.dy } else { 0.0 }
+}
+
+fn level<const N: usize>(levels: &[f64; 4], r: &Row) -> f64 {
+    levels[0] + r.mark[0] * gain::<N>(levels, r)
 }
 
 /// 1.4826 × the median of the absolute values, at least a fifth of an 8-bit level.
-fn spread(residuals: &[f64]) -> f64 {
-    let mut all: Vec<f64> = residuals.iter().map(|r| r.abs()).collect();
+fn spread(residuals: &[f64], all: &mut Vec<f64>) -> f64 {
+    all.clear();
+    all.extend(residuals.iter().map(|r| r.abs()));
     let middle = all.len() / 2;
     let (_, median, _) = all.select_nth_unstable_by(middle, f64::total_cmp);
     (1.4826 * *median).max(0.0008)

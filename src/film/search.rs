@@ -4,6 +4,7 @@
 //! image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is brightened
 //! or stretched, so dark frames need no equalisation first.
 
+use super::correlate::correlate;
 use super::template::{Model, Picture, Template};
 use super::window::{Grey, around, read_grey};
 use crate::coords::PixelPoint;
@@ -26,9 +27,12 @@ const RANK_PX: f64 = 110.0;
 /// Largest side of the finest template, in values; finer levels add cost but no certainty.
 const FINE_PX: f64 = 230.0;
 /// Standard deviation of grey values, of white, below which a place is called flat: half an 8-bit level.
-const FLAT: f32 = 0.002;
+pub(super) const FLAT: f32 = 0.002;
 /// Peaks below this are no marks.
 const LEAST_SCORE: f64 = 0.3;
+
+/// Values added beyond the scan's edge.
+const EDGE_VALUES: u64 = 2;
 
 /// Decimations: pixels along one value, powers of two.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,16 +73,15 @@ impl Levels {
 pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most: usize) -> Result<Vec<Peak>> {
     let levels = Levels::of(picture);
     let Some(template) = picture.at(levels.coarse) else { return Ok(vec![]) };
-    let grey = read_grey(source, window, levels.coarse)?;
-    let mut scores: Option<Vec<f32>> = None;
-    for cut in cuts(picture.model) {
-        let Some(now) = correlate(&level_ground(&grey, *cut), template) else { return Ok(vec![]) };
-        match &mut scores {
-            Some(best) => best.iter_mut().zip(now).for_each(|(b, n)| *b = b.max(n)),
-            None => scores = Some(now),
-        }
+    let grey = read_around(source, window, picture.model, levels.coarse, levels.coarse)?;
+    if template.width > grey.width || template.height > grey.height {
+        return Ok(vec![]);
     }
-    let Some(scores) = scores else { return Ok(vec![]) };
+    let mut scores = vec![-1.0f32; grey.data.len()];
+    for cut in cuts(picture.model) {
+        let now = correlate(&level_ground(&grey, *cut), template, [0, 0], grey.width, grey.height);
+        scores.iter_mut().zip(now).for_each(|(b, n)| *b = b.max(n));
+    }
     let radius = (template.width.min(template.height) / 3).max(2);
     let mut peaks = vec![];
     for (x, y, _) in highest(&scores, grey.width, grey.height, radius, most) {
@@ -101,6 +104,14 @@ pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most
     Ok(kept)
 }
 
+/// Reads a window for comparing at decimations from `factor` to `coarsest`, with room beyond the scan's edge for marks of lines: what
+/// is beside them is opaque there as well. Marks that show the image keep to the scan, where they may end in the scanner's glass.
+fn read_around(source: &dyn RasterSource, window: Window, model: &Model, factor: u64, coarsest: u64) -> Result<Grey> {
+    let grey = read_grey(source, window, factor)?;
+    let room = (EDGE_VALUES * coarsest / factor) as usize;
+    Ok(if model.sectors_deg().is_some() { grey.beyond_edges(&source.info().bounds(), room) } else { grey })
+}
+
 /// From about the right place, known at decimation `from`, to the place at decimation `to`, through finer and finer
 /// pictures. `None` when the mark would leave the scan there.
 ///
@@ -116,7 +127,7 @@ pub fn settle(
     let (half, out, inward) = picture.model.reach_mm();
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + 4.0 * from as f64;
     let Some(window) = around(start, half, half, &source.info().bounds()) else { return Ok(None) };
-    let finest = read_grey(source, window, to)?;
+    let finest = read_around(source, window, picture.model, to, from.max(to))?;
     let mut level = from.max(to);
     let mut best: Option<(Peak, Grey)> = None;
     // The cut that shows the mark best at the first level is kept.
@@ -201,18 +212,18 @@ pub fn near(
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * level as f64;
     let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(vec![]) };
     let Some(template) = picture.at(level) else { return Ok(vec![]) };
-    let read = read_grey(source, window, level)?;
+    let read = read_around(source, window, picture.model, level, level)?;
     let reach = (reach_px / level as f64).ceil() as usize + 1;
     let side = 2 * reach + 1;
     let mut peaks: Vec<Peak> = vec![];
     for cut in cuts(picture.model) {
         let grey = level_ground(&read, *cut);
         let [x0, y0] = grey.from_scan(predicted).map(|v| v.floor() as i64 - reach as i64);
-        let scores: Vec<Option<f64>> = (0..side * side)
-            .map(|n| score_at(&grey, template, x0 + (n % side) as i64, y0 + (n / side) as i64))
-            .collect();
+        let scores = correlate(&grey, template, [x0, y0], side, side);
         for (i, j) in (1..side - 1).flat_map(|j| (1..side - 1).map(move |i| (i, j))) {
-            let at = |di: usize, dj: usize| scores[(j + dj - 1) * side + i + di - 1];
+            // −1: the template does not lie inside.
+            let at =
+                |di: usize, dj: usize| Some(f64::from(scores[(j + dj - 1) * side + i + di - 1])).filter(|s| *s > -1.0);
             let Some(score) = at(1, 1).filter(|s| *s >= LEAST_SCORE) else { continue };
             if (0..9).any(|k| at(k % 3, k / 3).is_none_or(|s| s > score)) {
                 continue;
@@ -335,48 +346,6 @@ fn cuts(model: &Model) -> &'static [Option<f32>] {
     if model.is_drawn() && model.shows_image() { &[Some(0.35), Some(0.8)] } else { &[None] }
 }
 
-/// Scores of the template, as [`score_at`] gives them, at every value, −1 where it does not lie inside; `None` when it lies inside nowhere.
-fn correlate(grey: &Grey, t: &Template) -> Option<Vec<f32>> {
-    let (width, height) = (grey.width, grey.height);
-    if t.width > width || t.height > height {
-        return None;
-    }
-    let mean = grey.data.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.data.len() as f64;
-    let centred: Vec<f32> = grey.data.iter().map(|v| v - mean as f32).collect();
-    let squared: Vec<f32> = centred.iter().map(|v| v * v).collect();
-    let n = width - t.width + 1;
-    let mut scores = vec![-1.0f32; width * height];
-    let (mut s1, mut s2, mut st) = (vec![0.0f32; n], vec![0.0f32; n], vec![0.0f32; n]);
-    let whole = [(1.0, t.clone())];
-    let parts = if t.parts.is_empty() { &whole[..] } else { &t.parts };
-    for y in 0..=height - t.height {
-        let out = &mut scores[(y + t.reference[1] as usize) * width + t.reference[0] as usize..][..n];
-        out.fill(0.0);
-        for (share, part) in parts {
-            let [left, top] = [0, 1].map(|k| (t.reference[k] - part.reference[k]) as usize);
-            s1.fill(0.0);
-            s2.fill(0.0);
-            st.fill(0.0);
-            for (k, w) in part.weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-                let first = (y + top + k / part.width) * width + left + k % part.width;
-                let wv = w * part.values[k];
-                let (row, square) = (&centred[first..][..n], &squared[first..][..n]);
-                for x in 0..n {
-                    s1[x] += w * row[x];
-                    s2[x] += w * square[x];
-                    st[x] += wv * row[x];
-                }
-            }
-            for x in 0..n {
-                let mean = s1[x] / part.weight_sum;
-                let variance = (s2[x] / part.weight_sum - mean * mean).max(0.0) + FLAT * FLAT;
-                out[x] += share * st[x] / part.weight_sum / variance.sqrt();
-            }
-        }
-    }
-    Some(scores)
-}
-
 /// The highest local maxima, no two within `radius`, best first.
 fn highest(scores: &[f32], width: usize, height: usize, radius: usize, most: usize) -> Vec<(usize, usize, f32)> {
     let mut maxima = vec![];
@@ -404,24 +373,4 @@ fn highest(scores: &[f32], width: usize, height: usize, radius: usize, most: usi
         }
     }
     kept
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::film::template::draw;
-    use crate::film::types::MarkKind;
-
-    #[test]
-    fn the_dense_scores_are_the_single_ones() {
-        let model = Model::Drawn(MarkKind::Cross { arm_mm: 0.5, line_mm: 0.1, gap_mm: 0.0, lines_deg: 0.0 });
-        let template = draw(&model, [20.0, 0.0, 0.0, -20.0], 1.0, None).expect("a cross");
-        let data: Vec<f32> = (0..60 * 50u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as f32 / 255.0).collect();
-        let grey = Grey { width: 60, height: 50, data, origin: [0, 0], factor: 1 };
-        let scores = correlate(&grey, &template).expect("fits");
-        for (x, y) in [(20, 20), (31, 25), (35, 18)] {
-            let one = score_at(&grey, &template, x, y).expect("inside");
-            assert!((one - f64::from(scores[y as usize * 60 + x as usize])).abs() < 1e-4);
-        }
-    }
 }

@@ -22,8 +22,8 @@ pub struct Grey {
     pub width: usize,
     pub height: usize,
     pub data: Vec<f32>,
-    /// Pixel of the scan at the outer corner of the first value.
-    pub origin: [u64; 2],
+    /// Pixel of the scan at the outer corner of the first value; negative where values were added before the scan's edge.
+    pub origin: [i64; 2],
     /// Pixels of the scan along one value.
     pub factor: u64,
 }
@@ -42,6 +42,26 @@ impl Grey {
     pub fn from_scan(&self, p: PixelPoint) -> [f64; 2] {
         let f = self.factor as f64;
         [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]
+    }
+
+    /// With `by` more values along the sides that lie at the scan's edge, each as the one it follows. A mark that lies whole in the
+    /// scan but close to its edge then keeps room for its decimated picture, which reaches up to two values further.
+    pub fn beyond_edges(self, scan: &Window, by: usize) -> Grey {
+        let step = self.factor as i64;
+        let end = |k: usize, n: usize| self.origin[k] + (n as i64 + 1) * step;
+        let before = [0, 1].map(|k| if self.origin[k] < step { by } else { 0 });
+        let after = [(0, self.width, scan.width), (1, self.height, scan.height)]
+            .map(|(k, n, size)| if end(k, n) > size as i64 { by } else { 0 });
+        if self.data.is_empty() || before == [0, 0] && after == [0, 0] {
+            return self;
+        }
+        let (width, height) = (before[0] + self.width + after[0], before[1] + self.height + after[1]);
+        let nearest = |v: usize, before: usize, n: usize| v.saturating_sub(before).min(n - 1);
+        let data = (0..width * height)
+            .map(|i| self.at(nearest(i % width, before[0], self.width), nearest(i / width, before[1], self.height)))
+            .collect();
+        let origin = [0, 1].map(|k| self.origin[k] - before[k] as i64 * step);
+        Grey { width, height, data, origin, factor: self.factor }
     }
 
     /// Means over `by` × `by` values; what does not fill a block at the right and lower edge is left away.
@@ -219,7 +239,8 @@ pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Resu
     let info = source.info();
     let window = window.intersect(&info.bounds());
     let (width, height) = ((window.width / factor) as usize, (window.height / factor) as usize);
-    let mut grey = Grey { width, height, data: vec![0.0; width * height], origin: [window.x, window.y], factor };
+    let mut grey =
+        Grey { width, height, data: vec![0.0; width * height], origin: [window.x as i64, window.y as i64], factor };
     if width == 0 || height == 0 {
         return Ok(grey);
     }
@@ -245,6 +266,12 @@ pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Resu
 
 /// Adds the pixels of a row, from column `first` of the window, to the values they belong to.
 fn add_row(row: &PixelRow, info: &RasterInfo, first: u64, factor: u64, scale: f32, out: &mut [f32]) {
+    if row.pixel_stride == 1 {
+        return match row.samples {
+            Samples::U8(s) => add_grey(&s[..row.len], first, factor, scale, out),
+            Samples::U16(s) => add_grey(&s[..row.len], first, factor, scale, out),
+        };
+    }
     let [r, g, b] = info.rgb;
     let stride = row.pixel_stride;
     let (mut at, mut within) = ((first / factor) as usize, first % factor);
@@ -273,28 +300,71 @@ fn add_row(row: &PixelRow, info: &RasterInfo, first: u64, factor: u64, scale: f3
     }
 }
 
+/// [`add_row`] where a pixel is one sample.
+fn add_grey<S: Copy + Into<u32>>(samples: &[S], first: u64, factor: u64, scale: f32, out: &mut [f32]) {
+    let at = (first / factor) as usize;
+    let sum = |part: &[S]| part.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    // What belongs to a value that an earlier piece began.
+    let begun = ((factor - first % factor) % factor).min(samples.len() as u64) as usize;
+    let (head, rest) = samples.split_at(begun);
+    if !head.is_empty() {
+        out[at] += sum(head);
+    }
+    let out = &mut out[at + usize::from(!first.is_multiple_of(factor))..];
+    match factor {
+        1 => out.iter_mut().zip(rest).for_each(|(o, v)| *o += (*v).into() as f32 * scale),
+        2 => add_even::<S, 2>(rest, scale, out),
+        4 => add_even::<S, 4>(rest, scale, out),
+        8 => add_even::<S, 8>(rest, scale, out),
+        _ => out.iter_mut().zip(rest.chunks(factor as usize)).for_each(|(o, part)| *o += sum(part)),
+    }
+}
+
+/// Sums of `N` samples each; the last may be of fewer.
+fn add_even<S: Copy + Into<u32>, const N: usize>(samples: &[S], scale: f32, out: &mut [f32]) {
+    let (whole, rest) = samples.as_chunks::<N>();
+    for (o, part) in out.iter_mut().zip(whole) {
+        *o += part.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    }
+    if let Some(o) = out.get_mut(whole.len())
+        && !rest.is_empty()
+    {
+        *o += rest.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    }
+}
+
 /// Gaussian of standard deviation `sigma` values, in place; beyond an edge its last value goes on.
 pub(super) fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
-    let reach = (3.0 * sigma).ceil() as i64;
-    let kernel: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
-    let total: f64 = kernel.iter().sum();
-    let mut line = vec![];
-    let mut pass = |count: usize, length: usize, step: usize, across: usize| {
-        for n in 0..count {
-            line.clear();
-            line.extend((0..length).map(|k| f64::from(values[n * across + k * step])));
-            for k in 0..length {
-                let sum: f64 = kernel
-                    .iter()
-                    .enumerate()
-                    .map(|(i, w)| w * line[(k as i64 + i as i64 - reach).clamp(0, length as i64 - 1) as usize])
-                    .sum();
-                values[n * across + k * step] = (sum / total) as f32;
-            }
+    if width == 0 || height == 0 {
+        return;
+    }
+    let reach = (3.0 * sigma).ceil() as usize;
+    let weight = |k: i64| (-0.5 * (k as f64 / sigma).powi(2)).exp();
+    let total: f64 = (-(reach as i64)..=reach as i64).map(weight).sum();
+    // From the middle outwards; both sides are the same.
+    let kernel: Vec<f32> = (0..=reach as i64).map(|k| (weight(k) / total) as f32).collect();
+    let mut line = vec![0.0f32; width + 2 * reach];
+    for row in values.chunks_exact_mut(width) {
+        line[..reach].fill(row[0]);
+        line[reach..reach + width].copy_from_slice(row);
+        line[reach + width..].fill(row[width - 1]);
+        row.iter_mut().for_each(|v| *v *= kernel[0]);
+        for (k, w) in kernel.iter().enumerate().skip(1) {
+            add_weighted(row, &line[reach - k..], &line[reach + k..], *w);
         }
-    };
-    pass(height, width, 1, width);
-    pass(width, height, width, 1);
+    }
+    let before = values.to_vec();
+    let row = |y: i64| &before[y.clamp(0, height as i64 - 1) as usize * width..][..width];
+    for (y, out) in values.chunks_exact_mut(width).enumerate() {
+        out.iter_mut().for_each(|v| *v *= kernel[0]);
+        for (k, w) in kernel.iter().enumerate().skip(1) {
+            add_weighted(out, row(y as i64 - k as i64), row(y as i64 + k as i64), *w);
+        }
+    }
+}
+
+fn add_weighted(out: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
+    out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (a, b))| *o += weight * (a + b));
 }
 
 /// The window of half width `half_px` around a place, clipped to the scan; `None` when nothing of it lies inside.

@@ -142,7 +142,7 @@ pub(super) struct Painter {
     places: Vec<PixelPoint>,
     /// Scan → shape of every mark.
     to_shape: Vec<[f64; 4]>,
-    /// Around every mark, pixels: its drawing, and the opaque tongue it stands on. Beyond `bound_mm` along both axes of the
+    /// Around every mark, pixels: how far its drawing, and the opaque tongue it stands on, are looked for. Beyond `bound_mm` along both axes of the
     /// shape there is neither.
     reach_px: Vec<f64>,
     bound_mm: Vec<f64>,
@@ -153,6 +153,8 @@ pub(super) struct Painter {
     /// Upper left corner of the film, millimetres.
     film: [f64; 2],
     shift: [i64; 2],
+    /// Gaussian of σ 0.7 px at every half pixel, three to each side.
+    kernel: [f32; 7],
 }
 
 impl Painter {
@@ -170,13 +172,20 @@ impl Painter {
         let to_shape = linears.iter().map(|l| invert(*l).expect("a pose is regular")).collect();
         let tongue_mm: Vec<f64> =
             models.iter().map(|m| if m.shows_image() { 0.0 } else { 1.15 * m.radius_mm() + 0.5 }).collect();
-        let reach_px = models.iter().map(|m| 1.5 * m.radius_mm() * pose.px_per_mm() + 4.0).collect();
-        let bound_mm = models
+        let bound_mm: Vec<f64> = models
             .iter()
             .zip(&tongue_mm)
             .map(|(m, t)| {
                 let (half, out, inward) = m.reach_mm();
                 half.max(out).max(inward).max(*t)
+            })
+            .collect();
+        // A tongue is drawn out to twice its mark; without one there is nothing beyond the bound, however it is turned.
+        let unit = pose.px_per_mm();
+        let reach_px = (0..models.len())
+            .map(|k| match tongue_mm[k] {
+                0.0 => 1.5 * bound_mm[k] * unit + 4.0,
+                _ => 3.0 * models[k].radius_mm() * unit + 8.0,
             })
             .collect();
         let (centre, size) = (camera.film_centre(), camera.image_size_mm.unwrap_or(camera.film_size_mm));
@@ -202,6 +211,7 @@ impl Painter {
             image,
             film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
+            kernel: std::array::from_fn(|i| (-((i as f64 - 3.0) * 0.5).powi(2) / (2.0 * 0.49)).exp() as f32),
         }
     }
 
@@ -327,26 +337,43 @@ impl Painter {
             let cy = (window.y + y as u64) as f64 + 0.5;
             // Marks near this row.
             let row: Vec<usize> =
-                (0..self.places.len()).filter(|k| (self.places[*k].y - cy).abs() < 2.0 * self.reach_px[*k]).collect();
+                (0..self.places.len()).filter(|k| (self.places[*k].y - cy).abs() < self.reach_px[*k]).collect();
             let mut near: Vec<usize> = vec![];
-            let mut only_image = false;
+            // What a stretch of 16 pixels shows where it is the same all over.
+            let mut even: Option<Option<f32>> = None;
             for x in 0..width {
                 let cx = (window.x + x as u64) as f64 + 0.5;
                 if x % 16 == 0 {
                     near.clear();
                     near.extend(
-                        row.iter().copied().filter(|k| (self.places[*k].x - cx).abs() < 2.0 * self.reach_px[*k] + 16.0),
+                        row.iter().copied().filter(|k| (self.places[*k].x - cx).abs() < self.reach_px[*k] + 16.0),
                     );
-                    // The image's outline is convex.
-                    let ends = [(-2.0, -2.0), (18.0, -2.0), (-2.0, 2.0), (18.0, 2.0)];
-                    only_image =
-                        near.is_empty() && ends.iter().all(|(dx, dy)| self.tone(cx + dx, cy + dy, &near).is_none());
+                    even = if near.is_empty() { self.even(cx, cy) } else { None };
                 }
-                light[y * width + x] = if only_image { self.ground(cx, cy) } else { self.pixel(cx, cy, &near) };
+                light[y * width + x] = match even {
+                    Some(tone) => tone.unwrap_or_else(|| self.ground(cx, cy)),
+                    None => self.pixel(cx, cy, &near),
+                };
             }
         }
         self.damage_window(window, &mut light);
         self.expose(window, &light)
+    }
+
+    /// What the 16 pixels from (x, y) on show, away from marks, where no edge of image or film comes near them.
+    fn even(&self, x: f64, y: f64) -> Option<Option<f32>> {
+        const HALF_PX: f64 = 7.5;
+        // Half the stretch, the corners that a pixel looks at, and some.
+        const CLEAR_PX: f64 = 12.0;
+        let (dx, dy) = (x + HALF_PX - self.pose.offset[0], y - self.pose.offset[1]);
+        let at = [self.inverse[0] * dx + self.inverse[1] * dy, self.inverse[2] * dx + self.inverse[3] * dy];
+        let clear_mm = CLEAR_PX / self.pose.px_per_mm();
+        let size = self.spec.camera.film_size_mm;
+        let clear = |k: usize| {
+            let edges = [self.image[k], self.image[k + 2], self.film[k], self.film[k] + size[k]];
+            edges.iter().all(|edge| (at[k] - edge).abs() > clear_mm)
+        };
+        (clear(0) && clear(1)).then(|| self.tone(x + HALF_PX, y, &[]))
     }
 
     fn pixel(&self, x: f64, y: f64, near: &[usize]) -> f32 {
@@ -363,7 +390,7 @@ impl Painter {
         for j in -3..=3 {
             for i in -3..=3 {
                 let (dx, dy) = (f64::from(i) * 0.5, f64::from(j) * 0.5);
-                let w = (-(dx * dx + dy * dy) / (2.0 * 0.49)).exp() as f32;
+                let w = self.kernel[(i + 3) as usize] * self.kernel[(j + 3) as usize];
                 sum += w * self.tone(x + dx, y + dy, near).unwrap_or(ground);
                 total += w;
             }

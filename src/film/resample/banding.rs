@@ -78,10 +78,11 @@ impl Bands {
         if self == &Bands::default() {
             return;
         }
-        let columns: Vec<f32> =
-            (0..grey.width as u64).map(|x| self.columns.mean(grey.origin[0] + x * grey.factor, grey.factor)).collect();
+        let columns: Vec<f32> = (0..grey.width as u64)
+            .map(|x| self.columns.mean(grey.origin[0] as u64 + x * grey.factor, grey.factor))
+            .collect();
         for (y, row) in grey.data.chunks_mut(grey.width.max(1)).enumerate() {
-            let of_row = self.rows.mean(grey.origin[1] + y as u64 * grey.factor, grey.factor);
+            let of_row = self.rows.mean(grey.origin[1] as u64 + y as u64 * grey.factor, grey.factor);
             for (v, of_column) in row.iter_mut().zip(&columns) {
                 *v -= of_row + of_column;
             }
