@@ -9,7 +9,7 @@ mod targets;
 use autoref_stream::pipeline::{Detector, NoProgress, PlanOptions, plan, scan};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::memory::MemorySource;
-use autoref_stream::raster::{Block, Patch, RasterSource};
+use autoref_stream::raster::{Block, Pixels, RasterSource};
 use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
 use autoref_stream::synth::plant::{Picture, Random};
@@ -39,8 +39,8 @@ impl Detector for Spy<'_> {
     fn largest_mark_px(&self) -> u64 {
         self.inner.largest_mark_px()
     }
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<autoref_stream::candidate::Candidate> {
-        let (seen, score) = self.inner.look(region, patch)?;
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<autoref_stream::candidate::Candidate> {
+        let (seen, score) = self.inner.look(region, pixels)?;
         let fit = seen.fit;
         let hit = self.truth.iter().any(|t| (t.0 - fit.x).hypot(t.1 - fit.y) < 2.0);
         let near = self.truth.iter().any(|t| (t.0 - fit.x).hypot(t.1 - fit.y) < 60.0);
@@ -56,7 +56,7 @@ impl Detector for Spy<'_> {
             );
             self.rows.lock().expect("no panic inside").push(row);
         }
-        self.inner.examine(region, patch)
+        self.inner.examine(region, pixels)
     }
 }
 

@@ -25,7 +25,7 @@ use crate::candidate::Candidate;
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
-use crate::raster::RasterSource;
+use crate::raster::{RasterSource, View};
 use crate::segment::label::Labeller;
 use crate::segment::mask::Mask;
 use crate::window::Window;
@@ -148,7 +148,7 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
         .iter()
         .filter_map(|region| {
             let window = region.bounds.grown(detector.patch_margin_px(), &info.bounds());
-            detector.examine(region, &block.patch(window, info))
+            detector.examine(region, &View { block: &block, window, info })
         })
         .collect())
 }

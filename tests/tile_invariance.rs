@@ -6,7 +6,7 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::coords::PixelPoint;
 use autoref_stream::pipeline::{Detector, NoProgress, PlanOptions, plan, scan};
 use autoref_stream::raster::memory::MemorySource;
-use autoref_stream::raster::{Block, Patch, PixelRow, RasterSource, Samples};
+use autoref_stream::raster::{Block, PixelRow, Pixels, RasterSource, Samples};
 use autoref_stream::segment::label::Region;
 use autoref_stream::segment::mask::Mask;
 
@@ -40,7 +40,8 @@ impl Detector for RedPaint {
     fn largest_mark_px(&self) -> u64 {
         60
     }
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
+        let patch = pixels.whole();
         // Depends on every pixel of the patch, so that a patch cut differently shows.
         let ring: f64 = patch.rgb.iter().enumerate().map(|(i, p)| (i % 31) as f64 * f64::from(p[1])).sum();
         Some(Candidate {

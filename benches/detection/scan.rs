@@ -78,8 +78,7 @@ impl Detector {
             let [a, b] = f.sides_px;
             format!("{:?} {a:.1}x{b:.1}, blur {:.2}, rms {:.3}", f.form, f.blur_px, f.rms)
         });
-        let (contrast, ring) = (seen.contrast, seen.ring_paint);
-        format!("{outline}: contrast {contrast:.1}, ring {ring:.2}, {fit}, score {score:.1}")
+        format!("{outline}: contrast {:.1}, {fit}, score {score:.1}", seen.contrast)
     }
 
     pub fn patch(&self, picture: &Picture, region: &Region) -> Patch {

@@ -18,7 +18,7 @@ use super::patch::{Ground, Scene};
 use super::uncertainty::Place;
 use crate::coords::PixelPoint;
 use crate::profile::{CentreMode, Filters, Profile, Shape};
-use crate::raster::Patch;
+use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 
@@ -45,14 +45,14 @@ pub fn patch_margin_px(_profile: &Profile) -> u64 {
 }
 
 /// The part of a patch that the looks at the ground see.
-pub(super) fn near(patch: &Patch, region: &Region) -> Patch {
-    patch.crop(&region.bounds.grown(LOOK_PX, &patch.window))
+pub(super) fn near(pixels: &dyn Pixels, region: &Region) -> Patch {
+    pixels.part(&region.bounds.grown(LOOK_PX, &pixels.window()))
 }
 
 /// What the centre of a likely mark is refined from; without it, shape and score are all that is asked for.
 #[derive(Clone, Copy)]
 pub(super) struct Around<'a> {
-    pub patch: &'a Patch,
+    pub pixels: &'a dyn Pixels,
     pub classifier: &'a Classifier,
 }
 
@@ -66,8 +66,6 @@ pub struct Evidence {
     pub fit: Option<Fit>,
     /// The fit to the coefficients of a JPEG, where the patch shows one.
     pub refined: Option<Refined>,
-    /// Share of the ring that looks like the paint (projected share of paint above one half).
-    pub ring_paint: f64,
     /// Stands out so little that no fit, however good, could raise its score to the profile's limit: not fitted.
     pub hopeless: bool,
     /// Contrast and fit are those of the third look, against local ground.
@@ -77,32 +75,24 @@ pub struct Evidence {
     pub covariance_px2: [f64; 3],
 }
 
-/// Measures the candidate in `patch`, which should reach [`patch_margin_px`] beyond the region's bounds (less at the
+/// Measures the candidate in `pixels`, which should reach [`patch_margin_px`] beyond the region's bounds (less at the
 /// image's edge), and keeps it when it looks like a mark of the profile.
 pub fn examine(
     region: &Region,
-    patch: &Patch,
+    pixels: &dyn Pixels,
     classifier: &Classifier,
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    let around = Some(Around { patch, classifier });
-    let patch = near(patch, region);
+    let patch = near(pixels, region);
     let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
-    if !super::options::passes(&scene, profile) {
-        return None;
-    }
-    let mut evidence = measure_scene(&scene, around, region, classifier, profile);
-    if worth_another_look(&evidence, profile, gates) {
-        evidence = look_again(&scene, around, region, classifier, profile)?;
-    }
-    candidate(evidence, &scene, region, classifier, profile, gates)
+    examine_whole(&scene, pixels, region, classifier, profile, gates)
 }
 
-/// The same for a part of a region, whose neighbours are other marks: it is neither grown nor looked at again.
-pub(super) fn examine_part(
+/// The same for a region whose scene is there.
+pub(super) fn examine_whole(
     scene: &Scene<'_>,
-    patch: &Patch,
+    pixels: &dyn Pixels,
     region: &Region,
     classifier: &Classifier,
     profile: &Profile,
@@ -111,7 +101,27 @@ pub(super) fn examine_part(
     if !super::options::passes(scene, profile) {
         return None;
     }
-    let evidence = measure_scene(scene, Some(Around { patch, classifier }), region, classifier, profile);
+    let around = Some(Around { pixels, classifier });
+    let mut evidence = measure_scene(scene, around, region, classifier, profile);
+    if worth_another_look(&evidence, profile, gates) {
+        evidence = look_again(scene, around, region, classifier, profile)?;
+    }
+    candidate(evidence, scene, region, classifier, profile, gates)
+}
+
+/// The same for a part of a region, whose neighbours are other marks: it is neither grown nor looked at again.
+pub(super) fn examine_part(
+    scene: &Scene<'_>,
+    pixels: &dyn Pixels,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<Candidate> {
+    if !super::options::passes(scene, profile) {
+        return None;
+    }
+    let evidence = measure_scene(scene, Some(Around { pixels, classifier }), region, classifier, profile);
     candidate(evidence, scene, region, classifier, profile, gates)
 }
 
@@ -147,13 +157,13 @@ fn candidate(
 /// another region stands for.
 pub fn measure(
     region: &Region,
-    patch: &Patch,
+    pixels: &dyn Pixels,
     classifier: &Classifier,
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Evidence> {
-    let around = Some(Around { patch, classifier });
-    let patch = near(patch, region);
+    let around = Some(Around { pixels, classifier });
+    let patch = near(pixels, region);
     let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
     let evidence = measure_scene(&scene, around, region, classifier, profile);
     if worth_another_look(&evidence, profile, gates) {
@@ -206,7 +216,7 @@ fn look_again(
     evidence.hopeless = true;
     if let Some(Local { shares, contrast }) = seen {
         evidence.contrast = contrast;
-        fit_shape(&mut evidence, scene, around, &shares, profile);
+        fit_shape(&mut evidence, scene, around, || shares, profile);
     }
     Some(evidence)
 }
@@ -219,24 +229,14 @@ pub(super) fn measure_scene(
     classifier: &Classifier,
     profile: &Profile,
 ) -> Evidence {
-    let patch = scene.patch;
-    let ground = ring_ground(scene);
     let plateau = plateau(scene);
     let mut evidence = unfitted(region, plateau, classifier, profile);
-    let Some(ground) = ground else { return evidence };
-    let (shares, contrast) = paint_shares(scene, &ground, plateau);
-    evidence.contrast = contrast;
-    let (mut ring, mut ring_paint) = (0u32, 0u32);
-    for (i, &share) in shares.iter().enumerate() {
-        let on_ring = patch.valid[i] && (RING_FROM_PX..=RING_TO_PX).contains(&scene.outside_px[i]);
-        ring += u32::from(on_ring);
-        ring_paint += u32::from(on_ring && share > 0.5);
+    let Some(ground) = ring_ground(scene) else { return evidence };
+    let across = Across::between(&ground, plateau);
+    evidence.contrast = across.contrast;
+    if profile.examine.centre == CentreMode::Fit {
+        fit_shape(&mut evidence, scene, around, || across.shares(scene), profile);
     }
-    evidence.ring_paint = f64::from(ring_paint) / f64::from(ring.max(1));
-    if profile.examine.centre != CentreMode::Fit {
-        return evidence;
-    }
-    fit_shape(&mut evidence, scene, around, &shares, profile);
     evidence
 }
 
@@ -260,7 +260,6 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
         colour: classifier.reference().nearest2(byte) / limit2,
         fit: None,
         refined: None,
-        ring_paint: 0.0,
         hopeless: false,
         local: false,
         area_px,
@@ -274,7 +273,7 @@ fn fit_shape(
     evidence: &mut Evidence,
     scene: &Scene<'_>,
     around: Option<Around<'_>>,
-    shares: &[f64],
+    shares: impl FnOnce() -> Vec<f64>,
     profile: &Profile,
 ) {
     let populations = Populations::of(evidence.local);
@@ -284,7 +283,7 @@ fn fit_shape(
         return;
     }
     let rms_limit = SLACK * populations.largest_rms(contrast, min_score);
-    if let Some(best) = best_fit(scene, shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
+    if let Some(best) = best_fit(scene, &shares(), profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
         let window = &scene.patch.window;
         let mut place = Place::of(&best);
         if let Some(around) = around.filter(|_| best.rms <= rms_limit / SLACK) {
@@ -292,8 +291,9 @@ fn fit_shape(
             if let Some(other) = fit_in_linear_light(scene, evidence.local, profile.shape) {
                 (place, spread) = place.averaged_with(&best, &other);
             }
-            evidence.refined = ring_ground(scene)
-                .and_then(|ground| refine(scene, around.patch, around.classifier, &best, (plateau(scene), &ground)));
+            evidence.refined = ring_ground(scene).and_then(|ground| {
+                refine(scene, &around.pixels.whole(), around.classifier, &best, (plateau(scene), &ground))
+            });
             if let Some(refined) = &evidence.refined {
                 place = place.refined(&best, spread, refined);
             }
@@ -312,7 +312,8 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
         let seen = local_shares(&scene, plateau, (RING_FROM_PX, RING_TO_PX))?;
         (seen.shares, seen.contrast)
     } else {
-        paint_shares(&scene, &ring_ground(&scene)?, plateau)
+        let across = Across::between(&ring_ground(&scene)?, plateau);
+        (across.shares(&scene), across.contrast)
     };
     best_fit(&scene, &shares, shape, 1.0 / contrast.max(1.0), f64::INFINITY)
 }
@@ -325,17 +326,31 @@ fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
     scene.median_colour(|i| scene.inside_px[i] >= from)
 }
 
-/// Share of paint in each pixel (0 on the mean ground, 1 on the plateau) along Fisher's direction, and the Mahalanobis
-/// distance between the two.
-fn paint_shares(scene: &Scene<'_>, ground: &Ground, plateau: Vector3<f64>) -> (Vec<f64>, f64) {
-    // Sensor noise and JPEG: 3 levels, so that flat ground does not make the direction arbitrary.
-    let noise = ground.covariance + Matrix3::identity() * 9.0;
-    let step = plateau - ground.mean;
-    let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
-    let direction = inverse * step;
-    let contrast2 = direction.dot(&step).max(1e-9);
-    let shares = scene.along(direction / contrast2, direction.dot(&ground.mean) / contrast2);
-    (shares, contrast2.sqrt())
+/// Fisher's direction from ground to paint.
+struct Across {
+    direction: Vector3<f64>,
+    /// Of the mean ground along it.
+    origin: f64,
+    /// Mahalanobis distance between the two.
+    contrast: f64,
+}
+
+impl Across {
+    fn between(ground: &Ground, plateau: Vector3<f64>) -> Across {
+        // Sensor noise and JPEG: 3 levels, so that flat ground does not make the direction arbitrary.
+        let noise = ground.covariance + Matrix3::identity() * 9.0;
+        let step = plateau - ground.mean;
+        let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
+        let direction = inverse * step;
+        let contrast2 = direction.dot(&step).max(1e-9);
+        let origin = direction.dot(&ground.mean) / contrast2;
+        Across { direction: direction / contrast2, origin, contrast: contrast2.sqrt() }
+    }
+
+    /// Share of paint in each pixel: 0 on the mean ground, 1 on the plateau.
+    fn shares(&self, scene: &Scene<'_>) -> Vec<f64> {
+        scene.along(self.direction, self.origin)
+    }
 }
 
 fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {

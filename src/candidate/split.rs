@@ -4,11 +4,11 @@
 //! goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine, examine_part, measure_scene, near, score};
+use super::examine::{examine_part, examine_whole, measure_scene, near, score};
 use super::gates::Gates;
 use super::patch::Scene;
 use crate::profile::Profile;
-use crate::raster::Patch;
+use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use crate::window::Window;
@@ -20,15 +20,16 @@ const MOST_PARTS: usize = 256;
 /// whole.
 pub fn examine_parts(
     region: &Region,
-    patch: &Patch,
+    pixels: &dyn Pixels,
     classifier: &Classifier,
     profile: &Profile,
     gates: &Gates,
 ) -> Vec<Candidate> {
-    let whole = if gates.single(region) { examine(region, patch, classifier, profile, gates) } else { None };
-    let inner = near(patch, region);
-    let Some(scene) = Scene::new(region, &inner, classifier, true) else { return whole.into_iter().collect() };
-    let middles = middles(&scene, classifier, profile, gates.mark_side_px().0);
+    let inner = near(pixels, region);
+    let Some(scene) = Scene::new(region, &inner, classifier, true) else { return Vec::new() };
+    let single = gates.single(region);
+    let whole = single.then(|| examine_whole(&scene, pixels, region, classifier, profile, gates)).flatten();
+    let middles = middles(&scene, region, classifier, profile, gates.mark_side_px().0);
     if middles.len() < 2 || middles.len() > MOST_PARTS {
         return whole.into_iter().collect();
     }
@@ -39,7 +40,7 @@ pub fn examine_parts(
             let own: Vec<bool> = owner.iter().map(|&o| o == Some(k)).collect();
             let part = region_of(&own, &inner)?;
             let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
-            examine_part(&Scene::of_pixels(&inner, own, paint), patch, &part, classifier, profile, gates)
+            examine_part(&Scene::of_pixels(&inner, own, paint), pixels, &part, classifier, profile, gates)
         })
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);
@@ -71,37 +72,49 @@ fn nearest(middles: &[(f64, f64)], p: (f64, f64)) -> usize {
     (0..middles.len()).min_by(|&a, &b| distance(&middles[a]).total_cmp(&distance(&middles[b]))).unwrap_or(0)
 }
 
-/// Local maxima of the smoothed map that are at least about a mark's smallest side apart, in raster order.
-fn middles(scene: &Scene<'_>, classifier: &Classifier, profile: &Profile, smallest_px: f64) -> Vec<(f64, f64)> {
-    let limit2 = profile.colour.limit * profile.colour.limit;
-    let mut map: Vec<f64> = (0..scene.own.len())
-        .map(|i| {
-            if !scene.own[i] {
-                return 0.0;
-            }
-            let c = scene.colour(i);
-            let unit = [c[0], c[1], c[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
-            1.0 - 0.5 * (classifier.reference().nearest2(unit) / limit2).min(1.0)
-        })
-        .collect();
-    for _ in 0..if smallest_px > 6.0 { 3 } else { 1 } {
-        map = smoothed(&map, scene.width, scene.height);
-    }
-    let at = |x: i64, y: i64| {
-        let inside = x >= 0 && y >= 0 && x < scene.width as i64 && y < scene.height as i64;
-        if inside { map[y as usize * scene.width + x as usize] } else { 0.0 }
-    };
-    let mut peaks: Vec<usize> = (0..map.len())
-        .filter(|&i| scene.own[i])
-        .filter(|&i| {
-            let (x, y) = ((i % scene.width) as i64, (i / scene.width) as i64);
-            (-1..=1).all(|dy| (-1..=1).all(|dx| at(x + dx, y + dy) <= map[i]))
-        })
-        .collect();
-    peaks.sort_by(|&a, &b| map[b].total_cmp(&map[a]).then(a.cmp(&b)));
+/// Local maxima of the smoothed map that are at least about a mark's smallest side apart, in raster order; `region` is the one
+/// that the scene is of.
+fn middles(
+    scene: &Scene<'_>,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+    smallest_px: f64,
+) -> Vec<(f64, f64)> {
     let apart = (1.1 * smallest_px).max(3.0);
+    let (w, h) = (region.bounds.width as f64, region.bounds.height as f64);
+    if (w - 1.0).hypot(h - 1.0) < apart {
+        // No room for two, and with one the region is whole.
+        return Vec::new();
+    }
+    let passes = if smallest_px > 6.0 { 3 } else { 1 };
+    // The map is nothing beyond.
+    let frame = region.bounds.grown(passes, &scene.patch.window);
+    let (left, top) = ((frame.x - scene.patch.window.x) as usize, (frame.y - scene.patch.window.y) as usize);
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let in_scene = |i: usize| (top + i / width) * scene.width + left + i % width;
+    let limit2 = profile.colour.limit * profile.colour.limit;
+    let fitting = |i: usize| {
+        if !scene.own[i] {
+            return 0.0;
+        }
+        let c = scene.colour(i);
+        let unit = [c[0], c[1], c[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
+        1.0 - 0.5 * (classifier.reference().nearest2(unit) / limit2).min(1.0)
+    };
+    let mut map: Vec<f64> = (0..width * height).map(|i| fitting(in_scene(i))).collect();
+    for _ in 0..passes {
+        map = smoothed(&map, width);
+    }
+    let highest = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        (y.saturating_sub(1)..(y + 2).min(height)).all(|v| columns.clone().all(|u| map[v * width + u] <= map[i]))
+    };
+    let mut peaks: Vec<usize> = (0..map.len()).filter(|&i| scene.own[in_scene(i)] && highest(i)).collect();
+    peaks.sort_by(|&a, &b| map[b].total_cmp(&map[a]).then(a.cmp(&b)));
     let mut kept: Vec<usize> = Vec::new();
-    for i in peaks {
+    for i in peaks.into_iter().map(in_scene) {
         let (x, y) = position(scene, i);
         let clear = kept.iter().all(|&k| {
             let (u, v) = position(scene, k);
@@ -116,19 +129,15 @@ fn middles(scene: &Scene<'_>, classifier: &Classifier, profile: &Profile, smalle
 }
 
 /// The binomial filter 1-2-1 in both directions; nothing beyond the edge.
-fn smoothed(map: &[f64], width: usize, height: usize) -> Vec<f64> {
-    let pass = |map: &[f64], step: usize, at: &dyn Fn(usize) -> usize, len: usize| -> Vec<f64> {
-        (0..map.len())
-            .map(|i| {
-                let k = at(i);
-                let before = if k > 0 { map[i - step] } else { 0.0 };
-                let after = if k + 1 < len { map[i + step] } else { 0.0 };
-                0.25 * before + 0.5 * map[i] + 0.25 * after
-            })
-            .collect()
-    };
-    let across = pass(map, 1, &|i| i % width, width);
-    pass(&across, width, &|i| i / width, height)
+fn smoothed(map: &[f64], width: usize) -> Vec<f64> {
+    let blend = |before: f64, here: f64, after: f64| 0.25 * before + 0.5 * here + 0.25 * after;
+    let mut across = Vec::with_capacity(map.len());
+    for row in map.chunks_exact(width) {
+        let at = |x: usize| row.get(x).copied().unwrap_or(0.0);
+        across.extend((0..width).map(|x| blend(if x > 0 { row[x - 1] } else { 0.0 }, row[x], at(x + 1))));
+    }
+    let at = |i: usize| across.get(i).copied().unwrap_or(0.0);
+    (0..map.len()).map(|i| blend(if i >= width { across[i - width] } else { 0.0 }, across[i], at(i + width))).collect()
 }
 
 /// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the box's:

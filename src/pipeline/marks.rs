@@ -5,7 +5,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
 use crate::profile::Profile;
-use crate::raster::{Block, Patch, RasterInfo};
+use crate::raster::{Block, Pixels, RasterInfo};
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 use crate::target::TargetDetector;
@@ -58,14 +58,14 @@ impl Detector for MarkDetector {
     fn largest_mark_px(&self) -> u64 {
         self.inner().largest_mark_px()
     }
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
-        self.inner().examine(region, patch)
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
+        self.inner().examine(region, pixels)
     }
-    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        self.inner().outline(region, patch)
+    fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        self.inner().outline(region, pixels)
     }
-    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
-        self.inner().examine_all(region, patch)
+    fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+        self.inner().examine_all(region, pixels)
     }
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         self.inner().stricter()

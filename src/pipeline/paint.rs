@@ -6,7 +6,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::Profile;
-use crate::raster::{Block, Patch, RasterInfo};
+use crate::raster::{Block, Pixels, RasterInfo};
 use crate::segment::classify::Classifier;
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
@@ -76,22 +76,22 @@ impl Detector for PaintDetector {
         self.gates.max_side_px()
     }
 
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
-        examine(region, patch, &self.classifier, &self.profile, &self.gates)
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
+        examine(region, pixels, &self.classifier, &self.profile, &self.gates)
     }
 
-    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let evidence = examine::measure(region, patch, &self.classifier, &self.profile, &self.gates)?;
+    fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let evidence = examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?;
         let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
         Some((centre, evidence.fit?.outline(centre)))
     }
 
-    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
+    fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         // With mask filters a region is not the paint that the patch shows: it cannot be taken apart.
         if !self.profile.examine.split || !self.filters.is_identity() {
-            return self.examine(region, patch).into_iter().collect();
+            return self.examine(region, pixels).into_iter().collect();
         }
-        examine_parts(region, patch, &self.classifier, &self.profile, &self.gates)
+        examine_parts(region, pixels, &self.classifier, &self.profile, &self.gates)
     }
 
     fn stricter(&self) -> Option<Box<dyn Detector>> {

@@ -20,7 +20,7 @@ use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
 use crate::pipeline::plan::ScanPlan;
 use crate::pipeline::seams::{Seam, Seams};
-use crate::raster::{Block, Patch, RasterInfo, RasterSource, ReadStats};
+use crate::raster::{Block, Pixels, RasterInfo, RasterSource, ReadStats, View};
 use crate::segment::label::{Labeller, Region, TileRegions};
 use crate::segment::mask::Mask;
 use crate::window::{Tile, Window};
@@ -42,16 +42,16 @@ pub trait Detector: Sync {
     fn patch_margin_px(&self) -> u64;
     /// The longest side a mark may have.
     fn largest_mark_px(&self) -> u64;
-    /// Region → Candidate. The patch holds the region's bounds grown by the margin, clipped to the raster.
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate>;
+    /// Region → Candidate. The pixels are those of the region's bounds grown by the margin, clipped to the raster.
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate>;
     /// Centre and outline of the shape that was fitted to a region, in image pixels; `None` when nothing was fitted.
-    fn outline(&self, _region: &Region, _patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+    fn outline(&self, _region: &Region, _pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
         None
     }
 
     /// Region → Candidates, where a region may be several marks that touch.
-    fn examine_all(&self, region: &Region, patch: &Patch) -> Vec<Candidate> {
-        self.examine(region, patch).into_iter().collect()
+    fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+        self.examine(region, pixels).into_iter().collect()
     }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
@@ -433,8 +433,8 @@ impl Worker<'_> {
         for region in std::mem::take(&mut regions.finished) {
             let window = patch_window(&region, self.detector, info);
             if block.window.contains_window(&window) {
-                let patch = block.patch(window, info);
-                output.examined.push((region.first, self.detector.examine_all(&region, &patch)));
+                let view = View { block, window, info };
+                output.examined.push((region.first, self.detector.examine_all(&region, &view)));
             } else {
                 output.straddling.push(region);
             }
@@ -467,9 +467,13 @@ fn examine_windows(
 fn examine_straddler(source: &dyn RasterSource, detector: &dyn Detector, straddler: &Straddler) -> Result<Examined> {
     let Straddler { region, block } = straddler;
     let info = source.info();
-    let patch = match block {
-        Some(block) => block.to_patch(info),
-        None => source.read(patch_window(region, detector, info))?.to_patch(info),
+    let read;
+    let block = match block {
+        Some(block) => block,
+        None => {
+            read = source.read(patch_window(region, detector, info))?;
+            &read
+        }
     };
-    Ok((region.first, detector.examine_all(region, &patch)))
+    Ok((region.first, detector.examine_all(region, &View { block, window: block.window, info })))
 }

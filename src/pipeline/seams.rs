@@ -97,8 +97,11 @@ fn copied(piece: &Piece, window: Window) -> Option<Piece> {
     if piece.empty {
         return Some(Piece { window: part, ..piece.clone() });
     }
-    let (mut narrow, mut wide) = (Vec::new(), Vec::new());
     let row_stride = part.width as usize * piece.pixel_stride;
+    let count = row_stride * part.height as usize;
+    let is_wide = matches!(piece.data, PieceData::U16(_));
+    let mut narrow = Vec::with_capacity(if is_wide { 0 } else { count });
+    let mut wide = Vec::with_capacity(if is_wide { count } else { 0 });
     for y in part.y..part.bottom() {
         // The last pixel of a row may end where the buffer does: the stride is filled up.
         match piece.row(part.x, y, part.width).samples {

@@ -30,7 +30,7 @@ mod white;
 pub use elevation::ElevationModel;
 pub use gdal::{GdalSource, initialise_gdal};
 pub use open::{open, open_dataset, size};
-pub use patch::read_patch;
+pub use patch::{Pixels, View, read_patch};
 pub use pool::BufferPool;
 pub use white::with_white;
 
@@ -173,14 +173,13 @@ pub enum PieceData {
 #[derive(Debug, Default)]
 pub struct PooledBytes {
     pub bytes: Vec<u8>,
-    pub home: Option<crossbeam_channel::Sender<Vec<u8>>>,
+    pub home: Option<pool::Shelf>,
 }
 
 impl Drop for PooledBytes {
     fn drop(&mut self) {
         if let Some(home) = self.home.take() {
-            // A full or closed pool just lets the buffer go.
-            let _ = home.try_send(std::mem::take(&mut self.bytes));
+            home.put(std::mem::take(&mut self.bytes));
         }
     }
 }
@@ -255,7 +254,8 @@ impl Patch {
         let width = self.window.width as usize;
         let left = (window.x - self.window.x) as usize;
         let rows = (window.y - self.window.y) as usize..(window.bottom() - self.window.y) as usize;
-        let (mut rgb, mut valid) = (Vec::new(), Vec::new());
+        let count = window.area() as usize;
+        let (mut rgb, mut valid) = (Vec::with_capacity(count), Vec::with_capacity(count));
         for first in rows.map(|y| y * width + left) {
             rgb.extend_from_slice(&self.rgb[first..first + window.width as usize]);
             valid.extend_from_slice(&self.valid[first..first + window.width as usize]);

@@ -12,6 +12,45 @@ pub fn read_patch(source: &dyn RasterSource, window: Window) -> Result<Patch> {
     Ok(source.read(window)?.to_patch(source.info()))
 }
 
+/// Pixels of a window that are copied together only as far as they are asked for: most regions are no marks, which their
+/// nearest surroundings show.
+pub trait Pixels {
+    /// All there are.
+    fn window(&self) -> Window;
+    /// Those inside `window`, clipped to what there is.
+    fn part(&self, window: &Window) -> Patch;
+    /// All of them.
+    fn whole(&self) -> Patch {
+        self.part(&self.window())
+    }
+}
+
+impl Pixels for Patch {
+    fn window(&self) -> Window {
+        self.window
+    }
+    fn part(&self, window: &Window) -> Patch {
+        self.crop(window)
+    }
+}
+
+/// A window of a block, which must hold it.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    pub block: &'a Block,
+    pub window: Window,
+    pub info: &'a RasterInfo,
+}
+
+impl Pixels for View<'_> {
+    fn window(&self) -> Window {
+        self.window
+    }
+    fn part(&self, window: &Window) -> Patch {
+        self.block.patch(window.intersect(&self.window), self.info)
+    }
+}
+
 impl Block {
     /// The pixels in one array, red, green, blue as the file has them. Pixels without content (zero alpha, all colour
     /// bands at the nodata value) are marked as such and keep their values.

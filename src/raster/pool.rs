@@ -1,8 +1,30 @@
 //! Buffers that are used again: a decoded block costs no allocation once the first ones have come back.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::PooledBytes;
+
+/// Idle buffers. The one that came last goes first: its bytes are still in the processor's cache.
+#[derive(Clone, Debug)]
+pub struct Shelf {
+    idle: Arc<Mutex<Vec<Vec<u8>>>>,
+    most: usize,
+}
+
+impl Shelf {
+    fn idle(&self) -> MutexGuard<'_, Vec<Vec<u8>>> {
+        // Nothing can go wrong halfway while it is held.
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A full shelf just lets the buffer go.
+    pub(super) fn put(&self, buffer: Vec<u8>) {
+        let mut idle = self.idle();
+        if idle.len() < self.most {
+            idle.push(buffer);
+        }
+    }
+}
 
 /// A bounded store of idle byte buffers, shared by all threads.
 ///
@@ -10,15 +32,13 @@ use super::PooledBytes;
 #[derive(Clone, Debug)]
 pub struct BufferPool {
     buffer_bytes: usize,
-    give: crossbeam_channel::Sender<Vec<u8>>,
-    take: crossbeam_channel::Receiver<Vec<u8>>,
+    shelf: Shelf,
 }
 
 impl BufferPool {
     /// Keeps at most `idle` buffers of `buffer_bytes`; more are let go.
     pub fn new(idle: usize, buffer_bytes: usize) -> Self {
-        let (give, take) = crossbeam_channel::bounded(idle);
-        BufferPool { buffer_bytes, give, take }
+        BufferPool { buffer_bytes, shelf: Shelf { idle: Arc::default(), most: idle } }
     }
 
     /// For decoded chunks of `chunk_bytes`: as many as may be in use at once in any sensible plan.
@@ -28,8 +48,9 @@ impl BufferPool {
 
     /// A buffer of `len` bytes with any content.
     pub fn take(&self, len: usize) -> Vec<u8> {
-        match self.take.try_recv() {
-            Ok(mut buffer) if buffer.capacity() >= len => {
+        let idle = self.shelf.idle().pop();
+        match idle {
+            Some(mut buffer) if buffer.capacity() >= len => {
                 buffer.resize(len, 0);
                 buffer
             }
@@ -44,13 +65,12 @@ impl BufferPool {
 
     /// Gives a buffer back at once.
     pub fn put(&self, buffer: Vec<u8>) {
-        // A full pool just lets the buffer go.
-        let _ = self.give.try_send(buffer);
+        self.shelf.put(buffer);
     }
 
     /// Shares a filled buffer; it comes back when the last user drops it.
     pub fn share(&self, bytes: Vec<u8>) -> Arc<PooledBytes> {
-        Arc::new(PooledBytes { bytes, home: Some(self.give.clone()) })
+        Arc::new(PooledBytes { bytes, home: Some(self.shelf.clone()) })
     }
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
-use crate::raster::{Block, Patch, RasterInfo, RasterSource};
+use crate::raster::{Block, Patch, RasterInfo, RasterSource, View};
 use crate::report::keeper::Keeper;
 use crate::report::overview::{Rgb8, Stretch};
 use crate::segment::label::Labeller;
@@ -152,7 +152,7 @@ fn outline(block: &Block, info: &RasterInfo, detector: &dyn Detector, place: Pix
         .filter(|region| region.bounds.grown(2, &info.bounds()).contains(x, y))
         .filter_map(|region| {
             let window = region.bounds.grown(detector.patch_margin_px(), &info.bounds());
-            block.window.contains_window(&window).then(|| detector.outline(region, &block.patch(window, info)))?
+            block.window.contains_window(&window).then(|| detector.outline(region, &View { block, window, info }))?
         })
         .find(|(centre, _)| (centre.x - place.x).hypot(centre.y - place.y) < SAME_MARK_PX)
         .map(|(_, outline)| outline)

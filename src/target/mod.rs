@@ -15,7 +15,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::{Profile, Shape};
-use crate::raster::{Block, Patch, RasterInfo};
+use crate::raster::{Block, Pixels, RasterInfo};
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 pub use examine::Seen;
@@ -111,8 +111,8 @@ impl TargetDetector {
     }
 
     /// The measurements behind a candidate's score, with the score; `None` when nothing there can be a target.
-    pub fn look(&self, region: &Region, patch: &Patch) -> Option<(Seen, f64)> {
-        examine::look(self, region, patch)
+    pub fn look(&self, region: &Region, pixels: &dyn Pixels) -> Option<(Seen, f64)> {
+        examine::look(self, region, &pixels.whole())
     }
 
     /// Levels of halving that are needed.
@@ -190,13 +190,13 @@ impl Detector for TargetDetector {
         (self.side_px.1 / 2.0).ceil() as u64 + 2
     }
 
-    fn examine(&self, region: &Region, patch: &Patch) -> Option<Candidate> {
-        examine::examine(self, region, patch)
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
+        examine::examine(self, region, &pixels.whole())
     }
 
     /// A square of the target's side that lies as its lines do.
-    fn outline(&self, region: &Region, patch: &Patch) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let (seen, _) = examine::look(self, region, patch)?;
+    fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let (seen, _) = examine::look(self, region, &pixels.whole())?;
         let centre = PixelPoint { x: seen.fit.x, y: seen.fit.y };
         let (half, (sin, cos)) = (seen.side_px / 2.0, seen.fit.angles[0].sin_cos());
         let corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
