@@ -7,8 +7,8 @@
 //! same pixels, so that no candidate depends on the tiling.
 
 use std::collections::BTreeMap;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
@@ -29,6 +29,9 @@ use crate::window::{Tile, Window};
 pub const MAX_CANDIDATES: usize = 1_000_000;
 /// Windows of straddling marks examined together.
 const EXAMINE_BATCH: usize = 16;
+/// So many tiles for each worker are handed out before the first that has not come: what all others found at its faces waits
+/// for that one in memory, however long the scan.
+const TILES_AHEAD: u64 = 8;
 
 /// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
 pub trait Detector: Sync {
@@ -197,14 +200,16 @@ fn scan_tiles(
 ) -> Result<Collected> {
     let stop = AtomicBool::new(false);
     let in_order = Mutex::new(());
+    let pace = Pace { ahead: TILES_AHEAD * plan.workers as u64, first_missing: Mutex::new(0), moved: Condvar::new() };
     let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
     let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
-        let stop = &stop;
+        let (stop, pace) = (&stop, &pace);
         spawn_named(scope, "tiler".into(), move || {
             for tile in plan.grid.iter() {
                 source.prefetch(tile.read);
+                pace.wait_for_turn(tile.id);
                 if stop.load(Ordering::Relaxed) || tile_sender.send(tile).is_err() {
                     return;
                 }
@@ -214,13 +219,17 @@ fn scan_tiles(
             let straddlers = straddlers.clone();
             let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers };
             let (tiles, outputs) = (tiles.clone(), output_sender.clone());
-            spawn_named(scope, format!("worker {index}"), move || worker.run(&tiles, &outputs, stop));
+            spawn_named(scope, format!("worker {index}"), move || {
+                let _rest = Unpaced(pace);
+                worker.run(&tiles, &outputs, stop);
+            });
         }
         drop((tiles, output_sender));
-        let mut collector = Collector::new(source, plan, detector);
+        let mut collector = Collector::new(source, plan, detector, pace);
         let result = collector.run(&outputs, &straddler_sender);
         // On an error the workers and the tiler must not wait for us for ever.
         stop.store(true, Ordering::Relaxed);
+        pace.reached(u64::MAX);
         while outputs.recv().is_ok() {}
         result?;
         collector.merger.finalize();
@@ -241,6 +250,42 @@ fn spawn_named<'scope>(
         .expect("the system can start a handful of threads");
 }
 
+/// Keeps the tiles that are under way close together.
+struct Pace {
+    ahead: u64,
+    /// The first tile that has not come.
+    first_missing: Mutex<u64>,
+    moved: Condvar,
+}
+
+impl Pace {
+    fn first_missing(&self) -> MutexGuard<'_, u64> {
+        // A number is whole whoever held it.
+        self.first_missing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait_for_turn(&self, tile: u64) {
+        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(self.ahead);
+        drop(self.moved.wait_while(self.first_missing(), too_far).unwrap_or_else(PoisonError::into_inner));
+    }
+
+    fn reached(&self, first_missing: u64) {
+        *self.first_missing() = first_missing;
+        self.moved.notify_one();
+    }
+}
+
+/// A worker that panics leaves a tile that never comes: nobody may wait for it, or the panic would not be heard.
+struct Unpaced<'a>(&'a Pace);
+
+impl Drop for Unpaced<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.reached(u64::MAX);
+        }
+    }
+}
+
 /// Brings together what the workers found, in whatever order the tiles come.
 struct Collector<'a> {
     source: &'a dyn RasterSource,
@@ -255,10 +300,11 @@ struct Collector<'a> {
     /// The first tile that has not come.
     next: u64,
     seams: Seams,
+    pace: &'a Pace,
 }
 
 impl<'a> Collector<'a> {
-    fn new(source: &'a dyn RasterSource, plan: &'a ScanPlan, detector: &'a dyn Detector) -> Self {
+    fn new(source: &'a dyn RasterSource, plan: &'a ScanPlan, detector: &'a dyn Detector, pace: &'a Pace) -> Self {
         Collector {
             source,
             plan,
@@ -269,6 +315,7 @@ impl<'a> Collector<'a> {
             done: vec![false; plan.grid.len() as usize],
             next: 0,
             seams: Seams::new(plan.grid, plan.seam_bytes),
+            pace,
         }
     }
 
@@ -364,6 +411,7 @@ impl<'a> Collector<'a> {
             }
             self.next += 1;
         }
+        self.pace.reached(self.next);
     }
 }
 
@@ -408,11 +456,7 @@ impl Worker<'_> {
 
     /// Tile → Block.
     fn next_block(&self, tiles: &crossbeam_channel::Receiver<Tile>) -> Option<(Tile, Result<Block>)> {
-        let _turn = self
-            .source
-            .info()
-            .sequential
-            .then(|| self.in_order.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+        let _turn = self.source.info().sequential.then(|| self.in_order.lock().unwrap_or_else(PoisonError::into_inner));
         let tile = tiles.recv().ok()?;
         Some((tile, self.source.read(tile.read)))
     }
