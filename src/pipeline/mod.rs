@@ -30,6 +30,7 @@
 pub mod georeference;
 pub mod heights;
 pub mod marks;
+mod pace;
 pub mod paint;
 pub mod plan;
 pub mod scan;

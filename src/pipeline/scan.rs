@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
@@ -18,6 +18,7 @@ use crate::candidate::Candidate;
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
+use crate::pipeline::pace::Pace;
 use crate::pipeline::plan::ScanPlan;
 use crate::pipeline::seams::{Seam, Seams};
 use crate::raster::{Block, Pixels, RasterInfo, RasterSource, ReadStats, View};
@@ -29,9 +30,6 @@ use crate::window::{Tile, Window};
 pub const MAX_CANDIDATES: usize = 1_000_000;
 /// Windows of straddling marks examined together.
 const EXAMINE_BATCH: usize = 16;
-/// So many tiles for each worker are handed out before the first that has not come: what all others found at its faces waits
-/// for that one in memory, however long the scan.
-const TILES_AHEAD: u64 = 8;
 
 /// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
 pub trait Detector: Sync {
@@ -200,7 +198,7 @@ fn scan_tiles(
 ) -> Result<Collected> {
     let stop = AtomicBool::new(false);
     let in_order = Mutex::new(());
-    let pace = Pace { ahead: TILES_AHEAD * plan.workers as u64, first_missing: Mutex::new(0), moved: Condvar::new() };
+    let pace = Pace::of(plan.workers);
     let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
     let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
@@ -220,7 +218,7 @@ fn scan_tiles(
             let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers };
             let (tiles, outputs) = (tiles.clone(), output_sender.clone());
             spawn_named(scope, format!("worker {index}"), move || {
-                let _rest = Unpaced(pace);
+                let _rest = pace.lifted_by_panic();
                 worker.run(&tiles, &outputs, stop);
             });
         }
@@ -229,7 +227,7 @@ fn scan_tiles(
         let result = collector.run(&outputs, &straddler_sender);
         // On an error the workers and the tiler must not wait for us for ever.
         stop.store(true, Ordering::Relaxed);
-        pace.reached(u64::MAX);
+        pace.lift();
         while outputs.recv().is_ok() {}
         result?;
         collector.merger.finalize();
@@ -248,42 +246,6 @@ fn spawn_named<'scope>(
         .name(name)
         .spawn_scoped(scope, work)
         .expect("the system can start a handful of threads");
-}
-
-/// Keeps the tiles that are under way close together.
-struct Pace {
-    ahead: u64,
-    /// The first tile that has not come.
-    first_missing: Mutex<u64>,
-    moved: Condvar,
-}
-
-impl Pace {
-    fn first_missing(&self) -> MutexGuard<'_, u64> {
-        // A number is whole whoever held it.
-        self.first_missing.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn wait_for_turn(&self, tile: u64) {
-        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(self.ahead);
-        drop(self.moved.wait_while(self.first_missing(), too_far).unwrap_or_else(PoisonError::into_inner));
-    }
-
-    fn reached(&self, first_missing: u64) {
-        *self.first_missing() = first_missing;
-        self.moved.notify_one();
-    }
-}
-
-/// A worker that panics leaves a tile that never comes: nobody may wait for it, or the panic would not be heard.
-struct Unpaced<'a>(&'a Pace);
-
-impl Drop for Unpaced<'_> {
-    fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.0.reached(u64::MAX);
-        }
-    }
 }
 
 /// Brings together what the workers found, in whatever order the tiles come.

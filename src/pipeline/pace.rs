@@ -1,0 +1,96 @@
+//! Keeps the tiles that are under way close together: whatever was found at the faces of a tile that comes late waits for it in
+//! memory, and the longer the scan, the later the latest comes.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// So many tiles for each worker are handed out before the first that has not come.
+const TILES_AHEAD: u64 = 8;
+
+/// How far the tiles have come.
+pub(super) struct Pace {
+    ahead: u64,
+    first_missing: Mutex<u64>,
+    moved: Condvar,
+}
+
+impl Pace {
+    pub fn of(workers: usize) -> Pace {
+        Pace { ahead: TILES_AHEAD * workers as u64, first_missing: Mutex::new(0), moved: Condvar::new() }
+    }
+
+    fn first_missing(&self) -> MutexGuard<'_, u64> {
+        // A number is whole whoever held it.
+        self.first_missing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns when a tile may be handed out.
+    pub fn wait_for_turn(&self, tile: u64) {
+        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(self.ahead);
+        drop(self.moved.wait_while(self.first_missing(), too_far).unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// All tiles before this one have come.
+    pub fn reached(&self, first_missing: u64) {
+        let mut reached = self.first_missing();
+        *reached = (*reached).max(first_missing);
+        self.moved.notify_all();
+    }
+
+    /// Nobody need wait any more.
+    pub fn lift(&self) {
+        self.reached(u64::MAX);
+    }
+
+    /// A worker that panics leaves a tile that never comes. Nobody may wait for it, or the panic would not be heard: the guard
+    /// lifts the pace when it is dropped by one.
+    pub fn lifted_by_panic(&self) -> impl Drop + '_ {
+        struct Guard<'a>(&'a Pace);
+        impl Drop for Guard<'_> {
+            fn drop(&mut self) {
+                if std::thread::panicking() {
+                    self.0.lift();
+                }
+            }
+        }
+        Guard(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn no_tile_is_handed_out_too_far_ahead() {
+        let (pace, reached) = (Pace::of(1), AtomicU64::new(0));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for tile in 0..200 {
+                    pace.wait_for_turn(tile);
+                    assert!(tile < reached.load(Ordering::SeqCst) + TILES_AHEAD);
+                }
+            });
+            for tile in 1..=200 {
+                // What is noted first is never less than what is allowed.
+                reached.store(tile, Ordering::SeqCst);
+                pace.reached(tile);
+                std::thread::yield_now();
+            }
+        });
+    }
+
+    #[test]
+    fn a_panic_ends_the_waiting() {
+        let pace = Pace::of(1);
+        std::thread::scope(|scope| {
+            let failing = scope.spawn(|| {
+                let _rest = pace.lifted_by_panic();
+                panic!("on purpose");
+            });
+            pace.wait_for_turn(1000);
+            assert!(failing.join().is_err());
+        });
+    }
+}
