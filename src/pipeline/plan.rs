@@ -22,6 +22,8 @@ pub const DEFAULT_BUDGET_BYTES: u64 = 512 << 20;
 const RESERVE_BYTES: u64 = 10 << 20;
 /// Stack, channel entries and codec state of one worker.
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
+/// The most that is kept along the faces of tiles, enough along a row of tiles of an image 100,000 pixels wide.
+const MOST_SEAM_BYTES: u64 = 44 << 20;
 /// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
 const DEFAULT_TILE_PIXELS: u64 = 1024 * 1024;
 /// A default band of strips is wide and low: more pixels, or most marks would straddle its edges.
@@ -114,11 +116,10 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
     let mut notes = Vec::new();
     let (mut tile_width, mut tile_height) = wished_tile(info, options.tile_px);
     let mut workers = if info.sequential { options.threads.min(2) } else { options.threads }.max(1);
-    // 44 MiB at the default, enough along a row of tiles of an image 100,000 pixels wide.
-    let seam_bytes = options.cache_bytes / 2;
+    let least_seam_bytes = options.cache_bytes / 2;
     // Chunks that are larger than the cache are never kept.
     let cache_bytes = if info.chunk_bytes > options.cache_bytes { 0 } else { options.cache_bytes };
-    let fixed = options.baseline_bytes + cache_bytes + seam_bytes + RESERVE_BYTES;
+    let fixed = options.baseline_bytes + cache_bytes + least_seam_bytes + RESERVE_BYTES;
     let available = options.memory_budget_bytes.saturating_sub(fixed);
     let fits = |width: u64, height: u64, workers: usize| {
         worker_bytes(info, width, height, halo_px).saturating_mul(workers as u64) <= available
@@ -161,6 +162,9 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
     let grid = TileGrid::new(info.width, info.height, tile_width, tile_height, halo_px);
     workers = workers.min(grid.len().max(1) as usize);
     let bytes_per_worker = worker_bytes(info, grid.tile_width(), grid.tile_height(), halo_px);
+    // Sizes of tiles are halved until they fit, which leaves something over; what the seams cannot hold is decoded again.
+    let left_bytes = available.saturating_sub(bytes_per_worker * workers as u64);
+    let spare_bytes = left_bytes.min(MOST_SEAM_BYTES.saturating_sub(least_seam_bytes));
     Ok(ScanPlan {
         tile_width_px: grid.tile_width(),
         tile_height_px: grid.tile_height(),
@@ -170,9 +174,9 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
         baseline_bytes: options.baseline_bytes,
         bytes_per_worker,
         cache_bytes,
-        seam_bytes,
+        seam_bytes: least_seam_bytes + spare_bytes,
         reserve_bytes: RESERVE_BYTES,
-        planned_bytes: fixed + bytes_per_worker * workers as u64,
+        planned_bytes: fixed + spare_bytes + bytes_per_worker * workers as u64,
         memory_budget_bytes: options.memory_budget_bytes,
         notes,
         grid,
