@@ -1,4 +1,4 @@
-//! Keeps the tiles that are under way close together: whatever was found at the faces of a tile that comes late waits for it in
+//! Keeps the tiles that are under way close together, and what is fetched for them close before: whatever was found at the faces of a tile that comes late waits for it in
 //! memory, and the longer the scan, the later the latest comes.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -9,13 +9,16 @@ const TILES_AHEAD: u64 = 8;
 /// How far the tiles have come.
 pub(super) struct Pace {
     ahead: u64,
+    fetched_ahead: u64,
     first_missing: Mutex<u64>,
     moved: Condvar,
 }
 
 impl Pace {
-    pub fn of(workers: usize) -> Pace {
-        Pace { ahead: TILES_AHEAD * workers as u64, first_missing: Mutex::new(0), moved: Condvar::new() }
+    /// `fetched` tiles are fetched before they are handed out.
+    pub fn of(workers: usize, fetched: u64) -> Pace {
+        let ahead = TILES_AHEAD * workers as u64;
+        Pace { ahead, fetched_ahead: ahead + fetched, first_missing: Mutex::new(0), moved: Condvar::new() }
     }
 
     fn first_missing(&self) -> MutexGuard<'_, u64> {
@@ -25,7 +28,16 @@ impl Pace {
 
     /// Returns when a tile may be handed out.
     pub fn wait_for_turn(&self, tile: u64) {
-        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(self.ahead);
+        self.wait(tile, self.ahead);
+    }
+
+    /// Returns when a tile may be fetched.
+    pub fn wait_to_fetch(&self, tile: u64) {
+        self.wait(tile, self.fetched_ahead);
+    }
+
+    fn wait(&self, tile: u64, ahead: u64) {
+        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(ahead);
         drop(self.moved.wait_while(self.first_missing(), too_far).unwrap_or_else(PoisonError::into_inner));
     }
 
@@ -64,7 +76,7 @@ mod tests {
 
     #[test]
     fn no_tile_is_handed_out_too_far_ahead() {
-        let (pace, reached) = (Pace::of(1), AtomicU64::new(0));
+        let (pace, reached) = (Pace::of(1, 0), AtomicU64::new(0));
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for tile in 0..200 {
@@ -83,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_panic_ends_the_waiting() {
-        let pace = Pace::of(1);
+        let pace = Pace::of(1, 0);
         std::thread::scope(|scope| {
             let failing = scope.spawn(|| {
                 let _rest = pace.lifted_by_panic();

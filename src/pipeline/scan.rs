@@ -30,6 +30,9 @@ use crate::window::{Tile, Window};
 pub const MAX_CANDIDATES: usize = 1_000_000;
 /// Windows of straddling marks examined together.
 const EXAMINE_BATCH: usize = 16;
+/// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second of a fast
+/// disk. It lies in the system's cache, not in ours.
+const FETCH_AHEAD_BYTES: u64 = 64 << 20;
 
 /// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
 pub trait Detector: Sync {
@@ -198,15 +201,26 @@ fn scan_tiles(
 ) -> Result<Collected> {
     let stop = AtomicBool::new(false);
     let in_order = Mutex::new(());
-    let pace = Pace::of(plan.workers);
+    let info = source.info();
+    let tile_bytes = plan.grid.tile_width() * plan.grid.tile_height() * (info.bands * info.sample.bytes()) as u64;
+    let pace = Pace::of(plan.workers, FETCH_AHEAD_BYTES.div_ceil(tile_bytes.max(1)));
     let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
     let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let (stop, pace) = (&stop, &pace);
+        // The request itself waits while the disk has enough to do.
+        spawn_named(scope, "fetcher".into(), move || {
+            for tile in plan.grid.iter() {
+                pace.wait_to_fetch(tile.id);
+                if stop.load(Ordering::Relaxed) {
+                    return;
+                }
+                source.prefetch(tile.read);
+            }
+        });
         spawn_named(scope, "tiler".into(), move || {
             for tile in plan.grid.iter() {
-                source.prefetch(tile.read);
                 pace.wait_for_turn(tile.id);
                 if stop.load(Ordering::Relaxed) || tile_sender.send(tile).is_err() {
                     return;
