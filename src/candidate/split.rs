@@ -16,7 +16,7 @@ use crate::window::Window;
 /// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs a second look.
 const MOST_PARTS: usize = 256;
 
-/// [`examine`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark than the
+/// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark than the
 /// whole.
 pub fn examine_parts(
     region: &Region,
