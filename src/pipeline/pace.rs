@@ -1,5 +1,7 @@
-//! Keeps the tiles that are under way close together, and what is fetched for them close before: whatever was found at the faces of a tile that comes late waits for it in
-//! memory, and the longer the scan, the later the latest comes.
+//! Keeps the tiles that are under way close together, and what is fetched of the file close before them.
+//!
+//! What was found at the faces of a tile that comes late waits for it in memory, and the longer the scan, the later the latest
+//! comes: without a bound the peak would grow with the file.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
