@@ -5,7 +5,8 @@
 //! the true marks, at their measured places, are rarer than 1e-4. Where measured and predicted agree, the search finds
 //! what can be believed and the limit is that of the evidence. Excluded: the time of making the cases.
 //!
-//! `cargo run --release --example success_curve -- FOLDER [TRIALS]` writes `matching-success.csv` and `.svg` there.
+//! `cargo run --release --example success_curve -- FOLDER [TRIALS [FROM]]` writes `matching-success.csv` and `.svg` there. With
+//! FROM the fields of fewer false candidates are taken over from the table in FOLDER.
 
 use std::fmt::Write;
 use std::time::Instant;
@@ -218,14 +219,33 @@ fn svg(cells: &[(usize, usize, f64, Cell)]) -> String {
     out
 }
 
+/// Rows of the table in the folder with fewer false candidates than `from`, which are also written to `csv`.
+fn taken_over(folder: &std::path::Path, from: usize, csv: &mut String) -> Vec<(usize, usize, f64, Cell)> {
+    let table = std::fs::read_to_string(folder.join("matching-success.csv")).expect("a table to go on from");
+    let mut cells = Vec::new();
+    for line in table.lines().skip(1) {
+        let values: Vec<f64> = line.split(',').map(|v| v.parse().expect("a table of numbers")).collect();
+        let [visible, false_candidates, trials, right, wrong, predicted] =
+            [0, 1, 3, 4, 5, 6].map(|k| values[k] as usize);
+        if false_candidates < from {
+            let cell = Cell { trials, right, wrong, predicted, seconds: values[7] * values[3] };
+            cells.push((visible, false_candidates, values[2], cell));
+            csv.push_str(line);
+            csv.push('\n');
+        }
+    }
+    cells
+}
+
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let folder = std::path::PathBuf::from(arguments.next().expect("usage: success_curve FOLDER [TRIALS]"));
     let trials: usize = arguments.next().map_or(20, |n| n.parse().expect("a number of trials"));
-    let mut cells = Vec::new();
+    let from: usize = arguments.next().map_or(0, |n| n.parse().expect("a number of false candidates"));
     let mut csv = String::from("visible,false_candidates,sigma_px,trials,right,wrong,predicted,seconds_per_trial\n");
+    let mut cells = if from > 0 { taken_over(&folder, from, &mut csv) } else { Vec::new() };
     // The costly fields last; what is done is on disk.
-    for false_candidates in FALSE {
+    for false_candidates in FALSE.into_iter().filter(|&n| n >= from) {
         // A trial among 20,000 costs as much as hundreds among a hundred.
         let trials = match false_candidates {
             0..=500 => trials,
