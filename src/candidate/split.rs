@@ -16,8 +16,8 @@ use crate::window::Window;
 /// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs a second look.
 const MOST_PARTS: usize = 256;
 
-/// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark than the
-/// whole.
+/// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark
+/// than the whole.
 pub fn examine_parts(
     region: &Region,
     pixels: &dyn Pixels,

@@ -22,8 +22,8 @@ pub const DEFAULT_BUDGET_BYTES: u64 = 512 << 20;
 const RESERVE_BYTES: u64 = 10 << 20;
 /// Stack, channel entries and codec state of one worker.
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
-/// The most that is kept along the faces of tiles, enough along a row of tiles of an image 100,000 pixels wide.
-const MOST_SEAM_BYTES: u64 = 44 << 20;
+/// The faces of tiles get what the plan leaves over up to this: enough along a row of tiles of an image 100,000 pixels wide.
+const ENOUGH_SEAM_BYTES: u64 = 44 << 20;
 /// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
 const DEFAULT_TILE_PIXELS: u64 = 1024 * 1024;
 /// A default band of strips is wide and low: more pixels, or most marks would straddle its edges.
@@ -164,7 +164,7 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
     let bytes_per_worker = worker_bytes(info, grid.tile_width(), grid.tile_height(), halo_px);
     // Sizes of tiles are halved until they fit, which leaves something over; what the seams cannot hold is decoded again.
     let left_bytes = available.saturating_sub(bytes_per_worker * workers as u64);
-    let spare_bytes = left_bytes.min(MOST_SEAM_BYTES.saturating_sub(least_seam_bytes));
+    let spare_bytes = left_bytes.min(ENOUGH_SEAM_BYTES.saturating_sub(least_seam_bytes));
     Ok(ScanPlan {
         tile_width_px: grid.tile_width(),
         tile_height_px: grid.tile_height(),
