@@ -6,6 +6,10 @@ use crate::matching::field::Field;
 /// A prediction that chance hits this often is not worth a look.
 pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;
 
+/// How often a chance prediction may find its bit set with no candidate within the radius. Fewer cells say less, but stay in the
+/// nearest cache: with cells of half the radius most of a look was waiting for memory.
+const NEEDLESS_LOOK: f64 = 0.03;
+
 /// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look.
 pub(super) struct Bitmap {
     pub radius_px: f64,
@@ -39,8 +43,10 @@ impl Bitmap {
     }
 
     fn new(field: &Field, radius_px: f64) -> Bitmap {
-        // Half the radius, but no more than 16 million cells.
-        let cell_px = (radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
+        // As large as needless looks allow; half the radius at least, and no more than 16 million cells.
+        let density = field.points().len() as f64 / field.area_px2();
+        let rare_px = (NEEDLESS_LOOK / density).sqrt() - 2.0 * radius_px;
+        let cell_px = rare_px.max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
         let columns = (field.width_px / cell_px) as usize + 2;
         let rows = (field.height_px / cell_px) as usize + 2;
         let mut bitmap = Bitmap {
