@@ -7,6 +7,7 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
+use super::jpeg::{self, Wanted};
 use super::layout::{Codec, Layout};
 use super::lzw;
 
@@ -14,8 +15,9 @@ struct Workers {
     deflate: libdeflater::Decompressor,
     zstd: Option<zstd::bulk::Decompressor<'static>>,
     lzw: lzw::Decoder,
+    jpeg: jpeg::Decoder,
     /// Tables and data of a JPEG block, joined.
-    jpeg: Vec<u8>,
+    joined: Vec<u8>,
 }
 
 thread_local! {
@@ -23,7 +25,8 @@ thread_local! {
         deflate: libdeflater::Decompressor::new(),
         zstd: None,
         lzw: lzw::Decoder::new(),
-        jpeg: Vec::new(),
+        jpeg: jpeg::Decoder::new(jpeg::Kernel::best()),
+        joined: Vec::new(),
     });
 }
 
@@ -43,7 +46,14 @@ pub fn decompress(layout: &Layout, data: &[u8], rows: u64, out: &mut [u8]) -> Re
         Codec::Lzw => lzw_block(&mut workers.lzw, data, out),
         Codec::Deflate => deflate(&mut workers.deflate, data, out),
         Codec::Zstd => zstd_block(&mut workers.zstd, data, out),
-        Codec::Jpeg => jpeg(layout, &mut workers.jpeg, data, rows, out),
+        Codec::Jpeg => {
+            let (width, samples) = (layout.block_width as usize, layout.block_samples());
+            let wanted = Wanted { width, rows: rows as usize, samples, ycbcr: layout.ycbcr };
+            match workers.jpeg.decode(layout.jpeg_tables.as_deref(), data, wanted, out) {
+                Ok(()) => Ok(()),
+                Err(jpeg::NotDecoded) => any_jpeg(layout, &mut workers.joined, data, rows, out),
+            }
+        }
     })
 }
 
@@ -131,8 +141,8 @@ fn fill_from(mut stream: impl std::io::Read, out: &mut [u8], name: &str) -> Resu
     Ok(())
 }
 
-/// A JPEG block: an abbreviated stream that needs the tables of tag 347, or a whole one (TIFF Technical Note 2, 1995).
-fn jpeg(layout: &Layout, joined: &mut Vec<u8>, data: &[u8], rows: u64, out: &mut [u8]) -> Result<(), String> {
+/// A JPEG block of whatever kind: an abbreviated stream that needs the tables of tag 347, or a whole one (TIFF Technical Note 2, 1995).
+fn any_jpeg(layout: &Layout, joined: &mut Vec<u8>, data: &[u8], rows: u64, out: &mut [u8]) -> Result<(), String> {
     let say =
         |e: zune_jpeg::errors::DecodeErrors| format!("JPEG: {e:?}").split_whitespace().collect::<Vec<_>>().join(" ");
     let stream = match layout.jpeg_tables.as_deref() {

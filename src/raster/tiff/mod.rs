@@ -4,6 +4,7 @@ mod codec;
 pub mod container;
 mod decoder;
 mod hollow;
+mod jpeg;
 mod layout;
 mod lzw;
 mod mapping;
