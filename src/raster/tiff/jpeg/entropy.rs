@@ -22,7 +22,7 @@ pub struct Table {
     spec: Vec<u8>,
     /// By the next [`LOOK`] bits: length in bits 0 to 5 (0: a longer code), [`WHOLE`], run in 8 to 11, size in 12 to 15, value in 16
     /// to 31.
-    fast: Vec<u32>,
+    fast: Box<[u32; 1 << LOOK]>,
     /// First code of each length beyond the codes of that length, aligned to 16 bits; of 17 above all.
     beyond: [u32; 18],
     /// What to add to a code of each length for its symbol's index.
@@ -34,7 +34,7 @@ impl Table {
     pub fn new(spec: &[u8]) -> Result<Table, NotDecoded> {
         let (counts, symbols) = spec.split_at_checked(16).ok_or(NotDecoded)?;
         let mut table =
-            Table { spec: spec.to_vec(), fast: vec![0; 1 << LOOK], beyond: [u32::MAX; 18], offset: [0; 17] };
+            Table { spec: spec.to_vec(), fast: Box::new([0; 1 << LOOK]), beyond: [u32::MAX; 18], offset: [0; 17] };
         let (mut code, mut index) = (0u32, 0usize);
         for length in 1..=16u32 {
             table.offset[length as usize] = index as i32 - code as i32;
@@ -94,8 +94,8 @@ fn extended(raw: u32, size: u32) -> i32 {
 
 /// The stream's bits, stuffed zeros left out. Beyond its end, or a marker, come zeros, which [`Bits::sound`] tells.
 pub struct Bits<'a> {
+    /// What has not come into the buffer.
     data: &'a [u8],
-    at: usize,
     /// The next bits, from the top. Below `count` bits are those that the next filling sets again.
     buffer: u64,
     count: u32,
@@ -105,7 +105,7 @@ pub struct Bits<'a> {
 
 impl<'a> Bits<'a> {
     pub fn new(data: &'a [u8]) -> Self {
-        Bits { data, at: 0, buffer: 0, count: 0, lent: 0 }
+        Bits { data, buffer: 0, count: 0, lent: 0 }
     }
 
     /// At least 32 bits.
@@ -114,13 +114,13 @@ impl<'a> Bits<'a> {
         if self.count >= 32 {
             return;
         }
-        if let Some(bytes) = self.data.get(self.at..self.at + 8) {
-            let word = u64::from_be_bytes(bytes.try_into().expect("eight bytes"));
+        if let Some(bytes) = self.data.first_chunk::<8>() {
+            let word = u64::from_be_bytes(*bytes);
             // Any byte of 255 is a zero byte of the complement.
             let inverse = !word;
             if inverse.wrapping_sub(0x0101_0101_0101_0101) & !inverse & 0x8080_8080_8080_8080 == 0 {
                 self.buffer |= word >> self.count;
-                self.at += ((63 - self.count) >> 3) as usize;
+                self.data = &self.data[((63 - self.count) >> 3) as usize..];
                 self.count |= 56;
                 return;
             }
@@ -131,17 +131,17 @@ impl<'a> Bits<'a> {
     #[cold]
     fn fill_slowly(&mut self) {
         while self.count <= 56 {
-            let byte = match self.data.get(self.at..) {
-                Some([0xFF, 0, ..]) => {
-                    self.at += 2;
+            let byte = match self.data {
+                [0xFF, 0, rest @ ..] => {
+                    self.data = rest;
                     0xFF
                 }
-                Some([0xFF, ..]) | Some([]) | None => {
+                [0xFF, ..] | [] => {
                     self.lent += 1;
                     0
                 }
-                Some([byte, ..]) => {
-                    self.at += 1;
+                [byte, rest @ ..] => {
+                    self.data = rest;
                     *byte
                 }
             };
@@ -166,13 +166,11 @@ impl<'a> Bits<'a> {
         if !self.sound() || self.count - self.lent * 8 >= 8 {
             return Err(NotDecoded);
         }
-        while self.data.get(self.at..self.at + 2) == Some(&[0xFF, 0xFF]) {
-            self.at += 1;
+        while self.data.starts_with(&[0xFF, 0xFF]) {
+            self.data = &self.data[1..];
         }
-        if self.data.get(self.at..self.at + 2) != Some(&[0xFF, 0xD0 + number]) {
-            return Err(NotDecoded);
-        }
-        *self = Bits { data: self.data, at: self.at + 2, buffer: 0, count: 0, lent: 0 };
+        let rest = self.data.strip_prefix(&[0xFF, 0xD0 + number]).ok_or(NotDecoded)?;
+        *self = Bits::new(rest);
         Ok(())
     }
 
@@ -203,7 +201,19 @@ impl<'a> Bits<'a> {
 pub struct Codes<'a> {
     pub dc: &'a Table,
     pub ac: &'a Table,
-    pub steps: &'a [u16; 64],
+    pub places: [Place; 64],
+}
+
+/// Where the k-th coefficient of a block goes, and its step.
+#[derive(Clone, Copy)]
+pub struct Place {
+    step: i16,
+    index: u8,
+}
+
+/// The places of coefficients with these steps, both along the diagonals.
+pub fn places(steps: &[u16; 64]) -> [Place; 64] {
+    std::array::from_fn(|k| Place { step: steps[k] as i16, index: ZIGZAG[k] })
 }
 
 /// Decodes one block into `coefficients`, which must be zero, each multiplied by its step (wrapping, as all decoders in sixteen bits
@@ -220,7 +230,7 @@ pub fn block(
         return Err(NotDecoded);
     }
     *last_dc = last_dc.wrapping_add(difference);
-    coefficients[0] = (*last_dc as i16).wrapping_mul(codes.steps[0] as i16);
+    coefficients[0] = (*last_dc as i16).wrapping_mul(codes.places[0].step);
     let (mut k, mut last) = (1, 0);
     while k < 64 {
         let (run, value) = bits.next(codes.ac)?;
@@ -232,10 +242,8 @@ pub fn block(
             k += 1;
             continue;
         }
-        if k > 63 {
-            return Err(NotDecoded);
-        }
-        coefficients[ZIGZAG[k] as usize] = (value as i16).wrapping_mul(codes.steps[k] as i16);
+        let place = codes.places.get(k).ok_or(NotDecoded)?;
+        coefficients[usize::from(place.index & 63)] = (value as i16).wrapping_mul(place.step);
         last = k;
         k += 1;
     }

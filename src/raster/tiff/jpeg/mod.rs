@@ -218,7 +218,7 @@ impl Decoder {
             codes.push(Codes {
                 dc: self.huffman[0][component.dc].as_ref().ok_or(NotDecoded)?,
                 ac: self.huffman[1][component.ac].as_ref().ok_or(NotDecoded)?,
-                steps: self.steps[component.steps].as_ref().ok_or(NotDecoded)?,
+                places: entropy::places(self.steps[component.steps].as_ref().ok_or(NotDecoded)?),
             });
         }
         let mut units = Units { bits: Bits::new(data), codes, last_dc: [0; 3], restart: frame.restart, done: 0 };
