@@ -127,8 +127,7 @@ fn photographs_read_alike_natively_and_through_gdal() {
         let oracle = gdal_patch(&path, native.window).expect("readable");
         let (largest, mean) = worst_difference(&native, &oracle);
         println!("{name}: {reader}: differs by up to {largest}, {mean:.3} in the mean");
-        let allowed = if reader.contains("JPEG") { (JPEG_LARGEST, JPEG_MEAN) } else { (0, 0.0) };
-        assert!(largest <= allowed.0 && mean <= allowed.1, "{name}");
+        assert_eq!((largest, mean), (0, 0.0), "{name}");
         assert_eq!(native.valid, oracle.valid, "{name}");
     }
 }
