@@ -84,7 +84,7 @@ fn entry(bits: u32, length: u32, symbol: u8) -> u32 {
 }
 
 /// The number that `size` bits stand for (T.81, F.2.2.1: EXTEND).
-#[inline]
+#[inline(always)]
 fn extended(raw: u32, size: u32) -> i32 {
     if size == 0 {
         return 0;
@@ -109,7 +109,7 @@ impl<'a> Bits<'a> {
     }
 
     /// At least 32 bits.
-    #[inline]
+    #[inline(always)]
     fn fill(&mut self) {
         if self.count >= 32 {
             return;
@@ -150,7 +150,7 @@ impl<'a> Bits<'a> {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn drop_bits(&mut self, count: u32) {
         self.buffer <<= count;
         self.count -= count;
@@ -175,7 +175,7 @@ impl<'a> Bits<'a> {
     }
 
     /// One code with what follows it: run and value, the value 0 when no bits follow.
-    #[inline]
+    #[inline(always)]
     fn next(&mut self, table: &Table) -> Result<(usize, i32), NotDecoded> {
         self.fill();
         let entry = table.fast[(self.buffer >> (64 - LOOK)) as usize];
@@ -218,7 +218,7 @@ pub fn places(steps: &[u16; 64]) -> [Place; 64] {
 
 /// Decodes one block into `coefficients`, which must be zero, each multiplied by its step (wrapping, as all decoders in sixteen bits
 /// do). Answers the index along the diagonals of the last one that is not zero.
-#[inline]
+#[inline(always)]
 pub fn block(
     bits: &mut Bits<'_>,
     codes: &Codes<'_>,

@@ -5,14 +5,17 @@
 //! buffer. The pixels are those of libjpeg with its default settings, to the last bit. What is not of this kind, or is broken, is not
 //! decoded here at all ([`NotDecoded`]): the caller has another decoder for it.
 //!
-//! `entropy` reads codes, `transform` and `colour` have the arithmetic with its scalar and vector kernels.
+//! `entropy` reads codes, `units` goes through the scan, `transform` and `colour` have the arithmetic with its scalar and vector
+//! kernels.
 
 mod colour;
 mod entropy;
 mod transform;
+mod units;
 
 pub use entropy::NotDecoded;
 use entropy::{Bits, Codes, Table};
+use units::Units;
 
 /// Which kernel to take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +30,7 @@ impl Kernel {
     pub fn all() -> Vec<Self> {
         let mut all = vec![Kernel::Scalar];
         #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi2") {
             all.push(Kernel::Avx2);
         }
         all
@@ -221,7 +224,7 @@ impl Decoder {
                 places: entropy::places(self.steps[component.steps].as_ref().ok_or(NotDecoded)?),
             });
         }
-        let mut units = Units { bits: Bits::new(data), codes, last_dc: [0; 3], restart: frame.restart, done: 0 };
+        let mut units = Units::new(Bits::new(data), codes, frame.restart);
         let mut written = 0;
         for row in 0..shape.unit_rows {
             units.row(self.kernel, frame, &shape, row % 2, &mut buffers.planes)?;
@@ -236,7 +239,7 @@ impl Decoder {
             written = until.max(written);
             if written == wanted.rows {
                 // What is left of the stream is of no interest, but what was read must have been there.
-                return if units.bits.sound() { Ok(()) } else { Err(NotDecoded) };
+                return if units.sound() { Ok(()) } else { Err(NotDecoded) };
             }
         }
         Err(NotDecoded)
@@ -367,59 +370,6 @@ impl Shape {
                 *pixel = all.map(|plane| plane[i]);
             }
         }
-    }
-}
-
-/// The units of a scan, from its first to its last.
-struct Units<'a> {
-    bits: Bits<'a>,
-    codes: Vec<Codes<'a>>,
-    last_dc: [i32; 3],
-    restart: usize,
-    done: usize,
-}
-
-impl Units<'_> {
-    /// One row of units into the half of the planes that `slot` says.
-    fn row(
-        &mut self,
-        kernel: Kernel,
-        frame: &Frame,
-        shape: &Shape,
-        slot: usize,
-        planes: &mut [Vec<u8>; 3],
-    ) -> Result<(), NotDecoded> {
-        // Blocks of a unit: their component and place in it.
-        let mut places = Vec::with_capacity(6);
-        for (c, component) in frame.components.iter().enumerate() {
-            places.extend((0..component.down).flat_map(|v| (0..component.across).map(move |h| (c, h, v))));
-        }
-        for unit in 0..shape.units {
-            if self.restart > 0 && self.done > 0 && self.done.is_multiple_of(self.restart) {
-                self.bits.restart((self.done / self.restart - 1) as u8 % 8)?;
-                self.last_dc = [0; 3];
-            }
-            self.done += 1;
-            for two in places.chunks(2) {
-                let mut coefficients = [[0i16; 64]; 2];
-                let mut last = [0; 2];
-                for (i, (c, ..)) in two.iter().enumerate() {
-                    let (codes, dc) = (&self.codes[*c], &mut self.last_dc[*c]);
-                    last[i] = entropy::block(&mut self.bits, codes, dc, &mut coefficients[i])?;
-                }
-                let start = |&(c, h, v): &(usize, usize, usize)| {
-                    let component = &frame.components[c];
-                    let (row, stride) = (8 * (slot * component.down + v), shape.stride(component));
-                    (row * stride + 8 * (unit * component.across + h), stride)
-                };
-                let pixels = transform::two_blocks(kernel, &coefficients, last);
-                for (place, block) in two.iter().zip(&pixels) {
-                    let (from, stride) = start(place);
-                    transform::put(block, &mut planes[place.0][from..], stride);
-                }
-            }
-        }
-        Ok(())
     }
 }
 

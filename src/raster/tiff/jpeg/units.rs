@@ -1,0 +1,98 @@
+//! The units of a scan (blocks of all components that belong together) to samples in the planes.
+#![allow(unsafe_code)]
+
+use super::entropy::{self, Bits, Codes, NotDecoded};
+use super::{Frame, Kernel, Shape, transform};
+
+/// The units of a scan, from its first to its last.
+pub struct Units<'a> {
+    bits: Bits<'a>,
+    codes: Vec<Codes<'a>>,
+    last_dc: [i32; 3],
+    restart: usize,
+    done: usize,
+}
+
+impl<'a> Units<'a> {
+    /// `restart` units lie between two restart markers; 0 when there are none.
+    pub fn new(bits: Bits<'a>, codes: Vec<Codes<'a>>, restart: usize) -> Self {
+        Units { bits, codes, last_dc: [0; 3], restart, done: 0 }
+    }
+
+    /// Whether all that was read was in the stream.
+    pub fn sound(&self) -> bool {
+        self.bits.sound()
+    }
+
+    /// One row of units into the half of the planes that `slot` says.
+    pub fn row(
+        &mut self,
+        kernel: Kernel,
+        frame: &Frame,
+        shape: &Shape,
+        slot: usize,
+        planes: &mut [Vec<u8>; 3],
+    ) -> Result<(), NotDecoded> {
+        match kernel {
+            Kernel::Scalar => self.row_by(kernel, frame, shape, slot, planes),
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: the kernel is only chosen where the processor has AVX2 and BMI2.
+            Kernel::Avx2 => unsafe { self.row_avx2(frame, shape, slot, planes) },
+        }
+    }
+
+    /// The same code, and shifts that cost less.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,bmi2")]
+    fn row_avx2(
+        &mut self,
+        frame: &Frame,
+        shape: &Shape,
+        slot: usize,
+        planes: &mut [Vec<u8>; 3],
+    ) -> Result<(), NotDecoded> {
+        self.row_by(Kernel::Avx2, frame, shape, slot, planes)
+    }
+
+    #[inline(always)]
+    fn row_by(
+        &mut self,
+        kernel: Kernel,
+        frame: &Frame,
+        shape: &Shape,
+        slot: usize,
+        planes: &mut [Vec<u8>; 3],
+    ) -> Result<(), NotDecoded> {
+        // Blocks of a unit: their component and place in it.
+        let mut places = Vec::with_capacity(6);
+        for (c, component) in frame.components.iter().enumerate() {
+            places.extend((0..component.down).flat_map(|v| (0..component.across).map(move |h| (c, h, v))));
+        }
+        for unit in 0..shape.units {
+            if self.restart > 0 && self.done > 0 && self.done.is_multiple_of(self.restart) {
+                self.bits.restart((self.done / self.restart - 1) as u8 % 8)?;
+                self.last_dc = [0; 3];
+            }
+            self.done += 1;
+            for two in places.chunks(2) {
+                let mut coefficients = [[0i16; 64]; 2];
+                let mut last = [0; 2];
+                for (i, (c, ..)) in two.iter().enumerate() {
+                    let (codes, dc) = (&self.codes[*c], &mut self.last_dc[*c]);
+                    last[i] = entropy::block(&mut self.bits, codes, dc, &mut coefficients[i])?;
+                }
+                let start = |&(c, h, v): &(usize, usize, usize)| {
+                    let component = &frame.components[c];
+                    let (row, stride) = (8 * (slot * component.down + v), shape.stride(component));
+                    (row * stride + 8 * (unit * component.across + h), stride)
+                };
+                let pixels = transform::two_blocks(kernel, &coefficients, last);
+                for (place, block) in two.iter().zip(&pixels) {
+                    let (from, stride) = start(place);
+                    transform::put(block, &mut planes[place.0][from..], stride);
+                }
+            }
+        }
+        Ok(())
+    }
+}
