@@ -261,7 +261,7 @@ fn jpeg_blocks_decode_as_gdal_decodes_them() {
     let layouts: [&[&str]; 3] =
         [&["TILED=YES", "BLOCKXSIZE=64", "BLOCKYSIZE=48"], &["BLOCKYSIZE=16"], &["BLOCKYSIZE=157"]];
     for layout in layouts {
-        for (bands, photometric) in [(1, "MINISBLACK"), (3, "YCBCR"), (3, "RGB")] {
+        for (bands, photometric) in [(1, "MINISBLACK"), (3, "YCBCR"), (3, "RGB"), (4, "RGB")] {
             for interleave in ["INTERLEAVE=PIXEL", "INTERLEAVE=BAND"] {
                 if photometric == "YCBCR" && interleave == "INTERLEAVE=BAND" {
                     continue;
@@ -273,8 +273,12 @@ fn jpeg_blocks_decode_as_gdal_decodes_them() {
                 let (got, reader) =
                     read_all(&path, ReaderChoice::Native).unwrap_or_else(|e| panic!("{options:?}: {e}"));
                 let oracle = gdal_patch(&path, got.window).expect("GDAL reads its own");
-                // Ours is libjpeg's arithmetic, as GDAL's is.
-                assert_eq!(worst_difference(&got, &oracle), (0, 0.0), "{options:?} {reader}");
+                let (largest, mean) = worst_difference(&got, &oracle);
+                println!("{options:?} {reader}: up to {largest}, {mean:.3} in the mean");
+                // Of one and three components ours is libjpeg's arithmetic, as GDAL's is; interleaved fours are decoded elsewhere.
+                let ours = bands < 4 || interleave == "INTERLEAVE=BAND";
+                let allowed = if ours { (0, 0.0) } else { (JPEG_LARGEST, JPEG_MEAN) };
+                assert!(largest <= allowed.0 && mean <= allowed.1, "{options:?}");
             }
         }
     }

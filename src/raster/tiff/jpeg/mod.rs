@@ -120,6 +120,9 @@ impl Decoder {
         out: &mut [u8],
     ) -> Result<(), NotDecoded> {
         assert_eq!(out.len(), wanted.width * wanted.rows * wanted.samples, "a buffer of the block's size");
+        if !matches!(wanted.samples, 1 | 3) {
+            return Err(NotDecoded);
+        }
         (self.defined, self.steps) = ([[false; 4]; 2], [None; 4]);
         if let Some(tables) = tables
             && self.headers(tables, wanted)?.is_some()

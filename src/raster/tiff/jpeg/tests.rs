@@ -143,6 +143,12 @@ fn what_is_not_baseline_or_is_cut_off_is_left_to_others() {
     for length in 0..data.len() - 20 {
         assert_eq!(decoded(Kernel::best(), &data[..length], wanted), Err(NotDecoded), "{length} of {}", data.len());
     }
+    for colours in [ColorType::Cmyk, ColorType::Ycck] {
+        let mut four = Vec::new();
+        Encoder::new(&mut four, 80).encode(&picture(40, 24, 4), 40, 24, colours).expect("a JPEG");
+        assert_eq!(decoded(Kernel::best(), &four, Wanted { samples: 4, ..wanted }), Err(NotDecoded));
+        assert_eq!(decoded(Kernel::best(), &four, wanted), Err(NotDecoded));
+    }
     let wider = Wanted { width: 41, ..wanted };
     assert_eq!(decoded(Kernel::best(), &data, wider), Err(NotDecoded));
     assert_eq!(decoded(Kernel::best(), &data, Wanted { samples: 1, ycbcr: false, ..wanted }), Err(NotDecoded));
