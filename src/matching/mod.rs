@@ -17,8 +17,8 @@
 //!     let centre = PixelPoint { x, y };
 //!     let ground = transform.apply(centre);
 //!     gcps.insert(0, Gcp::control(format!("P{i}"), ground.easting, ground.northing)); // in any order
-//!     let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
-//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m });
+//!     let (covariance_px2, score, area_px, size_px, elevation_m, code) = (None, None, None, None, None, None);
+//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code });
 //! }
 //! let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
 //!     panic!("six points in a pattern of their own");
@@ -153,6 +153,7 @@ mod tests {
             area_px: None,
             size_px: Some([side, side / 2.0]),
             elevation_m: None,
+            code: None,
         };
         let marks = [mark(10.0), mark(20.0), mark(500.0)];
         let bounded = Priors::default().with_mark_sizes(&marks);

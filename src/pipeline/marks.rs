@@ -1,6 +1,8 @@
-//! The detector that a profile asks for: paint by its colour, or black and white targets by their shape.
+//! The detector that a profile asks for: paint by its colour, black and white targets by their shape, or coded targets.
 
 use crate::candidate::Candidate;
+#[cfg(feature = "coded")]
+use crate::coded::CodedDetector;
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
@@ -14,12 +16,18 @@ use crate::target::TargetDetector;
 pub enum MarkDetector {
     Paint(PaintDetector),
     Target(TargetDetector),
+    #[cfg(feature = "coded")]
+    Coded(Box<CodedDetector>),
 }
 
 impl MarkDetector {
     /// # Errors
-    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
+    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown, or asks for coded targets in a build
+    /// without the cargo feature `coded`.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
+        if profile.tag.is_some() {
+            return coded(profile, info, gsd_m);
+        }
         if profile.is_target() {
             return Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?));
         }
@@ -31,6 +39,8 @@ impl MarkDetector {
         match self {
             MarkDetector::Paint(paint) => MarkDetector::Paint(paint.relaxed()),
             MarkDetector::Target(target) => MarkDetector::Target(target.relaxed()),
+            #[cfg(feature = "coded")]
+            MarkDetector::Coded(coded) => MarkDetector::Coded(Box::new(coded.relaxed())),
         }
     }
 
@@ -38,8 +48,23 @@ impl MarkDetector {
         match self {
             MarkDetector::Paint(paint) => paint,
             MarkDetector::Target(target) => target,
+            #[cfg(feature = "coded")]
+            MarkDetector::Coded(coded) => coded.as_ref(),
         }
     }
+}
+
+#[cfg(feature = "coded")]
+fn coded(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<MarkDetector> {
+    Ok(MarkDetector::Coded(Box::new(CodedDetector::new(profile, info, gsd_m)?)))
+}
+
+#[cfg(not(feature = "coded"))]
+fn coded(profile: Profile, _info: &RasterInfo, _gsd_m: Option<f64>) -> Result<MarkDetector> {
+    Err(crate::Error::usage(
+        format!("profile \"{}\" asks for coded targets, and this program was built without them", profile.name),
+        "build it with `cargo build --release --features coded`",
+    ))
 }
 
 impl Detector for MarkDetector {
@@ -66,6 +91,9 @@ impl Detector for MarkDetector {
     }
     fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.inner().examine_all(region, pixels)
+    }
+    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+        self.inner().second_look(region, pixels)
     }
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         self.inner().stricter()

@@ -80,6 +80,7 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
             area_px: None,
             size_px: None,
             elevation_m: None,
+            code: None,
         });
         let found_by = match row.found_by.as_str() {
             "rematch" => FoundBy::Rematch,
@@ -128,6 +129,7 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
                 area_px: None,
                 size_px: None,
                 elevation_m: place.as_ref().and_then(|held| held.mark.elevation_m),
+                code: None,
             };
             *place = Some(Held { mark, found_by: FoundBy::Review, used: true });
         }
