@@ -28,7 +28,7 @@ const FIT_CELLS: f64 = 6.0;
 const ENLARGE_BELOW_PX: f64 = 5.0;
 /// What the fit cannot see of its own error, pixels: rounding to bytes and JPEG move neighbouring edges alike (measured on
 /// planted tags in `tests/coded.rs`).
-const FLOOR_PX: f64 = 0.0075;
+const FLOOR_PX: f64 = 0.0;
 
 /// Finds the tags of a family in a raster.
 pub struct CodedDetector {

@@ -205,7 +205,7 @@ impl Search<'_> {
             let mut hits = [(f64::INFINITY, 0usize); FOLLOWED];
             self.field.around(place, radius_px, |i, q| {
                 let mut hit = ((q.x - place.x).powi(2) + (q.y - place.y).powi(2), i);
-                if hit.0 <= radius_px * radius_px && !shoot.holds(i) {
+                if hit.0 <= radius_px * radius_px && !shoot.holds(i) && self.allows(i, gcp as usize) {
                     for kept in &mut hits {
                         if hit < *kept {
                             std::mem::swap(&mut hit, kept);

@@ -32,6 +32,7 @@ pub mod evidence;
 mod explain;
 pub mod field;
 mod grow;
+mod names;
 mod rivals;
 pub mod robust;
 mod search;
@@ -45,6 +46,7 @@ use crate::candidate::Candidate;
 use crate::gcp::Gcp;
 use crate::solve::Similarity;
 
+pub use names::{Labels, NamesAgree, number_of_label};
 pub use robust::RobustMatcher;
 pub use tpp::TppMatcher;
 
@@ -116,6 +118,9 @@ pub struct Solved {
     /// The best pattern that says something different.
     pub runner_up: Option<Pattern>,
     pub effort: Effort,
+    /// How the names that coded targets bear agree, when they were heeded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub names: Option<NamesAgree>,
 }
 
 /// Why nothing is believed.

@@ -102,3 +102,18 @@ impl Detector for MarkDetector {
         self.inner().finish(list)
     }
 }
+
+#[cfg(all(test, not(feature = "coded")))]
+mod tests {
+    use super::*;
+    use crate::raster::RasterSource;
+    use crate::raster::memory::MemorySource;
+
+    #[test]
+    fn without_the_feature_coded_targets_are_refused_in_one_line() {
+        let source = MemorySource::rgb8(8, 8, vec![0; 192]);
+        let profile = Profile::builtin("aruco-4x4-50").expect("shipped");
+        let message = MarkDetector::new(profile, source.info(), None).err().expect("built without").to_string();
+        assert!(message.contains("--features coded") && !message.contains('\n'), "{message}");
+    }
+}
