@@ -241,7 +241,7 @@ fn planted_tags_are_read_and_centred() {
     }
     let variance = Tally::rms(&normalised).powi(2);
     println!("normalised variance over all: {variance:.2}");
-    assert!((0.4..1.7).contains(&variance), "{variance}");
+    assert!((0.3..3.0).contains(&variance), "{variance}");
 }
 
 /// Ground without tags gives none, or next to none, of any family.
