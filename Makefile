@@ -42,15 +42,16 @@ demo: build
 # The random tests draw the same cases in every run; `make check-large` draws new ones.
 test: export PROPTEST_RNG_SEED ?= 2016
 test: deps test-deps
-	$(CARGO) test --quiet -- --format=terse
-	$(CARGO) test --quiet --lib --features force-scalar segment -- --format=terse
+	$(CARGO) test --quiet --features coded -- --format=terse
+	$(CARGO) test --quiet --lib --features force-scalar -- --format=terse segment without_the_feature
 
 lint: deps
 	$(CARGO) fmt --check
-	$(CARGO) clippy --all-targets -- -D warnings
+	$(CARGO) clippy --all-targets --features coded -- -D warnings
+	$(CARGO) clippy --lib --bins -- -D warnings
 
 doc: deps
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --features coded
 
 check: lint doc test
 
@@ -62,7 +63,7 @@ fuzz:
 	cd fuzz && $(CARGO) +nightly fuzz run native_tiff -- -max_total_time=600
 
 check-large: build
-	AUTOREF_LARGE=1 $(CARGO) test --release -- --nocapture
+	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
 
 clean:
 	$(CARGO) clean

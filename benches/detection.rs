@@ -166,6 +166,7 @@ fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
             area_px: None,
             size_px: None,
             elevation_m: None,
+            code: None,
         });
     }
     Some(lists)

@@ -91,6 +91,7 @@ fn case(random: &mut Random, visible: usize, false_candidates: usize, sigma_px: 
             area_px: None,
             size_px: None,
             elevation_m: None,
+            code: None,
         };
         let mut candidates: Vec<Candidate> = marked
             .iter()

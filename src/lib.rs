@@ -15,6 +15,7 @@
 
 pub mod accuracy;
 pub mod candidate;
+pub mod coded;
 pub mod coords;
 pub mod error;
 pub mod film;

@@ -146,9 +146,9 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
     let regions = Labeller::new().label(&mask, core, info.bounds(), |region| detector.gate(region)).finished;
     Ok(regions
         .iter()
-        .filter_map(|region| {
+        .flat_map(|region| {
             let window = region.bounds.grown(detector.patch_margin_px(), &info.bounds());
-            detector.examine(region, &View { block: &block, window, info })
+            detector.second_look(region, &View { block: &block, window, info })
         })
         .collect())
 }

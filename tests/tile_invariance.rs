@@ -54,6 +54,7 @@ impl Detector for RedPaint {
             area_px: Some(region.area as f64),
             size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
             elevation_m: None,
+            code: None,
         })
     }
 }

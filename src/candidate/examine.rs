@@ -150,6 +150,7 @@ fn candidate(
         area_px: Some(evidence.area_px),
         size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
         elevation_m: None,
+        code: None,
     })
 }
 

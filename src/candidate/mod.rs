@@ -12,6 +12,7 @@
 //! ```
 
 mod blocks;
+mod code;
 pub mod examine;
 pub mod fit;
 pub mod gates;
@@ -27,6 +28,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::coords::PixelPoint;
 
+pub use code::Code;
 pub use examine::{examine, patch_margin_px};
 pub use gates::Gates;
 pub use options::finish;
@@ -46,4 +48,7 @@ pub struct Candidate {
     pub size_px: Option<[f64; 2]>,
     /// Height of the elevation model at the centre, metres, when a list brings it.
     pub elevation_m: Option<f64>,
+    /// What a coded target (ArUco, AprilTag) says of itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<Code>,
 }

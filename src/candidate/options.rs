@@ -212,6 +212,7 @@ mod tests {
             area_px: Some(78.5),
             size_px: Some([10.0, 10.0]),
             elevation_m: None,
+            code: None,
         }
     }
 

@@ -65,7 +65,8 @@ impl SampleArgs {
 /// What the marks look like.
 #[derive(Args, Debug)]
 pub struct MarkArgs {
-    /// Mark profile: a built-in name, or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide.
+    /// Mark profile: a built-in name, or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
+    /// `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with `--features coded`.
     #[arg(long, value_name = "NAME|FILE", default_value = "orange", help_heading = "Marks")]
     pub profile: String,
     /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.

@@ -227,6 +227,7 @@ impl Document {
             runner_up: None,
             best_pattern: None,
             search: None,
+            names: None,
             prior_georeference: None,
             diagnoses: Vec::new(),
             heights: None,
@@ -336,6 +337,7 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
     result.log10_false_alarms = Some(pattern.log10_false_alarms);
     result.runner_up = orientation.evidence.runner_up.clone();
     result.search = Some(orientation.evidence.effort.clone());
+    result.names = orientation.evidence.names;
     result.matches = orientation
         .marks
         .iter()
@@ -418,6 +420,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         redundancy: None,
         detectable_blunder_m: None,
         outlier: false,
+        code: found.mark.code.clone(),
     }
 }
 
@@ -474,6 +477,11 @@ fn summary(result: &RunResult) -> String {
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("Chance of accident", format!("{figure} such patterns expected by chance"));
+    }
+    if let Some(names) = &result.names {
+        let against =
+            if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
+        line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
     }
     for warning in &result.warnings {
         line("Note", warning.clone());

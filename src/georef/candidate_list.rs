@@ -1,27 +1,34 @@
 //! Lists of candidates as files: what `detect` writes and `solve` reads.
 //!
 //! CSV columns: `x,y` (pixels, (0, 0) the outer corner of the first pixel), then `score`, `cov_xx,cov_xy,cov_yy` (px²),
-//! `area` (px), `width,height` (px), `elevation` (m). Only `x` and `y` are required when reading; the order is free.
+//! `area` (px), `width,height` (px), `elevation` (m), and `code` (`family:number`) when the list holds coded targets. Only `x` and
+//! `y` are required when reading; the order is free.
 //! Numbers are written in the shortest form that reads back to the same value, so that two lists are equal when their
 //! bytes are.
 
 use std::io::Write;
 use std::path::Path;
 
-use crate::candidate::Candidate;
+use crate::candidate::{Candidate, Code};
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
 
 const COLUMNS: [&str; 10] = ["x", "y", "score", "cov_xx", "cov_xy", "cov_yy", "area", "width", "height", "elevation"];
+/// Written after the others when any candidate has one.
+const CODE: &str = "code";
 
 /// Writes the list as CSV.
 ///
 /// # Errors
 /// When `out` cannot be written.
 pub fn write_csv(candidates: &[Candidate], mut out: impl Write) -> std::io::Result<()> {
-    writeln!(out, "{}", COLUMNS.join(","))?;
+    let coded = candidates.iter().any(|c| c.code.is_some());
+    writeln!(out, "{}{}", COLUMNS.join(","), if coded { format!(",{CODE}") } else { String::new() })?;
     for candidate in candidates {
-        let fields = fields(candidate).map(|value| value.map_or(String::new(), |v| v.to_string()));
+        let mut fields = fields(candidate).map(|value| value.map_or(String::new(), |v| v.to_string())).to_vec();
+        if coded {
+            fields.push(candidate.code.as_ref().map_or(String::new(), Code::to_string));
+        }
         writeln!(out, "{}", fields.join(","))?;
     }
     Ok(())
@@ -53,11 +60,14 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
     let features: Vec<serde_json::Value> = candidates
         .iter()
         .map(|candidate| {
-            let properties: serde_json::Map<String, serde_json::Value> = COLUMNS
+            let mut properties: serde_json::Map<String, serde_json::Value> = COLUMNS
                 .iter()
                 .zip(fields(candidate))
                 .filter_map(|(name, value)| Some(((*name).to_string(), value?.into())))
                 .collect();
+            if let Some(code) = &candidate.code {
+                properties.insert(CODE.to_string(), code.to_string().into());
+            }
             serde_json::json!({
                 "type": "Feature",
                 "geometry": {"type": "Point", "coordinates": [candidate.centre.x, -candidate.centre.y]},
@@ -82,7 +92,7 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
         .map_err(|e| csv_error(path, &e))?;
     let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
     let column = |name: &str| headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
-    let places = COLUMNS.map(column);
+    let (places, code_place) = (COLUMNS.map(column), column(CODE));
     for (name, place) in COLUMNS.iter().zip(places).take(2) {
         if place.is_none() {
             return Err(Error::format(path, "row 1", format!("no column `{name}`; a candidate list needs x and y")));
@@ -100,6 +110,11 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
             })?;
             *value = Some(number);
         }
+        let code = code_place
+            .and_then(|i| record.get(i))
+            .filter(|text| !text.is_empty())
+            .map(|text| text.parse::<Code>().map_err(|what| Error::format(path, format!("row {row}"), what)))
+            .transpose()?;
         let [x, y, score, xx, xy, yy, area_px, width, height, elevation_m] = values;
         let (Some(x), Some(y)) = (x, y) else {
             return Err(Error::format(path, format!("row {row}"), "x or y is empty"));
@@ -111,6 +126,7 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
             area_px,
             size_px: width.zip(height).map(|(w, h)| [w, h]),
             elevation_m,
+            code,
         });
     }
     Ok(candidates)
@@ -138,6 +154,7 @@ mod tests {
             area_px: Some(96.0),
             size_px: None,
             elevation_m: None,
+            code: None,
         }
     }
 
@@ -146,6 +163,15 @@ mod tests {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
         write_csv(&[example()], file.as_file()).expect("writable");
         assert_eq!(read_csv(file.path()).expect("our own list"), vec![example()]);
+        let plain = std::fs::read_to_string(file.path()).expect("our own list");
+        assert!(!plain.contains(CODE), "no column for nothing");
+        let coded = Candidate { code: Some(Code { family: "aruco-4x4-50".into(), number: 17 }), ..example() };
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        write_csv(&[example(), coded.clone()], file.as_file()).expect("writable");
+        assert_eq!(read_csv(file.path()).expect("our own list"), vec![example(), coded.clone()]);
+        let mut json = Vec::new();
+        write_geojson(&[coded], &mut json).expect("writable");
+        assert!(String::from_utf8_lossy(&json).contains("\"code\":\"aruco-4x4-50:17\""));
     }
 
     #[test]

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::candidate::Candidate;
+use crate::candidate::{Candidate, Code};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::gcp::Gcp;
-use crate::matching::{Effort, Pattern};
+use crate::matching::{Effort, NamesAgree, Pattern};
 use crate::solve::Solution;
 
 /// Version of the layout; it grows when a field changes its meaning.
@@ -82,6 +82,9 @@ pub struct RunResult {
     /// The best partial pattern of a refused run.
     pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
+    /// How the names of coded targets agree with the match, when they were heeded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub names: Option<NamesAgree>,
     pub prior_georeference: Option<PriorGeoreference>,
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
     #[serde(default)]
@@ -144,6 +147,9 @@ pub struct MatchRow {
     pub redundancy: Option<f64>,
     pub detectable_blunder_m: Option<f64>,
     pub outlier: bool,
+    /// What a coded target says of itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<Code>,
 }
 
 /// A georeference that the image already had.

@@ -71,6 +71,20 @@ pub fn pair_evidence(
     level_px: f64,
     log10_tests: f64,
 ) -> Option<PairEvidence> {
+    evidence_of(field, gcps, (a, b), pixels, level_px, log10_tests, &|_, _| true)
+}
+
+/// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as if
+/// nothing were forbidden, so that the evidence is never stronger than without.
+pub(super) fn evidence_of(
+    field: &Field,
+    gcps: &[MapPoint],
+    (a, b): (usize, usize),
+    pixels: [PixelPoint; 2],
+    level_px: f64,
+    log10_tests: f64,
+    may: &dyn Fn(usize, usize) -> bool,
+) -> Option<PairEvidence> {
     let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
     let mut probabilities = Vec::with_capacity(gcps.len());
     let mut hit: Vec<usize> = Vec::new();
@@ -103,7 +117,7 @@ pub fn pair_evidence(
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
         // One mark is evidence for one GCP only.
-        if let Some((candidate, _)) = field.nearest(predicted, radius)
+        if let Some((candidate, _)) = field.nearest_of(predicted, radius, |candidate| may(candidate, k))
             && !hit.iter().any(|other| field.one_place(candidate, *other))
         {
             hit.push(candidate);

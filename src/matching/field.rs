@@ -181,10 +181,17 @@ impl Field {
     /// The nearest point within `reach_px`; the lower index when two are equally near.
     #[inline]
     pub fn nearest(&self, p: PixelPoint, reach_px: f64) -> Option<(usize, f64)> {
+        self.nearest_of(p, reach_px, |_| true)
+    }
+
+    /// The same among the points that `may` says.
+    #[inline]
+    pub fn nearest_of(&self, p: PixelPoint, reach_px: f64, may: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
         let mut best: Option<(usize, f64)> = None;
         self.around(p, reach_px, |i, q| {
             let square = (q.x - p.x).powi(2) + (q.y - p.y).powi(2);
-            if square <= reach_px * reach_px && best.is_none_or(|(j, s)| square < s || (square == s && i < j)) {
+            let nearer = best.is_none_or(|(j, s)| square < s || (square == s && i < j));
+            if square <= reach_px * reach_px && nearer && may(i) {
                 best = Some((i, square));
             }
         });

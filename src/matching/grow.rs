@@ -205,7 +205,7 @@ impl Search<'_> {
             let mut hits = [(f64::INFINITY, 0usize); FOLLOWED];
             self.field.around(place, radius_px, |i, q| {
                 let mut hit = ((q.x - place.x).powi(2) + (q.y - place.y).powi(2), i);
-                if hit.0 <= radius_px * radius_px && !shoot.holds(i) {
+                if hit.0 <= radius_px * radius_px && !shoot.holds(i) && self.allows(i, gcp as usize) {
                     for kept in &mut hits {
                         if hit < *kept {
                             std::mem::swap(&mut hit, kept);
@@ -280,7 +280,7 @@ mod tests {
         let near = |p: &PixelPoint| PixelPoint { x: p.x + 0.3, y: p.y - 0.2 };
         let points = places[..marked].iter().map(near).chain(clutter);
         let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
-        let candidate = |centre| Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m };
+        let candidate = |centre| Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code: None };
         (points.map(candidate).collect(), gcps)
     }
 

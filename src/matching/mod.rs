@@ -17,8 +17,8 @@
 //!     let centre = PixelPoint { x, y };
 //!     let ground = transform.apply(centre);
 //!     gcps.insert(0, Gcp::control(format!("P{i}"), ground.easting, ground.northing)); // in any order
-//!     let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
-//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m });
+//!     let (covariance_px2, score, area_px, size_px, elevation_m, code) = (None, None, None, None, None, None);
+//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code });
 //! }
 //! let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
 //!     panic!("six points in a pattern of their own");
@@ -32,6 +32,7 @@ pub mod evidence;
 mod explain;
 pub mod field;
 mod grow;
+mod names;
 mod rivals;
 pub mod robust;
 mod search;
@@ -45,6 +46,7 @@ use crate::candidate::Candidate;
 use crate::gcp::Gcp;
 use crate::solve::Similarity;
 
+pub use names::{Labels, NamesAgree, number_of_label};
 pub use robust::RobustMatcher;
 pub use tpp::TppMatcher;
 
@@ -116,6 +118,9 @@ pub struct Solved {
     /// The best pattern that says something different.
     pub runner_up: Option<Pattern>,
     pub effort: Effort,
+    /// How the names that coded targets bear agree, when they were heeded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub names: Option<NamesAgree>,
 }
 
 /// Why nothing is believed.
@@ -153,6 +158,7 @@ mod tests {
             area_px: None,
             size_px: Some([side, side / 2.0]),
             elevation_m: None,
+            code: None,
         };
         let marks = [mark(10.0), mark(20.0), mark(500.0)];
         let bounded = Priors::default().with_mark_sizes(&marks);

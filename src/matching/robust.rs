@@ -12,8 +12,9 @@ use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
+use crate::matching::names::Names;
 use crate::matching::search::Search;
-use crate::matching::{Effort, MatchOutcome, Matcher, Pattern, Priors, Solved};
+use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved};
 
 /// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
 const RUNNER_UP_GAP: f64 = 2.0;
@@ -54,8 +55,41 @@ impl Default for RobustMatcher {
 impl Matcher for RobustMatcher {
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome {
         let (control, positions) = control_points(gcps);
-        let found = self.search_guided(candidates, &positions, priors);
-        self.decide(found, candidates.len(), &control)
+        let all: Vec<&Candidate> = candidates.iter().collect();
+        let labels = Labels::new(gcps);
+        if Names::new(&all, &labels, &control).is_none() {
+            let found = self.search_guided(candidates, &positions, priors, None);
+            return self.decide(found, candidates.len(), &control);
+        }
+        // With the names and without them: two chances for an accident.
+        let twice = RobustMatcher { tries: 2.0 * self.tries, ..self.clone() };
+        let found = twice.search_guided(candidates, &positions, priors, Some((&labels, &control)));
+        let names = found.names;
+        let limit = self.max_false_alarms.log10() - self.tries.log10();
+        if names.is_some_and(|names| names.log10_false_alarms <= limit)
+            && let solved @ MatchOutcome::Solved(_) = twice.decide(found, candidates.len(), &control)
+        {
+            return solved;
+        }
+        let found = twice.search_guided(candidates, &positions, priors, None);
+        let mut outcome = twice.decide(found, candidates.len(), &control);
+        if let MatchOutcome::NoMatch(evidence) = &mut outcome {
+            evidence.advice.push(unheeded(names));
+        }
+        outcome
+    }
+}
+
+/// What is said of names that did not decide.
+fn unheeded(names: Option<NamesAgree>) -> String {
+    match names {
+        Some(NamesAgree { named, agree, .. }) => format!(
+            "{named} marks bear numbers that the list has, but at best {agree} of them agree on one place of the image: check that \
+             the labels of the list end in the numbers on the targets"
+        ),
+        None => "the marks bear numbers that the list has, but no three of them agree on one place of the image: check that the \
+                 labels of the list end in the numbers on the targets"
+            .to_string(),
     }
 }
 
@@ -95,6 +129,7 @@ impl RobustMatcher {
                 pattern: pattern.clone(),
                 runner_up,
                 effort: found.effort,
+                names: found.names,
             }));
         }
         MatchOutcome::NoMatch(Box::new(explain(candidates, control, best, runner_up, found.effort, limit)))
@@ -107,7 +142,12 @@ pub(super) struct Found {
     pub best: Option<Pattern>,
     pub runner_up: Option<Pattern>,
     pub effort: Effort,
+    /// Of the best, when names were heeded.
+    pub names: Option<NamesAgree>,
 }
+
+/// Labels and the points that take part, where names are heeded.
+type Heeded<'a> = Option<(&'a Labels, &'a [usize])>;
 
 impl Found {
     pub fn take(&mut self, pattern: Pattern, search: &Search) {
@@ -135,11 +175,11 @@ impl Found {
 
 impl RobustMatcher {
     /// All candidates; of very many first the best-scored, then more and more of them.
-    fn search_guided(&self, candidates: &[Candidate], gcps: &[MapPoint], priors: &Priors) -> Found {
+    fn search_guided(&self, candidates: &[Candidate], gcps: &[MapPoint], priors: &Priors, heeded: Heeded<'_>) -> Found {
         let some = |indices: &[usize]| indices.iter().map(|&i| &candidates[i]).collect::<Vec<_>>();
         let all: Vec<usize> = (0..candidates.len()).collect();
         if candidates.len() <= GUIDED_ABOVE || candidates.iter().any(|c| c.score.is_none()) {
-            return self.search(&some(&all), gcps, priors, self.tries.log10(), self.budget_hypotheses);
+            return self.search(&some(&all), gcps, (priors, heeded), self.tries.log10(), self.budget_hypotheses);
         }
         let mut ranked = all.clone();
         let score = |i: usize| candidates[i].score.unwrap_or(f64::NEG_INFINITY);
@@ -153,7 +193,7 @@ impl RobustMatcher {
         let last = self.budget_hypotheses.saturating_sub(rungs.len() as u64 * early).max(early);
         for rung in rungs {
             let ranked = &ranked[..rung];
-            let mut found = self.search(&some(ranked), gcps, priors, log10_searches, early);
+            let mut found = self.search(&some(ranked), gcps, (priors, heeded), log10_searches, early);
             if found.best.as_ref().is_some_and(|best| self.believes(best, found.runner_up.as_ref())) {
                 for pattern in found.best.iter_mut().chain(found.runner_up.iter_mut()) {
                     pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
@@ -161,14 +201,14 @@ impl RobustMatcher {
                 return found;
             }
         }
-        self.search(&some(&all), gcps, priors, log10_searches, last)
+        self.search(&some(&all), gcps, (priors, heeded), log10_searches, last)
     }
 
     fn search(
         &self,
         candidates: &[&Candidate],
         gcps: &[MapPoint],
-        priors: &Priors,
+        (priors, heeded): (&Priors, Heeded<'_>),
         log10_searches: f64,
         budget: u64,
     ) -> Found {
@@ -179,6 +219,8 @@ impl RobustMatcher {
         let Some((search, pairs, possible)) = Search::new(candidates, gcps, priors, log10_searches) else {
             return found;
         };
+        let names = heeded.and_then(|(labels, control)| Names::new(candidates, labels, control));
+        let search = search.heeding(names);
         found.effort.hypotheses_possible = possible;
         let limit = self.max_false_alarms.log10();
         if candidates.len() >= GROWN_FROM {
@@ -225,6 +267,7 @@ impl RobustMatcher {
                 found.runner_up = Some(other);
             }
         }
+        found.names = found.best.as_ref().and_then(|best| search.names_agree(best));
         found
     }
 }

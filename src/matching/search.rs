@@ -8,6 +8,8 @@ use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::evidence::{LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
+use crate::matching::names::Names;
+use crate::solve::Similarity;
 
 /// Marks of a hypothesis closer together than this say nothing about scale and rotation.
 const SMALLEST_BASE_PX: f64 = 16.0;
@@ -44,6 +46,7 @@ impl GcpPair {
 /// Another GCP as seen from a pair: its offset from `a`, and tolerance.
 #[derive(Clone, Copy)]
 struct Target {
+    gcp: usize,
     east: f64,
     north: f64,
     radius_px: f64,
@@ -65,6 +68,8 @@ pub(super) struct Search<'a> {
     pub log10_tests: f64,
     /// Search tolerance in this field, pixels.
     pub tolerance_px: f64,
+    /// What coded targets say of themselves, where it is heeded.
+    pub names: Option<Names>,
 }
 
 /// The pairs of GCPs in the order of trying, and the number of hypotheses that the priors allow.
@@ -147,9 +152,24 @@ impl<'a> Search<'a> {
         let (least, most) = SEARCH_TOLERANCE_PX;
         let tolerance_px = (CHANCE_HIT / (std::f64::consts::PI * density)).sqrt().clamp(least, most);
         let log10_tests = possible.log10() + log10_searches;
-        let search = Search { field, bitmaps, gcps, priors, log10_tests, tolerance_px };
+        let search = Search { field, bitmaps, gcps, priors, log10_tests, tolerance_px, names: None };
         let pairs = search.telling_first(pairs);
         Some((search, pairs, possible))
+    }
+
+    /// With names, which forbid pairs.
+    #[must_use]
+    pub fn heeding(mut self, names: Option<Names>) -> Self {
+        self.names = names;
+        self
+    }
+
+    /// Whether the priors allow a similarity.
+    pub fn possible(&self, similarity: &Similarity) -> bool {
+        let scale = similarity.scale_m_per_px();
+        let off = |centre: f64| (similarity.rotation_deg() - centre).rem_euclid(360.0);
+        self.priors.gsd_m_per_px.is_none_or(|(low, high)| (low..=high).contains(&scale))
+            && self.priors.rotation_deg.is_none_or(|(centre, half)| off(centre).min(360.0 - off(centre)) <= half)
     }
 
     /// In a crowd the cheapest pairs tell nothing: seen from a short base the other GCPs may be anywhere, and somebody is
@@ -201,10 +221,13 @@ impl<'a> Search<'a> {
     /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.
     #[inline]
     pub fn ends_of(&self, pair: &GcpPair, i: usize, mut visit: impl FnMut(usize, PixelPoint)) {
+        if !self.allows(i, pair.a) {
+            return;
+        }
         let from = self.field.points()[i];
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            if i != j && self.turn_and_scale(pair, from, to).is_some() {
+            if i != j && self.allows(j, pair.b) && self.turn_and_scale(pair, from, to).is_some() {
                 visit(j, to);
             }
         });
@@ -216,6 +239,9 @@ impl<'a> Search<'a> {
         let fewest = self.fewest_hits(&targets);
         let (mut all, mut tried) = (Vec::new(), 0);
         for (&i, &j) in points.iter().flat_map(|i| points.iter().map(move |j| (i, j))).filter(|(i, j)| i != j) {
+            if !self.allows(i, pair.a) || !self.allows(j, pair.b) {
+                continue;
+            }
             let (from, to) = (self.field.points()[i], self.field.points()[j]);
             let Some(z) = self.turn_and_scale(pair, from, to) else { continue };
             tried += 1;
@@ -241,6 +267,7 @@ impl<'a> Search<'a> {
                 let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
                 let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
                 (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
+                    gcp: k,
                     east,
                     north,
                     radius_px,
@@ -268,6 +295,9 @@ impl<'a> Search<'a> {
     }
 
     fn try_point(&self, pair: &GcpPair, targets: &[Target], fewest: usize, i: usize) -> (Vec<Hypothesis>, u64) {
+        if !self.allows(i, pair.a) {
+            return (Vec::new(), 0);
+        }
         let from = self.field.points()[i];
         let mut best = Vec::new();
         let mut tried = 0;
@@ -277,7 +307,9 @@ impl<'a> Search<'a> {
         }
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            let Some(z) = self.turn_and_scale(pair, from, to).filter(|_| i != j) else { return };
+            let Some(z) = self.turn_and_scale(pair, from, to).filter(|_| i != j && self.allows(j, pair.b)) else {
+                return;
+            };
             tried += 1;
             if let Some(score) = self.verify((i, j), z, targets, fewest) {
                 best.push(Hypothesis { score, i: i as u32, j: j as u32 });
@@ -375,7 +407,7 @@ impl<'a> Search<'a> {
             if !self.bitmaps[target.bitmap].may_hold(p) {
                 continue;
             }
-            if let Some((candidate, _)) = self.field.nearest(p, target.radius_px)
+            if let Some((candidate, _)) = self.nearest_allowed(p, target.radius_px, target.gcp)
                 && candidate != ends.0
                 && candidate != ends.1
                 && !hit[..hits].contains(&(candidate as u32))

@@ -2,7 +2,7 @@
 
 use crate::coords::PixelPoint;
 use crate::matching::Pattern;
-use crate::matching::evidence::{LEVELS_PX, pair_evidence, spread_from_pair};
+use crate::matching::evidence::{LEVELS_PX, evidence_of, spread_from_pair};
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use crate::solve::Similarity;
 use crate::solve::similarity::{Pair, fit_equal_weights};
@@ -91,7 +91,7 @@ impl Search<'_> {
             .filter_map(|k| {
                 let p = similarity.invert(self.gcps[k]);
                 let (candidate, distance) =
-                    self.field.contains(p).then(|| self.field.nearest(p, radius_px(k, p)))??;
+                    self.field.contains(p).then(|| self.nearest_allowed(p, radius_px(k, p), k))??;
                 Some((distance, candidate, k, p))
             })
             .collect();
@@ -126,8 +126,9 @@ impl Search<'_> {
         for (_, i, j) in bases {
             let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
             for level in LEVELS_PX {
-                let evidence =
-                    pair_evidence(&self.field, self.gcps, (pairs[i].1, pairs[j].1), ends, level, self.log10_tests);
+                let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
+                let bases = (pairs[i].1, pairs[j].1);
+                let evidence = evidence_of(&self.field, self.gcps, bases, ends, level, self.log10_tests, &may);
                 if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
                     best = Some((e.log10_false_alarms, e.gcps_in_image));
                 }

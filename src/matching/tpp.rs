@@ -9,7 +9,7 @@
 //! directions together), sorting is by radius and then by the absolute angle from the axis (its eq. 2.8), and every
 //! difference of angles, the look-ahead's too, wraps at 2π. The thesis then took the match of the smallest RMSE, which
 //! favours few points; here a proposal is settled and weighed like any other hypothesis, and believed only when an accident
-//! is unlikely enough.
+//! is unlikely enough. Names of coded targets are not heeded.
 
 use std::f64::consts::TAU;
 

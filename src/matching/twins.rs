@@ -89,6 +89,7 @@ impl Search<'_> {
                 (p.x - q.x).hypot(p.y - q.y)
             };
             let mut all: Vec<Couple> = points.flat_map(|g| marks.iter().map(move |&c| (c, g))).collect();
+            all.retain(|&(c, g)| self.allows(c, g));
             let other = |couple: &Couple| *couple != (candidate, gcp);
             all.sort_by(|s, t| {
                 let nearer = residual_px(s).total_cmp(&residual_px(t));

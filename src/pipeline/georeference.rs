@@ -7,7 +7,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
-use crate::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved};
+use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved};
 use crate::pipeline::{Detector, Progress, ScanOutcome, ScanPlan, scan};
 use crate::raster::RasterSource;
 use crate::rematch::{Expected, SecondLook, rematch};
@@ -166,6 +166,11 @@ fn orient(
         .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern))
         .collect();
     let answers = look(&expected)?;
+    // Where names were heeded, a mark with another GCP's name is not this one, whatever its place.
+    let labels = Labels::new(gcps);
+    let may_be = |mark: &FoundMark| {
+        evidence.names.is_none() || labels.named_by(&mark.mark).is_none_or(|named| named == mark.gcp)
+    };
     let mut taken: Vec<usize> = evidence.pattern.pairs.iter().map(|pair| pair.0).collect();
     let (mut marks, mut check_marks) = (first, Vec::new());
     let (mut not_found, mut outside) = (Vec::new(), Vec::new());
@@ -185,7 +190,7 @@ fn orient(
                 continue;
             }
         };
-        match found {
+        match found.filter(&may_be) {
             Some(mark) if gcps[gcp].role == GcpRole::Check => check_marks.push(mark),
             Some(mark) => marks.push(mark),
             None => not_found.push(gcp),

@@ -1,6 +1,8 @@
-//! The detector that a profile asks for: paint by its colour, or black and white targets by their shape.
+//! The detector that a profile asks for: paint by its colour, black and white targets by their shape, or coded targets.
 
 use crate::candidate::Candidate;
+#[cfg(feature = "coded")]
+use crate::coded::CodedDetector;
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
@@ -14,12 +16,18 @@ use crate::target::TargetDetector;
 pub enum MarkDetector {
     Paint(PaintDetector),
     Target(TargetDetector),
+    #[cfg(feature = "coded")]
+    Coded(Box<CodedDetector>),
 }
 
 impl MarkDetector {
     /// # Errors
-    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
+    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown, or asks for coded targets in a build
+    /// without the cargo feature `coded`.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
+        if profile.tag.is_some() {
+            return coded(profile, info, gsd_m);
+        }
         if profile.is_target() {
             return Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?));
         }
@@ -31,6 +39,8 @@ impl MarkDetector {
         match self {
             MarkDetector::Paint(paint) => MarkDetector::Paint(paint.relaxed()),
             MarkDetector::Target(target) => MarkDetector::Target(target.relaxed()),
+            #[cfg(feature = "coded")]
+            MarkDetector::Coded(coded) => MarkDetector::Coded(Box::new(coded.relaxed())),
         }
     }
 
@@ -38,8 +48,23 @@ impl MarkDetector {
         match self {
             MarkDetector::Paint(paint) => paint,
             MarkDetector::Target(target) => target,
+            #[cfg(feature = "coded")]
+            MarkDetector::Coded(coded) => coded.as_ref(),
         }
     }
+}
+
+#[cfg(feature = "coded")]
+fn coded(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<MarkDetector> {
+    Ok(MarkDetector::Coded(Box::new(CodedDetector::new(profile, info, gsd_m)?)))
+}
+
+#[cfg(not(feature = "coded"))]
+fn coded(profile: Profile, _info: &RasterInfo, _gsd_m: Option<f64>) -> Result<MarkDetector> {
+    Err(crate::Error::usage(
+        format!("profile \"{}\" asks for coded targets, and this program was built without them", profile.name),
+        "build it with `cargo build --release --features coded`",
+    ))
 }
 
 impl Detector for MarkDetector {
@@ -67,10 +92,28 @@ impl Detector for MarkDetector {
     fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.inner().examine_all(region, pixels)
     }
+    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+        self.inner().second_look(region, pixels)
+    }
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         self.inner().stricter()
     }
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         self.inner().finish(list)
+    }
+}
+
+#[cfg(all(test, not(feature = "coded")))]
+mod tests {
+    use super::*;
+    use crate::raster::RasterSource;
+    use crate::raster::memory::MemorySource;
+
+    #[test]
+    fn without_the_feature_coded_targets_are_refused_in_one_line() {
+        let source = MemorySource::rgb8(8, 8, vec![0; 192]);
+        let profile = Profile::builtin("aruco-4x4-50").expect("shipped");
+        let message = MarkDetector::new(profile, source.info(), None).err().expect("built without").to_string();
+        assert!(message.contains("--features coded") && !message.contains('\n'), "{message}");
     }
 }

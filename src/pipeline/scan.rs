@@ -57,6 +57,10 @@ pub trait Detector: Sync {
     fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.examine(region, pixels).into_iter().collect()
     }
+    /// Region → Candidates where a mark must be, in a window of its own.
+    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+        self.examine(region, pixels).into_iter().collect()
+    }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
     /// for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {

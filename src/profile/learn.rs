@@ -170,6 +170,7 @@ pub fn learn_with(name: &str, marks: &[(Patch, PixelPoint)], options: &LearnOpti
         filters: Filters::default(),
         examine: Examine { split: true, ..Examine::default() },
         target: Target::default(),
+        tag: None,
         learned: Some(Learned {
             marks: examples.len() as u64,
             pixels: paint.len() as u64,

@@ -17,6 +17,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::coded::Family;
 use crate::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
 pub use learn::{DEFAULT_REACH_PX, LearnOptions, RoughRule, learn, learn_with};
@@ -42,6 +43,9 @@ pub struct Profile {
     pub examine: Examine,
     #[serde(default, skip_serializing_if = "Target::is_default")]
     pub target: Target,
+    /// Present in profiles of coded targets, and only there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tag: Option<Tag>,
     /// What the profile was learned from, when it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learned: Option<Learned>,
@@ -101,6 +105,13 @@ impl Target {
     }
 }
 
+/// Which codes are read; the size of the profile is that of the black square, without its white surround.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tag {
+    pub family: Family,
+}
+
 /// Mean and covariance of a colour cloud in the model's space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,6 +168,8 @@ pub enum Shape {
     Checker,
     /// Two triangles that touch, found by shape.
     Hourglass,
+    /// A black square with a number in it, of the family that `[tag]` names.
+    Tag,
 }
 
 /// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
@@ -386,6 +399,12 @@ builtins!(
     "black-white-checker",
     "black-white-hourglass",
     "black-white-cross",
+    "apriltag-36h11",
+    "apriltag-16h5",
+    "aruco-4x4-50",
+    "aruco-4x4-100",
+    "aruco-6x6-250",
+    "aruco-mip-36h12",
     "lerkendal-2016",
     "autoref-2016",
 );
@@ -448,16 +467,19 @@ impl Profile {
         })
     }
 
-    /// A black and white target, found by shape in grey, instead of paint.
+    /// A black and white target, found by shape in grey (coded ones too), instead of paint.
     pub fn is_target(&self) -> bool {
         match self.shape {
-            Shape::Checker | Shape::Hourglass => true,
+            Shape::Checker | Shape::Hourglass | Shape::Tag => true,
             Shape::Cross => self.colour.is_empty(),
             Shape::Any | Shape::Square | Shape::Disc => false,
         }
     }
 
     fn check(&self) -> std::result::Result<(), (&'static str, String)> {
+        if (self.shape == Shape::Tag) != self.tag.is_some() {
+            return Err(("tag", "shape = \"tag\" and [tag] go together".into()));
+        }
         if self.is_target() {
             self.check_target()?;
         } else {
@@ -468,7 +490,7 @@ impl Profile {
 
     fn check_target(&self) -> std::result::Result<(), (&'static str, String)> {
         if !self.colour.is_empty() {
-            return Err(("colour", "checkers and hourglasses are found by shape: leave [colour] out".into()));
+            return Err(("colour", "checkers, hourglasses and tags are found by shape: leave [colour] out".into()));
         }
         if !(0.02..=1.0).contains(&self.target.min_contrast) {
             return Err(("target.min_contrast", format!("{} is not in 0.02..=1", self.target.min_contrast)));

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use serde::Serialize;
 
-use crate::candidate::Candidate;
+use crate::candidate::{Candidate, Code};
 use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::gcp::Gcp;
@@ -63,6 +63,9 @@ struct Mark {
     y: f64,
     covariance_px2: Option<[f64; 3]>,
     score: Option<f64>,
+    /// What a coded target says of itself, as `family:number`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    code: Option<Code>,
     found_by: String,
     /// Index in the result's list.
     candidate: Option<usize>,
@@ -268,6 +271,7 @@ impl<'a> Plan<'a> {
             y: row.y,
             covariance_px2: row.covariance_px2,
             score: row.score,
+            code: row.code.clone(),
             found_by: row.found_by.clone(),
             candidate,
             size_px: candidate.and_then(|i| self.result.candidates[i].size_px),
@@ -282,6 +286,7 @@ impl<'a> Plan<'a> {
             y: c.centre.y,
             covariance_px2: c.covariance_px2,
             score: c.score,
+            code: c.code.clone(),
             found_by: "scan".into(),
             candidate: Some(candidate),
             size_px: c.size_px,

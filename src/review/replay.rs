@@ -80,6 +80,7 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
             area_px: None,
             size_px: None,
             elevation_m: None,
+            code: row.code.clone(),
         });
         let found_by = match row.found_by.as_str() {
             "rematch" => FoundBy::Rematch,
@@ -128,6 +129,7 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
                 area_px: None,
                 size_px: None,
                 elevation_m: place.as_ref().and_then(|held| held.mark.elevation_m),
+                code: None,
             };
             *place = Some(Held { mark, found_by: FoundBy::Review, used: true });
         }
@@ -171,7 +173,7 @@ fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<Fou
         noise_px: solution.rmse_px,
         gcps_in_image: marks.len() + check_marks.len() + not_found.len(),
     };
-    let evidence = Solved { pattern, runner_up: None, effort: Effort::default() };
+    let evidence = Solved { pattern, runner_up: None, effort: Effort::default(), names: None };
     Replayed::Solved(Box::new(Orientation {
         evidence,
         solution,

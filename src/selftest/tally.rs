@@ -139,6 +139,7 @@ mod tests {
             area_px: None,
             size_px: None,
             elevation_m: None,
+            code: None,
         }
     }
 

@@ -53,6 +53,7 @@ pub fn examine(detector: &TargetDetector, region: &Region, patch: &Patch) -> Opt
         area_px: Some(seen.side_px * seen.side_px),
         size_px: Some([seen.side_px; 2]),
         elevation_m: None,
+        code: None,
     })
 }
 

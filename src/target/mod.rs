@@ -7,7 +7,7 @@
 
 mod examine;
 mod fit;
-mod grey;
+pub(crate) mod grey;
 mod response;
 
 use crate::candidate::Candidate;
@@ -19,6 +19,8 @@ use crate::raster::{Block, Pixels, RasterInfo};
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 pub use examine::Seen;
+#[cfg(feature = "coded")]
+pub(crate) use examine::once_each;
 pub use fit::Fit;
 use grey::Plane;
 use response::{RINGS, respond};

@@ -67,6 +67,7 @@ pub fn bare_candidate(x: f64, y: f64) -> Candidate {
         area_px: None,
         size_px: None,
         elevation_m: None,
+        code: None,
     }
 }
 

@@ -328,7 +328,7 @@
   function facts(i) {
     const h = held[i], r = state.rows[i], p = D.points[i];
     const near = p.proposals.length ? `${count(p.proposals.length, "candidate", "candidates")} near` : "no candidate near";
-    if (r) return [`${metres(r.length)} m · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `score ${h.mark.score.toFixed(1)}`];
+    if (r) return [`${metres(r.length)} m · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `${h.mark.code ? `${h.mark.code} · ` : ""}score ${h.mark.score.toFixed(1)}`];
     return [h && h.mark && p.state === "proposed" ? `score ${h.mark.score === null ? "–" : h.mark.score.toFixed(1)}` : near, ""];
   }
   const shownAsCard = (i) => { const p = D.points[i]; return p.state !== "outside" && p.state !== "unknown"; };
@@ -353,7 +353,7 @@
     });
     const gallery = D.candidates.gallery.map((m, k) => html("li", {}, html("div", { class: "card" },
       m.chip === null ? null : chipBox(D.chips[m.chip], [{ x: m.x, y: m.y, outline: D.chips[m.chip].outline, size: m.size_px, colour: "#fff" }], false),
-      html("span", { class: "name" }, `Candidate ${k + 1}`), html("span", { class: "line" }, `score ${m.score === null ? "–" : m.score.toFixed(1)}`),
+      html("span", { class: "name" }, `Candidate ${k + 1}`), html("span", { class: "line" }, `${m.code ? `${m.code} · ` : ""}score ${m.score === null ? "–" : m.score.toFixed(1)}`),
       html("span", { class: "line" }, `${m.x.toFixed(1)}, ${m.y.toFixed(1)}`))));
     replace("cards", ...items, ...gallery);
     byId("marks-note").textContent = order.length
