@@ -9,12 +9,10 @@ mod common;
 
 use autoref_stream::candidate::Candidate;
 use autoref_stream::coded::Family;
-use autoref_stream::pipeline::{Detector, MarkDetector, NoProgress, PlanOptions, plan, scan};
 use autoref_stream::profile::Profile;
 use autoref_stream::raster::RasterSource;
-use autoref_stream::raster::memory::MemorySource;
 use autoref_stream::synth::plant::{Picture, Random, blurred};
-use autoref_stream::window::TileGrid;
+use common::tiles::{find, memory};
 use locus_core::TagFamily;
 use locus_core::bench_api::family_to_decoder;
 use targets::{middle, photo};
@@ -28,27 +26,8 @@ const FAMILIES: [(Family, TagFamily); 6] = [
     (Family::ArucoMip36h12, TagFamily::ArUcoMip36h12),
 ];
 
-fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads: usize) -> Vec<Candidate> {
-    let detector = MarkDetector::new(profile.clone(), source.info(), None).expect("a sound profile");
-    let options = PlanOptions {
-        tile_px: Some(tile_px),
-        threads,
-        memory_budget_bytes: 1 << 30,
-        baseline_bytes: 0,
-        cache_bytes: 16 << 20,
-    };
-    let mut plan = plan(source.info(), detector.halo_px(), &options).expect("it fits");
-    // Strips are cut into bands; squares are the harder case.
-    plan.grid = TileGrid::new(source.info().width, source.info().height, tile_px, tile_px, detector.halo_px());
-    scan(source, &plan, &detector, &NoProgress).expect("readable").candidates
-}
-
 fn builtin(family: Family) -> Profile {
     Profile::builtin(family.name()).expect("shipped")
-}
-
-fn memory(picture: &Picture) -> MemorySource {
-    MemorySource::rgb8(picture.width as u64, picture.height as u64, picture.rgb.clone().into_flattened())
 }
 
 /// A tag to draw: its pattern from the published table, how it lies, and how much of the ground shines through.

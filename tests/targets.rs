@@ -7,35 +7,14 @@ mod targets;
 mod common;
 
 use autoref_stream::candidate::Candidate;
-use autoref_stream::pipeline::{Detector, MarkDetector, NoProgress, PlanOptions, plan, scan};
 use autoref_stream::profile::Profile;
-use autoref_stream::raster::memory::MemorySource;
 use autoref_stream::raster::{self, RasterSource, ReaderChoice};
 use autoref_stream::synth::plant::{Picture, Random};
-use autoref_stream::window::TileGrid;
+use common::tiles::{find, memory};
 use targets::{Kind, middle, photo, plant_targets};
-
-fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads: usize) -> Vec<Candidate> {
-    let detector = MarkDetector::new(profile.clone(), source.info(), None).expect("a sound profile");
-    let options = PlanOptions {
-        tile_px: Some(tile_px),
-        threads,
-        memory_budget_bytes: 1 << 30,
-        baseline_bytes: 0,
-        cache_bytes: 16 << 20,
-    };
-    let mut plan = plan(source.info(), detector.halo_px(), &options).expect("it fits");
-    // Strips are cut into bands; squares are the harder case.
-    plan.grid = TileGrid::new(source.info().width, source.info().height, tile_px, tile_px, detector.halo_px());
-    scan(source, &plan, &detector, &NoProgress).expect("readable").candidates
-}
 
 fn builtin(name: &str) -> Profile {
     Profile::builtin(name).expect("shipped")
-}
-
-fn memory(picture: &Picture) -> MemorySource {
-    MemorySource::rgb8(picture.width as u64, picture.height as u64, picture.rgb.clone().into_flattened())
 }
 
 /// The plates of the list, whose row gcp04 in IMG_0031 lies on gcp00's plate and is wrong, and one more in IMG_0064

@@ -3,7 +3,7 @@
 use locus_core::{CornerRefinementMode, DetectorBuilder, DetectorConfig, ImageView, LocusEngine, TagFamily};
 
 use super::Family;
-use super::fit::{Fit, MOST_MODULES, Pattern, Pose, Sample, fit};
+use super::fit::{Fit, MOST_MODULES, Pattern, Pose, fit};
 use crate::candidate::{Candidate, Code};
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
@@ -12,7 +12,8 @@ use crate::profile::Profile;
 use crate::raster::{Block, Patch, Pixels, RasterInfo};
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
-use crate::target::grey::{Plane, level};
+use crate::target::fit::Sample;
+use crate::target::grey::{Plane, level, mean_of_cell};
 use crate::target::once_each;
 use crate::window::Window;
 
@@ -281,16 +282,7 @@ fn samples(patch: &Patch, pose: &Pose, n: usize, size: u64) -> Option<Vec<Sample
         if inverse.iter().any(|row| (row[0] * dx + row[1] * dy).abs() > reach) {
             continue;
         }
-        let pixels = (v * size..(v + 1) * size)
-            .flat_map(|row| (u * size..(u + 1) * size).map(move |column| (row * patch.window.width + column) as usize));
-        let (mut sum, mut clear) = (0.0, true);
-        for i in pixels {
-            clear &= patch.valid[i];
-            sum += level(patch.rgb[i], patch.white);
-        }
-        if clear {
-            out.push(Sample { x, y, level: sum / (size * size) as f64 });
-        }
+        out.extend(mean_of_cell(patch, (u, v), size).map(|level| Sample { x, y, level }));
     }
     let module = pose.module();
     (out.len() as f64 >= 0.9 * (2.0 * reach * module).powi(2)).then_some(out)

@@ -9,6 +9,7 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
+use crate::target::fit::{Sample, tukey_weights};
 
 /// Centre x, y; steps of one module along u and along v; logarithm of the blur in modules; ground level, height of white over
 /// it, slope of the light in x and y.
@@ -18,14 +19,6 @@ type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
 /// Modules of the largest family along a side, black border included.
 pub const MOST_MODULES: usize = 8;
-
-/// One cell: its middle in cells from the window's corner, and its grey level, 0..=255.
-#[derive(Clone, Copy, Debug)]
-pub struct Sample {
-    pub x: f64,
-    pub y: f64,
-    pub level: f64,
-}
 
 /// Where a tag lies, in cells: its centre and the steps of one module along its two sides.
 #[derive(Clone, Copy, Debug)]
@@ -250,18 +243,7 @@ impl Problem<'_> {
 
     /// Tukey's biweight about the fit `p`, with the noise that the residuals show.
     fn reweigh(&mut self, p: &Vector) -> Option<()> {
-        const CUT: f64 = 4.7;
-        let residuals = self.residuals(p)?;
-        let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
-        // A hundredth of the height: print and cloth are never flatter than that.
-        let noise = spread.max(0.01 * p[8].abs()).max(0.3);
-        self.weights = residuals
-            .iter()
-            .map(|r| {
-                let z = (r / noise / CUT).powi(2);
-                if z < 1.0 { (1.0 - z) * (1.0 - z) / (noise * noise) } else { 0.0 }
-            })
-            .collect();
+        self.weights = tukey_weights(&self.residuals(p)?, p[8]);
         Some(())
     }
 }

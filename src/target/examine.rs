@@ -1,7 +1,7 @@
 //! The second look at a place that answered: lines, extent, score.
 
 use super::fit::{Fit, Sample, Start, fit};
-use super::grey::{Plane, level};
+use super::grey::{Plane, level, mean_of_cell};
 use super::response::{RINGS, direction};
 use super::{Motif, Scale, TargetDetector};
 use crate::candidate::Candidate;
@@ -247,16 +247,7 @@ fn samples(patch: &Patch, at: (f64, f64), view: f64, size: u64) -> Vec<Sample> {
         if (x - cx).hypot(y - cy) > reach {
             continue;
         }
-        let pixels = (v * size..(v + 1) * size)
-            .flat_map(|row| (u * size..(u + 1) * size).map(move |column| (row * patch.window.width + column) as usize));
-        let (mut sum, mut clear) = (0.0, true);
-        for i in pixels {
-            clear &= patch.valid[i];
-            sum += level(patch.rgb[i], patch.white);
-        }
-        if clear {
-            out.push(Sample { x, y, level: sum / (size * size) as f64 });
-        }
+        out.extend(mean_of_cell(patch, (u, v), size).map(|level| Sample { x, y, level }));
     }
     out
 }

@@ -259,20 +259,23 @@ impl Problem<'_> {
 
     /// Tukey's biweight about the fit `p`, with the noise that the residuals show.
     fn reweigh(&mut self, p: &Vector) {
-        const CUT: f64 = 4.7;
         let pose = Posed::new(p);
         let residuals: Vec<f64> = self.samples.iter().map(|s| s.level - self.value(&pose, s.x, s.y)).collect();
-        let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
-        // A hundredth of the height: paint and cloth are never flatter than that.
-        let noise = spread.max(0.01 * p[8].abs()).max(0.3);
-        self.weights = residuals
-            .iter()
-            .map(|r| {
-                let z = (r / noise / CUT).powi(2);
-                if z < 1.0 { (1.0 - z) * (1.0 - z) / (noise * noise) } else { 0.0 }
-            })
-            .collect();
+        self.weights = tukey_weights(&residuals, p[8]);
     }
+}
+
+/// Weights by Tukey's biweight, with the noise that the residuals show about a fit whose bright and dark are `height` apart.
+pub(crate) fn tukey_weights(residuals: &[f64], height: f64) -> Vec<f64> {
+    const CUT: f64 = 4.7;
+    let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
+    // A hundredth of the height: paint, print and cloth are never flatter than that.
+    let noise = spread.max(0.01 * height.abs()).max(0.3);
+    let weight = |r: &f64| {
+        let z = (r / noise / CUT).powi(2);
+        if z < 1.0 { (1.0 - z) * (1.0 - z) / (noise * noise) } else { 0.0 }
+    };
+    residuals.iter().map(weight).collect()
 }
 
 /// Fits the motif. `None` with fewer than 40 samples, samples without any contrast or nothing like the motif, or when the

@@ -31,6 +31,22 @@ pub fn level(colour: [u16; 3], white: u16) -> f64 {
     (sum * 255.0 / 256.0 / f64::from(white)).min(255.0)
 }
 
+/// Mean grey of the cell of `size` × `size` pixels, counted in cells from the patch's corner, on the scale of bytes, for fits; `None`
+/// when a pixel of it is not there.
+pub fn mean_of_cell(patch: &Patch, (u, v): (u64, u64), size: u64) -> Option<f64> {
+    let mut sum = 0.0;
+    for y in v * size..(v + 1) * size {
+        for x in u * size..(u + 1) * size {
+            let i = (y * patch.window.width + x) as usize;
+            if !patch.valid[i] {
+                return None;
+            }
+            sum += level(patch.rgb[i], patch.white);
+        }
+    }
+    Some(sum / (size * size) as f64)
+}
+
 impl Plane {
     /// Level 0 of a block. What holds nothing (sparse block, nodata, zero alpha) is black.
     pub fn of_block(block: &Block, info: &RasterInfo) -> Plane {

@@ -6,7 +6,7 @@
 //! (`examine`).
 
 mod examine;
-mod fit;
+pub(crate) mod fit;
 pub(crate) mod grey;
 mod response;
 

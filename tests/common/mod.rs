@@ -1,6 +1,8 @@
 //! What several test files share.
 #![allow(dead_code)] // each test file uses its own part
 
+pub mod tiles;
+
 use std::path::PathBuf;
 
 use autoref_stream::candidate::Candidate;

@@ -227,10 +227,10 @@ impl Decoder {
                 places: entropy::places(self.steps[component.steps].as_ref().ok_or(NotDecoded)?),
             });
         }
-        let mut units = Units::new(Bits::new(data), codes, frame.restart);
+        let mut units = Units::new(Bits::new(data), frame, &shape, codes);
         let mut written = 0;
         for row in 0..shape.unit_rows {
-            units.row(self.kernel, frame, &shape, row % 2, &mut buffers.planes)?;
+            units.row(self.kernel, row % 2, &mut buffers.planes)?;
             // The last row needs the chroma below it, unless there is none.
             let known =
                 if row + 1 == shape.unit_rows { shape.height } else { (row + 1) * shape.unit_height - shape.late };

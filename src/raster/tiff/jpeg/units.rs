@@ -7,16 +7,17 @@ use super::{Frame, Kernel, Shape, transform};
 /// The units of a scan, from its first to its last.
 pub struct Units<'a> {
     bits: Bits<'a>,
+    frame: &'a Frame,
+    shape: &'a Shape,
     codes: Vec<Codes<'a>>,
     last_dc: [i32; 3],
-    restart: usize,
     done: usize,
 }
 
 impl<'a> Units<'a> {
-    /// `restart` units lie between two restart markers; 0 when there are none.
-    pub fn new(bits: Bits<'a>, codes: Vec<Codes<'a>>, restart: usize) -> Self {
-        Units { bits, codes, last_dc: [0; 3], restart, done: 0 }
+    /// `codes` are those of the frame's components.
+    pub fn new(bits: Bits<'a>, frame: &'a Frame, shape: &'a Shape, codes: Vec<Codes<'a>>) -> Self {
+        Units { bits, frame, shape, codes, last_dc: [0; 3], done: 0 }
     }
 
     /// Whether all that was read was in the stream.
@@ -25,52 +26,33 @@ impl<'a> Units<'a> {
     }
 
     /// One row of units into the half of the planes that `slot` says.
-    pub fn row(
-        &mut self,
-        kernel: Kernel,
-        frame: &Frame,
-        shape: &Shape,
-        slot: usize,
-        planes: &mut [Vec<u8>; 3],
-    ) -> Result<(), NotDecoded> {
+    pub fn row(&mut self, kernel: Kernel, slot: usize, planes: &mut [Vec<u8>; 3]) -> Result<(), NotDecoded> {
         match kernel {
-            Kernel::Scalar => self.row_by(kernel, frame, shape, slot, planes),
+            Kernel::Scalar => self.row_by(kernel, slot, planes),
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the kernel is only chosen where the processor has AVX2 and BMI2.
-            Kernel::Avx2 => unsafe { self.row_avx2(frame, shape, slot, planes) },
+            Kernel::Avx2 => unsafe { self.row_avx2(slot, planes) },
         }
     }
 
     /// The same code, and shifts that cost less.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,bmi2")]
-    fn row_avx2(
-        &mut self,
-        frame: &Frame,
-        shape: &Shape,
-        slot: usize,
-        planes: &mut [Vec<u8>; 3],
-    ) -> Result<(), NotDecoded> {
-        self.row_by(Kernel::Avx2, frame, shape, slot, planes)
+    fn row_avx2(&mut self, slot: usize, planes: &mut [Vec<u8>; 3]) -> Result<(), NotDecoded> {
+        self.row_by(Kernel::Avx2, slot, planes)
     }
 
     #[inline(always)]
-    fn row_by(
-        &mut self,
-        kernel: Kernel,
-        frame: &Frame,
-        shape: &Shape,
-        slot: usize,
-        planes: &mut [Vec<u8>; 3],
-    ) -> Result<(), NotDecoded> {
+    fn row_by(&mut self, kernel: Kernel, slot: usize, planes: &mut [Vec<u8>; 3]) -> Result<(), NotDecoded> {
+        let (frame, shape) = (self.frame, self.shape);
         // Blocks of a unit: their component and place in it.
         let mut places = Vec::with_capacity(6);
         for (c, component) in frame.components.iter().enumerate() {
             places.extend((0..component.down).flat_map(|v| (0..component.across).map(move |h| (c, h, v))));
         }
         for unit in 0..shape.units {
-            if self.restart > 0 && self.done > 0 && self.done.is_multiple_of(self.restart) {
-                self.bits.restart((self.done / self.restart - 1) as u8 % 8)?;
+            if frame.restart > 0 && self.done > 0 && self.done.is_multiple_of(frame.restart) {
+                self.bits.restart((self.done / frame.restart - 1) as u8 % 8)?;
                 self.last_dc = [0; 3];
             }
             self.done += 1;

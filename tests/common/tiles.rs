@@ -1,0 +1,28 @@
+//! Marks of a picture in memory, looked for in tiles.
+
+use autoref_stream::candidate::Candidate;
+use autoref_stream::pipeline::{Detector, MarkDetector, NoProgress, PlanOptions, plan, scan};
+use autoref_stream::profile::Profile;
+use autoref_stream::raster::RasterSource;
+use autoref_stream::raster::memory::MemorySource;
+use autoref_stream::synth::plant::Picture;
+use autoref_stream::window::TileGrid;
+
+pub fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads: usize) -> Vec<Candidate> {
+    let detector = MarkDetector::new(profile.clone(), source.info(), None).expect("a sound profile");
+    let options = PlanOptions {
+        tile_px: Some(tile_px),
+        threads,
+        memory_budget_bytes: 1 << 30,
+        baseline_bytes: 0,
+        cache_bytes: 16 << 20,
+    };
+    let mut plan = plan(source.info(), detector.halo_px(), &options).expect("it fits");
+    // Strips are cut into bands; squares are the harder case.
+    plan.grid = TileGrid::new(source.info().width, source.info().height, tile_px, tile_px, detector.halo_px());
+    scan(source, &plan, &detector, &NoProgress).expect("readable").candidates
+}
+
+pub fn memory(picture: &Picture) -> MemorySource {
+    MemorySource::rgb8(picture.width as u64, picture.height as u64, picture.rgb.clone().into_flattened())
+}
