@@ -4,7 +4,10 @@
 //! word. Every longer string is a piece of what was written before, so the table holds where it begins and how long it is, and
 //! the code is one copy within the output (the scheme of Welch, "A technique for high-performance data compression", IEEE
 //! Computer 17(6), 1984, without its prefix links). Words may be written beyond the string; the next string overwrites that.
-//! `weezl` is the slower twin that the tests compare with.
+//!
+//! Nine of ten codes of a photograph are short strings after short strings, and are taken in groups of four with one test a code
+//! ([`Decoder::run`]); all that is rarer, [`Decoder::step`] takes code by code. `weezl` is the slower twin that the tests
+//! compare with.
 #![allow(unsafe_code)]
 
 const CLEAR: usize = 256;
@@ -14,8 +17,10 @@ const CODES: usize = 4096;
 /// Copies go in words of this many bytes, so that many must be free behind a string.
 const WORD: usize = 16;
 /// Longest string that stands in the table.
-const SHORT: u32 = 7;
+const SHORT: usize = 7;
 const BYTES: u64 = (1 << 56) - 1;
+/// Codes that are taken from one word of the data.
+const GROUP: usize = 4;
 
 /// Where a long string lies in the output.
 #[derive(Clone, Copy, Default)]
@@ -26,17 +31,29 @@ struct Place {
 
 /// A decoder with its tables, used from block to block.
 pub struct Decoder {
-    /// The first seven bytes of each string, the first in the lowest place, and its length on top: more than [`SHORT`] where
-    /// it is in `long`.
+    /// The first seven bytes of each string, the first in the lowest place and zeros behind the last, and its length on top:
+    /// more than [`SHORT`] where it is in `long`, and 0 for codes that have no string, or none yet.
     short: Box<[u64; CODES]>,
     long: Box<[Place; CODES]>,
 }
 
-/// The string that was written last.
-#[derive(Clone, Copy)]
-struct Last {
-    short: u64,
-    place: Place,
+/// Where decoding has come to.
+struct State<'a> {
+    data: &'a [u8],
+    /// Of the next code in the data, in bits.
+    bit: usize,
+    /// Bits of the next code.
+    width: usize,
+    /// The code that the next code makes.
+    next: usize,
+    /// The string that was written last since the table was cleared: as it stands in the table, and where it lies.
+    last: Option<(u64, Place)>,
+    /// Bytes written.
+    at: usize,
+}
+
+fn length_of(short: u64) -> usize {
+    (short >> 56) as usize
 }
 
 impl Decoder {
@@ -57,60 +74,122 @@ impl Decoder {
     /// When `out` has 4 GiB or more.
     pub fn decode(&mut self, data: &[u8], out: &mut [u8]) -> Result<usize, String> {
         assert!(out.len() < u32::MAX as usize, "blocks are bounded far below 4 GiB");
-        let mut bits = Bits::new(data);
-        let (mut next, mut width) = (FIRST, 9);
-        let mut last: Option<Last> = None;
-        let mut at = 0;
-        while at < out.len() {
-            let Some(code) = bits.take(width) else { break };
-            if code == CLEAR {
-                (next, width, last) = (FIRST, 9, None);
-                continue;
+        let mut state = State { data, bit: 0, width: 9, next: FIRST, last: None, at: 0 };
+        self.short[FIRST..].fill(0);
+        while self.step(&mut state, out)? {
+            match state.width {
+                9 => self.run::<9>(&mut state, out),
+                10 => self.run::<10>(&mut state, out),
+                11 => self.run::<11>(&mut state, out),
+                _ => self.run::<12>(&mut state, out),
             }
-            if code == END {
-                break;
-            }
-            if let Some(last) = last
-                && next < CODES
-            {
-                // A code that is made by this very step begins as the last string did.
-                let begins = if code == next { last.short } else { self.short[code] };
-                self.add(next, last, begins as u8);
-                next += 1;
-                width += usize::from(next + 1 == 1 << width && width < 12);
-            }
-            if code >= next {
-                return Err(format!("LZW: code {code} comes before it exists, after {at} bytes"));
-            }
-            let short = self.short[code];
-            let mut length = (short >> 56) as usize;
-            if length <= SHORT as usize && at + 8 <= out.len() {
-                out[at..at + 8].copy_from_slice(&short.to_le_bytes());
-            } else if length <= SHORT as usize {
-                length = length.min(out.len() - at);
-                out[at..at + length].copy_from_slice(&short.to_le_bytes()[..length]);
-            } else {
-                let place = self.long[code];
-                length = copy(out, place.position as usize, at, place.length as usize);
-            }
-            last = Some(Last { short, place: Place { position: at as u32, length: length as u32 } });
-            at += length;
         }
-        Ok(at)
+        Ok(state.at)
+    }
+
+    /// Takes whole groups of codes of `WIDTH` bits while each is a string of the table that is shorter than [`SHORT`], as the
+    /// last one was: the string that each makes then stands in the table too.
+    fn run<const WIDTH: usize>(&mut self, state: &mut State, out: &mut [u8]) {
+        let Some((mut last, _)) = state.last.filter(|(last, _)| length_of(*last) < SHORT) else { return };
+        let (mut bit, mut next, mut at) = (state.bit, state.next, state.at);
+        // One before the code with which the width changes, or the table is full.
+        let end = if WIDTH == 12 { CODES } else { (1 << WIDTH) - 1 };
+        'groups: while next + GROUP <= end && at + 8 * GROUP <= out.len() {
+            let Some(word) = state.data[bit / 8..].first_chunk::<8>() else { break };
+            let mut word = u64::from_be_bytes(*word) << (bit % 8);
+            for _ in 0..GROUP {
+                let code = (word >> (64 - WIDTH)) as usize;
+                word <<= WIDTH;
+                let short = self.short[code];
+                let length = length_of(short);
+                // 0 is a code without a string, which the step tells from the others.
+                if length.wrapping_sub(1) >= SHORT - 1 {
+                    break 'groups;
+                }
+                // Nothing stands behind the string, so that what is above its length is 8 times that.
+                self.short[next] = (last + (1 << 56)) | (short & 0xFF) << (last >> 53);
+                out[at..at + 8].copy_from_slice(&short.to_le_bytes());
+                last = short;
+                next += 1;
+                at += length;
+                bit += WIDTH;
+            }
+        }
+        let length = length_of(last);
+        state.last = Some((last, Place { position: (at - length) as u32, length: length as u32 }));
+        state.width += usize::from(WIDTH < 12 && next == end);
+        (state.bit, state.next, state.at) = (bit, next, at);
+    }
+
+    /// Takes one code, whatever it is. False at the end.
+    fn step(&mut self, state: &mut State, out: &mut [u8]) -> Result<bool, String> {
+        if state.at == out.len() {
+            return Ok(false);
+        }
+        let Some(code) = state.code() else { return Ok(false) };
+        if code == CLEAR {
+            self.short[FIRST..state.next].fill(0);
+            (state.next, state.width, state.last) = (FIRST, 9, None);
+            return Ok(true);
+        }
+        if code == END {
+            return Ok(false);
+        }
+        if let Some(last) = state.last
+            && state.next < CODES
+        {
+            // A code that is made by this very step begins as the last string did.
+            let begins = if code == state.next { last.0 } else { self.short[code] };
+            self.add(state.next, last, begins as u8);
+            state.next += 1;
+            state.width += usize::from(state.next + 1 == 1 << state.width && state.width < 12);
+        }
+        let at = state.at;
+        if code >= state.next {
+            return Err(format!("LZW: code {code} comes before it exists, after {at} bytes"));
+        }
+        let short = self.short[code];
+        let mut length = length_of(short);
+        if length > SHORT {
+            let place = self.long[code];
+            length = copy(out, place.position as usize, at, place.length as usize);
+        } else if at + 8 <= out.len() {
+            out[at..at + 8].copy_from_slice(&short.to_le_bytes());
+        } else {
+            length = length.min(out.len() - at);
+            out[at..at + length].copy_from_slice(&short.to_le_bytes()[..length]);
+        }
+        state.last = Some((short, Place { position: at as u32, length: length as u32 }));
+        state.at += length;
+        Ok(true)
     }
 
     /// The string `last` and one byte more becomes entry `code`. It lies in the output where `last` does: the byte is the
     /// one behind it.
-    #[inline(always)]
-    fn add(&mut self, code: usize, last: Last, byte: u8) {
-        let Place { position, length } = last.place;
-        if length < SHORT {
-            let bytes = last.short & BYTES | u64::from(byte) << (8 * length);
+    fn add(&mut self, code: usize, (short, Place { position, length }): (u64, Place), byte: u8) {
+        if (length as usize) < SHORT {
+            let bytes = short & BYTES | u64::from(byte) << (8 * length);
             self.short[code] = bytes | u64::from(length + 1) << 56;
         } else {
-            self.short[code] = last.short & BYTES | u64::from(SHORT + 1) << 56;
+            self.short[code] = short & BYTES | (SHORT as u64 + 1) << 56;
             self.long[code] = Place { position, length: length + 1 };
         }
+    }
+}
+
+impl State<'_> {
+    /// The next code; `None` when there are not enough bits for one.
+    fn code(&mut self) -> Option<usize> {
+        if self.bit + self.width > self.data.len() * 8 {
+            return None;
+        }
+        let rest = &self.data[self.bit / 8..];
+        let mut four = [0; 4];
+        let some = rest.len().min(4);
+        four[..some].copy_from_slice(&rest[..some]);
+        let code = (u32::from_be_bytes(four) << (self.bit % 8)) >> (32 - self.width);
+        self.bit += self.width;
+        Some(code as usize)
     }
 }
 
@@ -147,43 +226,6 @@ fn copy_at_the_end(out: &mut [u8], from: usize, to: usize, length: usize) -> usi
     length
 }
 
-/// Codes from the most significant bit on.
-struct Bits<'a> {
-    data: &'a [u8],
-    /// In bits.
-    position: usize,
-}
-
-impl<'a> Bits<'a> {
-    fn new(data: &'a [u8]) -> Self {
-        Bits { data, position: 0 }
-    }
-
-    /// The next `width` bits, at most 12; `None` when there are not that many.
-    #[inline(always)]
-    fn take(&mut self, width: usize) -> Option<usize> {
-        let byte = self.position / 8;
-        let word = match self.data.get(byte..byte + 4) {
-            Some(four) => u32::from_be_bytes(four.try_into().expect("four bytes were taken")),
-            None => self.tail(byte, width)?,
-        };
-        let code = (word << (self.position % 8)) >> (32 - width);
-        self.position += width;
-        Some(code as usize)
-    }
-
-    #[cold]
-    fn tail(&self, byte: usize, width: usize) -> Option<u32> {
-        if self.position + width > self.data.len() * 8 {
-            return None;
-        }
-        let mut four = [0; 4];
-        let rest = &self.data[byte..];
-        four[..rest.len()].copy_from_slice(rest);
-        Some(u32::from_be_bytes(four))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -191,6 +233,15 @@ mod tests {
 
     fn encode(bytes: &[u8]) -> Vec<u8> {
         weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8).encode(bytes).expect("encodes anything")
+    }
+
+    fn noise(length: usize) -> Vec<u8> {
+        let mut seed = 1u32;
+        let mut next = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 24) as u8
+        };
+        (0..length).map(|_| next()).collect()
     }
 
     fn check(bytes: &[u8]) {
@@ -202,6 +253,15 @@ mod tests {
         let mut part = vec![0; bytes.len() / 2];
         assert_eq!(Decoder::new().decode(&data, &mut part), Ok(part.len()));
         assert_eq!(part, bytes[..part.len()]);
+        // So do data that end early, by a decoder whose table is full of other strings.
+        let mut used = Decoder::new();
+        assert_eq!(used.decode(&encode(&noise(20_000)), &mut vec![0; 20_000]), Ok(20_000));
+        for eighths in 0..8 {
+            let written =
+                used.decode(&data[..data.len() * eighths / 8], &mut out).expect("a part holds no other codes");
+            assert_eq!(out[..written], bytes[..written]);
+            assert!(eighths < 2 || bytes.len() < 5000 || written > 0);
+        }
     }
 
     #[test]
@@ -209,13 +269,7 @@ mod tests {
         for length in [0, 1, 2, 15, 16, 17, 255, 5000, 300_000] {
             check(&vec![7; length]);
             check(&(0..length).map(|i| (i * i / 7 % 251) as u8).collect::<Vec<_>>());
-            let mut seed = 1u32;
-            let noise: Vec<u8> = (0..length)
-                .map(|_| {
-                    seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                    (seed >> 24) as u8
-                })
-                .collect();
+            let noise = noise(length);
             check(&noise);
             check(&noise.iter().map(|v| v & 3).collect::<Vec<_>>());
         }
