@@ -106,8 +106,7 @@ struct Score {
 }
 
 fn run(what: &str, seed: u64, few: usize, make: impl Fn(&mut Random) -> Case) -> Score {
-    let asked = std::env::var("AUTOREF_TRIALS").ok().map(|n| n.parse().expect("AUTOREF_TRIALS is a number"));
-    let count = if common::large() { asked.unwrap_or(1000) } else { few };
+    let count = common::trials(few, 1000);
     let mut score = Score { trials: count, ..Score::default() };
     for trial in 0..count {
         let mut random = Random::new(seed.wrapping_mul(1_000_003).wrapping_add(trial as u64));

@@ -128,12 +128,6 @@ struct Score {
     mean_cpu_s: f64,
 }
 
-/// Trials of a test: few as a rule, `full` with AUTOREF_LARGE=1, AUTOREF_TRIALS of them when that is set too.
-fn count(few: usize, full: usize) -> usize {
-    let asked = std::env::var("AUTOREF_TRIALS").ok().map(|n| n.parse().expect("AUTOREF_TRIALS is a number"));
-    if common::large() { asked.unwrap_or(full) } else { few }
-}
-
 /// Processor time of this process so far, all threads (proc(5): fields 14 and 15, in ticks of 10 ms).
 fn cpu_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
@@ -208,7 +202,7 @@ fn kind(visible: usize, false_candidates: usize, turn_deg: f64) -> Kind {
 #[test]
 fn e6_six_visible_among_a_thousand() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = count(20, 1000);
+    let count = common::trials(20, 1000);
     let score = trials(&kind(6, 1000, 180.0), &priors((0.027, 0.033)), &gcps, count, 1);
     assert_eq!(score.wrong, 0);
     assert!(score.right * 1000 >= count * 995, "{score:?}");
@@ -217,7 +211,7 @@ fn e6_six_visible_among_a_thousand() {
 #[test]
 fn e6_five_visible_among_three_hundred() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = count(20, 1000);
+    let count = common::trials(20, 1000);
     let score = trials(&kind(5, 300, 180.0), &priors((0.027, 0.033)), &gcps, count, 2);
     assert_eq!(score.wrong, 0);
     assert!(score.right * 100 >= count * 99, "{score:?}");
@@ -233,7 +227,7 @@ fn marks_far_off_their_places_keep_the_whole_pattern() {
         .collect();
     for (visible, false_candidates, sigma_px, seed) in [(20, 0, 5.0, 31), (14, 30, 5.0, 33)] {
         let kind = Kind { sigma_px, ..kind(visible, false_candidates, 20.0) };
-        let score = trials(&kind, &priors((0.027, 0.033)), &gcps, count(10, 300), seed);
+        let score = trials(&kind, &priors((0.027, 0.033)), &gcps, common::trials(10, 300), seed);
         assert_eq!(score.wrong, 0, "{visible} among {false_candidates}, {sigma_px} px: {score:?}");
     }
 }
@@ -241,7 +235,7 @@ fn marks_far_off_their_places_keep_the_whole_pattern() {
 #[test]
 fn e6_with_the_scale_known_within_a_factor_of_two() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = count(5, 1000);
+    let count = common::trials(5, 1000);
     let score = trials(&kind(6, 1000, 180.0), &priors((0.015, 0.06)), &gcps, count, 3);
     assert_eq!(score.wrong, 0);
     assert!(score.right * 10 >= count * 9, "{score:?}");
@@ -250,7 +244,7 @@ fn e6_with_the_scale_known_within_a_factor_of_two() {
 #[test]
 fn e6_ten_visible_among_twenty_thousand_with_north_up() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = count(3, 300);
+    let count = common::trials(3, 300);
     let priors = Priors { rotation_deg: Some((0.0, 15.0)), ..priors((0.027, 0.033)) };
     let score = trials(&kind(10, 20_000, 15.0), &priors, &gcps, count, 4);
     assert_eq!(score.wrong, 0);
@@ -260,7 +254,7 @@ fn e6_ten_visible_among_twenty_thousand_with_north_up() {
 #[test]
 fn nothing_there_is_refused() {
     let Some(gcps) = common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = count(8, 1000);
+    let count = common::trials(8, 1000);
     let mut random = Random::new(5);
     for trial in 0..count {
         let candidates: Vec<Candidate> = match trial % 4 {
@@ -287,7 +281,7 @@ fn nothing_there_is_refused() {
 /// says? The printed chance must not promise more than that.
 #[test]
 fn the_printed_chance_is_no_promise_too_much() {
-    let count = count(400, 20_000);
+    let count = common::trials(400, 20_000);
     let mut random = Random::new(8);
     let limits = [0.01, 0.03, 0.1, 0.3, 1.0];
     let mut accepted = [0usize; 5];

@@ -8,15 +8,10 @@ use autoref_stream::coords::PixelPoint;
 use autoref_stream::gcp::{Gcp, GcpRole};
 use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher, Solved};
 use autoref_stream::solve::Similarity;
-use common::{Random, bare_candidate};
+use common::{Random, bare_candidate, trials};
 
 const SIZE: (f64, f64) = (8000.0, 6000.0);
 const GSD: f64 = 0.03;
-
-fn trials(few: usize, many: usize) -> usize {
-    let said = std::env::var("AUTOREF_TRIALS").ok().and_then(|v| v.parse().ok());
-    if common::large() { said.unwrap_or(many) } else { few }
-}
 
 fn truth(random: &mut Random) -> Similarity {
     let angle = random.uniform(-180.0, 180.0).to_radians();

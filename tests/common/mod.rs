@@ -24,6 +24,12 @@ pub fn large() -> bool {
     std::env::var_os("AUTOREF_LARGE").is_some()
 }
 
+/// Trials of a test: `few` as a rule, `many` with AUTOREF_LARGE=1, AUTOREF_TRIALS of them when that is set too.
+pub fn trials(few: usize, many: usize) -> usize {
+    let asked = std::env::var("AUTOREF_TRIALS").ok().map(|n| n.parse().expect("AUTOREF_TRIALS is a number"));
+    if large() { asked.unwrap_or(many) } else { few }
+}
+
 /// Rows of a CSV with a header, as maps from column to text.
 pub fn rows(relative: &str) -> Option<Vec<std::collections::HashMap<String, String>>> {
     let mut reader = csv::Reader::from_path(data(relative)?).expect("the thesis tables are readable");
