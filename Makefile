@@ -12,6 +12,8 @@ PACKAGES := libgdal-dev gdal-bin pkg-config gcc g++ time
 TEST_PACKAGES := chromium
 MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q '^install ok installed' || echo $$p; done)
 DEMO := demo
+# Odd, old and corrupt files to begin with, where they are there.
+FUZZ_SEEDS := $(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio))
 
 .PHONY: all deps test-deps build demo test check lint doc bench fuzz check-large clean
 
@@ -60,7 +62,8 @@ bench: build
 	benches/compare.sh
 
 fuzz:
-	cd fuzz && $(CARGO) +nightly fuzz run native_tiff -- -max_total_time=600
+	mkdir -p fuzz/corpus/native_tiff
+	cd fuzz && $(CARGO) +nightly fuzz run native_tiff corpus/native_tiff $(FUZZ_SEEDS) -- -max_total_time=600 -rss_limit_mb=1024 -timeout=10
 
 check-large: build
 	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
