@@ -6,7 +6,7 @@
 //! what can be believed and the limit is that of the evidence. Excluded: the time of making the cases.
 //!
 //! `cargo run --release --example success_curve -- FOLDER [TRIALS [FROM]]` writes `matching-success.csv` and `.svg` there. With
-//! FROM the fields of fewer false candidates are taken over from the table in FOLDER.
+//! FROM the fields of fewer false candidates are taken over from the table in FOLDER; beyond all of them it is only drawn.
 
 use std::fmt::Write;
 use std::time::Instant;
@@ -238,6 +238,11 @@ fn taken_over(folder: &std::path::Path, from: usize, csv: &mut String) -> Vec<(u
     cells
 }
 
+fn write(folder: &std::path::Path, csv: &str, cells: &[(usize, usize, f64, Cell)]) {
+    std::fs::write(folder.join("matching-success.csv"), csv).expect("the folder can be written to");
+    std::fs::write(folder.join("matching-success.svg"), svg(cells)).expect("the folder can be written to");
+}
+
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let folder = std::path::PathBuf::from(arguments.next().expect("usage: success_curve FOLDER [TRIALS]"));
@@ -267,11 +272,11 @@ fn main() {
                 .expect("a string takes all writes");
                 cells.push((visible, false_candidates, sigma, cell));
             }
-            std::fs::write(folder.join("matching-success.csv"), &csv).expect("the folder can be written to");
-            std::fs::write(folder.join("matching-success.svg"), svg(&cells)).expect("the folder can be written to");
+            write(&folder, &csv, &cells);
             eprintln!("{false_candidates} false candidates, σ {sigma} px: done");
         }
     }
+    write(&folder, &csv, &cells);
     let count = |f: &dyn Fn(&Cell) -> usize| cells.iter().map(|c| f(&c.3)).sum::<usize>();
     println!(
         "{} trials: {} right, {} wrong, {} predicted",

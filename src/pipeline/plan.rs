@@ -194,7 +194,11 @@ fn wished_tile(info: &RasterInfo, tile_px: Option<u64>) -> (u64, u64) {
         (tile_px, BlockLayout::Strips { rows }) => {
             let pixels = tile_px.map_or(DEFAULT_BAND_PIXELS, |side| side.saturating_mul(side));
             let width = info.width.min(pixels).max(1);
-            let band = (pixels / width).clamp(1, info.height.max(1));
+            let mut band = (pixels / width).clamp(1, info.height.max(1));
+            if tile_px.is_none() && !info.sequential {
+                // While one worker decodes a strip, another that needs rows of it can only wait.
+                band = band.max(rows.min(info.height));
+            }
             // Whole strips where the band holds at least one.
             (width, if band >= rows { band - band % rows.max(1) } else { band })
         }
@@ -267,3 +271,49 @@ pub fn baseline_bytes() -> u64 {
 
 /// A source and the plan for scanning it always travel together.
 pub type PlannedSource = (Arc<dyn crate::raster::RasterSource>, ScanPlan);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::RasterSource;
+    use crate::raster::memory::MemorySource;
+
+    /// 22,000 × 20,000 px, RGB, in strips of so many rows.
+    fn strips(rows: u64, sequential: bool) -> RasterInfo {
+        let small = MemorySource::rgb8(1, 1, vec![0; 3]);
+        let (width, height) = (22_000, 20_000);
+        let chunk_bytes = width * 3 * if sequential { 4 } else { rows };
+        RasterInfo {
+            width,
+            height,
+            chunk_bytes,
+            sequential,
+            layout: BlockLayout::Strips { rows },
+            ..small.info().clone()
+        }
+    }
+
+    fn planned(info: &RasterInfo, tile_px: Option<u64>, memory_mib: u64) -> ScanPlan {
+        let memory_budget_bytes = memory_mib << 20;
+        let cache_bytes = cache_share_bytes(memory_budget_bytes);
+        let options = PlanOptions { tile_px, threads: 2, memory_budget_bytes, baseline_bytes: 40 << 20, cache_bytes };
+        plan(info, 0, &options).expect("fits")
+    }
+
+    #[test]
+    fn two_workers_never_need_the_same_strip() {
+        for rows in [1, 16, 100, 256, 300] {
+            let plan = planned(&strips(rows, false), None, 512);
+            assert_eq!(plan.tile_height_px % rows, 0, "{rows}: {}", plan.line());
+            assert_eq!((plan.tile_width_px, plan.workers), (22_000, 2));
+        }
+        // Unless tiles of another size are asked for, there is no memory for them, or they come row by row anyway.
+        for plan in [
+            planned(&strips(256, false), Some(1024), 512),
+            planned(&strips(256, false), None, 160),
+            planned(&strips(20_000, true), None, 512),
+        ] {
+            assert!(plan.tile_height_px < 256, "{}", plan.line());
+        }
+    }
+}
