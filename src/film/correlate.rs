@@ -4,40 +4,50 @@
 //! differences of running sums there, two look-ups a run instead of a product for each of its values; what is left, edges
 //! and thin lines, is added value by value. A learned mark is edges all over and costs what its values cost.
 
+use super::kernel::{Kernel, widest};
 use super::search::FLAT;
 use super::template::Template;
 use super::window::Grey;
 
 /// Places taken together: their sums stay in registers while the mark is gone through.
-const LANES: usize = 8;
+const LANES: usize = 16;
 /// Stretches of one value up to this long are not worth a run.
 const SHORT: usize = 3;
 
-/// Values of one row of a mark from `first` up to, not including, `end`, all of one weight and one value.
+/// Values of one row of a mark, all of one weight.
 struct Run {
-    row: usize,
+    /// Running sums before the first value and after the last, from the sums of the template's corner.
     first: usize,
     end: usize,
     weight: f32,
-    /// Weight times value.
+    /// Weight times the first value.
+    product: f32,
+}
+
+/// Where values of a run change: what lies between here and the run's end.
+struct Step {
+    at: usize,
+    end: usize,
+    /// Weight times the change.
     product: f32,
 }
 
 /// One value of a mark.
 struct Cell {
-    row: usize,
-    column: usize,
+    at: usize,
     weight: f32,
     /// Weight times value; for a value drawn over a run, times its difference from the run's.
     product: f32,
 }
 
-/// A template, or a sector of one, taken apart. Rows and columns count from the whole template's corner.
+/// A template, or a sector of one, taken apart for pictures of one stride.
 struct Outline {
-    /// How much it counts in the mark's score.
+    /// How much it counts in the mark's score, by its sum of weights.
     share: f32,
-    weight_sum: f32,
+    /// 1 / sum of weights.
+    even: f32,
     runs: Vec<Run>,
+    steps: Vec<Step>,
     /// In no run.
     cells: Vec<Cell>,
     /// Drawn over a run.
@@ -45,15 +55,17 @@ struct Outline {
 }
 
 impl Outline {
-    fn of(whole: &Template, part: &Template, share: f32) -> Outline {
+    fn of(whole: &Template, part: &Template, share: f32, stride: usize) -> Outline {
         let [left, top] = [0, 1].map(|k| (whole.reference[k] - part.reference[k]) as usize);
-        let mut outline = Outline { share, weight_sum: part.weight_sum, runs: vec![], cells: vec![], over: vec![] };
+        let even = 1.0 / part.weight_sum;
+        let mut outline =
+            Outline { share: share * even, even, runs: vec![], steps: vec![], cells: vec![], over: vec![] };
         for j in 0..part.height {
             let (values, weights) = (&part.values[j * part.width..], &part.weights[j * part.width..][..part.width]);
             let mut x = 0;
             for even in weights.chunk_by(|a, b| a == b) {
                 if even[0] != 0.0 {
-                    outline.add_even(top + j, left + x, &values[x..x + even.len()], even[0]);
+                    outline.add_even((top + j) * stride + left + x, &values[x..x + even.len()], even[0]);
                 }
                 x += even.len();
             }
@@ -61,9 +73,9 @@ impl Outline {
         outline
     }
 
-    /// Neighbouring values of one row that share a weight.
-    fn add_even(&mut self, row: usize, first: usize, values: &[f32], weight: f32) {
-        // Long stretches of one value start runs; short ones are drawn over the run they lie in.
+    /// Neighbouring values of one row that share a weight, the first at `first`.
+    fn add_even(&mut self, first: usize, values: &[f32], weight: f32) {
+        // Long stretches of one value start anew; short ones are drawn over the stretch they lie in.
         let mut starts: Vec<(usize, f32)> = vec![];
         let mut x = 0;
         for stretch in values.chunk_by(|a, b| a == b) {
@@ -72,34 +84,46 @@ impl Outline {
             }
             x += stretch.len();
         }
-        let cell = |i: usize, weight: f32, product: f32| Cell { row, column: first + i, weight, product };
-        if starts.is_empty() {
+        let cell = |i: usize, weight: f32, product: f32| Cell { at: first + i, weight, product };
+        let Some((_, value)) = starts.first() else {
             self.cells.extend(values.iter().enumerate().map(|(i, v)| cell(i, weight, weight * v)));
+            return;
+        };
+        let end = first + values.len();
+        self.runs.push(Run { first, end, weight, product: weight * value });
+        for two in starts.windows(2) {
+            self.steps.push(Step { at: first + two[1].0, end, product: weight * (two[1].1 - two[0].1) });
         }
         for (k, &(start, value)) in starts.iter().enumerate() {
             let end = starts.get(k + 1).map_or(values.len(), |next| next.0);
-            self.runs.push(Run { row, first: first + start, end: first + end, weight, product: weight * value });
             let others = (start..end).filter(|i| values[*i] != value);
             self.over.extend(others.map(|i| cell(i, 0.0, weight * (values[i] - value))));
         }
     }
 
-    /// Adds this part's share of the score to [`LANES`] places, the first with the template's corner on value (x, y).
-    fn add_scores(&self, picture: &Picture, x: usize, y: usize, out: &mut [f32; LANES]) {
+    /// Adds this part's share of the score to [`LANES`] places, the first with the template's corner at `corner`.
+    #[inline(always)]
+    fn add_scores(&self, picture: &Picture, corner: usize, out: &mut [f32; LANES]) {
         let (mut s1, mut s2, mut st) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        let (values, sums, squares) = (&picture.values[corner..], &picture.sums[corner..], &picture.squares[corner..]);
         for r in &self.runs {
-            let row = (y + r.row) * picture.stride + x;
-            let at = |sums: &[f32], column: usize| lanes(sums, row + column);
-            let (a, b) = (at(&picture.sums, r.first), at(&picture.sums, r.end));
-            let (c, d) = (at(&picture.squares, r.first), at(&picture.squares, r.end));
+            let (a, b) = (lanes(sums, r.first), lanes(sums, r.end));
+            let (c, d) = (lanes(squares, r.first), lanes(squares, r.end));
             for i in 0..LANES {
-                s1[i] += r.weight * (b[i] - a[i]);
+                let sum = b[i] - a[i];
+                s1[i] += r.weight * sum;
                 s2[i] += r.weight * (d[i] - c[i]);
-                st[i] += r.product * (b[i] - a[i]);
+                st[i] += r.product * sum;
+            }
+        }
+        for s in &self.steps {
+            let (a, b) = (lanes(sums, s.at), lanes(sums, s.end));
+            for i in 0..LANES {
+                st[i] += s.product * (b[i] - a[i]);
             }
         }
         for c in &self.cells {
-            let v = lanes(&picture.values, (y + c.row) * picture.stride + x + c.column);
+            let v = lanes(values, c.at);
             for i in 0..LANES {
                 s1[i] += c.weight * v[i];
                 s2[i] += c.weight * v[i] * v[i];
@@ -107,19 +131,20 @@ impl Outline {
             }
         }
         for c in &self.over {
-            let v = lanes(&picture.values, (y + c.row) * picture.stride + x + c.column);
+            let v = lanes(values, c.at);
             for i in 0..LANES {
                 st[i] += c.product * v[i];
             }
         }
         for i in 0..LANES {
-            let mean = s1[i] / self.weight_sum;
-            let variance = (s2[i] / self.weight_sum - mean * mean).max(0.0) + FLAT * FLAT;
-            out[i] += self.share * st[i] / self.weight_sum / variance.sqrt();
+            let mean = s1[i] * self.even;
+            let variance = (s2[i] * self.even - mean * mean).max(0.0) + FLAT * FLAT;
+            out[i] += self.share * st[i] / variance.sqrt();
         }
     }
 }
 
+#[inline(always)]
 fn lanes(values: &[f32], at: usize) -> [f32; LANES] {
     *values[at..].first_chunk().expect("rows end in room for the lanes")
 }
@@ -172,22 +197,40 @@ pub fn correlate(grey: &Grey, t: &Template, [x, y]: [i64; 2], width: usize, heig
     }
     let picture = Picture::of(grey);
     let outlines: Vec<Outline> = if t.parts.is_empty() {
-        vec![Outline::of(t, t, 1.0)]
+        vec![Outline::of(t, t, 1.0, picture.stride)]
     } else {
-        t.parts.iter().map(|(share, part)| Outline::of(t, part, *share)).collect()
+        t.parts.iter().map(|(share, part)| Outline::of(t, part, *share, picture.stride)).collect()
     };
     let first = (left as i64 + t.reference[0] - x) as usize;
     for corner in top..bottom {
         let row = (corner as i64 + t.reference[1] - y) as usize * width;
-        for (k, out) in scores[row + first..][..right - left].chunks_mut(LANES).enumerate() {
+        let out = &mut scores[row + first..][..right - left];
+        widest(Row { picture: &picture, outlines: &outlines, corner: corner * picture.stride + left, out });
+    }
+    scores
+}
+
+/// A row of places, the first with the template's corner at `corner`.
+struct Row<'a> {
+    picture: &'a Picture,
+    outlines: &'a [Outline],
+    corner: usize,
+    out: &'a mut [f32],
+}
+
+impl Kernel for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (k, out) in self.out.chunks_mut(LANES).enumerate() {
             let mut sum = [0.0f32; LANES];
-            for outline in &outlines {
-                outline.add_scores(&picture, left + k * LANES, corner, &mut sum);
+            for outline in self.outlines {
+                outline.add_scores(self.picture, self.corner + k * LANES, &mut sum);
             }
             out.copy_from_slice(&sum[..out.len()]);
         }
     }
-    scores
 }
 
 #[cfg(test)]

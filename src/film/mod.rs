@@ -16,6 +16,7 @@ pub mod contact_sheet;
 mod correlate;
 pub mod frame;
 pub mod inner;
+mod kernel;
 pub mod learn;
 mod look;
 pub mod micmac;

@@ -5,6 +5,7 @@
 //! or stretched, so dark frames need no equalisation first.
 
 use super::correlate::correlate;
+use super::kernel::{Kernel, widest};
 use super::template::{Model, Picture, Template};
 use super::window::{Grey, around, read_grey};
 use crate::coords::PixelPoint;
@@ -289,39 +290,63 @@ fn correlation_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
     if !inside {
         return None;
     }
-    let (left, top) = (left as usize, top as usize);
-    // About a value of the patch, so that squares lose no digits.
-    let base = grey.at(left + t.width / 2, top + t.height / 2);
-    let (mut s1, mut s2, mut st) = (0.0f64, 0.0f64, 0.0f64);
-    for j in 0..t.height {
-        let row = &grey.data[(top + j) * grey.width + left..][..t.width];
-        let values = &t.values[j * t.width..][..t.width];
-        let weights = &t.weights[j * t.width..][..t.width];
-        let (mut a, mut b, mut c) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
-        let ((r8, r), (v8, v), (w8, w)) = (row.as_chunks::<8>(), values.as_chunks::<8>(), weights.as_chunks::<8>());
-        for k in 0..r8.len() {
-            for i in 0..8 {
-                let d = r8[k][i] - base;
-                let wd = w8[k][i] * d;
-                a[i] += wd;
-                b[i] += wd * d;
-                c[i] += wd * v8[k][i];
+    Some(widest(Single { grey, t, left: left as usize, top: top as usize }))
+}
+
+/// The correlation with the template's corner on one value.
+struct Single<'a> {
+    grey: &'a Grey,
+    t: &'a Template,
+    left: usize,
+    top: usize,
+}
+
+impl Kernel for Single<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run(self) -> f64 {
+        let Single { grey, t, left, top } = self;
+        // About a value of the patch, so that squares lose no digits.
+        let base = grey.at(left + t.width / 2, top + t.height / 2);
+        let (mut s1, mut s2, mut st) = (0.0f64, 0.0f64, 0.0f64);
+        for j in 0..t.height {
+            let row = &grey.data[(top + j) * grey.width + left..][..t.width];
+            let values = &t.values[j * t.width..][..t.width];
+            let weights = &t.weights[j * t.width..][..t.width];
+            let (mut a, mut b, mut c) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
+            let ((r8, r), (v8, v), (w8, w)) = (row.as_chunks::<8>(), values.as_chunks::<8>(), weights.as_chunks::<8>());
+            for k in 0..r8.len() {
+                add_products(base, [&r8[k], &v8[k], &w8[k]], [&mut a, &mut b, &mut c]);
             }
+            if !r.is_empty() {
+                // Filled up with values of no weight.
+                let (mut r8, mut v8, mut w8) = ([base; 8], [0.0; 8], [0.0; 8]);
+                for i in 0..r.len() {
+                    (r8[i], v8[i], w8[i]) = (r[i], v[i], w[i]);
+                }
+                add_products(base, [&r8, &v8, &w8], [&mut a, &mut b, &mut c]);
+            }
+            s1 += f64::from(a.iter().sum::<f32>());
+            s2 += f64::from(b.iter().sum::<f32>());
+            st += f64::from(c.iter().sum::<f32>());
         }
-        for i in 0..r.len() {
-            let d = r[i] - base;
-            let wd = w[i] * d;
-            a[i] += wd;
-            b[i] += wd * d;
-            c[i] += wd * v[i];
-        }
-        s1 += f64::from(a.iter().sum::<f32>());
-        s2 += f64::from(b.iter().sum::<f32>());
-        st += f64::from(c.iter().sum::<f32>());
+        let n = f64::from(t.weight_sum);
+        let variance = (s2 / n - (s1 / n).powi(2)).max(0.0) + f64::from(FLAT * FLAT);
+        st / n / variance.sqrt()
     }
-    let n = f64::from(t.weight_sum);
-    let variance = (s2 / n - (s1 / n).powi(2)).max(0.0) + f64::from(FLAT * FLAT);
-    Some(st / n / variance.sqrt())
+}
+
+/// Adds weighted values, their squares and their products with the template's.
+#[inline(always)]
+fn add_products(base: f32, [row, values, weights]: [&[f32; 8]; 3], [a, b, c]: [&mut [f32; 8]; 3]) {
+    for i in 0..8 {
+        let d = row[i] - base;
+        let wd = weights[i] * d;
+        a[i] += wd;
+        b[i] += wd * d;
+        c[i] += wd * values[i];
+    }
 }
 
 /// Cuts values above a level a little brighter than the opaque frame, for marks whose transparent parts show the image: what

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::shape::{self, Tone};
+use super::shape::{self, Outlines, Tone};
 use super::types::MarkKind;
 use crate::error::{Error, Result};
 
@@ -85,13 +85,14 @@ impl Model {
 
     /// Value (0 dark, 1 bright) and weight at (u, v) millimetres; `None` where the mark says nothing.
     pub fn sample(&self, u_mm: f64, v_mm: f64) -> Option<(f32, f32)> {
+        self.pen().sample(u_mm, v_mm)
+    }
+
+    /// For many samples.
+    pub fn pen(&self) -> Pen<'_> {
         match self {
-            Model::Drawn(kind) => match shape::tone(kind, u_mm, v_mm) {
-                Tone::Opaque => Some((0.0, 1.0)),
-                Tone::Bright | Tone::Clear => Some((1.0, 1.0)),
-                Tone::Unknown => None,
-            },
-            Model::Learned(t) => t.sample(u_mm, v_mm),
+            Model::Drawn(kind) => Pen::Drawn(Outlines::of(kind)),
+            Model::Learned(t) => Pen::Learned(t),
         }
     }
 
@@ -117,6 +118,14 @@ impl Model {
         match self {
             Model::Drawn(kind) => shape::detail_mm(kind),
             Model::Learned(t) => t.pixel_um / 1e3 * 4.0,
+        }
+    }
+
+    /// The thinnest thing in it; 0 where that is not known.
+    pub fn thinnest_mm(&self) -> f64 {
+        match self {
+            Model::Drawn(kind) => shape::thinnest_mm(kind),
+            Model::Learned(_) => 0.0,
         }
     }
 
@@ -151,6 +160,26 @@ impl Model {
     /// Whether its bright parts show the image and so have no brightness of their own.
     pub fn shows_image(&self) -> bool {
         !matches!(self, Model::Drawn(MarkKind::Cross { .. } | MarkKind::RingCross { .. } | MarkKind::Dot { .. }))
+    }
+}
+
+/// A model while it is drawn.
+pub enum Pen<'a> {
+    Drawn(Outlines<'a>),
+    Learned(&'a LearnedTemplate),
+}
+
+impl Pen<'_> {
+    /// See [`Model::sample`].
+    pub fn sample(&self, u_mm: f64, v_mm: f64) -> Option<(f32, f32)> {
+        match self {
+            Pen::Drawn(outlines) => match outlines.tone(u_mm, v_mm) {
+                Tone::Opaque => Some((0.0, 1.0)),
+                Tone::Bright | Tone::Clear => Some((1.0, 1.0)),
+                Tone::Unknown => None,
+            },
+            Pen::Learned(t) => t.sample(u_mm, v_mm),
+        }
     }
 }
 
@@ -230,13 +259,14 @@ pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) 
     // Where a value is smaller than everything drawn, its corners and middle tell whether an edge crosses it.
     let value_mm = 1.0 / (m[0] * m[3] - m[1] * m[2]).abs().sqrt();
     let even_tells = model.is_drawn() && value_mm < 0.5 * model.detail_mm();
+    let pen = model.pen();
     for y in 0..height {
         for x in 0..width {
             let (px, py) = (x as f64 - left as f64, y as f64 - above as f64);
             let sample = |dx: f64, dy: f64| {
                 let (dx, dy) = (px + dx, py + dy);
                 let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
-                if radius_mm.is_some_and(|r| u * u + v * v > r * r) { None } else { model.sample(u, v) }
+                if radius_mm.is_some_and(|r| u * u + v * v > r * r) { None } else { pen.sample(u, v) }
             };
             let even = if even_tells { even(&sample) } else { None };
             let (value, weight) = even.unwrap_or_else(|| mean(&sample));
@@ -268,11 +298,14 @@ fn sectors(t: &Template, inverse: Linear, lines_deg: f64) -> Vec<(f32, Template)
         let turn = (v.atan2(u).to_degrees() - lines_deg) / 360.0;
         (turn * SECTORS as f64).round().rem_euclid(SECTORS as f64) as usize
     };
+    let mut places_of: [Vec<(usize, usize)>; SECTORS] = Default::default();
+    for (y, row) in t.weights.chunks_exact(t.width).enumerate() {
+        for x in (0..t.width).filter(|x| row[*x] > 0.0) {
+            places_of[sector_of(x, y)].push((x, y));
+        }
+    }
     let mut found: Vec<(f64, Template)> = vec![];
-    for sector in 0..SECTORS {
-        let inside = |x: usize, y: usize| t.weights[y * t.width + x] > 0.0 && sector_of(x, y) == sector;
-        let places: Vec<(usize, usize)> =
-            (0..t.width * t.height).map(|n| (n % t.width, n / t.width)).filter(|(x, y)| inside(*x, *y)).collect();
+    for places in places_of {
         let least = |f: fn(&(usize, usize)) -> usize| places.iter().map(f).min().unwrap_or(0);
         let most = |f: fn(&(usize, usize)) -> usize| places.iter().map(f).max().unwrap_or(0);
         let (left, top) = (least(|p| p.0), least(|p| p.1));

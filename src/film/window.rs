@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use super::kernel::{Kernel, widest};
 use super::spool::SpooledSource;
 use crate::coords::PixelPoint;
 use crate::error::Result;
@@ -75,11 +76,23 @@ impl Grey {
         for y in 0..height * by {
             let row = &self.data[y * self.width..][..width * by];
             let out = &mut data[y / by * width..][..width];
-            for (o, block) in out.iter_mut().zip(row.chunks_exact(by)) {
-                *o += block.iter().sum::<f32>() * scale;
+            match by {
+                2 => add_means::<2>(row, scale, out),
+                4 => add_means::<4>(row, scale, out),
+                _ => out
+                    .iter_mut()
+                    .zip(row.chunks_exact(by))
+                    .for_each(|(o, part)| *o += part.iter().sum::<f32>() * scale),
             }
         }
         Grey { width, height, data, origin: self.origin, factor: self.factor * by as u64 }
+    }
+}
+
+/// Adds the sum of every `N` values, scaled.
+fn add_means<const N: usize>(row: &[f32], scale: f32, out: &mut [f32]) {
+    for (o, part) in out.iter_mut().zip(row.as_chunks::<N>().0) {
+        *o += part.iter().sum::<f32>() * scale;
     }
 }
 
@@ -338,33 +351,62 @@ pub(super) fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) 
     if width == 0 || height == 0 {
         return;
     }
-    let reach = (3.0 * sigma).ceil() as usize;
+    let reach = (3.0 * sigma).ceil() as i64;
     let weight = |k: i64| (-0.5 * (k as f64 / sigma).powi(2)).exp();
-    let total: f64 = (-(reach as i64)..=reach as i64).map(weight).sum();
+    let total: f64 = (-reach..=reach).map(weight).sum();
     // From the middle outwards; both sides are the same.
-    let kernel: Vec<f32> = (0..=reach as i64).map(|k| (weight(k) / total) as f32).collect();
-    let mut line = vec![0.0f32; width + 2 * reach];
-    for row in values.chunks_exact_mut(width) {
-        line[..reach].fill(row[0]);
-        line[reach..reach + width].copy_from_slice(row);
-        line[reach + width..].fill(row[width - 1]);
-        row.iter_mut().for_each(|v| *v *= kernel[0]);
-        for (k, w) in kernel.iter().enumerate().skip(1) {
-            add_weighted(row, &line[reach - k..], &line[reach + k..], *w);
+    let kernel: Vec<f32> = (0..=reach).map(|k| (weight(k) / total) as f32).collect();
+    widest(Blur { values, width, height, kernel: &kernel });
+}
+
+struct Blur<'a> {
+    values: &'a mut [f32],
+    width: usize,
+    height: usize,
+    kernel: &'a [f32],
+}
+
+impl Kernel for Blur<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Blur { values, width, height, kernel } = self;
+        let reach = kernel.len() - 1;
+        let mut line = vec![0.0f32; width + 2 * reach];
+        for row in values.chunks_exact_mut(width) {
+            line[..reach].fill(row[0]);
+            line[reach..reach + width].copy_from_slice(row);
+            line[reach + width..].fill(row[width - 1]);
+            scale(row, kernel[0]);
+            for (k, weight) in kernel.iter().enumerate().skip(1) {
+                add_weighted(row, &line[reach - k..], &line[reach + k..], *weight);
+            }
         }
-    }
-    let before = values.to_vec();
-    let row = |y: i64| &before[y.clamp(0, height as i64 - 1) as usize * width..][..width];
-    for (y, out) in values.chunks_exact_mut(width).enumerate() {
-        out.iter_mut().for_each(|v| *v *= kernel[0]);
-        for (k, w) in kernel.iter().enumerate().skip(1) {
-            add_weighted(out, row(y as i64 - k as i64), row(y as i64 + k as i64), *w);
+        let before = values.to_vec();
+        for (y, out) in values.chunks_exact_mut(width).enumerate() {
+            scale(out, kernel[0]);
+            for (k, weight) in kernel.iter().enumerate().skip(1) {
+                let (above, below) = (y.saturating_sub(k), (y + k).min(height - 1));
+                add_weighted(out, &before[above * width..], &before[below * width..], *weight);
+            }
         }
     }
 }
 
+#[inline(always)]
+fn scale(out: &mut [f32], by: f32) {
+    for o in out {
+        *o *= by;
+    }
+}
+
+#[inline(always)]
 fn add_weighted(out: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
-    out.iter_mut().zip(a.iter().zip(b)).for_each(|(o, (a, b))| *o += weight * (a + b));
+    let (a, b) = (&a[..out.len()], &b[..out.len()]);
+    for i in 0..out.len() {
+        out[i] += weight * (a[i] + b[i]);
+    }
 }
 
 /// The window of half width `half_px` around a place, clipped to the scan; `None` when nothing of it lies inside.
