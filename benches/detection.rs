@@ -8,6 +8,7 @@
 //! `AUTOREF_BENCH_PYTHON=python3` (with scikit-image) adds the pipeline of `benches/scikit_pipeline.py` on the same pictures;
 //! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;
 //! `AUTOREF_BENCH_MISSES=folder` writes a window around every mark missed, as PNG, and what the detector saw there;
+//! `AUTOREF_BENCH_COVERS=IMG_00,forest` plants only into the covers whose name holds one of these words;
 //! `AUTOREF_BENCH_ONLY=covered,JPEG` measures only the conditions and covers whose name holds one of these words. The photographs are
 //! looked for in `../shared/data`.
 
@@ -290,6 +291,8 @@ fn main() {
     let misses = std::env::var_os("AUTOREF_BENCH_MISSES").map(PathBuf::from);
     let only = std::env::var("AUTOREF_BENCH_ONLY").unwrap_or_default();
     let wanted = |name: &str| only.split(',').any(|word| name.contains(word));
+    let ground = std::env::var("AUTOREF_BENCH_COVERS").unwrap_or_default();
+    let used = |name: &str| ground.split(',').any(|word| name.contains(word));
     for (number, cell) in cells().iter().enumerate().filter(|(_, c)| wanted(&c.label)) {
         let (mut mine, mut theirs, mut python) = (Tally::default(), Tally::default(), Tally::default());
         // Larger marks need more ground for the same number.
@@ -297,6 +300,7 @@ fn main() {
             let results: Vec<_> = covers
                 .par_iter()
                 .enumerate()
+                .filter(|(_, (name, _))| used(name))
                 .map(|(i, (name, picture))| {
                     let side = if least < 1000 { 400 } else { 1000 };
                     let (w, h) = (picture.width.saturating_sub(side), picture.height.saturating_sub(side));

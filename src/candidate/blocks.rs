@@ -25,6 +25,10 @@ const SHAPE: usize = 6;
 /// Of a channel: paint; ground; its slopes in x and y.
 const COLOUR: usize = 4;
 const PARAMETERS: usize = SHAPE + 3 * COLOUR;
+/// Steps of least squares.
+const ROUNDS: usize = 3;
+/// Variance of a coefficient by rounded samples.
+const SAMPLES: f64 = 0.15;
 /// What the picture of a block is made of: gradients of the shape, the shape, open ground, that times x, times y.
 const PARTS: usize = SHAPE + COLOUR;
 type Vector = SVector<f64, PARAMETERS>;
@@ -39,7 +43,7 @@ pub struct Refined {
     pub sides_px: [f64; 2],
     pub angle_rad: f64,
     pub blur_px: f64,
-    /// xx, xy, yy of the centre: inverse of the normal equations.
+    /// xx, xy, yy of the centre.
     pub covariance_px2: [f64; 3],
     /// The quality, as libjpeg counts, whose steps the patch shows.
     pub quality: u32,
@@ -240,7 +244,8 @@ struct Seen<'a> {
     /// The parts that are not nothing all over the block.
     some: std::ops::Range<usize>,
     left: Cells,
-    /// Mean square of the share of open ground, by which the ground's texture shows.
+    /// How much of the ground's texture each pixel shows, and the mean square of that.
+    shown: &'a Cells,
     open: f64,
 }
 
@@ -248,6 +253,7 @@ struct Block {
     parts: [Cells; PARTS],
     some: std::ops::Range<usize>,
     left: Vec<(usize, Cells)>,
+    shown: Cells,
     open: f64,
 }
 
@@ -302,7 +308,9 @@ fn add_blocks(
             (channel, cosines.transform(&cells))
         });
         let open = values.iter().map(|v| (1.0 - v) * (1.0 - v)).sum::<f64>() / CELLS as f64;
-        out.push(Block { parts, some, left: left.collect(), open: open.max(WORN) });
+        let worn = WORN.sqrt();
+        let shown = std::array::from_fn(|i| mask[i] * (1.0 - values[i] + worn * values[i]));
+        out.push(Block { parts, some, left: left.collect(), shown, open: open.max(WORN) });
     }
 }
 
@@ -345,11 +353,15 @@ fn dot(a: &Cells, b: &Cells) -> f64 {
     sums.iter().sum()
 }
 
+/// Parameter that a part belongs to, and the factor from part to gradient.
+fn parameter(part: usize, channel: usize, state: &State) -> (usize, f64) {
+    let [paint, ground, ..] = state.colour[channel];
+    if part < SHAPE { (part, paint - ground) } else { (part + COLOUR * channel, 1.0) }
+}
+
 /// Adds a block to the normal equations.
 fn add_equations(seen: &Seen<'_>, state: &State, weights: &Cells, h: &mut Matrix, g: &mut Vector) {
-    let c = seen.channel;
-    let contrast = state.colour[c][0] - state.colour[c][1];
-    let by = |p: usize| if p < SHAPE { (p, contrast) } else { (p + COLOUR * c, 1.0) };
+    let by = |p: usize| parameter(p, seen.channel, state);
     for p in seen.some.clone() {
         let (row, scale) = by(p);
         let weighted: Cells = std::array::from_fn(|k| weights[k] * scale * seen.parts[p][k]);
@@ -370,11 +382,7 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    /// Normal equations with the priors; `robust` takes weight from what lies far off (Student's distribution).
-    fn equations(&self, state: &State, robust: bool) -> (Matrix, Vector) {
-        const FREEDOM: f64 = 6.0;
-        /// Variance of a coefficient by rounded samples.
-        const SAMPLES: f64 = 0.15;
+    fn blocks(&self, state: &State) -> Vec<Block> {
         let planes = self.planes;
         let full = Basis::of(planes, &state.model(self.form));
         let mut blocks = Vec::new();
@@ -382,28 +390,100 @@ impl Problem<'_> {
         let coarse = (&full.half(planes), &planes.half_seen[..], planes.width / 2, 2.0);
         let chroma = [(1, &planes.chroma[0][..]), (2, &planes.chroma[1][..])];
         add_blocks(&mut blocks, coarse, &chroma, state, self.cosines);
+        blocks
+    }
+
+    /// One step of least squares and, after the last, the covariance (xx, xy, yy) of the centre; from the second on weight is
+    /// taken from what lies far off (Student's distribution).
+    fn step(&self, state: &State, round: usize) -> Option<(Vector, [f64; 3])> {
+        const FREEDOM: f64 = 6.0;
+        let blocks = self.blocks(state);
         let seen: Vec<Seen<'_>> = blocks
             .iter()
             .flat_map(|b| {
-                let one =
-                    |&(channel, left)| Seen { channel, parts: &b.parts, some: b.some.clone(), left, open: b.open };
+                let some = || b.some.clone();
+                let one = move |&(channel, left): &(usize, Cells)| Seen {
+                    channel,
+                    parts: &b.parts,
+                    some: some(),
+                    left,
+                    shown: &b.shown,
+                    open: b.open,
+                };
                 b.left.iter().map(one)
             })
             .collect();
         let texture = texture(&seen, self.channels, &self.classes);
-        let (mut h, mut g) = (Matrix::zeros(), Vector::zeros());
-        for block in &seen {
+        let weigh = |block: &Seen<'_>| -> Cells {
             let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
-            let weights = std::array::from_fn(|k| {
+            std::array::from_fn(|k| {
                 let variance = rounding[k] + texture[self.classes[k]] * block.open + SAMPLES;
                 let z2 = block.left[k] * block.left[k] / variance;
-                if robust { (FREEDOM + 1.0) / (FREEDOM + z2) / variance } else { 1.0 / variance }
-            });
-            add_equations(block, state, &weights, &mut h, &mut g);
+                if round > 0 { (FREEDOM + 1.0) / (FREEDOM + z2) / variance } else { 1.0 / variance }
+            })
+        };
+        let weights: Vec<Cells> = seen.iter().map(weigh).collect();
+        let (mut h, mut g) = (Matrix::zeros(), Vector::zeros());
+        for (block, weights) in seen.iter().zip(&weights) {
+            add_equations(block, state, weights, &mut h, &mut g);
         }
         h.fill_lower_triangle_with_upper_triangle();
         self.add_priors(state, &mut h, &mut g);
-        (h, g)
+        let factor = h.cholesky()?;
+        let covariance = if round + 1 == ROUNDS {
+            self.covariance(state, &seen, &weights, &texture, &factor.inverse())
+        } else {
+            [0.0; 3]
+        };
+        Some((factor.solve(&g), covariance))
+    }
+
+    /// Covariance of the centre: what rounding and texture add to the very sums that it is made of.
+    ///
+    /// The inverse of the normal equations would be it if the texture of each coefficient were independent of the others'. Where
+    /// a mark cuts through a block it is not: texture that is long against the block, cut off at the border, shows in all
+    /// coefficients at once, most of all in those that tell where the border is. So the influence of each coefficient on the centre
+    /// (F. R. Hampel, "The influence curve and its role in robust estimation", Journal of the American Statistical Association
+    /// 69, 1974) is taken back to pixels, weakened there by how much of the ground each shows, and met with the ground's spectrum.
+    fn covariance(
+        &self,
+        state: &State,
+        seen: &[Seen<'_>],
+        weights: &[Cells],
+        texture: &[[f64; CLASSES]; 3],
+        inverse: &Matrix,
+    ) -> [f64; 3] {
+        let mut prior = Matrix::zeros();
+        self.add_priors(state, &mut prior, &mut Vector::zeros());
+        let rows = inverse.fixed_rows::<2>(0);
+        let by_prior = rows * prior * rows.transpose();
+        let mut out = [by_prior[(0, 0)], by_prior[(0, 1)], by_prior[(1, 1)]];
+        for (block, weights) in seen.iter().zip(weights) {
+            let mut influence = [[0.0; CELLS]; 2];
+            for p in block.some.clone() {
+                let (row, scale) = parameter(p, block.channel, state);
+                for (axis, influence) in influence.iter_mut().enumerate() {
+                    let factor = inverse[(axis, row)] * scale;
+                    influence.iter_mut().zip(&block.parts[p]).for_each(|(i, part)| *i += factor * part);
+                }
+            }
+            let shown = influence.each_mut().map(|influence| {
+                influence.iter_mut().zip(weights).for_each(|(i, w)| *i *= w);
+                let mut pixels = self.cosines.back(influence);
+                pixels.iter_mut().zip(block.shown).for_each(|(p, shown)| *p *= shown);
+                self.cosines.transform(&pixels)
+            });
+            let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
+            for (sum, (a, b)) in out.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
+                *sum += (0..CELLS)
+                    .map(|k| {
+                        (rounding[k] + SAMPLES) * influence[a][k] * influence[b][k]
+                            + texture[self.classes[k]] * shown[a][k] * shown[b][k]
+                    })
+                    .sum::<f64>();
+            }
+        }
+        out
     }
 
     fn add_priors(&self, state: &State, h: &mut Matrix, g: &mut Vector) {
@@ -439,7 +519,6 @@ pub(super) fn refine(
     fit: &Fit,
     (paint, ground): (Vector3<f64>, &Ground),
 ) -> Option<Refined> {
-    const ROUNDS: usize = 3;
     /// No JPEG moves a centre further.
     const MOST_PX: f64 = 0.6;
     let cosines = Cosines::new();
@@ -464,18 +543,16 @@ pub(super) fn refine(
         shape: [fit.x - x, fit.y - y, a.ln(), b.ln(), fit.angle_rad, fit.blur_px.min(1.3).ln()],
         colour: std::array::from_fn(|c| [paint[c], bare[c], 0.0, 0.0]),
     };
-    let mut covariance = Matrix::zeros();
+    let mut covariance_px2 = [0.0; 3];
     for round in 0..ROUNDS {
-        let (h, g) = problem.equations(&state, round > 0);
-        let factor = h.cholesky()?;
-        let step = factor.solve(&g);
+        let step;
+        (step, covariance_px2) = problem.step(&state, round)?;
         for (p, value) in state.shape.iter_mut().enumerate() {
             *value += step[p].clamp(-0.5, 0.5);
         }
         for (p, value) in state.colour.as_flattened_mut().iter_mut().enumerate() {
             *value += step[SHAPE + p];
         }
-        covariance = factor.inverse();
     }
     let [cx, cy, a, b, angle_rad, blur] = state.shape;
     let (x, y) = (cx + x, cy + y);
@@ -487,7 +564,7 @@ pub(super) fn refine(
         sides_px: if fit.form == Form::Disc { [a.exp(); 2] } else { [a.exp(), b.exp()] },
         angle_rad,
         blur_px: blur.exp(),
-        covariance_px2: [covariance[(0, 0)], covariance[(0, 1)], covariance[(1, 1)]],
+        covariance_px2,
         quality: tables.quality,
     })
 }

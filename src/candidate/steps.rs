@@ -60,6 +60,25 @@ impl Cosines {
         }
         all
     }
+
+    /// The block that has these coefficients.
+    pub fn back(&self, coefficients: &Cells) -> Cells {
+        let mut half = [0.0; CELLS];
+        for (row, cosines) in half.chunks_exact_mut(N).zip(&self.0) {
+            for (coefficients, cosine) in coefficients.chunks_exact(N).zip(cosines) {
+                for x in 0..N {
+                    row[x] += cosine * coefficients[x];
+                }
+            }
+        }
+        let mut block = [0.0; CELLS];
+        for (row, out) in half.chunks_exact(N).zip(block.chunks_exact_mut(N)) {
+            for (cell, cosines) in out.iter_mut().zip(&self.0) {
+                *cell = row.iter().zip(cosines).map(|(a, b)| a * b).sum();
+            }
+        }
+        block
+    }
 }
 
 /// The steps of a quality.
@@ -191,6 +210,8 @@ mod tests {
         let square = |c: &Cells| c.iter().map(|v| v * v).sum::<f64>();
         assert!((square(&all) - square(&cells)).abs() < 1e-9);
         assert!((all[0] - cells.iter().sum::<f64>() / 8.0).abs() < 1e-12);
+        let again = cosines.back(&all);
+        assert!(again.iter().zip(&cells).all(|(a, b)| (a - b).abs() < 1e-9));
         let wave: Cells = std::array::from_fn(|i| (std::f64::consts::PI * (2 * (i / N) + 1) as f64 * 3.0 / 16.0).cos());
         let all = cosines.transform(&wave);
         assert!((0..CELLS).all(|k| (all[k].abs() > 1e-9) == (k == 3 * N)));

@@ -51,8 +51,8 @@ impl Place {
     }
 
     /// The place by the fit to a JPEG's coefficients, where there is one: moved and widened by the other mixing as the fit to
-    /// pixels (`fit`) is here. Its covariance is the inverse of its normal equations, whose noise was measured in the patch,
-    /// and nothing that was fitted to planted marks.
+    /// pixels (`fit`) is here. Its covariance follows from rounding and texture as measured in the patch, and from
+    /// nothing that was fitted to planted marks.
     pub fn refined(self, fit: &Fit, spread_px2: [f64; 3], refined: &Refined) -> Place {
         const FLOOR_PX: f64 = 0.005;
         let [xx, xy, yy] = refined.covariance_px2;
