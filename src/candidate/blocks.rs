@@ -401,11 +401,10 @@ impl Problem<'_> {
         let seen: Vec<Seen<'_>> = blocks
             .iter()
             .flat_map(|b| {
-                let some = || b.some.clone();
                 let one = move |&(channel, left): &(usize, Cells)| Seen {
                     channel,
                     parts: &b.parts,
-                    some: some(),
+                    some: b.some.clone(),
                     left,
                     shown: &b.shown,
                     open: b.open,
