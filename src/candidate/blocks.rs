@@ -144,6 +144,7 @@ fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Optio
     let (w, h) = (width + 2, height + 2);
     let mut all = vec![Vector3::zeros(); w * h];
     let mut seen = vec![false; w * h];
+    let hidden = scene.beside_other().minus(&scene.own);
     for i in 0..w * h {
         let (u, v) = (x + (i % w) as i64 - 1, y + (i / w) as i64 - 1);
         let (Ok(u), Ok(v)) = (u64::try_from(u), u64::try_from(v)) else { continue };
@@ -153,7 +154,7 @@ fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Optio
         let j = (v - outer.y) as usize * outer.width as usize + (u - outer.x) as usize;
         let clear = if inner.contains(u, v) {
             let k = (v - inner.y) as usize * scene.width + (u - inner.x) as usize;
-            scene.own[k] || scene.other_px[k] > 2
+            !hidden.has(k)
         } else {
             !paint[j]
         };

@@ -13,7 +13,7 @@ use super::blocks::{Refined, refine};
 use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
 use super::kernels::{Sample, Samples};
-use super::local::{Growth, Local, grow, local_shares};
+use super::local::{Growth, Local};
 use super::patch::{Ground, Scene};
 use super::uncertainty::Place;
 use crate::coords::PixelPoint;
@@ -22,20 +22,20 @@ use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 
-/// The ring of ground starts this far outside the region, beyond the blurred border, ...
-const RING_FROM_PX: u8 = 4;
-/// ... and ends here.
-const RING_TO_PX: u8 = 9;
+/// The ring of ground starts and ends so far outside the region, beyond the blurred border.
+const RING_PX: (usize, usize) = (4, 9);
 /// The fit sees this far outside the region.
-const FIT_REACH_PX: u8 = 4;
+const FIT_REACH_PX: usize = 4;
 /// And this far inside: deeper pixels of a large mark say nothing about its place.
-const FIT_DEPTH_PX: u8 = 6;
+const FIT_DEPTH_PX: usize = 6;
+/// The fit starts from the centroid of what is so near.
+const START_REACH_PX: usize = 2;
 
 /// A first fit may leave this much more over than the last may.
 const SLACK: f64 = 1.5;
 
 /// How far the looks at the ground reach beyond a region's bounds.
-const LOOK_PX: u64 = RING_TO_PX as u64 + 1;
+const LOOK_PX: u64 = RING_PX.1 as u64 + 1;
 /// Half a block of a JPEG's chroma further: the blocks that the border of a mark lies in are then whole, or nearly.
 const BLOCK_PX: u64 = 8;
 
@@ -193,31 +193,30 @@ fn look_again(
     classifier: &Classifier,
     profile: &Profile,
 ) -> Option<Evidence> {
-    let ring = (RING_FROM_PX, RING_TO_PX);
     let first = plateau(scene);
-    let seen = local_shares(scene, first, ring);
-    let larger = match seen.as_ref().map_or(Growth::Whole, |seen| grow(scene, &seen.shares)) {
+    let seen = Local::of(scene, first, RING_PX);
+    let grown = match seen.as_ref().map_or(Growth::Whole, Local::grow) {
         Growth::Beaten => return None,
         Growth::Whole => None,
         Growth::Grown(own) => {
-            let paint = own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
-            Some(Scene::of_pixels(scene.patch, own, paint))
+            let paint = own.or(&scene.other);
+            Some(Scene::of_pixels(scene.patch, own, &paint))
         }
     };
-    let (scene, paint, seen) = match &larger {
+    let (scene, paint, seen) = match &grown {
         None => (scene, first, seen),
-        Some(larger) => {
-            let paint = plateau(larger);
-            (larger, paint, local_shares(larger, paint, ring))
+        Some(grown) => {
+            let paint = plateau(grown);
+            (grown, paint, Local::of(grown, paint, RING_PX))
         }
     };
     let mut evidence = unfitted(region, paint, classifier, profile);
-    evidence.area_px = scene.own.iter().filter(|&&own| own).count() as f64;
+    evidence.area_px = scene.own.count() as f64;
     evidence.local = true;
     evidence.hopeless = true;
-    if let Some(Local { shares, contrast }) = seen {
-        evidence.contrast = contrast;
-        fit_shape(&mut evidence, scene, around, || shares, profile);
+    if let Some(seen) = seen {
+        evidence.contrast = seen.contrast;
+        fit_shape(&mut evidence, scene, around, || seen.shares(), profile);
     }
     Some(evidence)
 }
@@ -243,9 +242,9 @@ pub(super) fn measure_scene(
 
 /// The ground in the ring around the region.
 fn ring_ground(scene: &Scene<'_>) -> Option<Ground> {
-    scene.ground(|i| scene.is_ground(i, RING_FROM_PX, RING_TO_PX)).or_else(|| {
+    scene.statistics(&scene.ring(RING_PX)).or_else(|| {
         // Crowded or cut off: whatever is near and not paint.
-        scene.ground(|i| scene.patch.valid[i] && scene.outside_px[i] >= 2 && !scene.other[i])
+        scene.statistics(&scene.valid.minus(&scene.own.grown(1)).minus(&scene.other))
     })
 }
 
@@ -310,8 +309,8 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
     let scene = scene.in_linear_light();
     let plateau = plateau(&scene);
     let (shares, contrast) = if local {
-        let seen = local_shares(&scene, plateau, (RING_FROM_PX, RING_TO_PX))?;
-        (seen.shares, seen.contrast)
+        let seen = Local::of(&scene, plateau, RING_PX)?;
+        (seen.shares(), seen.contrast)
     } else {
         let across = Across::between(&ring_ground(&scene)?, plateau);
         (across.shares(&scene), across.contrast)
@@ -321,10 +320,9 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
 
 /// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
 fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
-    let deepest = scene.inside_px.iter().copied().max().unwrap_or(0);
-    let from = deepest.clamp(1, 3);
     // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
-    scene.median_colour(|i| scene.inside_px[i] >= from)
+    let cores = [2, 1].map(|depth_px| scene.own.shrunk(depth_px));
+    scene.median_colour(cores.iter().find(|core| !core.is_empty()).unwrap_or(&scene.own))
 }
 
 /// Fisher's direction from ground to paint.
@@ -357,21 +355,18 @@ impl Across {
 fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {
     let mut samples = Samples::default();
     let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
-    for (i, &share) in shares.iter().enumerate() {
-        let near = scene.outside_px[i] <= FIT_REACH_PX && scene.inside_px[i] <= FIT_DEPTH_PX;
-        let (x, y) = ((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
-        if !scene.patch.valid[i] || scene.other_px[i] <= 2 && !scene.own[i] {
-            continue;
-        }
-        if near {
-            samples.push(Sample { x, y, share });
-        }
-        if scene.outside_px[i] <= 2 {
-            let s = share.clamp(0.0, 1.0);
-            sum += s;
-            sx += s * x;
-            sy += s * y;
-        }
+    let hidden = scene.beside_other().minus(&scene.own);
+    let near = |reach_px: usize| scene.own.grown(reach_px).and(&scene.valid).minus(&hidden);
+    let middle = |i: usize| ((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
+    for i in near(FIT_REACH_PX).minus(&scene.own.shrunk(FIT_DEPTH_PX)).iter() {
+        let (x, y) = middle(i);
+        samples.push(Sample { x, y, share: shares[i] });
+    }
+    for i in near(START_REACH_PX).iter() {
+        let ((x, y), s) = (middle(i), shares[i].clamp(0.0, 1.0));
+        sum += s;
+        sx += s * x;
+        sy += s * y;
     }
     if sum < 1.0 {
         return None;

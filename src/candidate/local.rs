@@ -8,57 +8,123 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::patch::{Scene, flood, ground};
+use super::patch::{Scene, ground};
+use super::pixel_set::PixelSet;
 
 /// Each of the two box filters that make a local mean reaches this far.
 const BOX_REACH: usize = 4;
+/// The border of the paint, where it has to stand out, reaches this far outside it.
+const BORDER_PX: usize = 3;
 /// Growing over less than this share of the region changes nothing worth a fit.
 const LEAST_GROWTH: f64 = 0.1;
 
 /// Paint seen against the ground beside it.
-pub(super) struct Local {
-    /// Share of paint in each pixel: 0 on the local ground, 1 on the plateau. Zero where no ground is near.
-    pub shares: Vec<f64>,
+pub(super) struct Local<'a> {
+    scene: &'a Scene<'a>,
+    plateau: Vector3<f64>,
+    /// Of each pixel, sums of the ring's colours near it and their weight.
+    sums: Vec<[f64; 4]>,
+    /// Of the ground's scatter and the sensor's noise.
+    inverse: Matrix3<f64>,
     /// Mahalanobis distance of the paint from the ground, the root mean square of its inverse along the border.
     pub contrast: f64,
 }
 
-/// Measures the shares against local ground; `None` without a ring of ground around the region.
-pub(super) fn local_shares(scene: &Scene<'_>, plateau: Vector3<f64>, ring: (u8, u8)) -> Option<Local> {
-    let count = scene.own.len();
-    let in_ring: Vec<bool> = (0..count).map(|i| scene.is_ground(i, ring.0, ring.1)).collect();
-    let colours: Vec<Vector3<f64>> = (0..count).map(|i| scene.colour(i)).collect();
-    let mut sums: Vec<[f64; 4]> = (0..count)
-        .map(|i| {
-            let c = colours[i];
-            if in_ring[i] { [c[0], c[1], c[2], 1.0] } else { [0.0; 4] }
-        })
-        .collect();
-    for _ in 0..2 {
-        boxed(&mut sums, scene.width, scene.height);
-    }
-    let near = |i: usize| (sums[i][3] > 1e-9).then(|| Vector3::new(sums[i][0], sums[i][1], sums[i][2]) / sums[i][3]);
-    let scatter: Vec<Vector3<f64>> =
-        (0..count).filter(|&i| in_ring[i]).filter_map(|i| Some(colours[i] - near(i)?)).collect();
-    // Sensor noise and JPEG: 3 levels, as in the first look.
-    let noise = ground(&scatter)?.covariance + Matrix3::identity() * 9.0;
-    let inverse = noise.cholesky()?.inverse();
-    let (mut open, mut border) = (0.0, 0usize);
-    let shares = (0..count)
-        .map(|i| {
-            let Some(ground) = near(i) else { return f64::from(u8::from(scene.own[i])) };
-            let step = plateau - ground;
-            let direction = inverse * step;
-            // Ground of the paint's own colour: nothing can be seen there, and nothing may explode.
-            let contrast2 = direction.dot(&step).max(4.0);
-            if (1..=3).contains(&scene.outside_px[i]) {
-                open += 1.0 / contrast2;
+impl<'a> Local<'a> {
+    /// `None` without a ring of ground around the region.
+    pub fn of(scene: &'a Scene<'a>, plateau: Vector3<f64>, ring: (usize, usize)) -> Option<Local<'a>> {
+        let ring = scene.ring(ring);
+        let mut sums = vec![[0.0; 4]; scene.width * scene.height];
+        for i in ring.iter() {
+            let c = scene.colour(i);
+            sums[i] = [c[0], c[1], c[2], 1.0];
+        }
+        for _ in 0..2 {
+            boxed(&mut sums, scene.width, scene.height);
+        }
+        let scatter: Vec<Vector3<f64>> =
+            ring.iter().filter_map(|i| Some(scene.colour(i) - mean(&sums[i])?)).collect();
+        // Sensor noise and JPEG: 3 levels, as in the first look.
+        let noise = ground(&scatter)?.covariance + Matrix3::identity() * 9.0;
+        let inverse = noise.cholesky()?.inverse();
+        let mut local = Local { scene, plateau, sums, inverse, contrast: 0.0 };
+        let (mut open, mut border) = (0.0, 0usize);
+        for i in scene.own.grown(BORDER_PX).minus(&scene.own).iter() {
+            if let Some(ground) = mean(&local.sums[i]) {
+                open += 1.0 / local.contrast2(&(plateau - ground)).1;
                 border += 1;
             }
-            direction.dot(&(colours[i] - ground)) / contrast2
-        })
-        .collect();
-    (border > 0).then(|| Local { shares, contrast: (border as f64 / open).sqrt() })
+        }
+        local.contrast = (border as f64 / open).sqrt();
+        (border > 0).then_some(local)
+    }
+
+    /// The direction from ground to paint and the squared contrast of the two.
+    fn contrast2(&self, step: &Vector3<f64>) -> (Vector3<f64>, f64) {
+        let direction = self.inverse * step;
+        // Ground of the paint's own colour: nothing can be seen there, and nothing may explode.
+        (direction, direction.dot(step).max(4.0))
+    }
+
+    /// Share of paint in a pixel: 0 on the local ground, 1 on the plateau. Where no ground is near, 1 of paint and 0 of the
+    /// rest.
+    fn share(&self, i: usize) -> f64 {
+        let Some(ground) = mean(&self.sums[i]) else { return f64::from(u8::from(self.scene.own.has(i))) };
+        let (direction, contrast2) = self.contrast2(&(self.plateau - ground));
+        direction.dot(&(self.scene.colour(i) - ground)) / contrast2
+    }
+
+    /// The same of all pixels.
+    pub fn shares(&self) -> Vec<f64> {
+        (0..self.sums.len()).map(|i| self.share(i)).collect()
+    }
+
+    /// Grows the region over the pixels connected to it that are more paint than ground.
+    pub fn grow(&self) -> Growth {
+        let scene = self.scene;
+        let at_edge = |set: &PixelSet| set.iter().any(|i| is_at_edge(i, scene.width, scene.height));
+        if at_edge(&scene.own) {
+            return Growth::Whole;
+        }
+        let mut grown = scene.own.clone();
+        let mut asked = scene.own.clone();
+        let mut front = scene.own.clone();
+        while !front.is_empty() {
+            let beside = front.grown(1).and(&scene.valid).minus(&asked);
+            asked = asked.or(&beside);
+            front = PixelSet::empty(scene.width, scene.height);
+            beside.iter().filter(|&i| (0.5..1.5).contains(&self.share(i))).for_each(|i| front.insert(i));
+            if at_edge(&front) {
+                return Growth::Whole;
+            }
+            grown = grown.or(&front);
+        }
+        let before = scene.own.count();
+        if grown.count() as f64 <= before as f64 * (1.0 + LEAST_GROWTH) {
+            return Growth::Whole;
+        }
+        // Two regions of one mark grow into the same: the larger stands for it, of equals the first.
+        let mut left = scene.other.and(&grown);
+        while let Some(first) = left.first() {
+            let piece = scene.other.piece(first);
+            left = left.minus(&piece);
+            let other = piece.count();
+            if other > before || other == before && Some(first) < scene.own.first() {
+                return Growth::Beaten;
+            }
+        }
+        Growth::Grown(grown)
+    }
+}
+
+fn is_at_edge(i: usize, width: usize, height: usize) -> bool {
+    let (x, y) = (i % width, i / width);
+    x == 0 || y == 0 || x + 1 == width || y + 1 == height
+}
+
+/// Mean colour of the ring near a pixel; `None` when no ground is near.
+fn mean(sum: &[f64; 4]) -> Option<Vector3<f64>> {
+    (sum[3] > 1e-9).then(|| Vector3::new(sum[0], sum[1], sum[2]) / sum[3])
 }
 
 /// What a region is of its mark.
@@ -66,38 +132,9 @@ pub(super) enum Growth {
     /// About all of it, or nothing around it that could be told from it.
     Whole,
     /// A part: these pixels are the mark.
-    Grown(Vec<bool>),
+    Grown(PixelSet),
     /// A part that is smaller than another region of the same mark, which stands for it.
     Beaten,
-}
-
-/// Grows the region over the pixels connected to it that are more paint than ground.
-pub(super) fn grow(scene: &Scene<'_>, shares: &[f64]) -> Growth {
-    let (width, height) = (scene.width, scene.height);
-    let mask: Vec<bool> =
-        (0..scene.own.len()).map(|i| scene.own[i] || scene.patch.valid[i] && (0.5..1.5).contains(&shares[i])).collect();
-    let Some(start) = scene.own.iter().position(|&own| own) else { return Growth::Whole };
-    let grown = flood(&mask, width, height, start);
-    let area = |set: &[bool]| set.iter().filter(|&&b| b).count();
-    let before = area(&scene.own);
-    let at_edge = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        x == 0 || y == 0 || x + 1 == width || y + 1 == height
-    };
-    if area(&grown) as f64 <= before as f64 * (1.0 + LEAST_GROWTH) || (0..grown.len()).any(|i| grown[i] && at_edge(i)) {
-        return Growth::Whole;
-    }
-    // Two regions of one mark grow into the same: the larger stands for it, of equals the first.
-    let mut left: Vec<bool> = scene.other.iter().zip(&grown).map(|(o, g)| *o && *g).collect();
-    while let Some(first) = left.iter().position(|&b| b) {
-        let piece = flood(&scene.other, width, height, first);
-        left.iter_mut().zip(&piece).for_each(|(l, &p)| *l &= !p);
-        let other = area(&piece);
-        if other > before || other == before && first < start {
-            return Growth::Beaten;
-        }
-    }
-    Growth::Grown(grown)
 }
 
 /// Sums over squares of `2·BOX_REACH + 1`, clipped at the patch's edges.

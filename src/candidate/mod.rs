@@ -20,6 +20,7 @@ pub mod kernels;
 mod local;
 pub mod options;
 pub mod patch;
+pub(crate) mod pixel_set;
 pub mod split;
 mod steps;
 mod uncertainty;

@@ -34,7 +34,7 @@ pub(super) fn passes(scene: &Scene<'_>, profile: &Profile) -> bool {
 
 /// The centre by one of the prototype's modes; `None` when the profile asks for a fit.
 pub(super) fn plain_centre(scene: &Scene<'_>, classifier: &Classifier, profile: &Profile) -> Option<(f64, f64)> {
-    let own = || (0..scene.own.len()).filter(|&i| scene.own[i]);
+    let own = || scene.own.iter();
     // Lower is better; ties are averaged.
     let cost: Box<dyn Fn(usize) -> f64> = match (profile.examine.centre, &profile.examine.density) {
         (CentreMode::Fit, _) => return None,
@@ -62,7 +62,7 @@ fn unit(scene: &Scene<'_>, i: usize) -> [f64; 3] {
 
 /// Pixels of the bounding box of the candidate's own paint.
 fn box_pixels<'a>(scene: &'a Scene<'_>) -> impl Iterator<Item = usize> + 'a {
-    let own = || (0..scene.own.len()).filter(|&i| scene.own[i]);
+    let own = || scene.own.iter();
     let x = (own().map(|i| i % scene.width).min().unwrap_or(0), own().map(|i| i % scene.width).max().unwrap_or(0));
     let y = (own().map(|i| i / scene.width).min().unwrap_or(0), own().map(|i| i / scene.width).max().unwrap_or(0));
     (y.0..=y.1).flat_map(move |v| (x.0..=x.1).map(move |u| v * scene.width + u))
@@ -83,7 +83,7 @@ fn probability(density: &Density, scene: &Scene<'_>, i: usize) -> f64 {
 
 /// Standard deviation of the paint's samples about their band means, 0..=1.
 fn spread(scene: &Scene<'_>) -> f64 {
-    let colours: Vec<[f64; 3]> = (0..scene.own.len()).filter(|&i| scene.own[i]).map(|i| unit(scene, i)).collect();
+    let colours: Vec<[f64; 3]> = scene.own.iter().map(|i| unit(scene, i)).collect();
     let n = colours.len() as f64;
     let mean: [f64; 3] = std::array::from_fn(|c| colours.iter().map(|v| v[c]).sum::<f64>() / n);
     let square: f64 = colours.iter().map(|v| (0..3).map(|c| (v[c] - mean[c]).powi(2)).sum::<f64>()).sum();
@@ -92,14 +92,15 @@ fn spread(scene: &Scene<'_>) -> f64 {
 
 /// Area over the area of the convex hull of the pixels' squares (hull by A. M. Andrew's monotone chain, 1979).
 fn solidity(scene: &Scene<'_>) -> f64 {
-    let mut corners: Vec<(i64, i64)> = (0..scene.own.len())
-        .filter(|&i| scene.own[i])
+    let mut corners: Vec<(i64, i64)> = scene
+        .own
+        .iter()
         .map(|i| ((i % scene.width) as i64, (i / scene.width) as i64))
         .flat_map(|(x, y)| [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)])
         .collect();
     corners.sort_unstable();
     corners.dedup();
-    let area = scene.own.iter().filter(|&&b| b).count() as f64;
+    let area = scene.own.count() as f64;
     let turn = |a: (i64, i64), b: (i64, i64), c: (i64, i64)| (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
     let chain = |points: &mut dyn Iterator<Item = (i64, i64)>| {
         let mut hull: Vec<(i64, i64)> = Vec::new();

@@ -2,30 +2,27 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::pixel_set::PixelSet;
 use crate::profile::colour::linear_from_srgb;
-use crate::raster::{Block, Patch, RasterInfo, Samples};
+use crate::raster::Patch;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 
-/// Pixels further from the region than this are all "far".
-pub const FAR_PX: u8 = 14;
+/// So far from paint its blur reaches.
+const BLURRED_PX: usize = 2;
 
 /// A patch split into the candidate's own paint, other paint, and ground.
 #[derive(Clone)]
-pub struct Scene<'a> {
+pub(crate) struct Scene<'a> {
     pub patch: &'a Patch,
     pub width: usize,
     pub height: usize,
     /// The candidate's pixels.
-    pub own: Vec<bool>,
+    pub own: PixelSet,
     /// Paint that is not the candidate's.
-    pub other: Vec<bool>,
-    /// Chebyshev distance to the candidate's nearest pixel, capped at [`FAR_PX`]; 0 on it.
-    pub outside_px: Vec<u8>,
-    /// Chebyshev distance to the nearest pixel that is not the candidate's, capped; 0 outside it.
-    pub inside_px: Vec<u8>,
-    /// The same to the nearest other paint.
-    pub other_px: Vec<u8>,
+    pub other: PixelSet,
+    /// Where there is anything.
+    pub valid: PixelSet,
     /// From samples to the scale 0..=255.
     scale: f64,
     /// Colours are given in linear light.
@@ -37,38 +34,36 @@ impl<'a> Scene<'a> {
     /// 8-connected set that its first pixel is in; with mask filters it is the paint inside the bounds instead.
     pub fn new(region: &Region, patch: &'a Patch, classifier: &Classifier, connected: bool) -> Option<Scene<'a>> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
-        let paint = classifier.paint_of(&patch.rgb, &patch.valid);
+        let paint = PixelSet::of(&classifier.paint_of(&patch.rgb, &patch.valid), width);
         let (first_y, first_x) = region.first;
         let start = patch
             .window
             .contains(first_x, first_y)
             .then(|| (first_y - patch.window.y) as usize * width + (first_x - patch.window.x) as usize)
-            .filter(|&i| connected && paint[i]);
+            .filter(|&i| connected && paint.has(i));
         let own = match start {
-            Some(start) => flood(&paint, width, height, start),
+            Some(start) => paint.piece(start),
             None => {
                 let inside = |i: usize| {
                     region.bounds.contains(patch.window.x + (i % width) as u64, patch.window.y + (i / width) as u64)
                 };
-                (0..paint.len()).map(|i| paint[i] && inside(i)).collect()
+                paint.and(&PixelSet::from_fn(width, height, inside))
             }
         };
-        if !own.iter().any(|&b| b) {
-            return None;
-        }
-        Some(Scene::of_pixels(patch, own, paint))
+        (!own.is_empty()).then(|| Scene::of_pixels(patch, own, &paint))
     }
 
     /// The scene of a set of pixels of the patch among all that is paint.
-    pub fn of_pixels(patch: &'a Patch, own: Vec<bool>, paint: Vec<bool>) -> Scene<'a> {
+    pub fn of_pixels(patch: &'a Patch, own: PixelSet, paint: &PixelSet) -> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
-        let other: Vec<bool> = paint.iter().zip(&own).map(|(&p, &o)| p && !o).collect();
-        let outside_px = distance(&own, width, height);
-        let inside_px = depth(&own, width, height);
-        let alone = !other.iter().any(|&b| b);
-        let other_px = if alone { vec![FAR_PX; own.len()] } else { distance(&other, width, height) };
+        let valid = PixelSet::of(&patch.valid, width);
         let scale = 255.0 / f64::from(patch.white);
-        Scene { patch, width, height, own, other, outside_px, inside_px, other_px, scale, linear: false }
+        Scene { patch, width, height, other: paint.minus(&own), own, valid, scale, linear: false }
+    }
+
+    /// Paint of whatever mark.
+    pub fn paint(&self) -> PixelSet {
+        self.own.or(&self.other)
     }
 
     /// Samples on the scale 0..=255, not rounded; in linear light for [`Scene::in_linear_light`].
@@ -85,21 +80,21 @@ impl<'a> Scene<'a> {
         Scene { linear: true, ..self.clone() }
     }
 
-    /// Samples, as the file has them, of the pixels that are `wanted`.
-    fn samples(&self, wanted: impl Fn(usize) -> bool) -> Vec<[u16; 3]> {
-        let mut samples = Vec::with_capacity(self.own.len());
-        samples.extend(self.patch.rgb.iter().enumerate().filter(|&(i, _)| wanted(i)).map(|(_, c)| *c));
+    /// Samples of the pixels of a set, as the file has them.
+    fn samples(&self, set: &PixelSet) -> Vec<[u16; 3]> {
+        let mut samples = Vec::with_capacity(set.count());
+        samples.extend(set.iter().map(|i| self.patch.rgb[i]));
         samples
     }
 
-    fn colours(&self, wanted: impl Fn(usize) -> bool) -> Vec<Vector3<f64>> {
-        (0..self.own.len()).filter(|&i| wanted(i)).map(|i| self.colour(i)).collect()
+    fn colours(&self, set: &PixelSet) -> Vec<Vector3<f64>> {
+        set.iter().map(|i| self.colour(i)).collect()
     }
 
     /// Every pixel's colour along a direction, less `origin`.
     pub fn along(&self, direction: Vector3<f64>, origin: f64) -> Vec<f64> {
         if self.linear {
-            return (0..self.own.len()).map(|i| self.colour(i).dot(&direction) - origin).collect();
+            return (0..self.patch.rgb.len()).map(|i| self.colour(i).dot(&direction) - origin).collect();
         }
         let ([a, b, c], scale) = ([direction[0], direction[1], direction[2]], self.scale);
         // Scaled before it is weighed: a multiple of 257 of a byte is that byte, to the last bit.
@@ -108,19 +103,19 @@ impl<'a> Scene<'a> {
         self.patch.rgb.iter().map(along).collect()
     }
 
-    /// Robust statistics of the pixels that are `wanted`; `None` of fewer than 12.
-    pub fn ground(&self, wanted: impl Fn(usize) -> bool) -> Option<Ground> {
-        if self.linear { ground(&self.colours(wanted)) } else { sample_ground(&self.samples(wanted), self.patch.white) }
+    /// Robust statistics of the pixels of a set; `None` of fewer than 12.
+    pub fn statistics(&self, set: &PixelSet) -> Option<Ground> {
+        if self.linear { ground(&self.colours(set)) } else { sample_ground(&self.samples(set), self.patch.white) }
     }
 
-    /// Median, band by band, of the pixels that are `wanted`; 0 of none.
-    pub fn median_colour(&self, wanted: impl Fn(usize) -> bool) -> Vector3<f64> {
+    /// Median, band by band, of the pixels of a set; 0 of none.
+    pub fn median_colour(&self, set: &PixelSet) -> Vector3<f64> {
         if self.linear {
-            let colours = self.colours(wanted);
+            let colours = self.colours(set);
             let of = |c: usize| if colours.is_empty() { 0.0 } else { median(colours.iter().map(|v| v[c]).collect()) };
             return Vector3::new(of(0), of(1), of(2));
         }
-        let samples = self.samples(wanted);
+        let samples = self.samples(set);
         let of = |c: usize| {
             let median2 = twice_median(samples.iter().map(|v| u32::from(v[c])));
             f64::from(255 * median2) / f64::from(2 * u32::from(self.patch.white))
@@ -128,169 +123,26 @@ impl<'a> Scene<'a> {
         Vector3::new(of(0), of(1), of(2))
     }
 
-    /// Ground: valid, at the given distances from the candidate, clear of other paint.
-    pub fn is_ground(&self, i: usize, from_px: u8, to_px: u8) -> bool {
-        self.patch.valid[i] && (from_px..=to_px).contains(&self.outside_px[i]) && self.other_px[i] > 2
+    /// Ground: valid, `from_px` to `to_px` from the candidate's nearest pixel, clear of other paint.
+    pub fn ring(&self, (from_px, to_px): (usize, usize)) -> PixelSet {
+        let ring = self.own.grown(to_px).minus(&self.own.grown(from_px - 1));
+        ring.and(&self.valid).minus(&self.beside_other())
+    }
+
+    /// Other paint and what it may have blurred into.
+    pub fn beside_other(&self) -> PixelSet {
+        self.other.grown(BLURRED_PX)
     }
 
     /// Number of separate pieces of paint in the patch, the candidate included.
     pub fn clutter(&self) -> u32 {
         let mut left = self.other.clone();
         let mut count = 1;
-        while let Some(start) = left.iter().position(|&b| b) {
-            let piece = flood(&left, self.width, self.height, start);
-            left.iter_mut().zip(&piece).for_each(|(l, &p)| *l &= !p);
+        while let Some(start) = left.first() {
+            left = left.minus(&left.piece(start));
             count += 1;
         }
         count
-    }
-}
-
-/// Copies a block together: RGB as read, and which pixels hold anything (alpha not 0, not all colour samples nodata).
-pub fn patch_from_block(block: &Block, info: &RasterInfo) -> Patch {
-    let window = block.window;
-    let width = window.width as usize;
-    let mut rgb = vec![[0u16; 3]; window.area() as usize];
-    let mut valid = vec![false; rgb.len()];
-    for piece in block.pieces.iter().filter(|p| !p.empty) {
-        let part = piece.window.intersect(&window);
-        for y in part.y..part.bottom() {
-            let row = piece.row(part.x, y, part.width);
-            let sample = |i: usize, b: usize| match row.samples {
-                Samples::U8(s) => u16::from(s[i * row.pixel_stride + b]),
-                Samples::U16(s) => s[i * row.pixel_stride + b],
-            };
-            let start = (y - window.y) as usize * width + (part.x - window.x) as usize;
-            for i in 0..row.len {
-                let colour = info.rgb.map(|b| sample(i, b));
-                let clear = info.alpha.is_some_and(|a| sample(i, a) == 0);
-                let nothing = info.nodata.is_some_and(|n| colour.iter().all(|&v| f64::from(v) == n));
-                rgb[start + i] = colour;
-                valid[start + i] = !clear && !nothing;
-            }
-        }
-    }
-    Patch { window, rgb, valid, white: info.white }
-}
-
-/// The 8-connected set of `mask` that holds `start`.
-pub(crate) fn flood(mask: &[bool], width: usize, height: usize, start: usize) -> Vec<bool> {
-    let mut set = vec![false; mask.len()];
-    let mut todo = vec![start];
-    set[start] = true;
-    while let Some(i) = todo.pop() {
-        for j in neighbours(i, width, height) {
-            if mask[j] && !set[j] {
-                set[j] = true;
-                todo.push(j);
-            }
-        }
-    }
-    set
-}
-
-fn neighbours(i: usize, width: usize, height: usize) -> impl Iterator<Item = usize> {
-    let (x, y) = (i % width, i / width);
-    let columns = x.saturating_sub(1)..(x + 2).min(width);
-    (y.saturating_sub(1)..(y + 2).min(height)).flat_map(move |v| columns.clone().map(move |u| v * width + u))
-}
-
-/// Chebyshev distance to the nearest set pixel, capped at [`FAR_PX`].
-pub(crate) fn distance(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
-    if (1..=u64::BITS as usize).contains(&width) {
-        distance_in_words(mask, width, height)
-    } else {
-        distance_in_sweeps(mask, width, height)
-    }
-}
-
-/// Grows the set by a pixel on all sides at a time, each row in one word.
-fn distance_in_words(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
-    let mut out = vec![FAR_PX; mask.len()];
-    let mut rows: Vec<u64> =
-        mask.chunks_exact(width).map(|row| row.iter().rev().fold(0, |bits, &set| bits << 1 | u64::from(set))).collect();
-    let inside = u64::MAX >> (u64::BITS as usize - width);
-    let mut reached = vec![0u64; height];
-    for far_px in 0..FAR_PX {
-        let mut any = 0;
-        for ((row, reached), out) in rows.iter_mut().zip(&mut reached).zip(out.chunks_exact_mut(width)) {
-            let mut new = *row & !*reached;
-            any |= new;
-            *reached |= new;
-            while new != 0 {
-                out[new.trailing_zeros() as usize] = far_px;
-                new &= new - 1;
-            }
-            *row |= (*row << 1 | *row >> 1) & inside;
-        }
-        if any == 0 {
-            break;
-        }
-        let mut above = 0;
-        for y in 0..height {
-            let (here, below) = (rows[y], rows.get(y + 1).copied().unwrap_or(0));
-            rows[y] = above | here | below;
-            above = here;
-        }
-    }
-    out
-}
-
-/// A sweep down and one up give it exactly for this metric: A. Rosenfeld and J. L. Pfaltz, "Distance functions on digital
-/// pictures", Pattern Recognition 1(1), 1968.
-fn distance_in_sweeps(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
-    let mut out: Vec<u8> = mask.iter().map(|&set| if set { 0 } else { FAR_PX }).collect();
-    let mut before = vec![FAR_PX; width];
-    for y in 0..height {
-        sweep(&mut out[y * width..(y + 1) * width], &mut before);
-    }
-    before.fill(FAR_PX);
-    for y in (0..height).rev() {
-        sweep(&mut out[y * width..(y + 1) * width], &mut before);
-    }
-    out
-}
-
-/// Of each set pixel the Chebyshev distance to the nearest that is not set, capped at [`FAR_PX`]; 0 elsewhere. That nearest
-/// one is never further out than the rim around the box of what is set, so that only the box is swept.
-fn depth(mask: &[bool], width: usize, height: usize) -> Vec<u8> {
-    let mut out = vec![0; mask.len()];
-    let rows = || (0..height).map(|y| &mask[y * width..(y + 1) * width]);
-    let Some(top) = rows().position(|row| row.contains(&true)) else { return out };
-    let bottom = rows().rposition(|row| row.contains(&true)).unwrap_or(top);
-    let left = rows().filter_map(|row| row.iter().position(|&b| b)).min().unwrap_or(0);
-    let right = rows().filter_map(|row| row.iter().rposition(|&b| b)).max().unwrap_or(left);
-    let (x0, x1) = (left.saturating_sub(1), (right + 2).min(width));
-    let (y0, y1) = (top.saturating_sub(1), (bottom + 2).min(height));
-    let box_width = x1 - x0;
-    let clear: Vec<bool> = rows().take(y1).skip(y0).flat_map(|row| row[x0..x1].iter().map(|&b| !b)).collect();
-    for (row, y) in distance(&clear, box_width, y1 - y0).chunks_exact(box_width).zip(y0..) {
-        out[y * width + x0..y * width + x1].copy_from_slice(row);
-    }
-    out
-}
-
-/// Lowers a row by what the row before it knows; `before` holds the least of the three neighbours there, and gets those of
-/// this row.
-fn sweep(row: &mut [u8], before: &mut [u8]) {
-    for (value, near) in row.iter_mut().zip(before.iter()) {
-        *value = (*value).min(near + 1);
-    }
-    let mut side = FAR_PX;
-    for value in row.iter_mut() {
-        side = (*value).min(side + 1);
-        *value = side;
-    }
-    for value in row.iter_mut().rev() {
-        side = (*value).min(side + 1);
-        *value = side;
-    }
-    before.copy_from_slice(row);
-    for (near, value) in before.iter_mut().zip(&row[1..]) {
-        *near = (*near).min(*value);
-    }
-    for (near, value) in before[1..].iter_mut().zip(row.iter()) {
-        *near = (*near).min(*value);
     }
 }
 
@@ -333,17 +185,12 @@ pub fn sample_ground(colours: &[[u16; 3]], white: u16) -> Option<Ground> {
     if colours.len() < 12 {
         return None;
     }
-    // In halves of a sample.
-    let off = |v: u16, median2: u32| (2 * u32::from(v)).abs_diff(median2);
-    let limits: [(u32, f64); 3] = std::array::from_fn(|c| {
-        let median2 = twice_median(colours.iter().map(|v| u32::from(v[c])));
-        // Four times the median absolute deviation; the rest as in `ground`.
-        let deviation4 = twice_median(colours.iter().map(|v| off(v[c], median2)));
-        (median2, 2.0 * 3.5 * 1.4826 / 4.0 * f64::from(deviation4))
-    });
+    // The limits as in `ground`.
+    let limits =
+        middles(colours).map(|Middle { median2, deviation4 }| (median2, 2.0 * 3.5 * 1.4826 / 4.0 * f64::from(deviation4)));
     let least = 2 * 7 * u32::from(white);
     let is_outlier = |v: u16, (median2, limit): (u32, f64)| {
-        let off = off(v, median2);
+        let off = off(u32::from(v), median2);
         f64::from(off) > limit && 255 * off > least
     };
     let (mut n, mut sum, mut products) = (0i128, [0u64; 3], [[0u64; 3]; 3]);
@@ -374,6 +221,71 @@ pub fn sample_ground(colours: &[[u16; 3]], white: u16) -> Option<Ground> {
     Some(Ground { mean, covariance, count: n as usize })
 }
 
+/// In halves of a sample.
+fn off(v: u32, median2: u32) -> u32 {
+    (2 * v).abs_diff(median2)
+}
+
+/// Where a band's samples lie: twice their median, four times the median of how far they lie from it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Middle {
+    median2: u32,
+    deviation4: u32,
+}
+
+impl Middle {
+    fn of(values: impl ExactSizeIterator<Item = u32> + Clone) -> Middle {
+        let median2 = twice_median(values.clone());
+        Middle { median2, deviation4: twice_median(values.map(|v| off(v, median2))) }
+    }
+
+    /// Of so many of each byte, at least one in all.
+    fn of_counts(counts: &[u16; BYTES], len: usize) -> Middle {
+        let median2 = twice_ranked(counts.iter().map(|&n| usize::from(n)).enumerate(), len);
+        let beside = |off: usize| {
+            let (low, high) = ((median2 as usize).checked_sub(off), median2 as usize + off);
+            let at = |twice: usize| counts.get(twice / 2).map_or(0, |&n| usize::from(n));
+            low.filter(|_| off > 0).map_or(0, at) + at(high)
+        };
+        let offs = (median2 as usize % 2..=2 * BYTES).step_by(2).map(|off| (off, beside(off)));
+        Middle { median2, deviation4: twice_ranked(offs, len) }
+    }
+}
+
+const BYTES: usize = 256;
+
+/// Where each band of the colours, of which there are some, lies. Bytes are counted in one pass.
+fn middles(colours: &[[u16; 3]]) -> [Middle; 3] {
+    let largest = colours.as_flattened().iter().fold(0, |all, &v| all | v);
+    if usize::from(largest) >= BYTES || colours.len() > usize::from(u16::MAX) {
+        return std::array::from_fn(|c| Middle::of(colours.iter().map(|v| u32::from(v[c]))));
+    }
+    let mut counts = [[0u16; BYTES]; 3];
+    for colour in colours {
+        for (counts, &v) in counts.iter_mut().zip(colour) {
+            counts[usize::from(v)] += 1;
+        }
+    }
+    counts.map(|counts| Middle::of_counts(&counts, colours.len()))
+}
+
+/// Sum of the middle two of `len` values, which for an odd number are one, given as how many there are of each, rising.
+fn twice_ranked(counts: impl Iterator<Item = (usize, usize)>, len: usize) -> u32 {
+    let (mut seen, mut below) = (0, None);
+    for (value, n) in counts {
+        seen += n;
+        if below.is_none() && seen > (len - 1) / 2 {
+            below = Some(value);
+        }
+        if let Some(below) = below
+            && seen > len / 2
+        {
+            return (below + value) as u32;
+        }
+    }
+    0
+}
+
 /// Twice the median, so that the mean of the middle two is whole; 0 of nothing. Small values are counted.
 pub(crate) fn twice_median(values: impl ExactSizeIterator<Item = u32> + Clone) -> u32 {
     const COUNTED: usize = 512;
@@ -383,14 +295,7 @@ pub(crate) fn twice_median(values: impl ExactSizeIterator<Item = u32> + Clone) -
     }
     if values.clone().all(|v| (v as usize) < COUNTED) {
         values.for_each(|v| counts[v as usize] += 1);
-        let rank = |k: usize| {
-            let mut seen = 0;
-            counts.iter().position(|&n| {
-                seen += n as usize;
-                seen > k
-            })
-        };
-        return (rank((len - 1) / 2).unwrap_or(0) + rank(len / 2).unwrap_or(0)) as u32;
+        return twice_ranked(counts.iter().map(|&n| n as usize).enumerate(), len);
     }
     let mut sorted: Vec<u32> = values.collect();
     let (below, high, _) = sorted.select_nth_unstable(len / 2);
@@ -435,22 +340,10 @@ mod tests {
         }
 
         #[test]
-        fn depths_are_distances_to_what_is_not_set(width in 1usize..24, height in 1usize..24, set in proptest::collection::vec(0usize..600, 1..200)) {
-            let mut mask = vec![false; width * height];
-            set.iter().for_each(|i| mask[i % (width * height)] = true);
-            let clear: Vec<bool> = mask.iter().map(|b| !b).collect();
-            proptest::prop_assert_eq!(depth(&mask, width, height), distance(&clear, width, height));
-        }
-
-        #[test]
-        fn distances_are_chebyshev(width in 1usize..90, height in 1usize..40, set in proptest::collection::vec(0usize..1600, 0..6)) {
-            let mut mask = vec![false; width * height];
-            set.iter().for_each(|i| mask[i % (width * height)] = true);
-            for (i, got) in distance(&mask, width, height).into_iter().enumerate() {
-                let to = |j: usize| (i % width).abs_diff(j % width).max((i / width).abs_diff(j / width));
-                let nearest = (0..mask.len()).filter(|&j| mask[j]).map(to).min().unwrap_or(usize::MAX);
-                proptest::prop_assert_eq!(usize::from(got), nearest.min(usize::from(FAR_PX)));
-            }
+        fn bytes_counted_lie_where_sorting_says(colours in proptest::collection::vec(proptest::array::uniform3(0u16..256), 1..60), narrow: bool) {
+            let colours: Vec<[u16; 3]> = colours.into_iter().map(|c| if narrow { c.map(|v| v % 5 * 63) } else { c }).collect();
+            let twin: [Middle; 3] = std::array::from_fn(|c| Middle::of(colours.iter().map(|v| u32::from(v[c]))));
+            proptest::prop_assert_eq!(middles(&colours), twin);
         }
     }
 

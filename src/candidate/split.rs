@@ -7,6 +7,7 @@ use super::Candidate;
 use super::examine::{examine_part, examine_whole, measure_scene, near, score};
 use super::gates::Gates;
 use super::patch::Scene;
+use super::pixel_set::PixelSet;
 use crate::profile::Profile;
 use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
@@ -33,14 +34,14 @@ pub fn examine_parts(
     if middles.len() < 2 || middles.len() > MOST_PARTS {
         return whole.into_iter().collect();
     }
-    let owner: Vec<Option<usize>> =
-        (0..scene.own.len()).map(|i| scene.own[i].then(|| nearest(&middles, position(&scene, i)))).collect();
-    let parts: Vec<Candidate> = (0..middles.len())
-        .filter_map(|k| {
-            let own: Vec<bool> = owner.iter().map(|&o| o == Some(k)).collect();
+    let mut owned = vec![PixelSet::empty(scene.width, scene.height); middles.len()];
+    scene.own.iter().for_each(|i| owned[nearest(&middles, position(&scene, i))].insert(i));
+    let paint = scene.paint();
+    let parts: Vec<Candidate> = owned
+        .into_iter()
+        .filter_map(|own| {
             let part = region_of(&own, &inner)?;
-            let paint = scene.own.iter().zip(&scene.other).map(|(a, b)| *a || *b).collect();
-            examine_part(&Scene::of_pixels(&inner, own, paint), pixels, &part, classifier, profile, gates)
+            examine_part(&Scene::of_pixels(&inner, own, &paint), pixels, &part, classifier, profile, gates)
         })
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);
@@ -95,7 +96,7 @@ fn middles(
     let in_scene = |i: usize| (top + i / width) * scene.width + left + i % width;
     let limit2 = profile.colour.limit * profile.colour.limit;
     let fitting = |i: usize| {
-        if !scene.own[i] {
+        if !scene.own.has(i) {
             return 0.0;
         }
         let c = scene.colour(i);
@@ -111,7 +112,7 @@ fn middles(
         let columns = x.saturating_sub(1)..(x + 2).min(width);
         (y.saturating_sub(1)..(y + 2).min(height)).all(|v| columns.clone().all(|u| map[v * width + u] <= map[i]))
     };
-    let mut peaks: Vec<usize> = (0..map.len()).filter(|&i| scene.own[in_scene(i)] && highest(i)).collect();
+    let mut peaks: Vec<usize> = (0..map.len()).filter(|&i| scene.own.has(in_scene(i)) && highest(i)).collect();
     peaks.sort_by(|&a, &b| map[b].total_cmp(&map[a]).then(a.cmp(&b)));
     let mut kept: Vec<usize> = Vec::new();
     for i in peaks.into_iter().map(in_scene) {
@@ -142,10 +143,10 @@ fn smoothed(map: &[f64], width: usize) -> Vec<f64> {
 
 /// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the box's:
 /// gates on it have been passed by the whole.
-fn region_of(own: &[bool], patch: &Patch) -> Option<Region> {
+fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
     let width = patch.window.width;
     let mut region: Option<Region> = None;
-    for i in (0..own.len()).filter(|&i| own[i]) {
+    for i in own.iter() {
         let (x, y) = (patch.window.x + i as u64 % width, patch.window.y + i as u64 / width);
         let r = region.get_or_insert_with(|| Region {
             first: (y, x),
@@ -175,12 +176,12 @@ fn region_of(own: &[bool], patch: &Patch) -> Option<Region> {
 /// Score of a set of pixels that is known to be a mark; `None` when it has fewer than three.
 pub(crate) fn score_of(
     patch: &Patch,
-    own: Vec<bool>,
+    own: &PixelSet,
     classifier: &Classifier,
     profile: &Profile,
     gates: &Gates,
 ) -> Option<f64> {
-    let region = region_of(&own, patch)?;
+    let region = region_of(own, patch)?;
     // Nothing may be given up as hopeless: the least score is what is asked for.
     let mut profile = profile.clone();
     profile.examine.min_score = f64::NEG_INFINITY;

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use autoref_stream::candidate::patch::patch_from_block;
 use autoref_stream::profile::Profile;
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::window::Window;
@@ -66,7 +65,7 @@ pub fn run(args: &Args) -> Result<()> {
     for y in (0..height).step_by(rows as usize) {
         for x in (0..width).step_by(columns as usize) {
             let window = Window::new(x, y, columns.min(width - x), rows.min(height - y));
-            let patch = patch_from_block(&source.read(window)?, info);
+            let patch = source.read(window)?.to_patch(info);
             let distance = |i: usize| {
                 let colour = patch.rgb[i].map(|v| f64::from(classifier.to_byte(v)) / 255.0);
                 if patch.valid[i] { (classifier.reference().nearest2(colour).sqrt() * unit) as f32 } else { f32::NAN }

@@ -4,7 +4,6 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use autoref_stream::candidate::patch::patch_from_block;
 use autoref_stream::coords::{MapPoint, PixelPoint};
 use autoref_stream::gcp::{self, GcpOptions, Reproject};
 use autoref_stream::georef::crs::{Coordinate, Crs};
@@ -163,5 +162,5 @@ pub fn patch_around(source: &dyn RasterSource, at: PixelPoint, reach_px: u64) ->
         );
     }
     let window = Window::new(at.x as u64, at.y as u64, 1, 1).grown(reach_px, &info.bounds());
-    Ok(patch_from_block(&source.read(window)?, info))
+    Ok(source.read(window)?.to_patch(info))
 }

@@ -6,7 +6,8 @@ use super::colour::{Cloud, Metric, Space, lab_from_srgb};
 use super::mixing::cloud;
 use super::{ColourModel, Density, Examine, Filters, GateLimits, Learned, Profile, RoughBox, Shape, Size, Target};
 use crate::candidate::Gates;
-use crate::candidate::patch::{flood, median, sample_ground};
+use crate::candidate::patch::{median, sample_ground};
+use crate::candidate::pixel_set::PixelSet;
 use crate::candidate::split::score_of;
 use crate::coords::PixelPoint;
 use crate::error::{Error, Result};
@@ -99,7 +100,7 @@ struct Example {
     side_px: f64,
     eccentricity: f64,
     tightness: f64,
-    own: Vec<bool>,
+    own: PixelSet,
 }
 
 /// Learns a profile from marks at known positions (each inside its patch, which should reach [`DEFAULT_REACH_PX`] around
@@ -201,7 +202,7 @@ fn least_score(profile: &Profile, marks: &[(Patch, PixelPoint)], examples: &[Exa
     let scores: Vec<f64> = marks
         .iter()
         .zip(examples)
-        .filter_map(|((patch, _), example)| score_of(patch, example.own.clone(), &classifier, profile, &gates))
+        .filter_map(|((patch, _), example)| score_of(patch, &example.own, &classifier, profile, &gates))
         .filter(|score| *score > -49.0)
         .collect();
     if scores.is_empty() {
@@ -236,7 +237,7 @@ fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'stat
     let reach = |i: usize| (i % width).abs_diff(x).max((i / width).abs_diff(y));
     let far = width.max(height) / 4;
     let mut back: Vec<usize> = (0..width * height).filter(|&i| patch.valid[i] && reach(i) >= far).collect();
-    let mut own = Vec::new();
+    let mut own = PixelSet::empty(width, height);
     for _ in 0..2 {
         let colours: Vec<[u16; 3]> = back.iter().map(|&i| patch.rgb[i].map(|v| v.min(patch.white))).collect();
         let g = sample_ground(&colours, patch.white).ok_or("has too little ground around it")?;
@@ -247,19 +248,18 @@ fn example(patch: &Patch, at: PixelPoint) -> std::result::Result<Example, &'stat
         if contrast2 < 9.0 {
             return Err("does not stand out from its surroundings");
         }
-        let paint: Vec<bool> = (0..width * height)
-            .map(|i| patch.valid[i] && direction.dot(&(colour(i) - g.mean)) > 0.5 * contrast2)
-            .collect();
-        if !paint[y * width + x] {
+        let is_paint = |i: usize| patch.valid[i] && direction.dot(&(colour(i) - g.mean)) > 0.5 * contrast2;
+        let paint = PixelSet::from_fn(width, height, is_paint);
+        if !paint.has(y * width + x) {
             return Err("does not stand out from its surroundings");
         }
-        own = flood(&paint, width, height, y * width + x);
-        let near = crate::candidate::patch::distance(&own, width, height);
-        back = (0..width * height).filter(|&i| patch.valid[i] && (3..=12).contains(&near[i]) && !paint[i]).collect();
+        own = paint.piece(y * width + x);
+        let ring = own.grown(12).minus(&own.grown(2)).minus(&paint);
+        back = ring.iter().filter(|&i| patch.valid[i]).collect();
     }
-    let inside: Vec<usize> = (0..own.len()).filter(|&i| own[i]).collect();
+    let inside: Vec<usize> = own.iter().collect();
     if inside.iter().any(|&i| i % width == 0 || i % width + 1 == width || i / width == 0 || i / width + 1 == height)
-        && inside.len() * 2 > own.len()
+        && inside.len() * 2 > width * height
     {
         return Err("does not end inside its window");
     }
