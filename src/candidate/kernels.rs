@@ -1,7 +1,7 @@
 //! The blurred shape over many pixels at once: its values, and the sums of the normal equations.
 //!
-//! Every function is written once, over pixels in lanes, and compiled twice: plainly, and for AVX2. Nothing is
-//! contracted or reordered, so both give the same bits; tests compare them.
+//! Every function is written once, over pixels in lanes, and compiled three times: plainly, for AVX2 and for AVX-512. Nothing
+//! is contracted or reordered, so all give the same bits; tests compare them.
 #![allow(unsafe_code)]
 
 use super::fit::Form;
@@ -9,7 +9,7 @@ use super::fit::Form;
 /// Pixels that are worked on together.
 pub const LANES: usize = 16;
 /// Running sums side by side, so that the order of additions does not depend on the machine.
-const SUMS: usize = 4;
+const SUMS: usize = 8;
 pub const PARAMETERS: usize = 10;
 const SQUARES: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
@@ -259,17 +259,32 @@ fn equations_avx2(model: &Model, samples: &Samples, weights: &[f64]) -> Equation
 }
 
 #[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq")]
+fn equations_avx512(model: &Model, samples: &Samples, weights: &[f64]) -> Equations {
+    equations_in(model, samples, weights)
+}
+
+#[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 fn values_avx2(model: &Model, samples: &Samples, left: &mut Vec<f64>, values: &mut Vec<f64>) {
+    values_in(model, samples, left, values);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq")]
+fn values_avx512(model: &Model, samples: &Samples, left: &mut Vec<f64>, values: &mut Vec<f64>) {
     values_in(model, samples, left, values);
 }
 
 /// The sums of the normal equations; `weights` has one of each pixel.
 pub fn equations(model: &Model, samples: &Samples, weights: &[f64]) -> Equations {
     #[cfg(target_arch = "x86_64")]
-    if !cfg!(feature = "force-scalar") && is_x86_feature_detected!("avx2") {
+    match Vectors::of_machine() {
+        // SAFETY: the machine has AVX-512 F and DQ.
+        Vectors::Avx512 => return unsafe { equations_avx512(model, samples, weights) },
         // SAFETY: the machine has AVX2.
-        return unsafe { equations_avx2(model, samples, weights) };
+        Vectors::Avx2 => return unsafe { equations_avx2(model, samples, weights) },
+        Vectors::None => {}
     }
     equations_in(model, samples, weights)
 }
@@ -277,11 +292,37 @@ pub fn equations(model: &Model, samples: &Samples, weights: &[f64]) -> Equations
 /// What is left over of each pixel's share, and the value of the shape there.
 pub fn values(model: &Model, samples: &Samples, left: &mut Vec<f64>, values: &mut Vec<f64>) {
     #[cfg(target_arch = "x86_64")]
-    if !cfg!(feature = "force-scalar") && is_x86_feature_detected!("avx2") {
+    match Vectors::of_machine() {
+        // SAFETY: the machine has AVX-512 F and DQ.
+        Vectors::Avx512 => return unsafe { values_avx512(model, samples, left, values) },
         // SAFETY: the machine has AVX2.
-        return unsafe { values_avx2(model, samples, left, values) };
+        Vectors::Avx2 => return unsafe { values_avx2(model, samples, left, values) },
+        Vectors::None => {}
     }
     values_in(model, samples, left, values);
+}
+
+/// The widest instructions that the kernels have a twin for.
+#[cfg(target_arch = "x86_64")]
+enum Vectors {
+    None,
+    Avx2,
+    Avx512,
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Vectors {
+    fn of_machine() -> Vectors {
+        if cfg!(feature = "force-scalar") {
+            Vectors::None
+        } else if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
+            Vectors::Avx512
+        } else if is_x86_feature_detected!("avx2") {
+            Vectors::Avx2
+        } else {
+            Vectors::None
+        }
+    }
 }
 
 /// Calls `each` with every pixel: its number and place, what is left over, and the gradient there.
@@ -344,6 +385,13 @@ mod tests {
                 assert_eq!(fast.squares.map(f64::to_bits), plain.squares.map(f64::to_bits));
                 assert_eq!(fast.pushes.map(f64::to_bits), plain.pushes.map(f64::to_bits));
                 assert_eq!(fast.cost.to_bits(), plain.cost.to_bits());
+                #[cfg(target_arch = "x86_64")]
+                if is_x86_feature_detected!("avx2") {
+                    // SAFETY: the machine has AVX2.
+                    let narrow = unsafe { equations_avx2(&model, &samples, &weights) };
+                    assert_eq!(narrow.squares.map(f64::to_bits), plain.squares.map(f64::to_bits));
+                    assert_eq!(narrow.pushes.map(f64::to_bits), plain.pushes.map(f64::to_bits));
+                }
                 let (mut a, mut b) = ((vec![], vec![]), (vec![], vec![]));
                 values(&model, &samples, &mut a.0, &mut a.1);
                 values_in(&model, &samples, &mut b.0, &mut b.1);

@@ -42,8 +42,7 @@ impl<'a> Local<'a> {
         for _ in 0..2 {
             boxed(&mut sums, scene.width, scene.height);
         }
-        let scatter: Vec<Vector3<f64>> =
-            ring.iter().filter_map(|i| Some(scene.colour(i) - mean(&sums[i])?)).collect();
+        let scatter: Vec<Vector3<f64>> = ring.iter().filter_map(|i| Some(scene.colour(i) - mean(&sums[i])?)).collect();
         // Sensor noise and JPEG: 3 levels, as in the first look.
         let noise = ground(&scatter)?.covariance + Matrix3::identity() * 9.0;
         let inverse = noise.cholesky()?.inverse();

@@ -186,8 +186,8 @@ pub fn sample_ground(colours: &[[u16; 3]], white: u16) -> Option<Ground> {
         return None;
     }
     // The limits as in `ground`.
-    let limits =
-        middles(colours).map(|Middle { median2, deviation4 }| (median2, 2.0 * 3.5 * 1.4826 / 4.0 * f64::from(deviation4)));
+    let limits = middles(colours)
+        .map(|Middle { median2, deviation4 }| (median2, 2.0 * 3.5 * 1.4826 / 4.0 * f64::from(deviation4)));
     let least = 2 * 7 * u32::from(white);
     let is_outlier = |v: u16, (median2, limit): (u32, f64)| {
         let off = off(u32::from(v), median2);

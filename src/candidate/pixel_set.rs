@@ -69,8 +69,10 @@ impl PixelSet {
     pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
         self.words.iter().enumerate().flat_map(|(at, &word)| {
             let first = at / self.stride * self.width + at % self.stride * BITS;
-            std::iter::successors(Some(word).filter(|&left| left != 0), |&left| Some(left & (left - 1)).filter(|&l| l != 0))
-                .map(move |left| first + left.trailing_zeros() as usize)
+            std::iter::successors(Some(word).filter(|&left| left != 0), |&left| {
+                Some(left & (left - 1)).filter(|&l| l != 0)
+            })
+            .map(move |left| first + left.trailing_zeros() as usize)
         })
     }
 

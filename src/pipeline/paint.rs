@@ -54,7 +54,8 @@ impl Detector for PaintDetector {
     fn segment(&self, block: &Block, mask: &mut Mask) {
         let longest = block.pieces.iter().map(|piece| piece.window.width).max().unwrap_or(0);
         let mut bits = vec![0u64; (longest as usize).div_ceil(64)];
-        for piece in block.pieces.iter().filter(|piece| !piece.empty) {
+        // The last one read is in the nearest cache still.
+        for piece in block.pieces.iter().rev().filter(|piece| !piece.empty) {
             let (x, width) = (piece.window.x, piece.window.width);
             for y in piece.window.y..piece.window.bottom() {
                 self.classifier.classify_row(piece.row(x, y, width), &mut bits);
