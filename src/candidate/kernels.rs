@@ -93,6 +93,8 @@ pub struct Equations {
     pub squares: [f64; SQUARES],
     pub pushes: [f64; PARAMETERS],
     pub cost: f64,
+    /// Squares of what is left over, all pixels alike.
+    pub left2: f64,
 }
 
 /// eˣ for x ≤ 0 to a relative 2e-10, without a branch: 2ⁿ·eʳ with |r| ≤ ½ ln 2 and eight terms of Taylor's series.
@@ -210,7 +212,7 @@ fn add_products(sum: &mut [f64; SUMS], a: &Lanes, b: &Lanes) {
 fn equations_in(model: &Model, samples: &Samples, weights: &[f64]) -> Equations {
     let mut squares = [[0.0; SUMS]; SQUARES];
     let mut pushes = [[0.0; SUMS]; PARAMETERS];
-    let mut cost = [0.0; SUMS];
+    let (mut cost, mut left2) = ([0.0; SUMS], [0.0; SUMS]);
     let mut look = NOTHING_SEEN;
     for (chunk, some) in samples.chunks.iter().zip(weights.chunks(LANES)) {
         let mut weight = [0.0; LANES];
@@ -221,6 +223,9 @@ fn equations_in(model: &Model, samples: &Samples, weights: &[f64]) -> Equations 
             weighted[i] = weight[i] * look.left[i];
         }
         add_products(&mut cost, &weighted, &look.left);
+        // What the last chunk is filled up with does not count.
+        look.left[some.len()..].fill(0.0);
+        add_products(&mut left2, &look.left, &look.left);
         let mut triangle = squares.iter_mut();
         for (a, push) in pushes.iter_mut().enumerate() {
             for i in 0..LANES {
@@ -233,7 +238,7 @@ fn equations_in(model: &Model, samples: &Samples, weights: &[f64]) -> Equations 
         }
     }
     let sum = |s: [f64; SUMS]| s.iter().sum::<f64>();
-    Equations { squares: squares.map(sum), pushes: pushes.map(sum), cost: sum(cost) }
+    Equations { squares: squares.map(sum), pushes: pushes.map(sum), cost: sum(cost), left2: sum(left2) }
 }
 
 #[inline(always)]
@@ -384,7 +389,7 @@ mod tests {
                 let (fast, plain) = (equations(&model, &samples, &weights), equations_in(&model, &samples, &weights));
                 assert_eq!(fast.squares.map(f64::to_bits), plain.squares.map(f64::to_bits));
                 assert_eq!(fast.pushes.map(f64::to_bits), plain.pushes.map(f64::to_bits));
-                assert_eq!(fast.cost.to_bits(), plain.cost.to_bits());
+                assert_eq!([fast.cost, fast.left2].map(f64::to_bits), [plain.cost, plain.left2].map(f64::to_bits));
                 #[cfg(target_arch = "x86_64")]
                 if is_x86_feature_detected!("avx2") {
                     // SAFETY: the machine has AVX2.
@@ -407,13 +412,15 @@ mod tests {
         let (model, samples) = (model(Form::Rectangle), samples(100));
         let weights: Vec<f64> = (0..100).map(|i| f64::from(i % 3)).collect();
         let sums = equations(&model, &samples, &weights);
-        let (mut cost, mut push, mut corner) = (0.0, [0.0; PARAMETERS], 0.0);
+        let (mut cost, mut left2, mut push, mut corner) = (0.0, 0.0, [0.0; PARAMETERS], 0.0);
         gradients(&model, &samples, |i, _, left, g| {
             cost += weights[i] * left * left;
+            left2 += left * left;
             corner += weights[i] * g[0] * g[9];
             (0..PARAMETERS).for_each(|k| push[k] += weights[i] * left * g[k]);
         });
-        assert!((sums.cost - cost).abs() < 1e-9 && (sums.squares[9] - corner).abs() < 1e-9);
+        assert!((sums.cost - cost).abs() < 1e-9 && (sums.left2 - left2).abs() < 1e-9);
+        assert!((sums.squares[9] - corner).abs() < 1e-9);
         assert!(sums.pushes.iter().zip(push).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 

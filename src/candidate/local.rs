@@ -40,7 +40,7 @@ impl<'a> Local<'a> {
             sums[i] = [c[0], c[1], c[2], 1.0];
         }
         for _ in 0..2 {
-            boxed(&mut sums, scene.width, scene.height);
+            boxed(&mut sums, scene.width);
         }
         let scatter: Vec<Vector3<f64>> = ring.iter().filter_map(|i| Some(scene.colour(i) - mean(&sums[i])?)).collect();
         // Sensor noise and JPEG: 3 levels, as in the first look.
@@ -137,30 +137,46 @@ pub(super) enum Growth {
 }
 
 /// Sums over squares of `2·BOX_REACH + 1`, clipped at the patch's edges.
-fn boxed(values: &mut [[f64; 4]], width: usize, height: usize) {
-    let mut line = Vec::new();
-    for y in 0..height {
-        running(values, y * width, 1, width, &mut line);
+fn boxed(values: &mut [[f64; 4]], width: usize) {
+    let mut line = Vec::with_capacity(width);
+    for row in values.chunks_exact_mut(width) {
+        line.clear();
+        line.extend_from_slice(row);
+        let mut sum = [0.0; 4];
+        line.iter().take(BOX_REACH).for_each(|value| add(&mut sum, value));
+        for (k, out) in row.iter_mut().enumerate() {
+            if let Some(value) = line.get(k + BOX_REACH) {
+                add(&mut sum, value);
+            }
+            if k > BOX_REACH {
+                subtract(&mut sum, &line[k - BOX_REACH - 1]);
+            }
+            *out = sum;
+        }
     }
-    for x in 0..width {
-        running(values, x, width, height, &mut line);
+    // Down the columns a whole row at a time.
+    let before = values.to_vec();
+    let rows: Vec<&[[f64; 4]]> = before.chunks_exact(width).collect();
+    let mut sums = vec![[0.0; 4]; width];
+    for row in rows.iter().take(BOX_REACH) {
+        sums.iter_mut().zip(*row).for_each(|(sum, value)| add(sum, value));
+    }
+    for (k, out) in values.chunks_exact_mut(width).enumerate() {
+        if let Some(row) = rows.get(k + BOX_REACH) {
+            sums.iter_mut().zip(*row).for_each(|(sum, value)| add(sum, value));
+        }
+        if k > BOX_REACH {
+            let row = rows[k - BOX_REACH - 1];
+            sums.iter_mut().zip(row).for_each(|(sum, value)| subtract(sum, value));
+        }
+        out.copy_from_slice(&sums);
     }
 }
 
-fn running(values: &mut [[f64; 4]], first: usize, step: usize, count: usize, line: &mut Vec<[f64; 4]>) {
-    line.clear();
-    line.extend((0..count).map(|k| values[first + k * step]));
-    let mut sum = [0.0; 4];
-    for value in line.iter().take(BOX_REACH) {
-        (0..4).for_each(|c| sum[c] += value[c]);
-    }
-    for k in 0..count {
-        if let Some(value) = line.get(k + BOX_REACH) {
-            (0..4).for_each(|c| sum[c] += value[c]);
-        }
-        if k > BOX_REACH {
-            (0..4).for_each(|c| sum[c] -= line[k - BOX_REACH - 1][c]);
-        }
-        values[first + k * step] = sum;
-    }
+fn add(sum: &mut [f64; 4], value: &[f64; 4]) {
+    (0..4).for_each(|c| sum[c] += value[c]);
+}
+
+fn subtract(sum: &mut [f64; 4], value: &[f64; 4]) {
+    (0..4).for_each(|c| sum[c] -= value[c]);
 }
