@@ -100,6 +100,9 @@ fn cells() -> Vec<Cell> {
     for quality in [75, 85, 95] {
         add(format!("JPEG {quality}"), &|c| c.quality = quality);
     }
+    for quality in [75, 90] {
+        add(format!("JPEG {quality}, chroma in full"), &|c| (c.quality, c.full_chroma) = (quality, true));
+    }
     let paints = [[255, 103, 0], [255, 121, 0], [255, 90, 31], [245, 110, 20], [240, 130, 50]];
     for paint in paints {
         add(format!("paint {paint:?}"), &|c| c.paint = paint);

@@ -35,7 +35,7 @@ mod write;
 
 pub use film::{FilmGround, FilmMark, FilmScene, FilmSpec, FilmTruth, GreyPhoto, write_film};
 pub use gcps::{SynthGcp, random_gcps, read_gcp_csv, write_gcp_geojson};
-pub use jpeg::jpeg_round_trip;
+pub use jpeg::{Chroma, jpeg_round_trip};
 pub use paint::Paint;
 pub use photo::{PhotoStore, photographs};
 pub use scene::Scene;

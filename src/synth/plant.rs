@@ -1,6 +1,7 @@
 //! Marks planted into real photographs, with centres known to a hundredth of a pixel: what the detection benchmark
 //! measures on, and the self-test on the customer's own image.
 
+use super::jpeg::{Chroma, jpeg_round_trip};
 use super::shape::{Figure, Shape};
 use crate::profile::colour::{linear_from_srgb, srgb_from_linear};
 use gdal::raster::{Buffer, RasterCreationOptions};
@@ -22,6 +23,17 @@ impl Picture {
         let rows =
             (y..y + height).flat_map(|v| self.rgb[v * self.width + x..v * self.width + x + width].iter().copied());
         Picture { width, height, rgb: rows.collect() }
+    }
+
+    /// Through a JPEG of that quality that keeps all chroma.
+    ///
+    /// # Panics
+    /// When a side is above 65,535 pixels.
+    pub fn through_full_jpeg(&self, quality: u8) -> Picture {
+        let bytes =
+            jpeg_round_trip(self.rgb.as_flattened(), self.width as u64, self.height as u64, quality, Chroma::Full);
+        let rgb = bytes.expect("a picture encodes").as_chunks::<3>().0.to_vec();
+        Picture { rgb, ..*self }
     }
 
     /// Through a JPEG of that quality, chroma halved both ways by averaging, as cameras and libjpeg do. (An encoder that
@@ -90,6 +102,8 @@ pub struct Cell {
     /// Share of the mark hidden under ground from one side.
     pub cover: f64,
     pub quality: u8,
+    /// The JPEG keeps all chroma.
+    pub full_chroma: bool,
     pub paint: [u8; 3],
     pub disc: bool,
     /// Mix in linear light, as optics do, instead of in sRGB, as image editors do.
@@ -112,6 +126,7 @@ impl Cell {
             light: 1.0,
             cover: 0.0,
             quality: 90,
+            full_chroma: false,
             paint: [255, 110, 20],
             disc: false,
             linear: false,
@@ -208,7 +223,8 @@ pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Ve
             truth.push(paint_mark(&mut out, cell, (x0, y0), random));
         }
     }
-    (out.through_jpeg(cell.quality), truth)
+    let picture = if cell.full_chroma { out.through_full_jpeg(cell.quality) } else { out.through_jpeg(cell.quality) };
+    (picture, truth)
 }
 
 /// Whether a tenth of a window or more is exactly black: beyond the edge of what was photographed, where nobody paints.
