@@ -33,6 +33,9 @@ impl<'a> Scene<'a> {
     /// `None` when none of the candidate's pixels is in the patch. `connected` says that the region is exactly the
     /// 8-connected set that its first pixel is in; with mask filters it is the paint inside the bounds instead.
     pub fn new(region: &Region, patch: &'a Patch, classifier: &Classifier, connected: bool) -> Option<Scene<'a>> {
+        if patch.window.is_empty() {
+            return None;
+        }
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let paint = PixelSet::of(&classifier.paint_of(&patch.rgb, &patch.valid), width);
         let (first_y, first_x) = region.first;
