@@ -1,46 +1,69 @@
-//! Normalised correlation of a mark at every place of a picture at once.
+//! Normalised correlation of a mark at many places of a picture at once.
+//!
+//! After J. P. Lewis, "Fast template matching", Vision Interface, 1995, with weights: what the mark does not describe (the
+//! image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is brightened
+//! or stretched, so dark frames need no equalisation first.
 //!
 //! Drawn marks are flat nearly everywhere: a row of one is a few runs of one value. The sums that the correlation needs are
 //! differences of running sums there, two look-ups a run instead of a product for each of its values; what is left, edges
 //! and thin lines, is added value by value. A learned mark is edges all over and costs what its values cost.
 
 use super::kernel::{Kernel, widest};
-use super::search::FLAT;
 use super::template::Template;
 use super::window::Grey;
 
+/// Standard deviation of grey values, of white, below which a place is called flat: half an 8-bit level.
+pub const FLAT: f32 = 0.002;
 /// Places taken together: their sums stay in registers while the mark is gone through.
 const LANES: usize = 16;
 /// Stretches of one value up to this long are not worth a run.
 const SHORT: usize = 3;
 
+/// A value of the template, by row and column.
+#[derive(Clone, Copy, Debug)]
+struct At {
+    row: u32,
+    column: u32,
+}
+
+impl At {
+    /// How far behind the value, or the running sum before it, that the template's corner lies on.
+    #[inline(always)]
+    fn behind(self, stride: usize) -> usize {
+        self.row as usize * stride + self.column as usize
+    }
+}
+
 /// Values of one row of a mark, all of one weight.
+#[derive(Clone, Debug)]
 struct Run {
-    /// Running sums before the first value and after the last, from the sums of the template's corner.
-    first: usize,
-    end: usize,
+    first: At,
+    len: usize,
     weight: f32,
     /// Weight times the first value.
     product: f32,
 }
 
 /// Where values of a run change: what lies between here and the run's end.
+#[derive(Clone, Debug)]
 struct Step {
-    at: usize,
-    end: usize,
+    at: At,
+    len: usize,
     /// Weight times the change.
     product: f32,
 }
 
 /// One value of a mark.
+#[derive(Clone, Debug)]
 struct Cell {
-    at: usize,
+    at: At,
     weight: f32,
     /// Weight times value; for a value drawn over a run, times its difference from the run's.
     product: f32,
 }
 
-/// A template, or a sector of one, taken apart for pictures of one stride.
+/// A template, or a sector of one, taken apart.
+#[derive(Clone, Debug)]
 struct Outline {
     /// How much it counts in the mark's score, by its sum of weights.
     share: f32,
@@ -55,7 +78,7 @@ struct Outline {
 }
 
 impl Outline {
-    fn of(whole: &Template, part: &Template, share: f32, stride: usize) -> Outline {
+    fn of(whole: &Template, part: &Template, share: f32) -> Outline {
         let [left, top] = [0, 1].map(|k| (whole.reference[k] - part.reference[k]) as usize);
         let even = 1.0 / part.weight_sum;
         let mut outline =
@@ -65,7 +88,7 @@ impl Outline {
             let mut x = 0;
             for even in weights.chunk_by(|a, b| a == b) {
                 if even[0] != 0.0 {
-                    outline.add_even((top + j) * stride + left + x, &values[x..x + even.len()], even[0]);
+                    outline.add_even(top + j, left + x, &values[x..x + even.len()], even[0]);
                 }
                 x += even.len();
             }
@@ -73,8 +96,8 @@ impl Outline {
         outline
     }
 
-    /// Neighbouring values of one row that share a weight, the first at `first`.
-    fn add_even(&mut self, first: usize, values: &[f32], weight: f32) {
+    /// Neighbouring values of one row that share a weight, from column `first` on.
+    fn add_even(&mut self, row: usize, first: usize, values: &[f32], weight: f32) {
         // Long stretches of one value start anew; short ones are drawn over the stretch they lie in.
         let mut starts: Vec<(usize, f32)> = vec![];
         let mut x = 0;
@@ -84,15 +107,16 @@ impl Outline {
             }
             x += stretch.len();
         }
-        let cell = |i: usize, weight: f32, product: f32| Cell { at: first + i, weight, product };
+        let at = |i: usize| At { row: row as u32, column: (first + i) as u32 };
+        let cell = |i: usize, weight: f32, product: f32| Cell { at: at(i), weight, product };
         let Some((_, value)) = starts.first() else {
             self.cells.extend(values.iter().enumerate().map(|(i, v)| cell(i, weight, weight * v)));
             return;
         };
-        let end = first + values.len();
-        self.runs.push(Run { first, end, weight, product: weight * value });
+        self.runs.push(Run { first: at(0), len: values.len(), weight, product: weight * value });
         for two in starts.windows(2) {
-            self.steps.push(Step { at: first + two[1].0, end, product: weight * (two[1].1 - two[0].1) });
+            let product = weight * (two[1].1 - two[0].1);
+            self.steps.push(Step { at: at(two[1].0), len: values.len() - two[1].0, product });
         }
         for (k, &(start, value)) in starts.iter().enumerate() {
             let end = starts.get(k + 1).map_or(values.len(), |next| next.0);
@@ -105,10 +129,12 @@ impl Outline {
     #[inline(always)]
     fn add_scores(&self, picture: &Picture, corner: usize, out: &mut [f32; LANES]) {
         let (mut s1, mut s2, mut st) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        let stride = picture.stride;
         let (values, sums, squares) = (&picture.values[corner..], &picture.sums[corner..], &picture.squares[corner..]);
         for r in &self.runs {
-            let (a, b) = (lanes(sums, r.first), lanes(sums, r.end));
-            let (c, d) = (lanes(squares, r.first), lanes(squares, r.end));
+            let (first, end) = (r.first.behind(stride), r.first.behind(stride) + r.len);
+            let (a, b) = (lanes(sums, first), lanes(sums, end));
+            let (c, d) = (lanes(squares, first), lanes(squares, end));
             for i in 0..LANES {
                 let sum = b[i] - a[i];
                 s1[i] += r.weight * sum;
@@ -117,13 +143,14 @@ impl Outline {
             }
         }
         for s in &self.steps {
-            let (a, b) = (lanes(sums, s.at), lanes(sums, s.end));
+            let at = s.at.behind(stride);
+            let (a, b) = (lanes(sums, at), lanes(sums, at + s.len));
             for i in 0..LANES {
                 st[i] += s.product * (b[i] - a[i]);
             }
         }
         for c in &self.cells {
-            let v = lanes(values, c.at);
+            let v = lanes(values, c.at.behind(stride));
             for i in 0..LANES {
                 s1[i] += c.weight * v[i];
                 s2[i] += c.weight * v[i] * v[i];
@@ -131,7 +158,7 @@ impl Outline {
             }
         }
         for c in &self.over {
-            let v = lanes(values, c.at);
+            let v = lanes(values, c.at.behind(stride));
             for i in 0..LANES {
                 st[i] += c.product * v[i];
             }
@@ -147,6 +174,71 @@ impl Outline {
 #[inline(always)]
 fn lanes(values: &[f32], at: usize) -> [f32; LANES] {
     *values[at..].first_chunk().expect("rows end in room for the lanes")
+}
+
+/// A template ready to be compared.
+#[derive(Clone, Debug)]
+pub struct Matcher {
+    pub width: usize,
+    pub height: usize,
+    /// The value whose centre is the reference point.
+    reference: [i64; 2],
+    /// The whole template, or each of its sectors.
+    outlines: Vec<Outline>,
+}
+
+impl Matcher {
+    pub fn of(t: &Template) -> Matcher {
+        let outlines = if t.parts.is_empty() {
+            vec![Outline::of(t, t, 1.0)]
+        } else {
+            t.parts.iter().map(|(share, part)| Outline::of(t, part, *share)).collect()
+        };
+        Matcher { width: t.width, height: t.height, reference: t.reference, outlines }
+    }
+
+    /// To be compared with `grey` at places that are asked for row by row.
+    pub fn over(&self, grey: &Grey) -> Scores<'_> {
+        Scores { matcher: self, picture: Picture::of(grey), width: grey.width, height: grey.height }
+    }
+}
+
+/// How well a template fits: its correlation with the values under it, or the mean of its sectors' correlations by their shares.
+pub struct Scores<'a> {
+    matcher: &'a Matcher,
+    picture: Picture,
+    width: usize,
+    height: usize,
+}
+
+impl Scores<'_> {
+    /// With the template's reference value on the values from (x, y) on along a row; −1 where the template does not lie inside.
+    pub fn row(&self, x: i64, y: i64, out: &mut [f32]) {
+        out.fill(-1.0);
+        let Matcher { width, height, reference, outlines } = self.matcher;
+        let corner = y - reference[1];
+        if corner < 0 || corner as usize + height > self.height {
+            return;
+        }
+        // Columns of the template's corner, first and end.
+        let first = (x - reference[0]).max(0);
+        let end = (x - reference[0] + out.len() as i64).min(self.width as i64 - *width as i64 + 1);
+        if first >= end {
+            return;
+        }
+        let out = &mut out[(first + reference[0] - x) as usize..][..(end - first) as usize];
+        let corner = corner as usize * self.picture.stride + first as usize;
+        widest(Row { picture: &self.picture, outlines, corner, out });
+    }
+
+    /// `width` × `height` of them, from (x, y) on, row by row.
+    pub fn all(&self, [x, y]: [i64; 2], width: usize, height: usize) -> Vec<f32> {
+        let mut scores = vec![-1.0f32; width * height];
+        for (j, row) in scores.chunks_exact_mut(width.max(1)).enumerate() {
+            self.row(x, y + j as i64, row);
+        }
+        scores
+    }
 }
 
 /// Values about their mean, and sums of them and of their squares from the start of each row up to each value.
@@ -181,35 +273,6 @@ impl Picture {
     }
 }
 
-/// Scores of the template, as [`super::search::score_at`] gives them, with its reference value on each value of the picture from
-/// (x, y) on, `width` × `height` of them, row by row; −1 where the template does not lie inside.
-pub fn correlate(grey: &Grey, t: &Template, [x, y]: [i64; 2], width: usize, height: usize) -> Vec<f32> {
-    let mut scores = vec![-1.0f32; width * height];
-    // Places of the template's corner, first and end, along both axes.
-    let range = |from: i64, count: usize, reference: i64, size: usize, room: usize| {
-        let first = (from - reference).max(0);
-        (first as usize, (from - reference + count as i64).min(room as i64 - size as i64 + 1).max(first) as usize)
-    };
-    let (left, right) = range(x, width, t.reference[0], t.width, grey.width);
-    let (top, bottom) = range(y, height, t.reference[1], t.height, grey.height);
-    if left == right || top == bottom {
-        return scores;
-    }
-    let picture = Picture::of(grey);
-    let outlines: Vec<Outline> = if t.parts.is_empty() {
-        vec![Outline::of(t, t, 1.0, picture.stride)]
-    } else {
-        t.parts.iter().map(|(share, part)| Outline::of(t, part, *share, picture.stride)).collect()
-    };
-    let first = (left as i64 + t.reference[0] - x) as usize;
-    for corner in top..bottom {
-        let row = (corner as i64 + t.reference[1] - y) as usize * width;
-        let out = &mut scores[row + first..][..right - left];
-        widest(Row { picture: &picture, outlines: &outlines, corner: corner * picture.stride + left, out });
-    }
-    scores
-}
-
 /// A row of places, the first with the template's corner at `corner`.
 struct Row<'a> {
     picture: &'a Picture,
@@ -236,11 +299,33 @@ impl Kernel for Row<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::film::search::score_at;
     use crate::film::template::{Model, draw};
     use crate::film::types::MarkKind;
 
-    fn is_the_single_scores(kind: MarkKind, px_per_mm: f64) {
+    /// What a score is, for one place: `None` where the template does not lie inside.
+    fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
+        let inside = |at: i64, k: usize, size: usize, room: usize| {
+            (0..=room as i64 - size as i64).contains(&(at - t.reference[k]))
+        };
+        if !inside(x, 0, t.width, grey.width) || !inside(y, 1, t.height, grey.height) {
+            return None;
+        }
+        if !t.parts.is_empty() {
+            return t.parts.iter().map(|(share, part)| Some(f64::from(*share) * score_at(grey, part, x, y)?)).sum();
+        }
+        let (left, top) = ((x - t.reference[0]) as usize, (y - t.reference[1]) as usize);
+        let (mut s1, mut s2, mut st) = (0.0f64, 0.0f64, 0.0f64);
+        for k in 0..t.values.len() {
+            let v = f64::from(grey.at(left + k % t.width, top + k / t.width));
+            let (value, weight) = (f64::from(t.values[k]), f64::from(t.weights[k]));
+            (s1, s2, st) = (s1 + weight * v, s2 + weight * v * v, st + weight * v * value);
+        }
+        let n = f64::from(t.weight_sum);
+        let variance = (s2 / n - (s1 / n).powi(2)).max(0.0) + f64::from(FLAT * FLAT);
+        Some(st / n / variance.sqrt())
+    }
+
+    fn are_the_single_scores(kind: MarkKind, px_per_mm: f64) {
         let template = draw(&Model::Drawn(kind), [px_per_mm, 1.0, -1.0, -px_per_mm], 1.0, None).expect("has contrast");
         let (width, height) = (template.width + 21, template.height + 9);
         // Grain around two levels, as the opaque frame and the image beside it.
@@ -253,23 +338,22 @@ mod tests {
         let grey = Grey { width, height, data, origin: [0, 0], factor: 1 };
         // Also beyond the picture, as a place near its edge asks.
         let (from, wide, high) = ([-3, 2], width + 5, height + 1);
-        let scores = correlate(&grey, &template, from, wide, high);
+        let scores = Matcher::of(&template).over(&grey).all(from, wide, high);
+        let mut inside = 0;
         for (n, dense) in scores.into_iter().enumerate() {
             let (x, y) = (from[0] + (n % wide) as i64, from[1] + (n / wide) as i64);
-            // Sectors alone may still lie inside where the whole template does not.
-            let inside = |at: i64, k: usize, size: usize, room: usize| {
-                (0..=room as i64 - size as i64).contains(&(at - template.reference[k]))
-            };
-            let whole = inside(x, 0, template.width, width) && inside(y, 1, template.height, height);
-            let one = if whole { score_at(&grey, &template, x, y).expect("it lies inside") } else { -1.0 };
+            let one = score_at(&grey, &template, x, y);
+            inside += usize::from(one.is_some());
+            let one = one.unwrap_or(-1.0);
             assert!((one - f64::from(dense)).abs() < 1e-3, "({x}, {y}): {one} and {dense}");
         }
+        assert_eq!(inside, 22 * 10);
     }
 
     #[test]
     fn the_dense_scores_are_the_single_ones() {
-        is_the_single_scores(MarkKind::Cross { arm_mm: 0.5, line_mm: 0.1, gap_mm: 0.0, lines_deg: 0.0 }, 20.0);
-        is_the_single_scores(MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None }, 30.0);
-        is_the_single_scores(MarkKind::Notch { width_mm: 3.0, depth_mm: 2.0 }, 6.0);
+        are_the_single_scores(MarkKind::Cross { arm_mm: 0.5, line_mm: 0.1, gap_mm: 0.0, lines_deg: 0.0 }, 20.0);
+        are_the_single_scores(MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None }, 30.0);
+        are_the_single_scores(MarkKind::Notch { width_mm: 3.0, depth_mm: 2.0 }, 6.0);
     }
 }

@@ -8,7 +8,8 @@ use super::constellation::{Assembly, assemble};
 use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
 use super::look::Measured;
 use super::search::{Peak, search};
-use super::template::{Model, Picture};
+use super::sketch::{Sketches, upright};
+use super::template::Model;
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
 use super::window::{around, open_scan};
 use crate::coords::PixelPoint;
@@ -138,6 +139,12 @@ impl Finder {
         &self.models[self.class[mark]]
     }
 
+    /// Shape → scan of a mark under a pose, alike for all that look alike.
+    pub(super) fn linear(&self, pose: &Pose, mark: usize) -> [f64; 4] {
+        let linear = pose.shape_linear(self.turns_deg[mark]);
+        if self.model(mark).is_alike_by_quarters() { upright(linear) } else { linear }
+    }
+
     /// The marks and the inner orientation of one scan. Finding nothing is no error: the status says so.
     ///
     /// # Errors
@@ -201,11 +208,11 @@ impl Finder {
         for growth in GROWTH {
             for pixel_um in self.pixel_sizes_um(source, options) {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
-                let mut slots: Vec<Slot> = vec![];
+                let (mut slots, mut sketches): (Vec<Slot>, _) = (vec![], Sketches::default());
                 for (turn_deg, mirrored) in self.orientations(options) {
                     let assumed = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
                     let peaks = (0..self.film.len())
-                        .map(|k| self.slot(source, &mut slots, k, &assumed, half_px))
+                        .map(|k| self.slot(source, &mut slots, &mut sketches, k, &assumed, half_px))
                         .collect::<Result<Vec<_>>>()?;
                     let Some(found) = assemble(&self.film, &peaks, &assumed) else { continue };
                     let chosen_only = keep_chosen(found, &peaks);
@@ -226,23 +233,27 @@ impl Finder {
     }
 
     /// The peaks of mark `k` under `assumed`, from a box searched before where shape and place are the same.
-    fn slot(
-        &self,
+    fn slot<'a>(
+        &'a self,
         source: &dyn RasterSource,
         slots: &mut Vec<Slot>,
+        sketches: &mut Sketches<'a>,
         k: usize,
         assumed: &Pose,
         half_px: f64,
     ) -> Result<Vec<Peak>> {
         let centre = assumed.apply(self.film[k]);
-        let linear = assumed.shape_linear(self.turns_deg[k]);
+        let linear = self.linear(assumed, k);
         let alike = |a: &[f64; 4], b: &[f64; 4]| {
             let unit = assumed.px_per_mm();
-            let close = |i: usize, sign: f64| (a[i] - sign * b[i]).abs() < 0.05 * unit;
-            let same_inward = close(1, 1.0) && close(3, 1.0);
-            let same_right = close(0, 1.0) && close(2, 1.0);
-            let flipped = close(0, -1.0) && close(2, -1.0);
-            same_inward && (same_right || (flipped && self.model(k).is_symmetric()))
+            let close = |i: usize, sign: f64| {
+                (a[i] - sign * b[i]).abs() < 0.05 * unit && (a[i + 2] - sign * b[i + 2]).abs() < 0.05 * unit
+            };
+            let model = self.model(k);
+            let right = close(0, 1.0) || (close(0, -1.0) && model.is_symmetric());
+            // A shape that quarters of a turn do not change lies mirrored as if turned over the other way.
+            let inward = close(1, 1.0) || (close(1, -1.0) && model.is_symmetric() && model.is_alike_by_quarters());
+            right && inward
         };
         let known = slots.iter().find(|s| {
             s.class == self.class[k] && alike(&s.linear, &linear) && distance(s.centre, centre) < 0.3 * s.half_px
@@ -253,7 +264,7 @@ impl Finder {
         // A wide mark needs room to be moved in.
         let half_px = half_px.max((self.model(k).radius_mm() + 0.03 * self.size_mm()) * assumed.px_per_mm());
         let peaks = match around(centre, half_px, half_px, &source.info().bounds()) {
-            Some(window) => search(source, window, &Picture::new(self.model(k), linear), PEAKS)?,
+            Some(window) => search(source, window, &sketches.of(self.model(k), linear).picture, PEAKS)?,
             None => vec![],
         };
         slots.push(Slot { class: self.class[k], linear, centre, half_px, peaks: peaks.clone() });

@@ -7,6 +7,7 @@ use super::frame::{FindOptions, Finder};
 use super::inner::{Pose, distance, fit_pose};
 use super::refine::{Refined, Refiner};
 use super::search::{Levels, Peak, climb, near, search, settle};
+use super::sketch::{Sketches, refined_mm};
 use super::template::{Model, Picture, draw, invert};
 use super::types::FrameResult;
 use super::window::{around, read_grey};
@@ -26,9 +27,6 @@ const LINE_PEAKS: usize = 12;
 /// What a place is worth less for lying as far from a sure prediction as marks may disagree, as a share of misfitting pixels: specks as
 /// large as a dot fit nearly as well as a dot that one of them covers in part.
 const ASTRAY: f64 = 0.05;
-/// Least squares of a whole mark reach so many times as far as the mark: to the corners of its box, or round marks.
-const REFINED: f64 = 1.5;
-const REFINED_ROUND: f64 = 1.02;
 /// How far a reference point may lie from where the shape puts it when the frame's other marks tell how the shape was drawn,
 /// millimetres and pixels, added. In made frames shapes keep to half a pixel.
 const POINT_MM: f64 = 0.015;
@@ -51,14 +49,14 @@ pub(super) struct Measured {
 }
 
 /// A mark of lines, drawn to be refined.
-struct Lines {
-    refiner: Refiner,
+struct Lines<'a> {
+    refiner: &'a Refiner,
     predicted: PixelPoint,
     /// How far marks may disagree, where others that agree put this one.
     tolerance_px: Option<f64>,
 }
 
-impl Lines {
+impl Lines<'_> {
     /// What a place is worth less for lying far from a sure prediction, as a share of misfitting pixels.
     fn doubt(&self, place: PixelPoint) -> f64 {
         self.tolerance_px.map_or(0.0, |t| ASTRAY * (distance(place, self.predicted) / t).powi(2))
@@ -75,8 +73,10 @@ impl Finder {
         result: &mut FrameResult,
     ) -> Result<()> {
         let mut pose = assembly.pose;
+        let sketches = &mut Sketches::default();
         let all = 0..self.film.len();
-        let mut measured = all.map(|k| self.measure(source, options, &pose, k, None)).collect::<Result<Vec<_>>>()?;
+        let mut measured =
+            all.map(|k| self.measure(source, options, sketches, &pose, k, None)).collect::<Result<Vec<_>>>()?;
         self.settle_points(source, &pose, &mut measured)?;
         let mut naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         // Under the names and the pose of those that agree, the others are looked for again.
@@ -87,7 +87,7 @@ impl Finder {
             for (k, slot) in measured.iter_mut().enumerate() {
                 let sound = slot.as_ref().is_some_and(|m| m.reason.is_none());
                 if (!sound || agreed.iter().all(|a| a.0 != k))
-                    && let Some(again) = self.measure(source, options, &pose, k, Some(NEAR_MM))?
+                    && let Some(again) = self.measure(source, options, sketches, &pose, k, Some(NEAR_MM))?
                 {
                     *slot = Some(again);
                 }
@@ -104,7 +104,7 @@ impl Finder {
     /// of a frame; a point that lies elsewhere is a speck or a scratch, and is looked for again where the shape puts it.
     fn settle_points(&self, source: &dyn RasterSource, pose: &Pose, measured: &mut [Option<Measured>]) -> Result<()> {
         let unit = pose.px_per_mm();
-        let linear = |k: usize| pose.shape_linear(self.turns_deg[k]);
+        let linear = |k: usize| self.linear(pose, k);
         // Point − shape in the shape's own axes, millimetres.
         let offset = |k: usize, m: &Measured| {
             let (body, inverse) = (m.body?, invert(linear(k))?);
@@ -167,16 +167,17 @@ impl Finder {
     }
 
     /// One mark under a pose that is known to a fraction of a millimetre.
-    fn measure(
-        &self,
+    fn measure<'a>(
+        &'a self,
         source: &dyn RasterSource,
         options: &FindOptions,
+        sketches: &mut Sketches<'a>,
         pose: &Pose,
         k: usize,
         near_mm: Option<f64>,
     ) -> Result<Option<Measured>> {
         let model = self.model(k);
-        let linear = pose.shape_linear(self.turns_deg[k]);
+        let linear = self.linear(pose, k);
         let predicted = pose.apply(self.film[k]);
         let unit = pose.px_per_mm();
         // A mark of lines may lie whole in the scan where its prediction does not quite.
@@ -192,18 +193,22 @@ impl Finder {
         if !inside {
             return self.point_only(source, model, linear, predicted, unit);
         }
-        let picture = Picture::new(model, linear);
+        let sketch = sketches.of(model, linear);
+        let picture = &sketch.picture;
         let reach_px = near_mm.unwrap_or(REACH_MM) * unit + 4.0;
         let of_lines = model.sectors_deg().and_then(|_| {
-            let refiner = Refiner::new(model, linear, refined_mm(model))?;
-            Some(Lines { refiner, predicted, tolerance_px: near_mm.map(|_| options.tolerance_px(pose)) })
+            Some(Lines {
+                refiner: sketch.refiner()?,
+                predicted,
+                tolerance_px: near_mm.map(|_| options.tolerance_px(pose)),
+            })
         });
         let body = if let Some(lines) = &of_lines {
-            self.lines(source, &picture, reach_px, lines)?
+            self.lines(source, picture, reach_px, lines)?
         } else if near_mm.is_some() {
-            near(source, predicted, &picture, reach_px, Levels::of(&picture).fine, 1)?.first().copied()
+            near(source, predicted, picture, reach_px, Levels::of(picture).fine, 1)?.first().copied()
         } else {
-            self.body(source, predicted, &picture)?
+            self.body(source, predicted, picture)?
         };
         let Some(body) = body else { return self.point_only(source, model, linear, predicted, unit) };
         Ok(Some(self.place(source, model, linear, &body, unit, of_lines)?))
@@ -329,11 +334,6 @@ impl Finder {
         measured.reason = (!reasons.is_empty()).then(|| reasons.join("; "));
         Ok(measured)
     }
-}
-
-/// How far the least squares of a whole mark reach.
-fn refined_mm(model: &Model) -> f64 {
-    model.radius_mm() * if model.sectors_deg().is_some() { REFINED_ROUND } else { REFINED }
 }
 
 /// Those that agree within `tolerance_px`; where fewer than three do, within three times as much.

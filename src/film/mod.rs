@@ -27,6 +27,7 @@ pub mod resample;
 pub mod roll;
 pub mod search;
 pub mod shape;
+mod sketch;
 pub mod spool;
 pub mod tables;
 pub mod template;

@@ -1,11 +1,6 @@
-//! Where in a window a mark may be: weighted normalised cross-correlation, coarse to fine.
-//!
-//! After J. P. Lewis, "Fast template matching", Vision Interface, 1995, with weights: what the mark does not describe (the
-//! image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is brightened
-//! or stretched, so dark frames need no equalisation first.
+//! Where in a window a mark may be: by correlation, coarse to fine.
 
-use super::correlate::correlate;
-use super::kernel::{Kernel, widest};
+use super::correlate::{FLAT, Matcher, Scores};
 use super::template::{Model, Picture, Template};
 use super::window::{Grey, around, read_grey};
 use crate::coords::PixelPoint;
@@ -22,13 +17,13 @@ pub struct Peak {
 }
 
 /// Smallest side of a coarse template, in values.
-const COARSE_PX: f64 = 20.0;
+const COARSE_PX: f64 = 16.0;
+/// So many times as many places as are wanted are taken from the coarse picture; the next finer one tells which are kept.
+const MORE: usize = 3;
 /// Largest side of the template that ranks the places of a search box, in values: enough to tell marks from clutter.
 const RANK_PX: f64 = 110.0;
 /// Largest side of the finest template, in values; finer levels add cost but no certainty.
 const FINE_PX: f64 = 230.0;
-/// Standard deviation of grey values, of white, below which a place is called flat: half an 8-bit level.
-pub(super) const FLAT: f32 = 0.002;
 /// Peaks below this are no marks.
 const LEAST_SCORE: f64 = 0.3;
 
@@ -73,36 +68,47 @@ impl Levels {
 /// Those of reading the scan.
 pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most: usize) -> Result<Vec<Peak>> {
     let levels = Levels::of(picture);
-    let Some(template) = picture.at(levels.coarse) else { return Ok(vec![]) };
+    let Some(matcher) = picture.at(levels.coarse) else { return Ok(vec![]) };
     let grey = read_around(source, window, picture.model, levels.coarse, levels.coarse)?;
-    if template.width > grey.width || template.height > grey.height {
+    if matcher.width > grey.width || matcher.height > grey.height {
         return Ok(vec![]);
     }
+    let cuts = cut(grey, picture.model);
+    let grey = &cuts[0];
     let mut scores = vec![-1.0f32; grey.data.len()];
-    for cut in cuts(picture.model) {
-        let now = correlate(&level_ground(&grey, *cut), template, [0, 0], grey.width, grey.height);
+    for cut in &cuts {
+        let now = matcher.over(cut).all([0, 0], grey.width, grey.height);
         scores.iter_mut().zip(now).for_each(|(b, n)| *b = b.max(n));
     }
-    let radius = (template.width.min(template.height) / 3).max(2);
-    let mut peaks = vec![];
-    for (x, y, _) in highest(&scores, grey.width, grey.height, radius, most) {
-        let start = grey.to_scan(x as f64 + 0.5, y as f64 + 0.5);
-        if let Some(peak) = settle(source, start, picture, levels.coarse, levels.rank)? {
-            peaks.push(peak);
+    let radius = (matcher.width.min(matcher.height) / 3).max(2);
+    // The best first; two coarse peaks can climb the same mark.
+    let place = |starts: Vec<PixelPoint>, from: u64, to: u64| -> Result<Vec<Peak>> {
+        let mut peaks = vec![];
+        for start in starts {
+            peaks.extend(settle(source, start, picture, from, to)?);
         }
+        peaks.sort_by(|a: &Peak, b| b.score.total_cmp(&a.score));
+        let mut kept: Vec<Peak> = vec![];
+        for peak in peaks {
+            let apart =
+                |k: &Peak| (k.centre.x - peak.centre.x).hypot(k.centre.y - peak.centre.y) > 2.0 * levels.coarse as f64;
+            if kept.iter().all(apart) {
+                kept.push(peak);
+            }
+        }
+        kept.truncate(most);
+        Ok(kept)
+    };
+    let highest = highest(&scores, grey.width, grey.height, radius, MORE * most);
+    let starts = highest.into_iter().map(|(x, y, _)| grey.to_scan(x as f64 + 0.5, y as f64 + 0.5)).collect();
+    let finer = (levels.coarse / 2).max(levels.rank);
+    let mut peaks = place(starts, levels.coarse, finer)?;
+    if finer > levels.rank {
+        peaks = place(peaks.iter().map(|p| p.centre).collect(), finer, levels.rank)?;
     }
     source.release(window);
-    peaks.sort_by(|a: &Peak, b| b.score.total_cmp(&a.score));
-    // Two coarse peaks can climb the same mark.
-    let mut kept: Vec<Peak> = vec![];
-    for peak in peaks {
-        let apart =
-            |k: &Peak| (k.centre.x - peak.centre.x).hypot(k.centre.y - peak.centre.y) > 2.0 * levels.coarse as f64;
-        if peak.score >= LEAST_SCORE && kept.iter().all(apart) {
-            kept.push(peak);
-        }
-    }
-    Ok(kept)
+    peaks.retain(|p| p.score >= LEAST_SCORE);
+    Ok(peaks)
 }
 
 /// Reads a window for comparing at decimations from `factor` to `coarsest`, with room beyond the scan's edge for marks of lines: what
@@ -132,8 +138,7 @@ pub fn settle(
     let mut level = from.max(to);
     let mut best: Option<(Peak, Grey)> = None;
     // The cut that shows the mark best at the first level is kept.
-    for cut in cuts(picture.model) {
-        let grey = level_ground(&finest, *cut);
+    for grey in cut(finest, picture.model) {
         let peak = picture.at(level).and_then(|t| ascend(&grey.decimated((level / to) as usize), t, start));
         if let Some(peak) = peak.filter(|p| best.as_ref().is_none_or(|b| p.score > b.0.score)) {
             best = Some((peak, grey));
@@ -155,19 +160,16 @@ const LOOK: usize = 2;
 
 /// Walks uphill from `start` until no place within two values is better, not further than seven values; then to a
 /// fraction by the parabola through the neighbours. `None` when the template does not lie inside at the start.
-pub fn ascend(grey: &Grey, template: &Template, start: PixelPoint) -> Option<Peak> {
+pub fn ascend(grey: &Grey, matcher: &Matcher, start: PixelPoint) -> Option<Peak> {
     let [x0, y0] = grey.from_scan(start).map(|v| v.floor() as i64 - (FIELD / 2) as i64);
-    let mut known: [Option<Option<f64>>; FIELD * FIELD] = [None; FIELD * FIELD];
-    let mut at = |i: usize, j: usize| {
-        *known[j * FIELD + i].get_or_insert_with(|| score_at(grey, template, x0 + i as i64, y0 + j as i64))
-    };
+    let mut field = Field { scores: matcher.over(grey), x0, y0, rows: [None; FIELD] };
     let (mut i, mut j) = (FIELD / 2, FIELD / 2);
     let mut best = f64::MIN;
     loop {
         let (ci, cj) = (i, j);
         for n in cj.saturating_sub(LOOK)..=(cj + LOOK).min(FIELD - 1) {
             for m in ci.saturating_sub(LOOK)..=(ci + LOOK).min(FIELD - 1) {
-                if let Some(score) = at(m, n).filter(|s| *s > best) {
+                if let Some(score) = field.at(m, n).filter(|s| *s > best) {
                     (best, i, j) = (score, m, n);
                 }
             }
@@ -176,16 +178,36 @@ pub fn ascend(grey: &Grey, template: &Template, start: PixelPoint) -> Option<Pea
             break;
         }
     }
-    let score = at(i, j)?;
+    let score = field.at(i, j)?;
     let mut side = |di: i64, dj: i64| {
         let (m, n) = (i as i64 + di, j as i64 + dj);
         let inside = (0..FIELD as i64).contains(&m) && (0..FIELD as i64).contains(&n);
-        if inside { at(m as usize, n as usize) } else { None }
+        if inside { field.at(m as usize, n as usize) } else { None }
     };
     let dx = parabola(side(-1, 0), score, side(1, 0));
     let dy = parabola(side(0, -1), score, side(0, 1));
     let (x, y) = ((x0 + i as i64) as f64 + 0.5 + dx, (y0 + j as i64) as f64 + 0.5 + dy);
     Some(Peak { centre: grey.to_scan(x, y), score })
+}
+
+/// Scores around a place, a row at a time where one of it is wanted.
+struct Field<'a> {
+    scores: Scores<'a>,
+    x0: i64,
+    y0: i64,
+    rows: [Option<[f32; FIELD]>; FIELD],
+}
+
+impl Field<'_> {
+    /// `None` where the template does not lie inside.
+    fn at(&mut self, i: usize, j: usize) -> Option<f64> {
+        let row = self.rows[j].get_or_insert_with(|| {
+            let mut row = [-1.0; FIELD];
+            self.scores.row(self.x0, self.y0 + j as i64, &mut row);
+            row
+        });
+        Some(f64::from(row[i])).filter(|s| *s > -1.0)
+    }
 }
 
 /// Where between −½ and ½ the parabola through three neighbouring scores is highest.
@@ -212,15 +234,14 @@ pub fn near(
     let (half, out, inward) = picture.model.reach_mm();
     let half = half.max(out).max(inward) * picture.px_per_mm() * 1.05 + reach_px + 4.0 * level as f64;
     let Some(window) = around(predicted, half, half, &source.info().bounds()) else { return Ok(vec![]) };
-    let Some(template) = picture.at(level) else { return Ok(vec![]) };
+    let Some(matcher) = picture.at(level) else { return Ok(vec![]) };
     let read = read_around(source, window, picture.model, level, level)?;
     let reach = (reach_px / level as f64).ceil() as usize + 1;
     let side = 2 * reach + 1;
     let mut peaks: Vec<Peak> = vec![];
-    for cut in cuts(picture.model) {
-        let grey = level_ground(&read, *cut);
+    for grey in cut(read, picture.model) {
         let [x0, y0] = grey.from_scan(predicted).map(|v| v.floor() as i64 - reach as i64);
-        let scores = correlate(&grey, template, [x0, y0], side, side);
+        let scores = matcher.over(&grey).all([x0, y0], side, side);
         for (i, j) in (1..side - 1).flat_map(|j| (1..side - 1).map(move |i| (i, j))) {
             // −1: the template does not lie inside.
             let at =
@@ -249,127 +270,52 @@ pub fn climb(
     reach: i64,
     doubt: impl Fn(PixelPoint) -> f64,
 ) -> Option<Peak> {
-    let [x, y] = grey.from_scan(start).map(|v| v.floor() as i64);
-    let at = |x: i64, y: i64| score_at(grey, template, x, y);
-    let mut best = (x, y, f64::MIN, f64::MIN);
-    for dy in -reach..=reach {
-        for dx in -reach..=reach {
-            let Some(s) = at(x + dx, y + dy) else { continue };
-            let worth = s - doubt(grey.to_scan((x + dx) as f64 + 0.5, (y + dy) as f64 + 0.5));
-            if worth > best.3 {
-                best = (x + dx, y + dy, s, worth);
-            }
+    // One value more on every side, for the parabola.
+    let [x0, y0] = grey.from_scan(start).map(|v| v.floor() as i64 - reach - 1);
+    let side = (2 * reach + 3) as usize;
+    let scores = Matcher::of(template).over(grey).all([x0, y0], side, side);
+    let at = |i: usize, j: usize| Some(f64::from(scores[j * side + i])).filter(|s| *s > -1.0);
+    let place = |i: usize, j: usize, dx: f64, dy: f64| {
+        grey.to_scan((x0 + i as i64) as f64 + 0.5 + dx, (y0 + j as i64) as f64 + 0.5 + dy)
+    };
+    let mut best: Option<(usize, usize, f64, f64)> = None;
+    for (i, j) in (1..side - 1).flat_map(|j| (1..side - 1).map(move |i| (i, j))) {
+        let Some(score) = at(i, j) else { continue };
+        let worth = score - doubt(place(i, j, 0.0, 0.0));
+        if best.is_none_or(|b| worth > b.3) {
+            best = Some((i, j, score, worth));
         }
     }
-    let (x, y, score, worth) = best;
-    if worth == f64::MIN {
-        return None;
-    }
-    let dx = parabola(at(x - 1, y), score, at(x + 1, y));
-    let dy = parabola(at(x, y - 1), score, at(x, y + 1));
-    Some(Peak { centre: grey.to_scan(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy), score })
+    let (i, j, score, _) = best?;
+    let dx = parabola(at(i - 1, j), score, at(i + 1, j));
+    let dy = parabola(at(i, j - 1), score, at(i, j + 1));
+    Some(Peak { centre: place(i, j, dx, dy), score })
 }
 
-/// How well the template fits with its reference value on value (x, y): its correlation, or the mean of its sectors'
-/// correlations by their shares. `None` when the template does not lie inside.
-pub fn score_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
-    if t.parts.is_empty() {
-        return correlation_at(grey, t, x, y);
+/// The picture as each of the ways of cutting shows it. Values are cut above a level a little brighter than the opaque frame for marks
+/// whose transparent parts show the image: what lies behind them (snow beside rock) then hardly counts. The level is a share of the way
+/// from the dark peak of the histogram to the bright side: the soft form of the 2017 thesis's threshold in the valley after the dark
+/// peak. Unlike a threshold it keeps the edges' positions, and it needs no second attempt with equalisation where there is no valley.
+fn cut(grey: Grey, model: &Model) -> Vec<Grey> {
+    if !(model.is_drawn() && model.shows_image()) || grey.data.is_empty() {
+        return vec![grey];
     }
-    let mut score = 0.0;
-    for (share, part) in &t.parts {
-        score += f64::from(*share) * correlation_at(grey, part, x, y)?;
-    }
-    Some(score)
-}
-
-fn correlation_at(grey: &Grey, t: &Template, x: i64, y: i64) -> Option<f64> {
-    let (left, top) = (x - t.reference[0], y - t.reference[1]);
-    let inside =
-        left >= 0 && top >= 0 && left as usize + t.width <= grey.width && top as usize + t.height <= grey.height;
-    if !inside {
-        return None;
-    }
-    Some(widest(Single { grey, t, left: left as usize, top: top as usize }))
-}
-
-/// The correlation with the template's corner on one value.
-struct Single<'a> {
-    grey: &'a Grey,
-    t: &'a Template,
-    left: usize,
-    top: usize,
-}
-
-impl Kernel for Single<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn run(self) -> f64 {
-        let Single { grey, t, left, top } = self;
-        // About a value of the patch, so that squares lose no digits.
-        let base = grey.at(left + t.width / 2, top + t.height / 2);
-        let (mut s1, mut s2, mut st) = (0.0f64, 0.0f64, 0.0f64);
-        for j in 0..t.height {
-            let row = &grey.data[(top + j) * grey.width + left..][..t.width];
-            let values = &t.values[j * t.width..][..t.width];
-            let weights = &t.weights[j * t.width..][..t.width];
-            let (mut a, mut b, mut c) = ([0.0f32; 8], [0.0f32; 8], [0.0f32; 8]);
-            let ((r8, r), (v8, v), (w8, w)) = (row.as_chunks::<8>(), values.as_chunks::<8>(), weights.as_chunks::<8>());
-            for k in 0..r8.len() {
-                add_products(base, [&r8[k], &v8[k], &w8[k]], [&mut a, &mut b, &mut c]);
-            }
-            if !r.is_empty() {
-                // Filled up with values of no weight.
-                let (mut r8, mut v8, mut w8) = ([base; 8], [0.0; 8], [0.0; 8]);
-                for i in 0..r.len() {
-                    (r8[i], v8[i], w8[i]) = (r[i], v[i], w[i]);
-                }
-                add_products(base, [&r8, &v8, &w8], [&mut a, &mut b, &mut c]);
-            }
-            s1 += f64::from(a.iter().sum::<f32>());
-            s2 += f64::from(b.iter().sum::<f32>());
-            st += f64::from(c.iter().sum::<f32>());
-        }
-        let n = f64::from(t.weight_sum);
-        let variance = (s2 / n - (s1 / n).powi(2)).max(0.0) + f64::from(FLAT * FLAT);
-        st / n / variance.sqrt()
-    }
-}
-
-/// Adds weighted values, their squares and their products with the template's.
-#[inline(always)]
-fn add_products(base: f32, [row, values, weights]: [&[f32; 8]; 3], [a, b, c]: [&mut [f32; 8]; 3]) {
-    for i in 0..8 {
-        let d = row[i] - base;
-        let wd = weights[i] * d;
-        a[i] += wd;
-        b[i] += wd * d;
-        c[i] += wd * values[i];
-    }
-}
-
-/// Cuts values above a level a little brighter than the opaque frame, for marks whose transparent parts show the image: what
-/// lies behind them (snow beside rock) then hardly counts. The level is a share of the way from the dark peak of the
-/// histogram to the bright side: the soft form of the 2017 thesis's threshold in the valley after the dark peak. Unlike a
-/// threshold it keeps the edges' positions, and it needs no second attempt with equalisation where there is no valley.
-pub fn level_ground(grey: &Grey, cut: Option<f32>) -> Grey {
-    let mut levelled = grey.clone();
-    let Some(cut) = cut.filter(|_| !grey.data.is_empty()) else { return levelled };
     let mut sample: Vec<f32> = grey.data.iter().step_by(grey.data.len().div_ceil(4_000)).copied().collect();
-    sample.sort_unstable_by(f32::total_cmp);
-    let at = |share: f64| sample[((sample.len() - 1) as f64 * share) as usize];
+    let mut at = |share: f64| {
+        let k = ((sample.len() - 1) as f64 * share) as usize;
+        *sample.select_nth_unstable_by(k, f32::total_cmp).1
+    };
     let (dark, bright) = (at(0.05), at(0.75));
-    let limit = dark + (cut * (bright - dark)).max(8.0 * FLAT);
-    levelled.data.iter_mut().for_each(|v| *v = v.min(limit));
-    levelled
+    let below = |share: f32| {
+        let limit = dark + (share * (bright - dark)).max(8.0 * FLAT);
+        Grey { data: grey.data.iter().map(|v| v.min(limit)).collect(), ..grey }
+    };
+    CUTS.map(below).to_vec()
 }
 
 /// Where values are cut between dark and bright, each tried. The lower takes uneven ground away; the upper stays above the
 /// bands and the grain of very dark frames, which reach further into the opaque frame than a third of the way.
-fn cuts(model: &Model) -> &'static [Option<f32>] {
-    if model.is_drawn() && model.shows_image() { &[Some(0.35), Some(0.8)] } else { &[None] }
-}
+const CUTS: [f32; 2] = [0.35, 0.8];
 
 /// The highest local maxima, no two within `radius`, best first.
 fn highest(scores: &[f32], width: usize, height: usize, radius: usize, most: usize) -> Vec<(usize, usize, f32)> {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::correlate::Matcher;
 use super::shape::{self, Outlines, Tone};
 use super::types::MarkKind;
 use crate::error::{Error, Result};
@@ -140,6 +141,11 @@ impl Model {
         }
     }
 
+    /// Whether a quarter of a turn changes nothing.
+    pub fn is_alike_by_quarters(&self) -> bool {
+        self.sectors_deg().is_some()
+    }
+
     /// See [`shape::point_radius_mm`].
     pub fn point_radius_mm(&self) -> Option<f64> {
         match self {
@@ -211,7 +217,7 @@ const COARSEST: usize = 6;
 pub struct Picture<'a> {
     pub model: &'a Model,
     pub linear: Linear,
-    levels: [OnceCell<Option<Template>>; COARSEST + 1],
+    levels: [OnceCell<Option<Matcher>>; COARSEST + 1],
 }
 
 impl<'a> Picture<'a> {
@@ -224,9 +230,10 @@ impl<'a> Picture<'a> {
     }
 
     /// At one value per `factor` pixels, a power of two up to 64; `None` as for [`draw`].
-    pub fn at(&self, factor: u64) -> Option<&Template> {
+    pub fn at(&self, factor: u64) -> Option<&Matcher> {
         let level = (factor.trailing_zeros() as usize).min(COARSEST);
-        self.levels[level].get_or_init(|| draw(self.model, self.linear, (1u64 << level) as f64, None)).as_ref()
+        let matcher = || draw(self.model, self.linear, (1u64 << level) as f64, None).map(|t| Matcher::of(&t));
+        self.levels[level].get_or_init(matcher).as_ref()
     }
 }
 

@@ -351,12 +351,15 @@ pub(super) fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) 
     if width == 0 || height == 0 {
         return;
     }
+    widest(Blur { values, width, height, kernel: &gaussian(sigma) });
+}
+
+/// Weights of a Gaussian of standard deviation `sigma` values, from its middle outwards; both sides are the same.
+pub(super) fn gaussian(sigma: f64) -> Vec<f32> {
     let reach = (3.0 * sigma).ceil() as i64;
     let weight = |k: i64| (-0.5 * (k as f64 / sigma).powi(2)).exp();
     let total: f64 = (-reach..=reach).map(weight).sum();
-    // From the middle outwards; both sides are the same.
-    let kernel: Vec<f32> = (0..=reach).map(|k| (weight(k) / total) as f32).collect();
-    widest(Blur { values, width, height, kernel: &kernel });
+    (0..=reach).map(|k| (weight(k) / total) as f32).collect()
 }
 
 struct Blur<'a> {
@@ -395,14 +398,14 @@ impl Kernel for Blur<'_> {
 }
 
 #[inline(always)]
-fn scale(out: &mut [f32], by: f32) {
+pub(super) fn scale(out: &mut [f32], by: f32) {
     for o in out {
         *o *= by;
     }
 }
 
 #[inline(always)]
-fn add_weighted(out: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
+pub(super) fn add_weighted(out: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
     let (a, b) = (&a[..out.len()], &b[..out.len()]);
     for i in 0..out.len() {
         out[i] += weight * (a[i] + b[i]);

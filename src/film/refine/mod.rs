@@ -5,6 +5,7 @@
 //! A. Gruen, "Adaptive least squares correlation", South African Journal of Photogrammetry, 1985, with Tukey's biweight, so
 //! that scratches and dust take no part.
 
+mod drawing;
 mod fit;
 mod spread;
 mod surface;
@@ -40,12 +41,16 @@ const STEP_PX: f64 = 2e-3;
 const LARGE_PX: f64 = 25.0;
 const SPARSE: usize = 5;
 const SPARSE_STEP_PX: f64 = 0.05;
+/// Steps that shrink by a factor between these, one after the other in the same direction, are taken to go on shrinking so.
+const SHRINKING: std::ops::Range<f64> = 0.3..0.8;
 
 /// Marks of lines that fit worse are looked at from around, how far around, pixels, and by how much another place must fit better: a
 /// scratch along a line holds the centre where only that line fits.
 const DAMAGED: f64 = 0.03;
 const AROUND_PX: f64 = 2.0;
 const CLEARLY: f64 = 0.01;
+/// How far the misfit of some of the pixels may be from that of all.
+const ROUGHLY: f64 = 0.05;
 
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
@@ -69,7 +74,7 @@ impl Refiner {
     /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away. Of
     /// several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
     pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
-        let Some(step) = self.around_px else { return self.settle(grey, start) };
+        let Some(step) = self.around_px else { return self.settle(grey, start, &|_, _| true) };
         let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
             let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
             PixelPoint { x: start.x + dx, y: start.y + dy }
@@ -87,9 +92,11 @@ impl Refiner {
     ) -> Option<(usize, Refined)> {
         let mut best: Option<(usize, Refined, f64)> = None;
         for (k, start) in starts.iter().enumerate() {
-            let Some(r) = self.settle(grey, *start).filter(|r| r.contrast > 0.0) else { continue };
+            let most = best.as_ref().map_or(f64::INFINITY, |b| b.2 - CLEARLY);
+            let hopeful = |place: PixelPoint, misfit: f64| misfit + doubt(place) < most + ROUGHLY;
+            let Some(r) = self.settle(grey, *start, &hopeful).filter(|r| r.contrast > 0.0) else { continue };
             let misfit = r.misfit + doubt(r.centre);
-            if best.as_ref().is_none_or(|b| misfit < b.2 - CLEARLY) {
+            if misfit < most {
                 best = Some((k, r, misfit));
             }
             if misfit < DAMAGED {
@@ -99,14 +106,17 @@ impl Refiner {
         best.map(|(k, r, _)| (k, r))
     }
 
-    fn settle(&self, grey: &Grey, start: PixelPoint) -> Option<Refined> {
+    fn settle(&self, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
         if self.slopes {
-            widest(Descent::<6, 4> { surface: &self.surface, grey, start })
+            widest(Descent::<6, 4> { surface: &self.surface, grey, start, hopeful })
         } else {
-            widest(Descent::<4, 2> { surface: &self.surface, grey, start })
+            widest(Descent::<4, 2> { surface: &self.surface, grey, start, hopeful })
         }
     }
 }
+
+/// Whether a place with about so large a misfit is worth going on with.
+type Hopeful<'a> = dyn Fn(PixelPoint, f64) -> bool + 'a;
 
 /// Gauss-Newton with `N` unknowns: `M` levels and the centre.
 #[derive(Clone, Copy)]
@@ -114,6 +124,8 @@ struct Descent<'a, const N: usize, const M: usize> {
     surface: &'a Surface,
     grey: &'a Grey,
     start: PixelPoint,
+    /// Asked before all pixels are taken.
+    hopeful: &'a Hopeful<'a>,
 }
 
 impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
@@ -122,41 +134,58 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
     /// Of a large mark on some of its pixels while the centre still moves, then on all.
     #[inline(always)]
     fn run(self) -> Option<Refined> {
-        let Descent { surface, grey, start } = self;
+        let Descent { surface, grey, start, hopeful } = self;
         let mut c = grey.from_scan(start);
         let mut fit = Fit::<N, M>::default();
         let mut sparse = if surface.half_px() > LARGE_PX { SPARSE } else { 1 };
         let mut settled = None;
+        let mut last: Option<[f64; 2]> = None;
         for round in 0..MOST_ROUNDS {
             fit.gather(grey, surface, c, sparse);
             if fit.pixels() < 24 {
                 return None;
             }
             let (inverse, step) = fit.round()?;
-            let (dx, dy) = (step[M].clamp(-1.0, 1.0), step[M + 1].clamp(-1.0, 1.0));
-            c = [c[0] + dx, c[1] + dy];
+            let step = [M, M + 1].map(|k| step[k].clamp(-1.0, 1.0));
+            let size = step[0].hypot(step[1]);
+            let factor = last.map_or(1.0, |last| onward(last, step));
+            // After a longer step the next two tell anew.
+            last = (factor == 1.0).then_some(step);
+            c = [0, 1].map(|k| c[k] + factor * step[k]);
             let centre = grey.to_scan(c[0], c[1]);
-            if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !dx.is_finite() || !dy.is_finite() {
+            if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !size.is_finite() {
                 return None;
             }
             if sparse > 1 {
-                if dx.hypot(dy) < SPARSE_STEP_PX || round == MOST_ROUNDS / 2 {
-                    sparse = 1;
+                if size < SPARSE_STEP_PX || round == MOST_ROUNDS / 2 {
+                    if !hopeful(centre, fit.misfit()) {
+                        return None;
+                    }
+                    (sparse, last) = (1, None);
                 }
                 continue;
             }
             settled = Some((centre, inverse));
-            if dx.hypot(dy) < STEP_PX {
+            if size < STEP_PX {
                 break;
             }
         }
         let (centre, inverse) = settled?;
-        let variance = fit.sigma * fit.sigma;
+        let variance = fit.sigma() * fit.sigma();
         let covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
         let refined =
-            Refined { centre, covariance_px2, contrast: fit.levels[1], sigma: fit.sigma, misfit: fit.misfit() };
+            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit() };
         covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
     }
+}
+
+/// How many times as far as `step` the end is when steps shrink as from `last` to `step`: the sum of a geometric series. Weights that
+/// follow the residuals make the descent as slow as that.
+fn onward(last: [f64; 2], step: [f64; 2]) -> f64 {
+    let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
+    let shrunk = dot(last, step) / dot(last, last);
+    let straight = dot(last, step) > 0.9 * (dot(last, last) * dot(step, step)).sqrt();
+    if straight && SHRINKING.contains(&shrunk) { 1.0 / (1.0 - shrunk) } else { 1.0 }
 }
 
 #[cfg(test)]
@@ -193,7 +222,7 @@ mod tests {
         let grey = scanned(&model, linear, centre);
         let refiner = Refiner::new(&model, linear, 0.8).expect("a turn");
         let start = PixelPoint { x: 45.0, y: 45.0 };
-        let descent = Descent::<4, 2> { surface: &refiner.surface, grey: &grey, start };
+        let descent = Descent::<4, 2> { surface: &refiner.surface, grey: &grey, start, hopeful: &|_, _| true };
         let found = widest(descent).expect("settles");
         assert_eq!(Some(found), descent.run());
         // No scanner blurs this one: its edges, steeper than those of the model, count for little.

@@ -1,14 +1,21 @@
 //! The drawn mark under the pixels of a scan.
 
+// Lanes of several arrays side by side; closures would be calls, as they are compiled for any processor.
+#![allow(clippy::needless_range_loop)]
+
 use std::ops::Range;
 
+use super::drawing::{Drawing, LATTICE};
+use crate::film::kernel::{Kernel, widest};
 use crate::film::template::{Linear, Model, invert};
-use crate::film::window::blur;
+use crate::film::window::gaussian;
 
 /// Places drawn per pixel along each axis.
 const FINE: usize = 4;
 /// Blur of scanner and emulsion, pixels.
 const BLUR_PX: f64 = 0.7;
+/// What is so many steps of the lattice thick covers a place of it wherever it lies, dots as well.
+const THICK: f64 = 1.5;
 
 /// What the mark says about a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +24,14 @@ pub(super) enum Say {
     /// The opaque frame: value and derivatives are 0.
     Opaque,
     Shaped,
+}
+
+/// Neighbouring columns of which the mark says the same.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    first: u32,
+    end: u32,
+    say: Say,
 }
 
 /// The mark drawn finely and blurred, looked up between its values. Pixels lie [`FINE`] values apart, so that all of one row fall alike
@@ -30,13 +45,17 @@ pub(super) struct Surface {
     columns: usize,
     rows: usize,
     values: Vec<f32>,
-    /// Between a value, the next, and those below.
-    says: Vec<Say>,
+    /// What is said between a value, the next, and those below, of every row of every plane; what nothing is said of is left away.
+    runs: Vec<Run>,
+    runs_of: Vec<Range<u32>>,
 }
 
 /// A row of pixels on the surface.
 pub(super) struct Under<'a> {
-    pub says: &'a [Say],
+    pub count: usize,
+    runs: &'a [Run],
+    /// Column of the first pixel.
+    first: usize,
     /// Left and right above, left and right below.
     corners: [&'a [f32]; 4],
     fraction: [f64; 2],
@@ -49,9 +68,6 @@ pub(super) struct Phase {
     fraction: f64,
 }
 
-/// What is drawn at one fine place: the mark's value, and whether it is known.
-type Ink = (f32, bool);
-
 impl Surface {
     pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Surface> {
         let inverse = invert(linear)?;
@@ -59,7 +75,7 @@ impl Surface {
         let half = ((radius_mm * px_per_mm + 3.0) * FINE as f64).ceil() as usize;
         let width = 2 * half + 1;
         let pen = model.pen();
-        let ink = |x: usize, y: usize| -> Ink {
+        let ink = |x: usize, y: usize| {
             let (dx, dy) = ((x as f64 - half as f64) / FINE as f64, (y as f64 - half as f64) / FINE as f64);
             let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
             let sample = pen.sample(u, v);
@@ -67,8 +83,7 @@ impl Surface {
             (sample.map_or(0.0, |(value, _)| value), known)
         };
         let even_tells = model.thinnest_mm() * px_per_mm * FINE as f64 >= THICK * LATTICE as f64;
-        let (mut drawn, known) = if even_tells { by_lattice(width, ink) } else { place_by_place(width, ink) };
-        blur(&mut drawn, width, width, BLUR_PX * FINE as f64);
+        let drawing = if even_tells { Drawing::by_lattice(width, ink) } else { Drawing::place_by_place(width, ink) };
         let columns = width / FINE + 2;
         let mut surface = Surface {
             width,
@@ -76,33 +91,60 @@ impl Surface {
             columns,
             rows: columns,
             values: vec![0.0; FINE * FINE * columns * columns],
-            says: vec![Say::Nothing; FINE * FINE * columns * columns],
+            runs: vec![],
+            runs_of: vec![0..0; FINE * FINE * columns],
         };
-        for j in 0..width {
-            let row = &drawn[j * width..][..width];
-            for p in 0..FINE {
-                let to = surface.place(p, j);
-                let out = &mut surface.values[to..][..width / FINE + 1];
-                for (k, i) in (p..width).step_by(FINE).enumerate() {
-                    out[k] = row[i];
-                }
-            }
-            // Of the outermost values one neighbour is missing.
-            if j < 1 || j + 3 > width {
-                continue;
-            }
-            let below = &drawn[(j + 1) * width..][..width];
-            for i in (1..width - 2).filter(|i| known[j * width + i]) {
-                let to = surface.place(i, j);
-                let shaped = row[i] != 0.0 || row[i + 1] != 0.0 || below[i] != 0.0 || below[i + 1] != 0.0;
-                surface.says[to] = if shaped { Say::Shaped } else { Say::Opaque };
-            }
-        }
+        widest(Laid { surface: &mut surface, drawing });
         Some(surface)
     }
 
+    /// Deals row `j` of the fine values to its four planes.
+    #[inline(always)]
+    fn deal(&mut self, row: &[f32], j: usize) {
+        let (quads, rest) = row.as_chunks::<FINE>();
+        for p in 0..FINE {
+            let to = self.place(p, j);
+            let out = &mut self.values[to..][..quads.len() + 1];
+            for k in 0..quads.len() {
+                out[k] = quads[k][p];
+            }
+            if let Some(last) = rest.get(p) {
+                out[quads.len()] = *last;
+            }
+        }
+    }
+
+    /// Takes down what is said along row `j` of the fine values.
+    #[inline(always)]
+    fn note(&mut self, says: &[Say], j: usize) {
+        for p in 0..FINE {
+            let start = self.runs.len() as u32;
+            let mut run = Run { first: 0, end: 0, say: Say::Nothing };
+            for (k, say) in says.iter().skip(p).step_by(FINE).enumerate() {
+                if *say != run.say {
+                    if run.say != Say::Nothing {
+                        self.runs.push(run);
+                    }
+                    (run.first, run.say) = (k as u32, *say);
+                }
+                run.end = k as u32 + 1;
+            }
+            if run.say != Say::Nothing {
+                self.runs.push(run);
+            }
+            let plane = self.plane_row(p, j);
+            self.runs_of[plane] = start..self.runs.len() as u32;
+        }
+    }
+
+    #[inline(always)]
+    fn plane_row(&self, i: usize, j: usize) -> usize {
+        ((j % FINE) * FINE + i % FINE) * self.rows + j / FINE
+    }
+
+    #[inline(always)]
     fn place(&self, i: usize, j: usize) -> usize {
-        (((j % FINE) * FINE + i % FINE) * self.rows + j / FINE) * self.columns + i / FINE
+        self.plane_row(i, j) * self.columns + i / FINE
     }
 
     /// How far it reaches along both axes, pixels.
@@ -126,8 +168,11 @@ impl Surface {
         let room = self.columns.saturating_sub(i / FINE + 1);
         let count = count.saturating_sub(before).min(room);
         let row = |di: usize, dj: usize| &self.values[self.place(i + di, j + dj)..][..count];
+        let runs = self.runs_of[self.plane_row(i, j)].clone();
         let under = Under {
-            says: &self.says[self.place(i, j)..][..count],
+            count,
+            runs: &self.runs[runs.start as usize..runs.end as usize],
+            first: i / FINE,
             corners: [row(0, 0), row(1, 0), row(0, 1), row(1, 1)],
             fraction: [x.fraction, y.fraction],
         };
@@ -135,86 +180,71 @@ impl Surface {
     }
 }
 
+/// A drawing, blurred and laid into a surface.
+struct Laid<'a> {
+    surface: &'a mut Surface,
+    drawing: Drawing,
+}
+
+impl Kernel for Laid<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Laid { surface, mut drawing } = self;
+        let weights = gaussian(BLUR_PX * FINE as f64);
+        let near = drawing.blur_along(&weights);
+        let width = surface.width;
+        let (mut above, mut row, mut says) = (vec![0.0f32; width], vec![0.0f32; width], vec![Say::Nothing; width]);
+        for j in 0..width {
+            drawing.blur_across(&weights, &near, j, &mut row);
+            surface.deal(&row, j);
+            // Of the outermost values one neighbour is missing.
+            if j >= 2 && j + 1 < width {
+                let known = &drawing.known[(j - 1) * width..][..width];
+                let (left, right) = ([&above[..width], &row[..width]], [&above[1..width], &row[1..width]]);
+                for i in 1..width - 2 {
+                    // Without shortcuts, in lanes.
+                    let shaped =
+                        (left[0][i] != 0.0) | (left[1][i] != 0.0) | (right[0][i] != 0.0) | (right[1][i] != 0.0);
+                    let say = if shaped { Say::Shaped } else { Say::Opaque };
+                    says[i] = if known[i] { say } else { Say::Nothing };
+                }
+                surface.note(&says, j - 1);
+            }
+            std::mem::swap(&mut above, &mut row);
+        }
+    }
+}
+
 impl Under<'_> {
+    pub fn runs(&self) -> usize {
+        self.runs.len()
+    }
+
+    /// What is said along the `k`-th run, and of which of the pixels; of none where it lies beside them.
+    #[inline(always)]
+    pub fn run(&self, k: usize) -> (Say, Range<usize>) {
+        let run = &self.runs[k];
+        let within = |column: u32| (column as usize).saturating_sub(self.first).min(self.count);
+        (run.say, within(run.first)..within(run.end))
+    }
+
     /// Value and derivatives per pixel under the pixels `span`.
     #[inline(always)]
-    pub fn marks(&self, span: Range<usize>, [values, right, down]: [&mut [f64]; 3]) {
-        let [fx, fy] = self.fraction;
+    pub fn marks(&self, span: Range<usize>, [values, right, down]: [&mut [f32]; 3]) {
+        let (fx, fy) = (self.fraction[0] as f32, self.fraction[1] as f32);
         let n = span.len();
-        let [above, next, below, last] = self.corners.map(|row| &row[span.clone()][..n]);
+        let above = &self.corners[0][span.clone()][..n];
+        let next = &self.corners[1][span.clone()][..n];
+        let below = &self.corners[2][span.clone()][..n];
+        let last = &self.corners[3][span][..n];
         let (values, right, down) = (&mut values[..n], &mut right[..n], &mut down[..n]);
         for k in 0..n {
-            let [a, b, c, d] = [above[k], next[k], below[k], last[k]].map(f64::from);
+            let (a, b, c, d) = (above[k], next[k], below[k], last[k]);
             values[k] = (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (c * (1.0 - fx) + d * fx) * fy;
-            right[k] = ((b - a) * (1.0 - fy) + (d - c) * fy) * FINE as f64;
-            down[k] = ((c - a) * (1.0 - fx) + (d - b) * fx) * FINE as f64;
-        }
-    }
-}
-
-/// Places from one of the lattice to the next.
-const LATTICE: usize = 4;
-/// What is so many steps thick covers a place of the lattice wherever it lies, dots as well.
-const THICK: f64 = 1.5;
-/// How many steps of the lattice around a square must be alike before it is taken for alike: edges that meet at right angles or, as a
-/// notch's, a little sharper reach no square between without covering a place of the lattice so far around.
-const AROUND: usize = 2;
-
-fn place_by_place(width: usize, ink: impl Fn(usize, usize) -> Ink) -> (Vec<f32>, Vec<bool>) {
-    (0..width * width).map(|n| ink(n % width, n / width)).unzip()
-}
-
-/// The same for shapes with edges but no finer detail: only where an edge may be near is every place looked at.
-fn by_lattice(width: usize, ink: impl Fn(usize, usize) -> Ink) -> (Vec<f32>, Vec<bool>) {
-    let count = width.div_ceil(LATTICE);
-    let lattice: Vec<Ink> = (0..count * count).map(|n| ink(n % count * LATTICE, n / count * LATTICE)).collect();
-    let inner = AROUND..count.saturating_sub(AROUND + 1);
-    let alike = |x: usize, y: usize| {
-        let here = lattice[y * count + x];
-        let row = |j: usize| &lattice[j * count + x - AROUND..=j * count + x + 1 + AROUND];
-        inner.contains(&x)
-            && inner.contains(&y)
-            && (y - AROUND..=y + 1 + AROUND).all(|j| row(j).iter().all(|v| *v == here))
-    };
-    let (mut values, mut known) = (vec![0.0f32; width * width], vec![false; width * width]);
-    for y in 0..count {
-        for x in 0..count {
-            let even = alike(x, y).then(|| lattice[y * count + x]);
-            for j in y * LATTICE..((y + 1) * LATTICE).min(width) {
-                for i in x * LATTICE..((x + 1) * LATTICE).min(width) {
-                    (values[j * width + i], known[j * width + i]) = even.unwrap_or_else(|| ink(i, j));
-                }
-            }
-        }
-    }
-    (values, known)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::film::camera::builtin_cameras;
-
-    /// Every mark of the built-in cameras at several sizes and turns.
-    #[test]
-    fn what_the_lattice_leaves_out_is_as_if_looked_at() {
-        for camera in builtin_cameras() {
-            let model = Model::of(&camera.marks[0].kind).expect("drawn");
-            for (px_per_mm, turn) in [(25.0f64, 0.3f64), (54.0, 0.01), (73.0, 1.2)] {
-                let (s, c) = turn.sin_cos();
-                let inverse = invert([px_per_mm * c, -px_per_mm * s, px_per_mm * s, px_per_mm * c]).expect("a turn");
-                let (half, pen) = ((1.5 * model.radius_mm() * px_per_mm * FINE as f64) as usize, model.pen());
-                let ink = |x: usize, y: usize| {
-                    let (dx, dy) = ((x as f64 - half as f64) / FINE as f64, (y as f64 - half as f64) / FINE as f64);
-                    let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
-                    let sample = pen.sample(u, v);
-                    (sample.map_or(0.0, |s| s.0), sample.is_some())
-                };
-                let thick = model.thinnest_mm() * px_per_mm * FINE as f64 >= THICK * LATTICE as f64;
-                let width = 2 * half + 1;
-                let same = place_by_place(width, ink) == by_lattice(width, ink);
-                assert!(same || !thick, "{} at {px_per_mm} px a millimetre", camera.name);
-            }
+            right[k] = ((b - a) * (1.0 - fy) + (d - c) * fy) * FINE as f32;
+            down[k] = ((c - a) * (1.0 - fx) + (d - b) * fx) * FINE as f32;
         }
     }
 }
