@@ -20,8 +20,8 @@ use crate::error::{Error, Result};
 use crate::merge::RegionMerger;
 use crate::pipeline::pace::Pace;
 use crate::pipeline::plan::ScanPlan;
-use crate::pipeline::seams::{Seam, Seams};
-use crate::raster::{Block, Pixels, RasterInfo, RasterSource, ReadStats, View};
+use crate::pipeline::seams::{Seam, Seams, band_pool};
+use crate::raster::{Block, BufferPool, Pixels, RasterInfo, RasterSource, ReadStats, View};
 use crate::segment::label::{Labeller, Region, TileRegions};
 use crate::segment::mask::Mask;
 use crate::window::{Tile, Window};
@@ -231,9 +231,11 @@ fn scan_tiles(
                 }
             }
         });
+        let bands = band_pool(&plan.grid, detector.patch_margin_px(), source.info());
         for index in 0..plan.workers {
             let straddlers = straddlers.clone();
-            let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers };
+            let bands = bands.clone();
+            let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers, bands };
             let (tiles, outputs) = (tiles.clone(), output_sender.clone());
             spawn_named(scope, format!("worker {index}"), move || {
                 let _rest = pace.lifted_by_panic();
@@ -241,7 +243,7 @@ fn scan_tiles(
             });
         }
         drop((tiles, output_sender));
-        let mut collector = Collector::new(source, plan, detector, pace);
+        let mut collector = Collector::new(source, plan, detector, pace, bands);
         let result = collector.run(&outputs, &straddler_sender);
         // On an error the workers and the tiler must not wait for us for ever.
         stop.store(true, Ordering::Relaxed);
@@ -284,7 +286,13 @@ struct Collector<'a> {
 }
 
 impl<'a> Collector<'a> {
-    fn new(source: &'a dyn RasterSource, plan: &'a ScanPlan, detector: &'a dyn Detector, pace: &'a Pace) -> Self {
+    fn new(
+        source: &'a dyn RasterSource,
+        plan: &'a ScanPlan,
+        detector: &'a dyn Detector,
+        pace: &'a Pace,
+        bands: BufferPool,
+    ) -> Self {
         Collector {
             source,
             plan,
@@ -294,7 +302,7 @@ impl<'a> Collector<'a> {
             waiting: BTreeMap::new(),
             done: vec![false; plan.grid.len() as usize],
             next: 0,
-            seams: Seams::new(plan.grid, plan.seam_bytes),
+            seams: Seams::new(plan.grid, plan.seam_bytes, bands),
             pace,
         }
     }
@@ -404,6 +412,8 @@ struct Worker<'a> {
     in_order: &'a Mutex<()>,
     /// Regions whose surroundings reach over tiles that have all been read.
     straddlers: crossbeam_channel::Receiver<Straddler>,
+    /// For what is kept of tiles.
+    bands: BufferPool,
 }
 
 impl Worker<'_> {
@@ -463,7 +473,7 @@ impl Worker<'_> {
                 output.straddling.push(region);
             }
         }
-        output.seam = Seam::of_tile(block, tile, &output.straddling, &regions.open, self.detector, info);
+        output.seam = Seam::of_tile(block, tile, &output.straddling, &regions.open, self.detector, info, &self.bands);
         output.open = regions;
         debug_assert!(self.plan.grid.bounds() == info.bounds());
         output

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::scan::Detector;
-use crate::raster::{Block, Piece, PieceData, PooledBytes, RasterInfo};
+use crate::raster::{Block, BufferPool, Piece, PieceData, PooledBytes, RasterInfo, Samples};
 use crate::segment::label::Region;
 use crate::window::{Tile, TileGrid, Window};
 
@@ -29,6 +29,7 @@ impl Seam {
         open: &[Region],
         detector: &dyn Detector,
         info: &RasterInfo,
+        pool: &BufferPool,
     ) -> Seam {
         let (core, bounds, margin) = (tile.core, info.bounds(), detector.patch_margin_px());
         let largest = detector.largest_mark_px();
@@ -45,7 +46,7 @@ impl Seam {
         }
         let mut seam = Seam::default();
         for window in joined(wanted.into_iter().map(|window| window.intersect(&core))) {
-            seam.parts.push(part_of(block, window));
+            seam.parts.push(part_of(block, window, pool));
         }
         seam.bytes = bytes_in(&seam.parts);
         seam
@@ -83,50 +84,75 @@ fn faces(core: Window, bounds: Window, margin: u64) -> [Window; 4] {
     ]
 }
 
-/// The part of a block inside a window, in memory of its own.
-fn part_of(block: &Block, window: Window) -> Block {
-    Block { window, pieces: block.pieces.iter().filter_map(|piece| copied(piece, window)).collect() }
+/// Buffers for bands along the longer faces of a grid's tiles. Bands come and go with every tile: in buffers that are used again they
+/// need no memory that was not touched before, and leave no holes in it.
+pub(super) fn band_pool(grid: &TileGrid, margin_px: u64, info: &RasterInfo) -> BufferPool {
+    let longest = grid.tile_width().max(grid.tile_height());
+    let band_bytes = longest * margin_px * info.bands as u64;
+    BufferPool::new(4 * grid.columns() as usize, band_bytes as usize)
 }
 
-/// The part of a piece inside a window, in memory of its own.
-fn copied(piece: &Piece, window: Window) -> Option<Piece> {
-    let part = piece.window.intersect(&window);
-    if part.is_empty() {
-        return None;
-    }
-    if piece.empty {
-        return Some(Piece { window: part, ..piece.clone() });
-    }
-    let row_stride = part.width as usize * piece.pixel_stride;
-    let count = row_stride * part.height as usize;
-    let is_wide = matches!(piece.data, PieceData::U16(_));
-    let mut narrow = Vec::with_capacity(if is_wide { 0 } else { count });
-    let mut wide = Vec::with_capacity(if is_wide { count } else { 0 });
-    for y in part.y..part.bottom() {
-        // The last pixel of a row may end where the buffer does: the stride is filled up.
-        match piece.row(part.x, y, part.width).samples {
-            crate::raster::Samples::U8(row) => {
-                narrow.extend_from_slice(row);
-                narrow.resize((y - part.y + 1) as usize * row_stride, 0);
-            }
-            crate::raster::Samples::U16(row) => {
-                wide.extend_from_slice(row);
-                wide.resize((y - part.y + 1) as usize * row_stride, 0);
+/// The part of a block inside a window, in one buffer of its own, from the pool where that is about as large.
+fn part_of(block: &Block, window: Window, pool: &BufferPool) -> Block {
+    let parts: Vec<(&Piece, Window)> = block
+        .pieces
+        .iter()
+        .map(|piece| (piece, piece.window.intersect(&window)))
+        .filter(|(_, part)| !part.is_empty())
+        .collect();
+    let samples_in = |wide: bool| -> usize {
+        let held = parts.iter().filter(|(piece, _)| !piece.empty && is_wide(piece) == wide);
+        held.map(|(piece, part)| part.area() as usize * piece.pixel_stride).sum()
+    };
+    let room = pool.buffer_bytes();
+    let is_pooled = (room.div_ceil(2)..=room).contains(&samples_in(false));
+    let mut narrow = if is_pooled { pool.take(samples_in(false)) } else { Vec::with_capacity(samples_in(false)) };
+    narrow.clear();
+    let mut wide: Vec<u16> = Vec::with_capacity(samples_in(true));
+    let mut offsets = Vec::with_capacity(parts.len());
+    for (piece, part) in &parts {
+        offsets.push(if is_wide(piece) { wide.len() } else { narrow.len() });
+        if piece.empty {
+            continue;
+        }
+        let row_stride = part.width as usize * piece.pixel_stride;
+        for y in part.y..part.bottom() {
+            // The last pixel of a row may end where the buffer does: the stride is filled up.
+            match piece.row(part.x, y, part.width).samples {
+                Samples::U8(row) => {
+                    narrow.extend_from_slice(row);
+                    narrow.resize(narrow.len() + row_stride - row.len(), 0);
+                }
+                Samples::U16(row) => {
+                    wide.extend_from_slice(row);
+                    wide.resize(wide.len() + row_stride - row.len(), 0);
+                }
             }
         }
     }
-    let data = match piece.data {
-        PieceData::U16(_) => PieceData::U16(Arc::new(wide)),
-        _ => PieceData::U8(Arc::new(PooledBytes { bytes: narrow, home: None })),
-    };
-    Some(Piece { window: part, data, offset: 0, row_stride, pixel_stride: piece.pixel_stride, empty: false })
+    let narrow = if is_pooled { pool.share(narrow) } else { Arc::new(PooledBytes { bytes: narrow, home: None }) };
+    let wide = Arc::new(wide);
+    let pieces = parts.into_iter().zip(offsets).map(|((piece, part), offset)| {
+        if piece.empty {
+            return Piece { window: part, ..piece.clone() };
+        }
+        let data = if is_wide(piece) { PieceData::U16(wide.clone()) } else { PieceData::U8(narrow.clone()) };
+        let row_stride = part.width as usize * piece.pixel_stride;
+        Piece { window: part, data, offset, row_stride, ..*piece }
+    });
+    Block { window, pieces: pieces.collect() }
 }
 
+fn is_wide(piece: &Piece) -> bool {
+    matches!(piece.data, PieceData::U16(_))
+}
+
+/// What the parts hold; a part's pieces lie in one buffer, or in one of each kind.
 fn bytes_in(parts: &[Block]) -> u64 {
     let of_piece = |piece: &Piece| match &piece.data {
-        PieceData::U8(buffer) => buffer.bytes.len() as u64,
-        PieceData::U16(buffer) => 2 * buffer.len() as u64,
-        PieceData::Mapped(..) => 0,
+        _ if piece.empty => 0,
+        PieceData::U8(_) | PieceData::Mapped(..) => piece.window.area() * piece.pixel_stride as u64,
+        PieceData::U16(_) => 2 * piece.window.area() * piece.pixel_stride as u64,
     };
     parts.iter().flat_map(|part| &part.pieces).map(of_piece).sum()
 }
@@ -146,12 +172,13 @@ pub(super) struct Seams {
     kept: HashMap<u64, Seam>,
     bytes: u64,
     capacity_bytes: u64,
+    pool: BufferPool,
 }
 
 impl Seams {
     /// Keeps at most `capacity_bytes`; what does not fit is read from the file again.
-    pub fn new(grid: TileGrid, capacity_bytes: u64) -> Seams {
-        Seams { grid, kept: HashMap::new(), bytes: 0, capacity_bytes }
+    pub fn new(grid: TileGrid, capacity_bytes: u64, pool: BufferPool) -> Seams {
+        Seams { grid, kept: HashMap::new(), bytes: 0, capacity_bytes, pool }
     }
 
     pub fn keep(&mut self, tile: u64, seam: Seam) {
@@ -167,8 +194,14 @@ impl Seams {
         let lowest =
             Window { y: core.bottom().saturating_sub(rows).max(core.y), height: rows.min(core.height), ..core };
         let Some(seam) = self.kept.get_mut(&tile).filter(|_| rows < core.height) else { return };
-        let within = seam.parts.iter().map(|part| part_of(part, part.window.intersect(&lowest)));
-        let parts: Vec<Block> = within.filter(|part| !part.window.is_empty()).collect();
+        let parts: Vec<Block> = std::mem::take(&mut seam.parts)
+            .into_iter()
+            .map(|part| match part.window.intersect(&lowest) {
+                whole if whole == part.window => part,
+                window => part_of(&part, window, &self.pool),
+            })
+            .filter(|part| !part.window.is_empty())
+            .collect();
         let bytes = bytes_in(&parts);
         self.bytes = self.bytes - seam.bytes + bytes;
         *seam = Seam { parts, bytes };
@@ -211,12 +244,13 @@ mod tests {
         let samples = (0..width * height * 3).map(|i| (i * 7919 % 251) as u8).collect();
         let source = MemorySource::rgb8(width, height, samples);
         let grid = TileGrid::new(width, height, 20, 20, 0);
-        let mut seams = Seams::new(grid, 1 << 20);
+        let pool = band_pool(&grid, 4, source.info());
+        let mut seams = Seams::new(grid, 1 << 20, pool.clone());
         for tile in grid.iter() {
             let block = source.read(tile.read).expect("in memory");
             let parts: Vec<Block> = joined(faces(tile.core, source.info().bounds(), 4).into_iter())
                 .into_iter()
-                .map(|window| part_of(&block, window))
+                .map(|window| part_of(&block, window, &pool))
                 .collect();
             seams.keep(tile.id, Seam { bytes: bytes_in(&parts), parts });
         }

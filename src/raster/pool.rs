@@ -46,6 +46,11 @@ impl BufferPool {
         Self::new(((1 << 30) / chunk_bytes.max(1)).clamp(4, 8192) as usize, chunk_bytes as usize)
     }
 
+    /// What each of its buffers has room for.
+    pub fn buffer_bytes(&self) -> usize {
+        self.buffer_bytes
+    }
+
     /// A buffer of `len` bytes with any content.
     pub fn take(&self, len: usize) -> Vec<u8> {
         let idle = self.shelf.idle().pop();
