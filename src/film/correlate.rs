@@ -252,10 +252,10 @@ struct Picture {
 
 impl Picture {
     fn of(grey: &Grey) -> Picture {
-        let mean = grey.data.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.data.len() as f64;
+        let mean = grey.data.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.data.len().max(1) as f64;
         let stride = grey.width + 1 + LANES;
         let [mut values, mut sums, mut squares] = [(); 3].map(|()| vec![0.0f32; stride * grey.height]);
-        for (y, row) in grey.data.chunks_exact(grey.width).enumerate() {
+        for (y, row) in grey.data.chunks_exact(grey.width.max(1)).enumerate() {
             let (values, sums, squares) =
                 (&mut values[y * stride..], &mut sums[y * stride..], &mut squares[y * stride..]);
             // Summed in double precision: small differences of long sums are wanted.
@@ -348,6 +348,17 @@ mod tests {
             assert!((one - f64::from(dense)).abs() < 1e-3, "({x}, {y}): {one} and {dense}");
         }
         assert_eq!(inside, 22 * 10);
+    }
+
+    #[test]
+    fn a_mark_lies_nowhere_in_a_picture_smaller_than_it() {
+        let kind = MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None };
+        let template = draw(&Model::Drawn(kind), [30.0, 0.0, 0.0, -30.0], 1.0, None).expect("has contrast");
+        for (width, height) in [(0, 0), (0, 5), (5, 0), (3, 2), (template.width, template.height - 1)] {
+            let grey = Grey { width, height, data: vec![0.3; width * height], origin: [0, 0], factor: 1 };
+            let scores = Matcher::of(&template).over(&grey).all([-4, -4], 60, 60);
+            assert!(scores.iter().all(|s| *s == -1.0), "{width} × {height}");
+        }
     }
 
     #[test]

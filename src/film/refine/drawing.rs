@@ -16,30 +16,31 @@ pub(super) const LATTICE: usize = 4;
 /// notch's, a little sharper reach no square between without covering a place of the lattice so far around.
 const AROUND: usize = 2;
 
-/// A square picture of a mark.
+/// A picture of a mark.
 #[derive(Debug, PartialEq)]
 pub(super) struct Drawing {
-    /// Places along a side.
+    /// Places along a row.
     width: usize,
+    height: usize,
     pub values: Vec<f32>,
     pub known: Vec<bool>,
-    /// Squares of the lattice along a side, and whether they may hold an edge.
+    /// Squares of the lattice along a row, and whether they may hold an edge.
     squares: usize,
     uneven: Vec<bool>,
 }
 
 impl Drawing {
-    pub fn place_by_place(width: usize, ink: impl Fn(usize, usize) -> Ink) -> Drawing {
-        let (values, known) = (0..width * width).map(|n| ink(n % width, n / width)).unzip();
-        let squares = width.div_ceil(LATTICE);
-        Drawing { width, values, known, squares, uneven: vec![true; squares * squares] }
+    pub fn place_by_place(width: usize, height: usize, ink: impl Fn(usize, usize) -> Ink) -> Drawing {
+        let (values, known) = (0..width * height).map(|n| ink(n % width, n / width)).unzip();
+        let (squares, rows) = (width.div_ceil(LATTICE), height.div_ceil(LATTICE));
+        Drawing { width, height, values, known, squares, uneven: vec![true; squares * rows] }
     }
 
     /// The same for shapes with edges but no finer detail.
-    pub fn by_lattice(width: usize, ink: impl Fn(usize, usize) -> Ink) -> Drawing {
-        let squares = width.div_ceil(LATTICE);
+    pub fn by_lattice(width: usize, height: usize, ink: impl Fn(usize, usize) -> Ink) -> Drawing {
+        let (squares, rows) = (width.div_ceil(LATTICE), height.div_ceil(LATTICE));
         let lattice: Vec<Ink> =
-            (0..squares * squares).map(|n| ink(n % squares * LATTICE, n / squares * LATTICE)).collect();
+            (0..squares * rows).map(|n| ink(n % squares * LATTICE, n / squares * LATTICE)).collect();
         // Where the lattice changes along the rows and across them; a square is even when nothing does that far around.
         let changes = |step: usize| -> Vec<bool> {
             (0..lattice.len()).map(|n| n >= step && lattice[n] != lattice[n - step]).collect()
@@ -48,12 +49,12 @@ impl Drawing {
         let along = any_around(&changes(1), before, after, 1);
         let along = any_around(&along, AROUND, AROUND + 1, squares);
         let across = any_around(&changes(squares), before, after, squares);
-        let inner = AROUND..squares.saturating_sub(AROUND + 1);
+        let inner = |n: usize, end: usize| (AROUND..end.saturating_sub(AROUND + 1)).contains(&n);
         let uneven = (0..lattice.len())
-            .map(|n| along[n] | across[n] | !inner.contains(&(n % squares)) | !inner.contains(&(n / squares)))
+            .map(|n| along[n] | across[n] | !inner(n % squares, squares) | !inner(n / squares, rows))
             .collect::<Vec<bool>>();
-        let (mut values, mut known) = (vec![0.0f32; width * width], vec![false; width * width]);
-        for j in 0..width {
+        let (mut values, mut known) = (vec![0.0f32; width * height], vec![false; width * height]);
+        for j in 0..height {
             let (row, known) = (&mut values[j * width..][..width], &mut known[j * width..][..width]);
             let first = j / LATTICE * squares;
             for (x, (values, known)) in row.chunks_mut(LATTICE).zip(known.chunks_mut(LATTICE)).enumerate() {
@@ -67,7 +68,7 @@ impl Drawing {
                 }
             }
         }
-        Drawing { width, values, known, squares, uneven }
+        Drawing { width, height, values, known, squares, uneven }
     }
 
     /// Blurs along the rows, from the middle of `weights` outwards, and tells which squares blurring across can change.
@@ -110,7 +111,7 @@ impl Drawing {
             let out = &mut out[span];
             scale(out, weights[0]);
             for k in 1..weights.len() {
-                let (above, below) = (j.saturating_sub(k), (j + k).min(width - 1));
+                let (above, below) = (j.saturating_sub(k), (j + k).min(self.height - 1));
                 let (above, below) = (&self.values[above * width + start..], &self.values[below * width + start..]);
                 add_weighted(out, above, below, weights[k]);
             }
@@ -174,16 +175,18 @@ mod tests {
                 if model.thinnest_mm() * px_per_mm * FINE < 1.5 * LATTICE as f64 {
                     continue;
                 }
-                let width = 2 * half + 1;
-                let (whole, mut quick) = (Drawing::place_by_place(width, ink), Drawing::by_lattice(width, ink));
+                // Wider than high: a part of it that its middle row is in.
+                let (width, height) = (2 * half + 1, half + half / 2);
+                let (whole, mut quick) =
+                    (Drawing::place_by_place(width, height, ink), Drawing::by_lattice(width, height, ink));
                 let name = format!("{} at {px_per_mm} px a millimetre", camera.name);
                 assert!(whole.values == quick.values && whole.known == quick.known, "{name}");
                 let mut blurred = whole.values;
-                blur(&mut blurred, width, width, 2.8);
+                blur(&mut blurred, width, height, 2.8);
                 let weights = gaussian(2.8);
                 let near = quick.blur_along(&weights);
                 let mut row = vec![0.0; width];
-                for j in 0..width {
+                for j in 0..height {
                     quick.blur_across(&weights, &near, j, &mut row);
                     let off = row.iter().zip(&blurred[j * width..]).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
                     assert!(off < 1e-5, "{name}: row {j} is off by {off}");

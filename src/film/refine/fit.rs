@@ -211,12 +211,12 @@ impl<const N: usize, const M: usize> Fit<N, M> {
     /// The pixels around `c` that the mark says something about, one in `sparse`: a lattice that no line of the mark slips through.
     #[inline(always)]
     pub fn gather(&mut self, grey: &Grey, surface: &Surface, c: [f64; 2], sparse: usize) {
-        let half = surface.half_px();
-        let range = |c: f64, n: usize| {
-            (((c - half).floor().max(0.0)) as usize, ((c + half).ceil().clamp(0.0, n as f64)) as usize)
+        let range = |axis: usize, n: usize| {
+            let [before, behind] = surface.reach_px(axis);
+            (((c[axis] - before).floor().max(0.0)) as usize, ((c[axis] + behind).ceil().clamp(0.0, n as f64)) as usize)
         };
-        let ((x0, x1), (y0, y1)) = (range(c[0], grey.width), range(c[1], grey.height));
-        let (across, down) = (surface.phase(x0, c[0]), surface.phase(y0, c[1]));
+        let ((x0, x1), (y0, y1)) = (range(0, grey.width), range(1, grey.height));
+        let (across, down) = (surface.phase(0, x0, c[0]), surface.phase(1, y0, c[1]));
         self.opaque.clear();
         self.shaped.clear();
         for y in y0..y1 {

@@ -137,7 +137,8 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         let Descent { surface, grey, start, hopeful } = self;
         let mut c = grey.from_scan(start);
         let mut fit = Fit::<N, M>::default();
-        let mut sparse = if surface.half_px() > LARGE_PX { SPARSE } else { 1 };
+        let is_large = (0..2).flat_map(|axis| surface.reach_px(axis)).any(|px| px > LARGE_PX);
+        let mut sparse = if is_large { SPARSE } else { 1 };
         let mut settled = None;
         let mut last: Option<[f64; 2]> = None;
         for round in 0..MOST_ROUNDS {

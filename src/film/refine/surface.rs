@@ -37,10 +37,10 @@ struct Run {
 /// The mark drawn finely and blurred, looked up between its values. Pixels lie [`FINE`] values apart, so that all of one row fall alike
 /// between values [`FINE`] apart: these are kept side by side, and a row of pixels is a row of each of four neighbours.
 pub(super) struct Surface {
-    /// Fine values along a side.
-    width: usize,
-    /// Of the reference point along both axes, in fine values.
-    reference: f64,
+    /// Fine values along both axes.
+    size: [usize; 2],
+    /// The fine value that the reference point is at.
+    reference: [usize; 2],
     /// Values of one row of one plane. Plane (p, q) holds the values at (p + FINE·column, q + FINE·row).
     columns: usize,
     rows: usize,
@@ -72,27 +72,32 @@ impl Surface {
     pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Surface> {
         let inverse = invert(linear)?;
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
-        let half = ((radius_mm * px_per_mm + 3.0) * FINE as f64).ceil() as usize;
-        let width = 2 * half + 1;
+        let reach = reach_px(model, linear, radius_mm * px_per_mm).map(|px| ((px + 3.0) * FINE as f64).ceil() as usize);
+        let (reference, size) = ([reach[0], reach[2]], [reach[0] + reach[1] + 1, reach[2] + reach[3] + 1]);
         let pen = model.pen();
         let ink = |x: usize, y: usize| {
-            let (dx, dy) = ((x as f64 - half as f64) / FINE as f64, (y as f64 - half as f64) / FINE as f64);
+            let from = |k: usize, at: usize| (at as f64 - reference[k] as f64) / FINE as f64;
+            let (dx, dy) = (from(0, x), from(1, y));
             let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
             let sample = pen.sample(u, v);
             let known = u * u + v * v <= radius_mm * radius_mm && sample.is_some_and(|(_, w)| w > 0.3);
             (sample.map_or(0.0, |(value, _)| value), known)
         };
         let even_tells = model.thinnest_mm() * px_per_mm * FINE as f64 >= THICK * LATTICE as f64;
-        let drawing = if even_tells { Drawing::by_lattice(width, ink) } else { Drawing::place_by_place(width, ink) };
-        let columns = width / FINE + 2;
+        let drawing = if even_tells {
+            Drawing::by_lattice(size[0], size[1], ink)
+        } else {
+            Drawing::place_by_place(size[0], size[1], ink)
+        };
+        let [columns, rows] = size.map(|n| n / FINE + 2);
         let mut surface = Surface {
-            width,
-            reference: half as f64,
+            size,
+            reference,
             columns,
-            rows: columns,
-            values: vec![0.0; FINE * FINE * columns * columns],
+            rows,
+            values: vec![0.0; FINE * FINE * columns * rows],
             runs: vec![],
-            runs_of: vec![0..0; FINE * FINE * columns],
+            runs_of: vec![0..0; FINE * FINE * rows],
         };
         widest(Laid { surface: &mut surface, drawing });
         Some(surface)
@@ -147,21 +152,21 @@ impl Surface {
         self.plane_row(i, j) * self.columns + i / FINE
     }
 
-    /// How far it reaches along both axes, pixels.
-    pub fn half_px(&self) -> f64 {
-        self.reference / FINE as f64
+    /// How far it reaches along an axis before the reference point and behind it, pixels.
+    pub fn reach_px(&self, axis: usize) -> [f64; 2] {
+        [self.reference[axis], self.size[axis] - 1 - self.reference[axis]].map(|n| n as f64 / FINE as f64)
     }
 
-    /// Along one axis, for pixels from `first` on under a mark centred on `centre`.
-    pub fn phase(&self, first: usize, centre: f64) -> Phase {
-        let at = self.reference + (first as f64 + 0.5 - centre) * FINE as f64;
+    /// Along an axis, for pixels from `first` on under a mark centred on `centre`.
+    pub fn phase(&self, axis: usize, first: usize, centre: f64) -> Phase {
+        let at = self.reference[axis] as f64 + (first as f64 + 0.5 - centre) * FINE as f64;
         Phase { first: at.floor() as i64, fraction: at - at.floor() }
     }
 
     /// The `count` pixels of the `n`-th row, both counted from the first of the phases. `None` beyond the surface; of a row that
     /// begins or ends beyond it, pixels there say nothing.
     pub fn under(&self, x: Phase, y: Phase, n: usize, count: usize) -> Option<(usize, Under<'_>)> {
-        let j = usize::try_from(y.first + (n * FINE) as i64).ok().filter(|j| j + 1 < self.width)?;
+        let j = usize::try_from(y.first + (n * FINE) as i64).ok().filter(|j| j + 1 < self.size[1])?;
         // Pixels before the surface.
         let before = (-x.first).max(0).unsigned_abs().div_ceil(FINE as u64) as usize;
         let i = usize::try_from(x.first + (before * FINE) as i64).ok()?;
@@ -180,6 +185,16 @@ impl Surface {
     }
 }
 
+/// How far a mark reaches in the scan to the left, the right, above and below, no further than `radius_px`.
+fn reach_px(model: &Model, linear: Linear, radius_px: f64) -> [f64; 4] {
+    let (half, out, inward) = model.reach_mm();
+    let corners = [(-half, -out), (half, -out), (-half, inward), (half, inward)];
+    [(0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)].map(|(axis, sign)| {
+        let far = |(u, v): &(f64, f64)| sign * (linear[2 * axis] * u + linear[2 * axis + 1] * v);
+        corners.iter().map(far).fold(0.0, f64::max).min(radius_px)
+    })
+}
+
 /// A drawing, blurred and laid into a surface.
 struct Laid<'a> {
     surface: &'a mut Surface,
@@ -194,13 +209,13 @@ impl Kernel for Laid<'_> {
         let Laid { surface, mut drawing } = self;
         let weights = gaussian(BLUR_PX * FINE as f64);
         let near = drawing.blur_along(&weights);
-        let width = surface.width;
+        let [width, height] = surface.size;
         let (mut above, mut row, mut says) = (vec![0.0f32; width], vec![0.0f32; width], vec![Say::Nothing; width]);
-        for j in 0..width {
+        for j in 0..height {
             drawing.blur_across(&weights, &near, j, &mut row);
             surface.deal(&row, j);
             // Of the outermost values one neighbour is missing.
-            if j >= 2 && j + 1 < width {
+            if j >= 2 && j + 1 < height {
                 let known = &drawing.known[(j - 1) * width..][..width];
                 let (left, right) = ([&above[..width], &row[..width]], [&above[1..width], &row[1..width]]);
                 for i in 1..width - 2 {
