@@ -250,9 +250,11 @@ impl Finder {
                 (a[i] - sign * b[i]).abs() < 0.05 * unit && (a[i + 2] - sign * b[i + 2]).abs() < 0.05 * unit
             };
             let model = self.model(k);
-            let right = close(0, 1.0) || (close(0, -1.0) && model.is_symmetric());
-            // A shape that quarters of a turn do not change lies mirrored as if turned over the other way.
-            let inward = close(1, 1.0) || (close(1, -1.0) && model.is_symmetric() && model.is_alike_by_quarters());
+            // Lines at no multiple of 45° lie otherwise in a mirror.
+            let mirrored = model.is_symmetric() && model.sectors_deg().is_none_or(|deg| deg.rem_euclid(45.0) == 0.0);
+            let right = close(0, 1.0) || (mirrored && close(0, -1.0));
+            // Mirrored, a shape that quarters of a turn do not change lies as if turned over either way.
+            let inward = close(1, 1.0) || (mirrored && model.is_alike_by_quarters() && close(1, -1.0));
             right && inward
         };
         let known = slots.iter().find(|s| {

@@ -310,7 +310,7 @@ fn cut(grey: Grey, model: &Model) -> Vec<Grey> {
         let limit = dark + (share * (bright - dark)).max(8.0 * FLAT);
         Grey { data: grey.data.iter().map(|v| v.min(limit)).collect(), ..grey }
     };
-    CUTS.map(below).to_vec()
+    CUTS.map(below).into()
 }
 
 /// Where values are cut between dark and bright, each tried. The lower takes uneven ground away; the upper stays above the

@@ -85,7 +85,7 @@ fn faces(core: Window, bounds: Window, margin: u64) -> [Window; 4] {
 }
 
 /// Buffers for bands along the longer faces of a grid's tiles. Bands come and go with every tile: in buffers that are used again they
-/// need no memory that was not touched before, and leave no holes in it.
+/// need no memory that was not touched before, and leave no holes in it. Samples of 16 bits lie in memory of their own.
 pub(super) fn band_pool(grid: &TileGrid, margin_px: u64, info: &RasterInfo) -> BufferPool {
     let longest = grid.tile_width().max(grid.tile_height());
     let band_bytes = longest * margin_px * info.bands as u64;
@@ -147,14 +147,20 @@ fn is_wide(piece: &Piece) -> bool {
     matches!(piece.data, PieceData::U16(_))
 }
 
-/// What the parts hold; a part's pieces lie in one buffer, or in one of each kind.
+/// What the parts take; a part's pieces share one buffer, or one of bytes and one of 16 bits.
 fn bytes_in(parts: &[Block]) -> u64 {
-    let of_piece = |piece: &Piece| match &piece.data {
-        _ if piece.empty => 0,
-        PieceData::U8(_) | PieceData::Mapped(..) => piece.window.area() * piece.pixel_stride as u64,
-        PieceData::U16(_) => 2 * piece.window.area() * piece.pixel_stride as u64,
+    let of_part = |part: &Block| {
+        let narrow = part.pieces.iter().find_map(|piece| match &piece.data {
+            PieceData::U8(buffer) if !piece.empty => Some(buffer.bytes.capacity()),
+            _ => None,
+        });
+        let wide = part.pieces.iter().find_map(|piece| match &piece.data {
+            PieceData::U16(buffer) if !piece.empty => Some(2 * buffer.capacity()),
+            _ => None,
+        });
+        (narrow.unwrap_or(0) + wide.unwrap_or(0)) as u64
     };
-    parts.iter().flat_map(|part| &part.pieces).map(of_piece).sum()
+    parts.iter().map(of_part).sum()
 }
 
 /// The part of a piece inside a window, in the same memory.
@@ -268,5 +274,47 @@ mod tests {
         assert!(seams.block(Window::new(18, 2, 4, 4)).is_none(), "above the lowest rows");
         seams.drop_tile(0);
         assert!(seams.block(window).is_none());
+    }
+
+    #[test]
+    fn a_part_holds_what_its_pieces_hold_whatever_they_are() {
+        let side = 12u64;
+        let bytes: Vec<u8> = (0..side * side * 3).map(|i| (i * 7919 % 251) as u8).collect();
+        let words: Vec<u16> = bytes.iter().map(|v| u16::from(*v) * 257).collect();
+        let whole = Window::new(0, 0, side, side);
+        let piece = |window: Window, data: PieceData, empty: bool| Piece {
+            window,
+            data,
+            offset: (window.y * side + window.x) as usize * 3,
+            row_stride: side as usize * 3,
+            pixel_stride: 3,
+            empty,
+        };
+        let narrow = || PieceData::U8(Arc::new(PooledBytes { bytes: bytes.clone(), home: None }));
+        let block = Block {
+            window: whole,
+            pieces: vec![
+                piece(Window::new(0, 0, 6, 6), narrow(), false),
+                piece(Window::new(6, 0, 6, 6), PieceData::U8(Arc::new(PooledBytes::default())), true),
+                piece(Window::new(0, 6, 6, 6), PieceData::U16(Arc::new(words)), false),
+                piece(Window::new(6, 6, 6, 6), narrow(), false),
+            ],
+        };
+        let window = Window::new(2, 3, 8, 7);
+        // From the pool and without it.
+        for buffer_bytes in [100, 10_000] {
+            let part = part_of(&block, window, &BufferPool::new(4, buffer_bytes));
+            assert_eq!((part.window, part.pieces.len()), (window, 4));
+            for (found, from) in part.pieces.iter().zip(&block.pieces) {
+                assert_eq!((found.window, found.empty), (from.window.intersect(&window), from.empty));
+                for y in (found.window.y..found.window.bottom()).filter(|_| !found.empty) {
+                    let [a, b] = [found, from].map(|p| match p.row(found.window.x, y, found.window.width).samples {
+                        Samples::U8(row) => row.iter().map(|v| u16::from(*v)).collect(),
+                        Samples::U16(row) => row.to_vec(),
+                    });
+                    assert_eq!(a, b, "row {y}");
+                }
+            }
+        }
     }
 }

@@ -82,7 +82,8 @@ impl Drawing {
             let mut from = 0;
             while let Some(span) = next_span(&near[j / LATTICE * squares..][..squares], from, width) {
                 from = span.end.div_ceil(LATTICE);
-                // The span with what is around it; beyond an edge its last value goes on.
+                // The span with what is around it, which blurring does not change: it is even as far as weights reach. Beyond an edge
+                // its last value goes on.
                 let line = &mut line[..span.len() + 2 * reach];
                 let (first, end) = (span.start.saturating_sub(reach), (span.end + reach).min(width));
                 let before = reach - (span.start - first);

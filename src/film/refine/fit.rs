@@ -322,8 +322,8 @@ impl<const N: usize, const M: usize> Fit<N, M> {
     }
 
     /// Share of the mark's pixels that do not fit the last round plus share of those around it. A pixel of the mark must also stand
-    /// out from the frame: a faint mark would fit anywhere.
-    pub fn misfit(&self) -> f64 {
+    /// out from the frame: a faint mark would fit anywhere. With the number of the mark's pixels, which are the fewer.
+    pub fn misfit(&self) -> (f64, f64) {
         let limit = (FIT * self.levels[1].abs()).max(FIT_SIGMA * self.sigma);
         let fits = |r: f32| r.abs() <= limit;
         let off = self.opaque.iter().filter(|v| !fits(**v - self.levels[0])).count();
@@ -337,7 +337,7 @@ impl<const N: usize, const M: usize> Fit<N, M> {
                 beside.1 += 1.0;
             }
         }
-        mark.0 / mark.1 + beside.0 / beside.1
+        (mark.0 / mark.1 + beside.0 / beside.1, mark.1)
     }
 }
 

@@ -49,8 +49,8 @@ const SHRINKING: std::ops::Range<f64> = 0.3..0.8;
 const DAMAGED: f64 = 0.03;
 const AROUND_PX: f64 = 2.0;
 const CLEARLY: f64 = 0.01;
-/// How far the misfit of some of the pixels may be from that of all.
-const ROUGHLY: f64 = 0.05;
+/// So many standard deviations the misfit of some of the pixels may be above that of all.
+const ROUGHLY_SIGMAS: f64 = 2.0;
 
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
@@ -93,7 +93,7 @@ impl Refiner {
         let mut best: Option<(usize, Refined, f64)> = None;
         for (k, start) in starts.iter().enumerate() {
             let most = best.as_ref().map_or(f64::INFINITY, |b| b.2 - CLEARLY);
-            let hopeful = |place: PixelPoint, misfit: f64| misfit + doubt(place) < most + ROUGHLY;
+            let hopeful = |place: PixelPoint, misfit: f64| misfit + doubt(place) < most;
             let Some(r) = self.settle(grey, *start, &hopeful).filter(|r| r.contrast > 0.0) else { continue };
             let misfit = r.misfit + doubt(r.centre);
             if misfit < most {
@@ -115,7 +115,7 @@ impl Refiner {
     }
 }
 
-/// Whether a place with about so large a misfit is worth going on with.
+/// Whether a place with at least so large a misfit is worth going on with.
 type Hopeful<'a> = dyn Fn(PixelPoint, f64) -> bool + 'a;
 
 /// Gauss-Newton with `N` unknowns: `M` levels and the centre.
@@ -140,29 +140,31 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         let is_large = (0..2).flat_map(|axis| surface.reach_px(axis)).any(|px| px > LARGE_PX);
         let mut sparse = if is_large { SPARSE } else { 1 };
         let mut settled = None;
-        let mut last: Option<[f64; 2]> = None;
+        let mut stride = Stride::default();
         for round in 0..MOST_ROUNDS {
             fit.gather(grey, surface, c, sparse);
             if fit.pixels() < 24 {
                 return None;
             }
             let (inverse, step) = fit.round()?;
-            let step = [M, M + 1].map(|k| step[k].clamp(-1.0, 1.0));
+            let step = [step[M], step[M + 1]];
             let size = step[0].hypot(step[1]);
-            let factor = last.map_or(1.0, |last| onward(last, step));
-            // After a longer step the next two tell anew.
-            last = (factor == 1.0).then_some(step);
-            c = [0, 1].map(|k| c[k] + factor * step[k]);
+            let moved = stride.of(step);
+            c = [c[0] + moved[0], c[1] + moved[1]];
             let centre = grey.to_scan(c[0], c[1]);
             if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !size.is_finite() {
                 return None;
             }
             if sparse > 1 {
-                if size < SPARSE_STEP_PX || round == MOST_ROUNDS / 2 {
-                    if !hopeful(centre, fit.misfit()) {
+                let settled = size < SPARSE_STEP_PX;
+                if settled {
+                    let (misfit, pixels) = fit.misfit();
+                    if !hopeful(centre, misfit - ROUGHLY_SIGMAS * 0.5 / pixels.sqrt()) {
                         return None;
                     }
-                    (sparse, last) = (1, None);
+                }
+                if settled || round == MOST_ROUNDS / 2 {
+                    (sparse, stride) = (1, Stride::default());
                 }
                 continue;
             }
@@ -175,13 +177,29 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         let variance = fit.sigma() * fit.sigma();
         let covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
         let refined =
-            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit() };
+            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit().0 };
         covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
     }
 }
 
-/// How many times as far as `step` the end is when steps shrink as from `last` to `step`: the sum of a geometric series. Weights that
-/// follow the residuals make the descent as slow as that.
+/// How far each step goes: no further than a pixel along either axis, but to the end where steps shrink alike. Weights that follow the
+/// residuals make the descent as slow as a geometric series, of which two steps tell the sum.
+#[derive(Default)]
+struct Stride {
+    last: Option<[f64; 2]>,
+}
+
+impl Stride {
+    fn of(&mut self, step: [f64; 2]) -> [f64; 2] {
+        let limited = step.map(|v| v.clamp(-1.0, 1.0));
+        let factor = self.last.filter(|_| limited == step).map_or(1.0, |last| onward(last, step));
+        // A step cut short says nothing of the next, and after a longer one the next two tell anew.
+        self.last = (limited == step && factor == 1.0).then_some(step);
+        limited.map(|v| factor * v)
+    }
+}
+
+/// How many times as far as `step` the end is when steps go on shrinking as from `last` to `step`.
 fn onward(last: [f64; 2], step: [f64; 2]) -> f64 {
     let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
     let shrunk = dot(last, step) / dot(last, last);
@@ -229,5 +247,33 @@ mod tests {
         // No scanner blurs this one: its edges, steeper than those of the model, count for little.
         let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
         assert!(off < 0.25, "{off} px");
+    }
+
+    /// Steps until one is small, from so far off, where each takes a share of the way that is left; and how far the furthest went.
+    fn rounds(start: f64, share: f64) -> (usize, f64) {
+        let (mut stride, mut at, mut furthest) = (Stride::default(), -start, -start);
+        for round in 1..100 {
+            let step = -at * share;
+            at += stride.of([step, 0.0])[0];
+            furthest = furthest.max(at);
+            if step.abs() < STEP_PX {
+                return (round, furthest);
+            }
+        }
+        (100, furthest)
+    }
+
+    #[test]
+    fn steps_that_shrink_go_to_their_end_and_none_beyond_it() {
+        // Exact steps, some cut short: as many as without looking ahead.
+        for (start, most) in [(0.3, 2), (1.75, 3), (4.75, 6), (6.0, 7)] {
+            let (rounds, furthest) = rounds(start, 1.0);
+            assert!(rounds <= most && furthest <= 1e-9, "{start}: {rounds} rounds, to {furthest}");
+        }
+        // Slow ones: in a few, and not beyond the end.
+        for share in [0.25, 0.4, 0.6] {
+            let (rounds, furthest) = rounds(1.0, share);
+            assert!(rounds <= 5 && furthest <= 1e-9, "{share}: {rounds} rounds, to {furthest}");
+        }
     }
 }
