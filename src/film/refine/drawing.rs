@@ -12,6 +12,8 @@ pub(super) type Ink = (f32, bool);
 
 /// Places from one of the lattice to the next.
 pub(super) const LATTICE: usize = 4;
+/// What is so many steps of the lattice thick covers a place of it wherever it lies, dots as well.
+pub(super) const THICK: f64 = 1.5;
 /// How many steps of the lattice around a square must be alike before it is taken for alike: edges that meet at right angles or, as a
 /// notch's, a little sharper reach no square between without covering a place of the lattice so far around.
 const AROUND: usize = 2;
@@ -173,7 +175,7 @@ mod tests {
                     let sample = pen.sample(u, v);
                     (sample.map_or(0.0, |s| s.0), sample.is_some())
                 };
-                if model.thinnest_mm() * px_per_mm * FINE < 1.5 * LATTICE as f64 {
+                if model.thinnest_mm() * px_per_mm * FINE < THICK * LATTICE as f64 {
                     continue;
                 }
                 // Wider than high: a part of it that its middle row is in.

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::drawing::{Drawing, LATTICE};
+use super::drawing::{Drawing, LATTICE, THICK};
 use crate::film::kernel::{Kernel, widest};
 use crate::film::template::{Linear, Model, invert};
 use crate::film::window::gaussian;
@@ -14,8 +14,6 @@ use crate::film::window::gaussian;
 const FINE: usize = 4;
 /// Blur of scanner and emulsion, pixels.
 const BLUR_PX: f64 = 0.7;
-/// What is so many steps of the lattice thick covers a place of it wherever it lies, dots as well.
-const THICK: f64 = 1.5;
 
 /// What the mark says about a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
