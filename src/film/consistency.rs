@@ -6,6 +6,7 @@
 //! of the American Statistical Association, 1974. A frame only ever loses by this: nothing doubtful becomes good.
 
 use super::inner::distance;
+use super::look::median;
 use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
 use crate::coords::PixelPoint;
 
@@ -64,18 +65,13 @@ impl Facts {
 }
 
 /// Middle and permitted deviation of a quantity; `None` for fewer than five values.
-fn usual(mut values: Vec<f64>, least: impl Fn(f64) -> f64) -> Option<(f64, f64)> {
+fn usual(values: Vec<f64>, least: impl Fn(f64) -> f64) -> Option<(f64, f64)> {
     if values.len() < LEAST_FRAMES {
         return None;
     }
-    let middle = median(&mut values);
-    let mut off: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
-    Some((middle, (FAR * 1.4826 * median(&mut off)).max(least(middle))))
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
+    let middle = median(values.clone());
+    let off: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
+    Some((middle, (FAR * 1.4826 * median(off)).max(least(middle))))
 }
 
 /// For every frame of a roll, in how far it is unlike the others: reasons in plain words, none for most. `None` for frames

@@ -26,7 +26,7 @@ mod paint;
 mod photo;
 mod plan;
 pub mod plant;
-mod rng;
+pub(crate) mod rng;
 mod scene;
 mod shape;
 mod spec;

@@ -1,11 +1,13 @@
 //! Bands that a scanner leaves along its rows or columns, removed in the frequency domain.
 //!
 //! After section 10.1.1 of the 2017 Svalbard thesis: in the Fourier transform of the image, bands that run along whole rows (or
-//! columns) lie on one axis, and a median across that axis takes them away while the ground, which is not concentrated
-//! there, stays. The axis and its neighbours are all that is needed, so the image is not transformed: while it streams by,
-//! every row is summed against the few slowest waves along it, which gives lines v = 0 to `NEIGHBOURS` of the transform.
-//! Where we differ: waves longer than an eighth of the image are left alone (they are light, not bands), and only
-//! coefficients that stand out against their neighbours are changed.
+//! columns) lie on one axis, and the lines beside that axis say what the ground would have there. The axis and its
+//! neighbours are all that is needed, so the image is not transformed: while it streams by, every row is summed against the
+//! few slowest waves along it, which gives lines v = 0 to `NEIGHBOURS` of the transform.
+//! Where we differ: the thesis puts the median across the axis in the place of every coefficient, which takes ground away
+//! where there are no bands. Here a stretch of the axis must stand out against the ground's power beside it before anything is
+//! subtracted, and then only the share that the bands have in it (N. Wiener, Extrapolation, interpolation, and smoothing of
+//! stationary time series, 1949). Waves longer than an eighth of the image are left alone: they are light, not bands.
 
 use super::fft::{cosine, cosine_back};
 use crate::error::Result;
@@ -27,8 +29,15 @@ pub enum Banding {
 const NEIGHBOURS: usize = 6;
 /// Half waves over the image below which nothing is taken for a band.
 const SLOWEST: usize = 16;
-/// How many times the median of its neighbours a coefficient must be to count as a band.
-const STANDS_OUT: f64 = 3.0;
+/// How many times the ground's expected size one coefficient must be to count as a band.
+const STANDS_OUT: f64 = 6.0;
+/// Lengths of the stretches of the axis that may stand out as a whole: one period has one coefficient, rows that are off
+/// each in its own way have all of them.
+const STRETCHES: [usize; 5] = [1, 3, 9, 27, 81];
+/// The ground's power is a mean over this many coefficients along the axis.
+const SMOOTH: usize = 17;
+/// More than this many times the ground's power is not told apart.
+const MOST: f64 = 1e9;
 /// Rows and columns are summed in groups of this many before they meet a wave.
 const GROUP: usize = 8;
 
@@ -125,24 +134,55 @@ impl Waves {
             cosine(&f)
         };
         let axis = line(0, false);
-        let beside: Vec<[Vec<f64>; 2]> = (1..=NEIGHBOURS).map(|v| [line(v, false), line(v, true)]).collect();
-        let found: Vec<f64> = axis
-            .iter()
-            .enumerate()
-            .map(|(u, &d)| {
-                let mut sizes: Vec<f64> = beside.iter().map(|[re, im]| re[u].hypot(im[u])).collect();
-                sizes.sort_by(f64::total_cmp);
-                if u < SLOWEST || d.abs() <= STANDS_OUT * sizes[NEIGHBOURS / 2] {
-                    return 0.0;
-                }
-                // The median across the axis; lines below it are the complex conjugates of those above.
-                let mut real: Vec<f64> = beside.iter().flat_map(|[re, _]| [re[u], re[u]]).chain([d]).collect();
-                real.sort_by(f64::total_cmp);
-                (d - real[NEIGHBOURS]) / self.length as f64
-            })
+        let mut ground = vec![0.0; n];
+        for v in 1..=NEIGHBOURS {
+            for part in [line(v, false), line(v, true)] {
+                ground.iter_mut().zip(part).for_each(|(g, c)| *g += c * c / NEIGHBOURS as f64);
+            }
+        }
+        // Few neighbours say little about one coefficient, but ground may have more there than around it.
+        let ratios: Vec<f64> = around(&ground, SMOOTH)
+            .zip(ground.iter().zip(&axis))
+            .map(|((sum, count), (here, d))| (d * d / here.max(sum / count as f64)).min(MOST))
             .collect();
+        let found: Vec<f64> =
+            axis.iter().zip(shares(ratios)).map(|(d, share)| share * d / self.length as f64).collect();
         cosine_back(&found)
     }
+}
+
+/// Sums of `count` (odd) values around every value, and of how many: there are fewer at the ends.
+fn around(values: &[f64], count: usize) -> impl Iterator<Item = (f64, usize)> {
+    let (n, sums) = (values.len(), Profile::new(0, values).sums);
+    (0..n).map(move |u| {
+        let (from, to) = (u.saturating_sub(count / 2), (u + count / 2 + 1).min(n));
+        (sums[to] - sums[from], to - from)
+    })
+}
+
+/// How much of every coefficient on the axis is bands: 0 where no stretch stands out. `ratios` are their squares over the
+/// ground's power, 1 on average without bands.
+fn shares(mut ratios: Vec<f64>) -> Vec<f64> {
+    ratios.iter_mut().take(SLOWEST).for_each(|r| *r = 0.0);
+    let mut shares = vec![0.0f64; ratios.len()];
+    for stretch in STRETCHES {
+        // What chance adds to a mean of so many falls with their square root.
+        let limit = 1.0 + (STANDS_OUT * STANDS_OUT - 1.0) / (stretch as f64).sqrt();
+        let near = stretch.min(3);
+        let of_bands: Vec<f64> =
+            around(&ratios, near).map(|(sum, _)| 1.0 - 1.0 / (sum / near as f64).max(1.0)).collect();
+        let mut done = 0;
+        for (u, (sum, _)) in around(&ratios, stretch).enumerate() {
+            if sum > limit * stretch as f64 {
+                let to = (u + stretch / 2 + 1).min(ratios.len());
+                let from = u.saturating_sub(stretch / 2).max(done);
+                shares[from..to].iter_mut().zip(&of_bands[from..to]).for_each(|(s, b)| *s = s.max(*b));
+                done = to;
+            }
+        }
+    }
+    shares.iter_mut().take(SLOWEST).for_each(|s| *s = 0.0);
+    shares
 }
 
 /// Finds the bands in the part `region` of the scan, which must show ground only; they are known there and nowhere else.
@@ -197,5 +237,71 @@ fn add(sums: &mut [(f64, f64); NEIGHBOURS + 1], value: f64, phases: &[(f64, f64)
     for (s, p) in sums.iter_mut().zip(phases) {
         s.0 += value * p.0;
         s.1 += value * p.1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synth::rng::Rng;
+    use std::f64::consts::{FRAC_1_SQRT_2, PI};
+
+    const ROWS: usize = 2000;
+
+    /// Ground of power falling with the frequency, `beside` times as strong on all lines near half waves 300, and bands.
+    fn banded(seed: u64, beside: f64, bands: &[f64]) -> Waves {
+        let mut random = Rng::new(seed, 1, 0);
+        let mut waves = Waves::new(ROWS, 1500);
+        for v in 0..=NEIGHBOURS {
+            let mut line = |size: f64| {
+                let size = |u: usize| {
+                    let structure = if (299..=301).contains(&u) { beside } else { 1.0 };
+                    size * structure * 0.3 * waves.length as f64 * (1.0 + u as f64 / 40.0).powf(-1.5)
+                };
+                cosine_back(&(0..ROWS).map(|u| size(u) * random.normal()).collect::<Vec<_>>())
+            };
+            let (re, im) =
+                if v == 0 { (line(1.0), vec![0.0; ROWS]) } else { (line(FRAC_1_SQRT_2), line(FRAC_1_SQRT_2)) };
+            waves.sums.iter_mut().zip(re.into_iter().zip(im)).for_each(|(s, c)| s[v] = c);
+        }
+        let length = waves.length as f64;
+        waves.sums.iter_mut().zip(bands).for_each(|(s, b)| s[0].0 += b * length);
+        waves
+    }
+
+    fn rms(values: impl Iterator<Item = f64>) -> f64 {
+        (values.map(|v| v * v).sum::<f64>() / ROWS as f64).sqrt()
+    }
+
+    #[test]
+    fn nothing_is_taken_from_ground_without_bands() {
+        for seed in 0..40 {
+            for beside in [1.0, 30.0] {
+                let taken = banded(seed, beside, &[0.0; ROWS]).bands();
+                assert!(taken.iter().all(|v| *v == 0.0), "ground {seed}, {beside}: {}", rms(taken.into_iter()));
+            }
+        }
+        assert_eq!(Waves::new(SLOWEST, 10).bands(), vec![0.0; SLOWEST]);
+        assert!(Waves::new(ROWS, 10).bands().iter().all(|v| *v == 0.0), "black film");
+    }
+
+    #[test]
+    fn a_period_and_rows_each_off_in_its_own_way_are_found() {
+        for seed in 0..10 {
+            let ground = rms(banded(seed, 1.0, &[0.0; ROWS]).sums.iter().map(|s| s[0].0 / 1500.0));
+            let mut random = Rng::new(seed, 2, 0);
+            let period: Vec<f64> = (0..ROWS).map(|y| 3.0 * ground * (2.0 * PI * y as f64 / 37.0).sin()).collect();
+            let own: Vec<f64> = (0..ROWS).map(|_| ground * random.normal()).collect();
+            for (bands, left) in [(period, 0.25), (own, 0.5)] {
+                let found = banded(seed, 1.0, &bands).bands();
+                let after = rms(found.iter().zip(&bands).map(|(f, b)| f - b)) / rms(bands.iter().copied());
+                assert!(after < left, "ground {seed}: {after} of the bands are left");
+            }
+            // Without ground nothing else is there.
+            let mut alone = Waves::new(ROWS, 10);
+            alone.sums.iter_mut().enumerate().for_each(|(y, s)| s[0].0 = (0.2 * PI * (y as f64 + 0.5)).cos());
+            let found = alone.bands();
+            assert!(found.iter().zip(&alone.sums).all(|(f, s)| (f - 0.1 * s[0].0).abs() < 1e-9));
+        }
     }
 }

@@ -2,13 +2,17 @@
 //!
 //! The 2017 Svalbard thesis (10.1.1) blurs the image with ever smaller boxes and adds the result's complement; borders and
 //! text show in that mask, and broad dark ground is brightened like shadow. Here the image is reduced to cells of the film,
-//! marks and boxes left out, and a surface with few coefficients is fitted to the logarithms of the cells with Tukey's
-//! weights (A. E. Beaton, J. W. Tukey, The fitting of power series, 1974). Of one frame only what depends on the distance from
-//! the middle is fitted, since a slope may be ground; over a roll the ground averages out, and the surface may lean.
+//! marks and boxes left out, and a surface with few coefficients is fitted to the differences between the logarithms of cells
+//! near each other with Tukey's weights (A. E. Beaton, J. W. Tukey, The fitting of power series, 1974). Neighbouring ground is
+//! alike, ground far apart is not, so differences say more of light than the cells themselves, and a shore is one
+//! difference among many (after the gradients of Y. Zheng, J. Yu, S. B. Kang, S. Lin, C. Kambhamettu, Single-image vignetting
+//! correction using radial gradient symmetry, 2008). Of one frame only what grows with the square of the distance from the
+//! middle is fitted, since a slope may be ground; over a roll the ground averages out, and the surface may lean.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::Result;
+use crate::film::look::median;
 use crate::film::types::{Camera, InnerOrientation};
 use crate::film::window::read_grey;
 use crate::raster::RasterSource;
@@ -18,6 +22,8 @@ use crate::window::Window;
 pub const CELLS: usize = 48;
 /// The darkest share of the scan that says where black is.
 const BLACK_SHARE: f64 = 0.002;
+/// Cells whose logarithms are compared lie this many cells apart, in a row or a column.
+const APART: usize = 2;
 /// Light is never divided by less than this: what is darker has no grey steps left to stretch.
 const LEAST: f64 = 0.15;
 
@@ -34,16 +40,20 @@ pub struct Cells {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
     pub black: f64,
-    /// Logarithm of the light: [`terms`] of the place.
+    /// Logarithm of the light: the first of the [`terms`] of the place.
     coefficients: Vec<f64>,
     level: f64,
 }
 
-/// 1, r², r⁴, then x, y, x², xy, with (x, y) from −1 to 1 over the bounding box of the marks and r² ½ at the middle of a side.
+/// How many [`terms`] one frame says, and a roll.
+const OF_FRAME: usize = 1;
+const OF_ROLL: usize = 6;
+
+/// r², then r⁴, x, y, x², xy, with (x, y) from −1 to 1 over the bounding box of the marks and r² ½ at the middle of a side.
 /// (y² is r² less x².)
-fn terms([x, y]: [f64; 2]) -> [f64; 7] {
+fn terms([x, y]: [f64; 2]) -> [f64; OF_ROLL] {
     let r2 = 0.5 * (x * x + y * y);
-    [1.0, r2, r2 * r2, x, y, x * x, x * y]
+    [r2, r2 * r2, x, y, x * x, x * y]
 }
 
 /// Reads the scan once, decimated, into cells. `unit` maps film millimetres (y down) to −1 to 1; `masked` says what to leave
@@ -90,35 +100,15 @@ pub fn cells(
     Ok(Cells { black: f64::from(black), values: all.into_iter().map(median).collect() })
 }
 
-/// The light of one frame: of its own cells.
+/// The light of one frame: of its own cells. `None` with too few of them.
 pub fn of_frame(cells: &Cells) -> Option<Lighting> {
-    fit(&cells.values, 3, cells.black)
+    fit(std::slice::from_ref(cells), OF_FRAME, cells.black)
 }
 
-/// The light of a roll: every frame's cells relative to their median, then the median over the frames. Cells that fewer than a
-/// third of the frames show are left out; `None` below three frames.
+/// The light of a roll: of the median of every difference over the frames. Differences that fewer than a third of the frames show are
+/// left out; `None` below three frames, and with too few cells.
 pub fn of_roll(frames: &[Cells]) -> Option<Lighting> {
-    if frames.len() < 3 {
-        return None;
-    }
-    let relative: Vec<Vec<Option<f64>>> = frames
-        .iter()
-        .filter_map(|f| {
-            let middle = median(f.values.iter().flatten().copied().collect())?;
-            Some(f.values.iter().map(|v| v.map(|v| v / middle)).collect())
-        })
-        .collect();
-    let over = |k: usize| {
-        let seen: Vec<f64> = relative.iter().filter_map(|f| f[k]).collect();
-        (3 * seen.len() >= frames.len()).then(|| median(seen)).flatten()
-    };
-    let values: Vec<Option<f64>> = (0..CELLS * CELLS).map(over).collect();
-    fit(&values, 7, 0.0)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    if frames.len() < 3 { None } else { fit(frames, OF_ROLL, 0.0) }
 }
 
 /// Where the middle of a cell lies, −1 to 1.
@@ -126,24 +116,41 @@ fn cell_place(k: usize) -> [f64; 2] {
     [k % CELLS, k / CELLS].map(|i| (i as f64 + 0.5) * 2.0 / CELLS as f64 - 1.0)
 }
 
-fn fit(values: &[Option<f64>], count: usize, black: f64) -> Option<Lighting> {
-    let known: Vec<([f64; 7], f64)> = values
-        .iter()
-        .enumerate()
-        .filter_map(|(k, v)| Some((terms(cell_place(k)), v.filter(|v| *v > 0.0)?.ln())))
-        .collect();
-    if known.len() < 20 * count {
+fn logarithm(value: Option<f64>) -> Option<f64> {
+    value.filter(|v| *v > 0.0).map(f64::ln)
+}
+
+/// Pairs of cells and how much brighter the second is, in logarithms.
+fn differences(frames: &[Cells]) -> Vec<(usize, usize, f64)> {
+    let pairs = (0..CELLS * CELLS).flat_map(|k| {
+        let right = (k % CELLS + APART < CELLS).then_some(k + APART);
+        let below = (k / CELLS + APART < CELLS).then_some(k + APART * CELLS);
+        [right, below].into_iter().flatten().map(move |other| (k, other))
+    });
+    pairs
+        .filter_map(|(a, b)| {
+            let of = |f: &Cells| Some(logarithm(f.values[b])? - logarithm(f.values[a])?);
+            let seen: Vec<f64> = frames.iter().filter_map(of).collect();
+            (!seen.is_empty() && 3 * seen.len() >= frames.len()).then(|| (a, b, median(seen)))
+        })
+        .collect()
+}
+
+fn fit(frames: &[Cells], count: usize, black: f64) -> Option<Lighting> {
+    let known = differences(frames);
+    if known.len() < 40 * count {
         return None;
     }
-    let design = DMatrix::from_fn(known.len(), count, |i, c| known[i].0[c]);
-    let right = DVector::from_fn(known.len(), |i, _| known[i].1);
+    let term = |k: usize, c: usize| terms(cell_place(k))[c];
+    let design = DMatrix::from_fn(known.len(), count, |i, c| term(known[i].1, c) - term(known[i].0, c));
+    let right = DVector::from_fn(known.len(), |i, _| known[i].2);
     let mut weights = vec![1.0; known.len()];
     let mut solution = DVector::zeros(count);
     for _ in 0..30 {
         let weighted = DMatrix::from_fn(known.len(), count, |i, c| weights[i] * design[(i, c)]);
         let next = (weighted.transpose() * &design).cholesky()?.solve(&(weighted.transpose() * &right));
         let residuals = &right - &design * &next;
-        let scale = 1.4826 * median(residuals.iter().map(|r| r.abs()).collect())?;
+        let scale = 1.4826 * median(residuals.iter().map(|r| r.abs()).collect());
         for (w, r) in weights.iter_mut().zip(residuals.iter()) {
             let t = r / (4.685 * scale).max(1e-6);
             *w = if t.abs() < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 };
@@ -156,18 +163,19 @@ fn fit(values: &[Option<f64>], count: usize, black: f64) -> Option<Lighting> {
     }
     let coefficients: Vec<f64> = solution.iter().copied().collect();
     let mut lighting = Lighting { black, coefficients, level: 0.0 };
-    lighting.level = median(known.iter().map(|(t, _)| lighting.logarithm(t)).collect())?;
+    let shown = |k: &usize| frames.iter().any(|f| logarithm(f.values[*k]).is_some());
+    lighting.level = median((0..CELLS * CELLS).filter(shown).map(|k| lighting.logarithm(cell_place(k))).collect());
     Some(lighting)
 }
 
 impl Lighting {
-    fn logarithm(&self, terms: &[f64; 7]) -> f64 {
-        self.coefficients.iter().zip(terms).map(|(c, t)| c * t).sum()
+    fn logarithm(&self, place: [f64; 2]) -> f64 {
+        self.coefficients.iter().zip(terms(place)).map(|(c, t)| c * t).sum()
     }
 
     /// Light at a place, −1 to 1.
     pub fn at(&self, place: [f64; 2]) -> f64 {
-        (self.logarithm(&terms(place)) - self.level).exp().clamp(LEAST, 1.0 / LEAST)
+        (self.logarithm(place) - self.level).exp().clamp(LEAST, 1.0 / LEAST)
     }
 
     /// The same light with another frame's black.
@@ -185,23 +193,33 @@ impl Lighting {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::synth::rng::Rng;
 
     #[test]
     fn a_known_surface_is_found_under_dark_ground() {
-        // A fifth of the film is sea, four times darker; light falls by half to the corners.
-        let light = |[x, y]: [f64; 2]| 1.0 - 0.25 * (x * x + y * y);
-        let values: Vec<Option<f64>> = (0..CELLS * CELLS)
-            .map(|k| {
-                let place = cell_place(k);
-                let ground =
-                    if place[0] + 0.4 * place[1] > 0.75 { 0.1 } else { 0.4 + 0.05 * ((k * 7 % 13) as f64 / 13.0) };
-                (k % 11 != 0).then_some(ground * light(place))
-            })
-            .collect();
-        let found = of_frame(&Cells { black: 0.0, values }).expect("enough cells");
-        for place in [[0.0, 0.0], [0.9, 0.9], [-0.9, 0.5], [0.0, -0.95]] {
-            let relative = found.at(place) / found.at([0.0, 0.0]);
-            assert!((relative - light(place)).abs() < 0.03, "{place:?}: {relative} {}", light(place));
+        // A fifth of the film is sea, four times darker; light falls by half to the corners, by the law that is fitted
+        // and by another.
+        for (exponential, within) in [(true, 0.02), (false, 0.04)] {
+            let light = |[x, y]: [f64; 2]| {
+                let r2 = 0.5 * (x * x + y * y);
+                if exponential { (-0.69 * r2).exp() } else { 1.0 - 0.5 * r2 }
+            };
+            let mut random = Rng::new(3, 0, 0);
+            let values: Vec<Option<f64>> = (0..CELLS * CELLS)
+                .map(|k| {
+                    let place = cell_place(k);
+                    let ground = if place[0] + 0.4 * place[1] > 0.75 { 0.1 } else { random.range(0.4, 0.45) };
+                    (k % 11 != 0).then_some(ground * light(place))
+                })
+                .collect();
+            let frame = Cells { black: 0.0, values };
+            for found in [of_frame(&frame), of_roll(&[frame.clone(), frame.clone(), frame.clone(), frame.clone()])] {
+                let found = found.expect("enough cells");
+                for place in [[0.0, 0.0], [0.9, 0.9], [-0.9, 0.5], [0.0, -0.95]] {
+                    let relative = found.at(place) / found.at([0.0, 0.0]);
+                    assert!((relative - light(place)).abs() < within, "{place:?}: {relative} {}", light(place));
+                }
+            }
         }
     }
 

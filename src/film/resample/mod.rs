@@ -101,6 +101,10 @@ pub fn resample(
         Some(region) => banding::find(source, region, options.banding)?,
         None => Bands::default(),
     };
+    if options.banding != Banding::Off {
+        let [rows, columns] = grid.bands.rms();
+        tracing::info!(image = %image.display(), rows, columns, "bands taken away, root mean square of white");
+    }
     grid.lighting = match light {
         Light::AsScanned => None,
         Light::OfFrame => lighting::of_frame(&grid.cells(camera)?),
