@@ -316,7 +316,9 @@ impl Finder {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);
                     let sigma = r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
-                    if sigma > GOOD_SIGMA_PX {
+                    if sigma > radius_mm * unit {
+                        reasons.push("what is seen does not tell where its centre is".to_owned());
+                    } else if sigma > GOOD_SIGMA_PX {
                         reasons.push(format!("its centre is only known to {sigma:.1} px"));
                     }
                 }
