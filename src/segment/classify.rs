@@ -2,7 +2,7 @@
 //!
 //! The decision on an 8-bit colour depends on three bytes, so it is a table of 2²⁴ bits (2 MiB), computed once per profile
 //! with the scalar reference [`PaintTest`], and only where an interval bound says that anything can be accepted. A row first
-//! goes through a vectorised test of the accepted colours' bounds (see [`kernels`]), which drops nearly all pixels of an
+//! goes through a vectorised test of the accepted colours' bounds (see [`super::kernels`]), which drops nearly all pixels of an
 //! ordinary image, and what is left is looked up. 16-bit samples are scaled to 8 bits by `(255·v + white/2) / white`, never
 //! by a tile's own statistics, so that the answer does not depend on the tiling.
 
@@ -17,7 +17,7 @@ use crate::profile::colour::{
     Cloud, LAB_F_NEAR, Space, lab_f, lab_f_near, lab_from_f, lab_from_srgb, linear_of_bytes, xyz_from_linear,
 };
 use crate::raster::{PixelRow, SampleType, Samples};
-use crate::segment::kernels::{self, Bounds};
+use crate::segment::kernels::{Bounds, Prefilter};
 
 /// The scalar reference: is this colour paint, and how far is it from it?
 #[derive(Clone, Debug)]
@@ -266,6 +266,9 @@ fn table_bit(test: &PaintTest, colour: [u8; 3]) -> bool {
 #[derive(Clone)]
 pub struct Classifier {
     table: Arc<ColourTable>,
+    /// The table's bounds for pixels as the file has them, and for red, green, blue.
+    of_samples: Prefilter,
+    of_colours: Prefilter,
     test: Arc<PaintTest>,
     sample: SampleType,
     white: u16,
@@ -295,7 +298,9 @@ impl Classifier {
         let test = PaintTest::new(profile)?;
         let table = ColourTable::new(&test);
         let nodata = nodata.filter(|v| v.fract() == 0.0 && (0.0..=65_535.0).contains(v)).map(|v| v as u16);
-        Ok(Classifier { table: Arc::new(table), test: Arc::new(test), sample, white, rgb, alpha, nodata })
+        let [of_samples, of_colours] = [rgb, [0, 1, 2]].map(|rgb| Prefilter::new(rgb, table.bounds));
+        let (table, test) = (Arc::new(table), Arc::new(test));
+        Ok(Classifier { table, of_samples, of_colours, test, sample, white, rgb, alpha, nodata })
     }
 
     /// The scalar reference behind the table.
@@ -316,7 +321,7 @@ impl Classifier {
         assert_eq!(colours.len(), valid.len());
         let bytes: Vec<u8> = colours.as_flattened().iter().map(|&v| self.to_byte(v)).collect();
         let mut bits = vec![0u64; colours.len().div_ceil(64)];
-        kernels::prefilter(&bytes, 3, [0, 1, 2], colours.len(), &self.table.bounds, &mut bits);
+        self.of_colours.row(&bytes, 3, colours.len(), &mut bits);
         let mut paint = vec![false; colours.len()];
         for (w, mut word) in bits.into_iter().enumerate() {
             while word != 0 {
@@ -342,7 +347,7 @@ impl Classifier {
         let bits = &mut bits[..words];
         match row.samples {
             Samples::U8(samples) if self.white == 255 && self.sample == SampleType::U8 => {
-                kernels::prefilter(samples, row.pixel_stride, self.rgb, row.len, &self.table.bounds, bits);
+                self.of_samples.row(samples, row.pixel_stride, row.len, bits);
                 self.refine(bits, |i| {
                     let pixel = &samples[i * row.pixel_stride..];
                     (self.rgb.map(|b| u16::from(pixel[b])), self.alpha.map(|a| u16::from(pixel[a])))

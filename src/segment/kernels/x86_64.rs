@@ -1,8 +1,9 @@
-//! AVX2: pixels of three samples are taken apart into planes of 32, pixels of four stay as they are, eight at a time.
+//! AVX2: 64 pixels of three samples are passed over at a glance or taken apart into planes of 32, pixels of four stay as they
+//! are, eight at a time.
 
 use std::arch::x86_64::*;
 
-use super::Bounds;
+use super::{Bounds, Glance, Prefilter};
 
 /// Twin of [`super::scalar::prefilter`] over the whole row, for pixels of 3 or 4 samples.
 ///
@@ -12,11 +13,11 @@ use super::Bounds;
 /// # Panics
 /// When `stride` is neither 3 nor 4, or the slices are too short for `len`.
 #[target_feature(enable = "avx2")]
-pub unsafe fn prefilter(samples: &[u8], stride: usize, rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
-    assert!(rgb.iter().all(|&b| b < stride));
+pub unsafe fn prefilter(test: &Prefilter, samples: &[u8], stride: usize, len: usize, bits: &mut [u64]) {
+    assert!(test.rgb.iter().all(|&b| b < stride));
     match stride {
-        3 => three_samples(samples, rgb, len, bounds, bits),
-        4 => four_samples(samples, rgb, len, bounds, bits),
+        3 => three_samples(test, samples, len, bits),
+        4 => four_samples(samples, test.rgb, len, &test.bounds, bits),
         _ => panic!("pixels of {stride} samples have no kernel"),
     }
 }
@@ -47,21 +48,64 @@ impl Limits {
 }
 
 #[target_feature(enable = "avx2")]
-fn three_samples(samples: &[u8], rgb: [usize; 3], len: usize, bounds: &Bounds, bits: &mut [u64]) {
+fn three_samples(test: &Prefilter, samples: &[u8], len: usize, bits: &mut [u64]) {
     const WORD: usize = 64 * 3;
-    let limits = [Limits::new(bounds, 0), Limits::new(bounds, 1), Limits::new(bounds, 2)];
-    let planes = Planes::new(rgb);
+    let Some(glance) = &test.glance else {
+        bits[..len.div_ceil(64)].fill(0);
+        return;
+    };
     let words = len / 64;
-    for (word, pixels) in bits[..words].iter_mut().zip(samples.chunks_exact(WORD)) {
-        *word = planes.word(pixels.try_into().expect("chunks have this size"), &limits);
+    for (w, word) in bits[..words].iter_mut().enumerate() {
+        let pixels = &samples[w * WORD..];
+        // The glance sees one byte more than the pixels, which the last ones may not have.
+        let seen = pixels.first_chunk::<{ WORD + 1 }>().is_none_or(|pixels| any(glance, pixels));
+        *word = if seen { exactly(test, pixels.first_chunk().expect("64 pixels of the row")) } else { 0 };
     }
     if !len.is_multiple_of(64) {
         // The last pixels go through a copy with room behind them.
         let mut rest = [0u8; WORD];
         let left = len - words * 64;
         rest[..left * 3].copy_from_slice(&samples[words * WORD..][..left * 3]);
-        bits[words] = planes.word(&rest, &limits) & (u64::MAX >> (64 - left));
+        bits[words] = exactly(test, &rest) & (u64::MAX >> (64 - left));
     }
+}
+
+/// Bits of bytes that begin a pixel, in each 64 of 192 bytes.
+const BEGINS: [u64; 3] = [0x9249_2492_4924_9249, 0x4924_9249_2492_4924, 0x2492_4924_9249_2492];
+
+/// Whether any of 64 pixels may pass. The byte behind them is read and says nothing.
+#[target_feature(enable = "avx2")]
+fn any(glance: &Glance, pixels: &[u8; 193]) -> bool {
+    let ones = _mm256_set1_epi8(-1);
+    let good = |k: usize| {
+        let phase = 32 * k % 3;
+        // SAFETY: with k below 6 the 32-byte loads from 32·k and 32·k + 1 end inside the 193 bytes, the others fill
+        // arrays of 32 bytes.
+        let (a, b, low, width) = unsafe {
+            let at = pixels.as_ptr().add(32 * k);
+            (
+                _mm256_loadu_si256(at.cast()),
+                _mm256_loadu_si256(at.add(1).cast()),
+                _mm256_loadu_si256(glance.low[phase].as_ptr().cast()),
+                _mm256_loadu_si256(glance.width[phase].as_ptr().cast()),
+            )
+        };
+        let halved = _mm256_avg_epu8(a, _mm256_xor_si256(b, ones));
+        let above = _mm256_sub_epi8(halved, low);
+        let inside = _mm256_cmpeq_epi8(_mm256_min_epu8(above, width), above);
+        u64::from(_mm256_movemask_epi8(inside) as u32)
+    };
+    let words = [good(0) | good(1) << 32, good(2) | good(3) << 32, good(4) | good(5) << 32];
+    let both = |k: usize, next: u64| words[k] & (words[k] >> 1 | next << 63) & BEGINS[k];
+    both(0, words[1]) | both(1, words[2]) | both(2, 0) != 0
+}
+
+/// One bit for each of 64 pixels.
+#[inline(never)]
+#[target_feature(enable = "avx2")]
+fn exactly(test: &Prefilter, pixels: &[u8; 192]) -> u64 {
+    let bounds = &test.bounds;
+    Planes::new(test.rgb).word(pixels, &[Limits::new(bounds, 0), Limits::new(bounds, 1), Limits::new(bounds, 2)])
 }
 
 /// How 16 pixels of three interleaved samples become three planes: sample `c` of pixel `p` is byte `(3p + c) mod 16` of
