@@ -267,8 +267,8 @@ fn table_bit(test: &PaintTest, colour: [u8; 3]) -> bool {
 pub struct Classifier {
     table: Arc<ColourTable>,
     /// The table's bounds for pixels as the file has them, and for red, green, blue.
-    of_samples: Prefilter,
-    of_colours: Prefilter,
+    of_samples: Arc<Prefilter>,
+    of_colours: Arc<Prefilter>,
     test: Arc<PaintTest>,
     sample: SampleType,
     white: u16,
@@ -298,7 +298,7 @@ impl Classifier {
         let test = PaintTest::new(profile)?;
         let table = ColourTable::new(&test);
         let nodata = nodata.filter(|v| v.fract() == 0.0 && (0.0..=65_535.0).contains(v)).map(|v| v as u16);
-        let [of_samples, of_colours] = [rgb, [0, 1, 2]].map(|rgb| Prefilter::new(rgb, table.bounds));
+        let [of_samples, of_colours] = [rgb, [0, 1, 2]].map(|rgb| Arc::new(Prefilter::new(rgb, table.bounds)));
         let (table, test) = (Arc::new(table), Arc::new(test));
         Ok(Classifier { table, of_samples, of_colours, test, sample, white, rgb, alpha, nodata })
     }

@@ -50,6 +50,8 @@ impl Limits {
 #[target_feature(enable = "avx2")]
 fn three_samples(test: &Prefilter, samples: &[u8], len: usize, bits: &mut [u64]) {
     const WORD: usize = 64 * 3;
+    // Two rows of a tile of 512 further; what there is none of is not fetched.
+    const AHEAD: usize = 3072;
     let Some(glance) = &test.glance else {
         bits[..len.div_ceil(64)].fill(0);
         return;
@@ -57,6 +59,9 @@ fn three_samples(test: &Prefilter, samples: &[u8], len: usize, bits: &mut [u64])
     let words = len / 64;
     for (w, word) in bits[..words].iter_mut().enumerate() {
         let pixels = &samples[w * WORD..];
+        for line in 0..3 {
+            _mm_prefetch::<_MM_HINT_T0>(pixels.as_ptr().wrapping_add(AHEAD + 64 * line).cast());
+        }
         // The glance sees one byte more than the pixels, which the last ones may not have.
         let seen = pixels.first_chunk::<{ WORD + 1 }>().is_none_or(|pixels| any(glance, pixels));
         *word = if seen { exactly(test, pixels.first_chunk().expect("64 pixels of the row")) } else { 0 };
