@@ -321,8 +321,8 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
 /// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
 fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
     // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
-    let cores = [2, 1].map(|depth_px| scene.own.shrunk(depth_px));
-    scene.median_colour(cores.iter().find(|core| !core.is_empty()).unwrap_or(&scene.own))
+    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| !core.is_empty());
+    scene.median_colour(core.as_ref().unwrap_or(&scene.own))
 }
 
 /// Fisher's direction from ground to paint.

@@ -37,7 +37,8 @@ impl<'a> Scene<'a> {
             return None;
         }
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
-        let paint = PixelSet::of(&classifier.paint_of(&patch.rgb, &patch.valid), width);
+        let valid = PixelSet::of(&patch.valid, width);
+        let paint = PixelSet::of_bits(&classifier.paint_bits(&patch.rgb), width, height).and(&valid);
         let (first_y, first_x) = region.first;
         let start = patch
             .window
@@ -53,13 +54,16 @@ impl<'a> Scene<'a> {
                 paint.and(&PixelSet::from_fn(width, height, inside))
             }
         };
-        (!own.is_empty()).then(|| Scene::of_pixels(patch, own, &paint))
+        (!own.is_empty()).then(|| Scene::among(patch, own, &paint, valid))
     }
 
     /// The scene of a set of pixels of the patch among all that is paint.
     pub fn of_pixels(patch: &'a Patch, own: PixelSet, paint: &PixelSet) -> Scene<'a> {
+        Scene::among(patch, own, paint, PixelSet::of(&patch.valid, patch.window.width as usize))
+    }
+
+    fn among(patch: &'a Patch, own: PixelSet, paint: &PixelSet, valid: PixelSet) -> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
-        let valid = PixelSet::of(&patch.valid, width);
         let scale = 255.0 / f64::from(patch.white);
         Scene { patch, width, height, other: paint.minus(&own), own, valid, scale, linear: false }
     }
@@ -86,7 +90,7 @@ impl<'a> Scene<'a> {
     /// Samples of the pixels of a set, as the file has them.
     fn samples(&self, set: &PixelSet) -> Vec<[u16; 3]> {
         let mut samples = Vec::with_capacity(set.count());
-        samples.extend(set.iter().map(|i| self.patch.rgb[i]));
+        set.for_each(|i| samples.push(self.patch.rgb[i]));
         samples
     }
 
@@ -128,7 +132,8 @@ impl<'a> Scene<'a> {
 
     /// Ground: valid, `from_px` to `to_px` from the candidate's nearest pixel, clear of other paint.
     pub fn ring(&self, (from_px, to_px): (usize, usize)) -> PixelSet {
-        let ring = self.own.grown(to_px).minus(&self.own.grown(from_px - 1));
+        let near = self.own.grown(from_px - 1);
+        let ring = near.grown(to_px + 1 - from_px).minus(&near);
         ring.and(&self.valid).minus(&self.beside_other())
     }
 

@@ -29,8 +29,23 @@ impl PixelSet {
         let mut set = PixelSet::empty(width, marked.len() / width);
         for (words, row) in set.words.chunks_exact_mut(set.stride).zip(marked.chunks_exact(width)) {
             for (word, marked) in words.iter_mut().zip(row.chunks(BITS)) {
-                *word = marked.iter().rev().fold(0, |bits, &set| bits << 1 | u64::from(set));
+                *word = marked.chunks(8).enumerate().fold(0, |word, (k, eight)| word | packed(eight) << (8 * k));
             }
+        }
+        set
+    }
+
+    /// Those whose bit is set, lowest first, in words without gaps between rows.
+    pub fn of_bits(bits: &[u64], width: usize, height: usize) -> PixelSet {
+        let mut set = PixelSet::empty(width, height);
+        let last = set.last_word();
+        for (y, row) in set.words.chunks_exact_mut(set.stride).enumerate() {
+            for (k, word) in row.iter_mut().enumerate() {
+                let (at, shift) = ((y * width + k * BITS) / BITS, (y * width + k * BITS) % BITS);
+                let above = if shift == 0 { 0 } else { bits.get(at + 1).map_or(0, |next| next << (BITS - shift)) };
+                *word = bits[at] >> shift | above;
+            }
+            row[set.stride - 1] &= last;
         }
         set
     }
@@ -74,6 +89,18 @@ impl PixelSet {
             })
             .map(move |left| first + left.trailing_zeros() as usize)
         })
+    }
+
+    /// Calls `act` with every index, rising: in less time than [`PixelSet::iter`] takes.
+    pub fn for_each(&self, mut act: impl FnMut(usize)) {
+        for (at, &word) in self.words.iter().enumerate() {
+            let first = at / self.stride * self.width + at % self.stride * BITS;
+            let mut left = word;
+            while left != 0 {
+                act(first + left.trailing_zeros() as usize);
+                left &= left - 1;
+            }
+        }
     }
 
     /// The lowest index.
@@ -122,21 +149,23 @@ impl PixelSet {
         let mut reached = 0;
         while reached < reach_px {
             let step = (reach_px - reached).min(reached + 1).min(BITS - 1);
-            for row in set.words.chunks_exact_mut(self.stride) {
-                widen(row, step);
-                row[self.stride - 1] &= last;
+            if self.stride == 1 {
+                set.words.iter_mut().for_each(|word| *word = (*word | *word << step | *word >> step) & last);
+            } else {
+                for row in set.words.chunks_exact_mut(self.stride) {
+                    widen(row, step);
+                    row[self.stride - 1] &= last;
+                }
             }
             reached += step;
         }
-        let mut reached = 0;
+        let (mut reached, mut before) = (0, vec![]);
         while reached < reach_px {
             let step = (reach_px - reached).min(reached + 1);
-            let shift = step * self.stride;
-            let before = set.words.clone();
-            for (at, word) in set.words.iter_mut().enumerate() {
-                let above = at.checked_sub(shift).map_or(0, |at| before[at]);
-                *word |= above | before.get(at + shift).copied().unwrap_or(0);
-            }
+            let shift = (step * self.stride).min(set.words.len());
+            before.clone_from(&set.words);
+            set.words[shift..].iter_mut().zip(&before).for_each(|(word, above)| *word |= above);
+            set.words.iter_mut().zip(&before[shift..]).for_each(|(word, below)| *word |= below);
             reached += step;
         }
         set
@@ -193,6 +222,16 @@ impl PixelSet {
         }
         changed
     }
+}
+
+/// Up to eight marks as bits, the first lowest.
+fn packed(marked: &[bool]) -> u64 {
+    let bytes: [u8; 8] = match marked.try_into() {
+        Ok(eight) => <[bool; 8]>::map(eight, u8::from),
+        Err(_) => std::array::from_fn(|i| u8::from(marked.get(i).is_some_and(|set| *set))),
+    };
+    // Each byte's bit moves to the highest byte, the first to its lowest place.
+    u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
 /// Adds the row itself, moved both ways by `step` columns, of which there are 1 to 63.
@@ -279,6 +318,12 @@ mod tests {
             let b = PixelSet::from_fn(a.width, a.words.len() / a.stride, |i| (i as u64 ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 63 == 1);
             let marked: Vec<bool> = all(&b).map(|i| b.has(i)).collect();
             prop_assert_eq!(&PixelSet::of(&marked, b.width), &b);
+            let mut bits = vec![0u64; marked.len().div_ceil(BITS)];
+            b.iter().for_each(|i| bits[i / BITS] |= 1 << (i % BITS));
+            prop_assert_eq!(&PixelSet::of_bits(&bits, b.width, marked.len() / b.width), &b);
+            let mut visited = vec![];
+            b.for_each(|i| visited.push(i));
+            prop_assert_eq!(visited, b.iter().collect::<Vec<_>>());
             for i in all(&a) {
                 prop_assert_eq!(a.and(&b).has(i), a.has(i) && b.has(i));
                 prop_assert_eq!(a.or(&b).has(i), a.has(i) || b.has(i));

@@ -319,18 +319,27 @@ impl Classifier {
     /// When the two are not of one length.
     pub fn paint_of(&self, colours: &[[u16; 3]], valid: &[bool]) -> Vec<bool> {
         assert_eq!(colours.len(), valid.len());
+        let bits = self.paint_bits(colours);
+        valid.iter().enumerate().map(|(i, &valid)| valid && bits[i / 64] >> (i % 64) & 1 == 1).collect()
+    }
+
+    /// Which of these colours, as the file has them, are paint: a bit each, lowest first.
+    pub fn paint_bits(&self, colours: &[[u16; 3]]) -> Vec<u64> {
         let bytes: Vec<u8> = colours.as_flattened().iter().map(|&v| self.to_byte(v)).collect();
         let mut bits = vec![0u64; colours.len().div_ceil(64)];
         self.of_colours.row(&bytes, 3, colours.len(), &mut bits);
-        let mut paint = vec![false; colours.len()];
-        for (w, mut word) in bits.into_iter().enumerate() {
-            while word != 0 {
-                let i = w * 64 + word.trailing_zeros() as usize;
-                word &= word - 1;
-                paint[i] = valid[i] && self.table.get([bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]]);
+        for (w, word) in bits.iter_mut().enumerate() {
+            let mut left = *word;
+            while left != 0 {
+                let bit = left.trailing_zeros();
+                left &= left - 1;
+                let i = 3 * (w * 64 + bit as usize);
+                if !self.table.get([bytes[i], bytes[i + 1], bytes[i + 2]]) {
+                    *word &= !(1 << bit);
+                }
             }
         }
-        paint
+        bits
     }
 
     /// A sample on the 8-bit scale: `(255·v + white/2) / white`, at most 255; bytes with white 255 are themselves.
