@@ -95,8 +95,12 @@ fn copy_row<T: Copy + Into<u16>>(
     let nodata = info.nodata_sample();
     if info.alpha.is_none() && nodata.is_none() {
         let [r, g, b] = info.rgb;
-        for (rgb, pixel) in rgb.iter_mut().zip(samples.chunks(stride)) {
-            *rgb = [pixel[r].into(), pixel[g].into(), pixel[b].into()];
+        if (stride, info.rgb) == (3, [0, 1, 2]) {
+            rgb.as_flattened_mut().iter_mut().zip(samples).for_each(|(to, from)| *to = (*from).into());
+        } else {
+            for (rgb, pixel) in rgb.iter_mut().zip(samples.chunks(stride)) {
+                *rgb = [pixel[r].into(), pixel[g].into(), pixel[b].into()];
+            }
         }
         valid.fill(true);
         return;

@@ -325,7 +325,12 @@ impl Classifier {
 
     /// Which of these colours, as the file has them, are paint: a bit each, lowest first.
     pub fn paint_bits(&self, colours: &[[u16; 3]]) -> Vec<u64> {
-        let bytes: Vec<u8> = colours.as_flattened().iter().map(|&v| self.to_byte(v)).collect();
+        let samples = colours.as_flattened().iter();
+        // Apart, so that bytes are taken many at a time.
+        let bytes: Vec<u8> = match self.white {
+            255 => samples.map(|&v| v.min(255) as u8).collect(),
+            _ => samples.map(|&v| self.to_byte(v)).collect(),
+        };
         let mut bits = vec![0u64; colours.len().div_ceil(64)];
         self.of_colours.row(&bytes, 3, colours.len(), &mut bits);
         for (w, word) in bits.iter_mut().enumerate() {
