@@ -333,17 +333,7 @@ impl Classifier {
         };
         let mut bits = vec![0u64; colours.len().div_ceil(64)];
         self.of_colours.row(&bytes, 3, colours.len(), &mut bits);
-        for (w, word) in bits.iter_mut().enumerate() {
-            let mut left = *word;
-            while left != 0 {
-                let bit = left.trailing_zeros();
-                left &= left - 1;
-                let i = 3 * (w * 64 + bit as usize);
-                if !self.table.get([bytes[i], bytes[i + 1], bytes[i + 2]]) {
-                    *word &= !(1 << bit);
-                }
-            }
-        }
+        keep(&mut bits, |i| self.table.get([bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]]));
         bits
     }
 
@@ -391,16 +381,23 @@ impl Classifier {
 
     /// Keeps the set bits whose pixel is paint by the table and holds something.
     fn refine(&self, bits: &mut [u64], pixel: impl Fn(usize) -> ([u16; 3], Option<u16>)) {
-        for (w, word) in bits.iter_mut().enumerate() {
-            let mut left = *word;
-            while left != 0 {
-                let bit = left.trailing_zeros();
-                left &= left - 1;
-                let (colour, alpha) = pixel(w * 64 + bit as usize);
-                let holds_nothing = alpha == Some(0) || self.nodata.is_some_and(|n| colour == [n; 3]);
-                if holds_nothing || !self.table.get(colour.map(|v| self.to_byte(v))) {
-                    *word &= !(1 << bit);
-                }
+        keep(bits, |i| {
+            let (colour, alpha) = pixel(i);
+            let holds_nothing = alpha == Some(0) || self.nodata.is_some_and(|n| colour == [n; 3]);
+            !holds_nothing && self.table.get(colour.map(|v| self.to_byte(v)))
+        });
+    }
+}
+
+/// Clears the set bits of pixels that are not `wanted`.
+fn keep(bits: &mut [u64], wanted: impl Fn(usize) -> bool) {
+    for (w, word) in bits.iter_mut().enumerate() {
+        let mut left = *word;
+        while left != 0 {
+            let bit = left.trailing_zeros();
+            left &= left - 1;
+            if !wanted(w * 64 + bit as usize) {
+                *word &= !(1 << bit);
             }
         }
     }
