@@ -27,8 +27,8 @@ impl Detector for Spy<'_> {
     fn halo_px(&self) -> u64 {
         self.inner.halo_px()
     }
-    fn segment(&self, block: &Block, mask: &mut Mask) {
-        self.inner.segment(block, mask);
+    fn segment_block(&self, block: &Block, mask: &mut Mask) {
+        self.inner.segment_block(block, mask);
     }
     fn gate(&self, region: &Region) -> bool {
         self.inner.gate(region)

@@ -17,7 +17,7 @@ impl Detector for RedPaint {
     fn halo_px(&self) -> u64 {
         0
     }
-    fn segment(&self, block: &Block, mask: &mut Mask) {
+    fn segment_block(&self, block: &Block, mask: &mut Mask) {
         for piece in &block.pieces {
             for y in piece.window.y..piece.window.bottom() {
                 let PixelRow { samples: Samples::U8(samples), pixel_stride, len } =

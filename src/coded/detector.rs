@@ -306,7 +306,7 @@ impl Detector for CodedDetector {
     }
 
     /// One pixel stands for each cell that may hold a tag.
-    fn segment(&self, block: &Block, mask: &mut Mask) {
+    fn segment_block(&self, block: &Block, mask: &mut Mask) {
         let plane = Plane::of_block(block, &self.info);
         let (window, size) = (block.window, self.cell_px());
         for y in (window.y / size * size..window.bottom()).step_by(size as usize) {

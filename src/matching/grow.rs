@@ -7,8 +7,6 @@
 //! verification O. Chum and J. Matas, "Optimal randomized RANSAC", 2008). What survives is settled and weighed as every other
 //! pattern; nothing is believed because it grew.
 
-use rayon::prelude::*;
-
 use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::Pattern;
 use crate::matching::search::{GcpPair, Search};
@@ -178,14 +176,11 @@ impl Search<'_> {
             keep_best(&mut shoots);
             (shoots, tried)
         };
-        let (mut all, tried) = self.evenly_chosen(pair, budget).map(from_point).reduce(
-            || (Vec::new(), 0),
-            |(mut one, n), (other, m)| {
-                one.extend(other);
-                keep_best(&mut one);
-                (one, n + m)
-            },
-        );
+        let (mut all, tried) = self.from_chosen_points(pair, budget, from_point, |(mut one, n), (other, m)| {
+            one.extend(other);
+            keep_best(&mut one);
+            (one, n + m)
+        });
         keep_best(&mut all);
         (all, tried)
     }

@@ -22,6 +22,8 @@ const CHANCE_HIT: f64 = 0.02;
 const REFINED_PER_PAIR: usize = 6;
 /// From so many candidates on, pairs of GCPs are weighed before they are tried.
 const CROWD: usize = 3000;
+/// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of them.
+const WORTH_THREADS: u64 = 10_000;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -199,23 +201,31 @@ impl<'a> Search<'a> {
             return (Vec::new(), 0);
         }
         let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
-        let (mut all, tried) = self.evenly_chosen(pair, budget).map(per_point).reduce(
-            || (Vec::new(), 0),
-            |(mut one, n), (other, m)| {
-                one.extend(other);
-                keep_best(&mut one);
-                (one, n + m)
-            },
-        );
+        let (mut all, tried) = self.from_chosen_points(pair, budget, per_point, |(mut one, n), (other, m)| {
+            one.extend(other);
+            keep_best(&mut one);
+            (one, n + m)
+        });
         keep_best(&mut all);
         (all, tried)
     }
 
-    /// Points for the first end of a pair: all, or evenly chosen about as many as the budget of hypotheses allows.
-    pub fn evenly_chosen(&self, pair: &GcpPair, budget: u64) -> impl ParallelIterator<Item = usize> + use<> {
+    /// What `each` says of points for the first end of a pair, joined in any order: of all points, or evenly chosen of about
+    /// as many as the budget of hypotheses allows.
+    pub fn from_chosen_points<T: Default + Send>(
+        &self,
+        pair: &GcpPair,
+        budget: u64,
+        each: impl Fn(usize) -> T + Send + Sync,
+        join: impl Fn(T, T) -> T + Send + Sync,
+    ) -> T {
         let points = self.field.points().len();
         let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
-        (0..affordable).into_par_iter().map(move |k| k * points / affordable)
+        let chosen = |k: usize| each(k * points / affordable);
+        if pair.hypotheses().min(budget) < WORTH_THREADS {
+            return (0..affordable).map(chosen).fold(T::default(), join);
+        }
+        (0..affordable).into_par_iter().map(chosen).reduce(T::default, join)
     }
 
     /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.

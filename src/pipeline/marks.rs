@@ -7,7 +7,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
 use crate::profile::Profile;
-use crate::raster::{Block, Pixels, RasterInfo};
+use crate::raster::{Block, Piece, Pixels, RasterInfo};
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 use crate::target::TargetDetector;
@@ -71,8 +71,11 @@ impl Detector for MarkDetector {
     fn halo_px(&self) -> u64 {
         self.inner().halo_px()
     }
-    fn segment(&self, block: &Block, mask: &mut Mask) {
-        self.inner().segment(block, mask);
+    fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
+        self.inner().segment_piece(piece, mask);
+    }
+    fn segment_block(&self, block: &Block, mask: &mut Mask) {
+        self.inner().segment_block(block, mask);
     }
     fn gate(&self, region: &Region) -> bool {
         self.inner().gate(region)

@@ -12,20 +12,27 @@ const TILES_AHEAD: u64 = 8;
 pub(super) struct Pace {
     ahead: u64,
     fetched_ahead: u64,
-    first_missing: Mutex<u64>,
+    reached: Mutex<Reached>,
     moved: Condvar,
+}
+
+struct Reached {
+    first_missing: u64,
+    /// The nearest place that anybody waits for: to wake whoever waits for more would only cost the time of those who work.
+    wanted: u64,
 }
 
 impl Pace {
     /// `fetched` tiles are fetched before they are handed out.
     pub fn of(workers: usize, fetched: u64) -> Pace {
         let ahead = TILES_AHEAD * workers as u64;
-        Pace { ahead, fetched_ahead: ahead + fetched, first_missing: Mutex::new(0), moved: Condvar::new() }
+        let reached = Mutex::new(Reached { first_missing: 0, wanted: u64::MAX });
+        Pace { ahead, fetched_ahead: ahead + fetched, reached, moved: Condvar::new() }
     }
 
-    fn first_missing(&self) -> MutexGuard<'_, u64> {
-        // A number is whole whoever held it.
-        self.first_missing.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, Reached> {
+        // Numbers are whole whoever held them.
+        self.reached.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns when a tile may be handed out.
@@ -39,15 +46,26 @@ impl Pace {
     }
 
     fn wait(&self, tile: u64, ahead: u64) {
-        let too_far = |first_missing: &mut u64| tile >= first_missing.saturating_add(ahead);
-        drop(self.moved.wait_while(self.first_missing(), too_far).unwrap_or_else(PoisonError::into_inner));
+        let needed = (tile + 1).saturating_sub(ahead);
+        let too_far = |reached: &mut Reached| {
+            let too_far = reached.first_missing < needed;
+            if too_far {
+                reached.wanted = reached.wanted.min(needed);
+            }
+            too_far
+        };
+        drop(self.moved.wait_while(self.state(), too_far).unwrap_or_else(PoisonError::into_inner));
     }
 
     /// All tiles before this one have come.
     pub fn reached(&self, first_missing: u64) {
-        let mut reached = self.first_missing();
-        *reached = (*reached).max(first_missing);
-        self.moved.notify_all();
+        let mut reached = self.state();
+        reached.first_missing = reached.first_missing.max(first_missing);
+        if reached.first_missing >= reached.wanted {
+            // Whoever has to wait on says so again.
+            reached.wanted = u64::MAX;
+            self.moved.notify_all();
+        }
     }
 
     /// Nobody need wait any more.

@@ -6,7 +6,7 @@ use crate::coords::PixelPoint;
 use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::Profile;
-use crate::raster::{Block, Pixels, RasterInfo};
+use crate::raster::{Block, Piece, Pixels, RasterInfo};
 use crate::segment::classify::Classifier;
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
@@ -51,17 +51,19 @@ impl Detector for PaintDetector {
         self.filters.halo_px()
     }
 
-    fn segment(&self, block: &Block, mask: &mut Mask) {
-        let longest = block.pieces.iter().map(|piece| piece.window.width).max().unwrap_or(0);
-        let mut bits = vec![0u64; (longest as usize).div_ceil(64)];
-        // The last one read is in the nearest cache still.
-        for piece in block.pieces.iter().rev().filter(|piece| !piece.empty) {
-            let (x, width) = (piece.window.x, piece.window.width);
-            for y in piece.window.y..piece.window.bottom() {
-                self.classifier.classify_row(piece.row(x, y, width), &mut bits);
-                mask.put_bits(x, y, width, &bits);
-            }
+    fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
+        if piece.empty {
+            return;
         }
+        let (x, width) = (piece.window.x, piece.window.width);
+        let mut bits = vec![0u64; (width as usize).div_ceil(64)];
+        for y in piece.window.y..piece.window.bottom() {
+            self.classifier.classify_row(piece.row(x, y, width), &mut bits);
+            mask.put_bits(x, y, width, &bits);
+        }
+    }
+
+    fn segment_block(&self, _block: &Block, mask: &mut Mask) {
         self.filters.apply(mask);
     }
 

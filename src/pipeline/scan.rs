@@ -1,13 +1,13 @@
 //! Tiles in, candidates out: `Tile → Block → Mask → TileRegions → Region → Candidate`.
 //!
-//! Workers take tiles from a bounded channel, each does one tile at a time from reading to labelling, and the calling
-//! thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
+//! Workers take tiles in order, kept close together by `pipeline::pace`; each does one tile at a time from reading to
+//! labelling, and the calling thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
 //! there; those that straddle tiles are examined as soon as the last of these tiles is read, from pixels along the faces
 //! that were kept for them (`pipeline::seams`), or else through small windows read again. Either way the examination sees the
 //! same pixels, so that no candidate depends on the tiling.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -21,7 +21,7 @@ use crate::merge::RegionMerger;
 use crate::pipeline::pace::Pace;
 use crate::pipeline::plan::ScanPlan;
 use crate::pipeline::seams::{Seam, Seams, band_pool};
-use crate::raster::{Block, BufferPool, Pixels, RasterInfo, RasterSource, ReadStats, View};
+use crate::raster::{Block, BufferPool, Piece, Pixels, RasterInfo, RasterSource, ReadStats, View};
 use crate::segment::label::{Labeller, Region, TileRegions};
 use crate::segment::mask::Mask;
 use crate::window::{Tile, Window};
@@ -33,13 +33,23 @@ const EXAMINE_BATCH: usize = 16;
 /// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second of a fast
 /// disk. It lies in the system's cache, not in ours.
 const FETCH_AHEAD_BYTES: u64 = 64 << 20;
+/// The fetcher is woken for so many tiles at once.
+const FETCHED_TOGETHER: u64 = 8;
 
 /// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
 pub trait Detector: Sync {
     /// Pixels around a core that [`Detector::segment`] must see to be right inside it.
     fn halo_px(&self) -> u64;
-    /// Block → Mask: sets the foreground bits of the mask, which is background and of the block's window.
-    fn segment(&self, block: &Block, mask: &mut Mask);
+    /// Piece → Mask, for detectors that judge a pixel by itself: called for each piece of a block as soon as it is read, while
+    /// it lies in the nearest cache. The mask is of the block's window, and background at first.
+    fn segment_piece(&self, _piece: &Piece, _mask: &mut Mask) {}
+    /// Block → Mask: what is left to do when all pieces are there; sets the foreground bits of the mask.
+    fn segment_block(&self, block: &Block, mask: &mut Mask);
+    /// Block → Mask, all of it.
+    fn segment(&self, block: &Block, mask: &mut Mask) {
+        block.pieces.iter().for_each(|piece| self.segment_piece(piece, mask));
+        self.segment_block(block, mask);
+    }
     /// Whether a complete region may be a mark, from its integers alone.
     fn gate(&self, region: &Region) -> bool;
     /// Pixels around a region's bounds that [`Detector::examine`] wants to see.
@@ -208,7 +218,7 @@ fn scan_tiles(
     let info = source.info();
     let tile_bytes = plan.grid.tile_width() * plan.grid.tile_height() * (info.bands * info.sample.bytes()) as u64;
     let pace = Pace::of(plan.workers, FETCH_AHEAD_BYTES.div_ceil(tile_bytes.max(1)));
-    let (tile_sender, tiles) = crossbeam_channel::bounded::<Tile>(2 * plan.workers);
+    let next_tile = AtomicU64::new(0);
     let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
@@ -216,36 +226,32 @@ fn scan_tiles(
         // The request itself waits while the disk has enough to do.
         spawn_named(scope, "fetcher".into(), move || {
             for tile in plan.grid.iter() {
-                pace.wait_to_fetch(tile.id);
+                if tile.id % FETCHED_TOGETHER == 0 {
+                    pace.wait_to_fetch(tile.id + FETCHED_TOGETHER - 1);
+                }
                 if stop.load(Ordering::Relaxed) {
                     return;
                 }
                 source.prefetch(tile.read);
             }
         });
-        spawn_named(scope, "tiler".into(), move || {
-            for tile in plan.grid.iter() {
-                pace.wait_for_turn(tile.id);
-                if stop.load(Ordering::Relaxed) || tile_sender.send(tile).is_err() {
-                    return;
-                }
-            }
-        });
         let bands = band_pool(&plan.grid, detector.patch_margin_px(), source.info());
         for index in 0..plan.workers {
             let straddlers = straddlers.clone();
             let bands = bands.clone();
-            let worker = Worker { source, plan, detector, progress, in_order: &in_order, straddlers, bands };
-            let (tiles, outputs) = (tiles.clone(), output_sender.clone());
+            let (next_tile, in_order) = (&next_tile, &in_order);
+            let worker =
+                Worker { source, plan, detector, progress, next_tile, pace, stop, in_order, straddlers, bands };
+            let outputs = output_sender.clone();
             spawn_named(scope, format!("worker {index}"), move || {
                 let _rest = pace.lifted_by_panic();
-                worker.run(&tiles, &outputs, stop);
+                worker.run(&outputs);
             });
         }
-        drop((tiles, output_sender));
+        drop(output_sender);
         let mut collector = Collector::new(source, plan, detector, pace, bands);
         let result = collector.run(&outputs, &straddler_sender);
-        // On an error the workers and the tiler must not wait for us for ever.
+        // On an error nobody must wait for us for ever.
         stop.store(true, Ordering::Relaxed);
         pace.lift();
         while outputs.recv().is_ok() {}
@@ -408,6 +414,9 @@ struct Worker<'a> {
     plan: &'a ScanPlan,
     detector: &'a dyn Detector,
     progress: &'a dyn Progress,
+    next_tile: &'a AtomicU64,
+    pace: &'a Pace,
+    stop: &'a AtomicBool,
     /// Held from taking a tile until it is read, when the source can only be read from the top down.
     in_order: &'a Mutex<()>,
     /// Regions whose surroundings reach over tiles that have all been read.
@@ -417,16 +426,10 @@ struct Worker<'a> {
 }
 
 impl Worker<'_> {
-    fn run(
-        &self,
-        tiles: &crossbeam_channel::Receiver<Tile>,
-        outputs: &crossbeam_channel::Sender<Result<TileOutput>>,
-        stop: &AtomicBool,
-    ) {
+    fn run(&self, outputs: &crossbeam_channel::Sender<Result<TileOutput>>) {
         let mut mask = Mask::new(Window::new(0, 0, 0, 0));
         let mut labeller = Labeller::new();
-        while !stop.load(Ordering::Relaxed) {
-            let Some((tile, block)) = self.next_block(tiles) else { return };
+        while let Some((tile, block)) = self.next_block(&mut mask) {
             let output = block.and_then(|block| {
                 let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
                 let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
@@ -444,18 +447,40 @@ impl Worker<'_> {
         }
     }
 
-    /// Tile → Block.
-    fn next_block(&self, tiles: &crossbeam_channel::Receiver<Tile>) -> Option<(Tile, Result<Block>)> {
-        let _turn = self.source.info().sequential.then(|| self.in_order.lock().unwrap_or_else(PoisonError::into_inner));
-        let tile = tiles.recv().ok()?;
-        Some((tile, self.source.read(tile.read)))
+    /// The next tile in order, when its turn has come.
+    fn next_tile(&self) -> Option<Tile> {
+        let id = self.next_tile.fetch_add(1, Ordering::Relaxed);
+        if id >= self.plan.grid.len() {
+            return None;
+        }
+        self.pace.wait_for_turn(id);
+        (!self.stop.load(Ordering::Relaxed)).then(|| self.plan.grid.tile(id))
     }
 
-    /// Block → Mask → TileRegions, and what can be examined at once.
+    /// Tile → Block, and of the mask what can be told from each piece.
+    fn next_block(&self, mask: &mut Mask) -> Option<(Tile, Result<Block>)> {
+        if !self.source.info().sequential {
+            let tile = self.next_tile()?;
+            mask.reset(tile.read);
+            return Some((
+                tile,
+                self.source.read_seen(tile.read, &mut |piece| self.detector.segment_piece(piece, mask)),
+            ));
+        }
+        // Only the reading takes turns.
+        let turn = self.in_order.lock().unwrap_or_else(PoisonError::into_inner);
+        let tile = self.next_tile()?;
+        let block = self.source.read(tile.read);
+        drop(turn);
+        mask.reset(tile.read);
+        block.iter().flat_map(|b| &b.pieces).for_each(|piece| self.detector.segment_piece(piece, mask));
+        Some((tile, block))
+    }
+
+    /// Block → Mask → TileRegions, and what can be examined at once. The mask holds what [`Detector::segment_piece`] set.
     fn process(&self, tile: &Tile, block: &Block, mask: &mut Mask, labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
-        mask.reset(block.window);
-        self.detector.segment(block, mask);
+        self.detector.segment_block(block, mask);
         let mut regions = labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region));
         let mut output = TileOutput {
             id: tile.id,

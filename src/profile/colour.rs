@@ -29,18 +29,19 @@ pub(crate) fn xyz_from_linear(c: [f64; 3]) -> [f64; 3] {
     ]
 }
 
+/// Below it [`lab_f`] is a straight line, which meets the cube root without a bend.
+pub(crate) const LAB_KNEE: f64 = 216.0 / 24_389.0;
+
 /// The compressive function of L\*a\*b\*, rising everywhere.
 pub(crate) fn lab_f(t: f64) -> f64 {
-    const KNEE: f64 = 216.0 / 24_389.0;
     const KAPPA: f64 = 24_389.0 / 27.0;
-    if t > KNEE { t.cbrt() } else { (KAPPA * t + 16.0) / 116.0 }
+    if t > LAB_KNEE { t.cbrt() } else { (KAPPA * t + 16.0) / 116.0 }
 }
 
 /// [`lab_f`] within [`LAB_F_NEAR`] of itself, relatively, in a fraction of the time: a table of colours asks it millions of
 /// times whether the exact answer matters. One step of Halley's method from a third of the exponent.
 pub(crate) fn lab_f_near(t: f64) -> f64 {
-    const KNEE: f64 = 216.0 / 24_389.0;
-    if t <= KNEE {
+    if t <= LAB_KNEE {
         return lab_f(t);
     }
     // Thirds of the bits, with what makes 1 come out as 1 but for 3 %.
@@ -74,7 +75,7 @@ pub fn srgb_from_lab(lab: [f64; 3]) -> [f64; 3] {
     let f = [y + lab[1] / 500.0, y, y - lab[2] / 200.0];
     let xyz = nalgebra::Vector3::from_fn(|i, _| {
         let t = f[i].powi(3);
-        let linear = if t > 216.0 / 24_389.0 { t } else { (116.0 * f[i] - 16.0) * 27.0 / 24_389.0 };
+        let linear = if t > LAB_KNEE { t } else { (116.0 * f[i] - 16.0) * 27.0 / 24_389.0 };
         linear * WHITE[i]
     });
     #[rustfmt::skip]

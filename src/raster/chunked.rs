@@ -39,11 +39,6 @@ pub trait ChunkDecoder: Send + Sync {
     /// When it cannot be read or is broken.
     fn decode(&self, id: u64, counters: &Counters) -> Result<Chunk>;
 
-    /// Pixels of `window` without a chunk between, where the file allows it.
-    fn direct(&self, _window: Window, _counters: &Counters) -> Option<Result<Block>> {
-        None
-    }
-
     fn prefetch(&self, _window: Window) {}
 
     /// The bytes of `window` will not be wanted again.
@@ -88,6 +83,10 @@ impl<D: ChunkDecoder> RasterSource for ChunkedSource<D> {
     }
 
     fn read(&self, window: Window) -> Result<Block> {
+        self.read_seen(window, &mut |_| ())
+    }
+
+    fn read_seen(&self, window: Window, see: &mut dyn FnMut(&Piece)) -> Result<Block> {
         let info = self.decoder.info();
         if window.is_empty() || !info.bounds().contains_window(&window) {
             return Err(crate::Error::usage(
@@ -95,16 +94,15 @@ impl<D: ChunkDecoder> RasterSource for ChunkedSource<D> {
                 format!("ask for pixels within {} x {}", info.width, info.height),
             ));
         }
-        if let Some(block) = self.decoder.direct(window, &self.counters) {
-            return block;
-        }
         let grid = self.decoder.grid();
         let (first_column, last_column) = (window.x / grid.tile_width(), (window.right() - 1) / grid.tile_width());
         let (first_row, last_row) = (window.y / grid.tile_height(), (window.bottom() - 1) / grid.tile_height());
         let mut pieces = Vec::new();
         for row in first_row..=last_row {
             for column in first_column..=last_column {
-                pieces.extend(self.piece(row * grid.columns() + column, window)?);
+                let piece = self.piece(row * grid.columns() + column, window)?;
+                piece.iter().for_each(&mut *see);
+                pieces.extend(piece);
             }
         }
         Ok(Block { window, pieces })

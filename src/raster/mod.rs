@@ -282,6 +282,16 @@ pub trait RasterSource: Send + Sync {
     /// When the file cannot be read or a block in it is broken; the message names the block.
     fn read(&self, window: Window) -> Result<Block>;
 
+    /// Like [`RasterSource::read`], and shows each piece to `see` as soon as it is there, where that can be before the others.
+    ///
+    /// # Errors
+    /// Those of [`RasterSource::read`]; `see` may have seen some pieces.
+    fn read_seen(&self, window: Window, see: &mut dyn FnMut(&Piece)) -> Result<Block> {
+        let block = self.read(window)?;
+        block.pieces.iter().for_each(see);
+        Ok(block)
+    }
+
     /// The system may fetch the bytes of `window` now; a later read will want them.
     fn prefetch(&self, _window: Window) {}
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Block, RasterInfo, RasterSource, ReadStats, SampleType};
+use super::{Block, Piece, RasterInfo, RasterSource, ReadStats, SampleType};
 use crate::error::{Error, Result};
 use crate::window::Window;
 
@@ -40,6 +40,9 @@ impl RasterSource for Rescaled {
     }
     fn read(&self, window: Window) -> Result<Block> {
         self.inner.read(window)
+    }
+    fn read_seen(&self, window: Window, see: &mut dyn FnMut(&Piece)) -> Result<Block> {
+        self.inner.read_seen(window, see)
     }
     fn prefetch(&self, window: Window) {
         self.inner.prefetch(window);

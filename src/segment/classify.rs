@@ -1,33 +1,29 @@
 //! Which pixels are paint: exactly, and at memory speed.
 //!
 //! The decision on an 8-bit colour depends on three bytes, so it is a table of 2²⁴ bits (2 MiB), computed once per profile
-//! with the scalar reference [`PaintTest`], and only where an interval bound says that anything can be accepted. A row first
+//! from the scalar reference [`PaintTest`] (`segment::table`). A row first
 //! goes through a vectorised test of the accepted colours' bounds (see [`super::kernels`]), which drops nearly all pixels of an
 //! ordinary image, and what is left is looked up. 16-bit samples are scaled to 8 bits by `(255·v + white/2) / white`, never
 //! by a tile's own statistics, so that the answer does not depend on the tiling.
 
 use std::sync::Arc;
 
-use nalgebra::Vector3;
-use rayon::prelude::*;
-
+use super::table::ColourTable;
 use crate::error::{Error, Result};
 use crate::profile::Profile;
-use crate::profile::colour::{
-    Cloud, LAB_F_NEAR, Space, lab_f, lab_f_near, lab_from_f, lab_from_srgb, linear_of_bytes, xyz_from_linear,
-};
+use crate::profile::colour::{Cloud, Space, lab_from_srgb};
 use crate::raster::{PixelRow, SampleType, Samples};
-use crate::segment::kernels::{Bounds, Prefilter};
+use crate::segment::kernels::Prefilter;
 
 /// The scalar reference: is this colour paint, and how far is it from it?
 #[derive(Clone, Debug)]
 pub struct PaintTest {
-    space: Space,
-    limit2: f64,
-    clouds: Vec<Cloud>,
-    rough: Option<(Space, f64, Cloud)>,
-    low: [u8; 3],
-    high: [u8; 3],
+    pub(super) space: Space,
+    pub(super) limit2: f64,
+    pub(super) clouds: Vec<Cloud>,
+    pub(super) rough: Option<(Space, f64, Cloud)>,
+    pub(super) low: [u8; 3],
+    pub(super) high: [u8; 3],
 }
 
 impl PaintTest {
@@ -78,188 +74,6 @@ impl PaintTest {
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
         self.relative_distance2(colour) <= 1.0
     }
-
-    /// What holds for every colour of the cube `low..=high`. A bound: [`Verdict::Mixed`] when in doubt.
-    fn judge(&self, low: [u8; 3], high: [u8; 3]) -> Verdict {
-        if (0..3).any(|i| high[i] < self.low[i] || low[i] > self.high[i]) {
-            return Verdict::Ground;
-        }
-        let boxed = (0..3).all(|i| low[i] >= self.low[i] && high[i] <= self.high[i]);
-        let rough = match &self.rough {
-            None => Verdict::Paint,
-            Some((space, limit2, cloud)) => {
-                judge_clouds(std::slice::from_ref(cloud), *limit2, &Extent::new(*space, low, high))
-            }
-        };
-        if rough == Verdict::Ground {
-            return Verdict::Ground;
-        }
-        match judge_clouds(&self.clouds, self.limit2, &Extent::new(self.space, low, high)) {
-            Verdict::Paint if boxed && rough == Verdict::Paint => Verdict::Paint,
-            Verdict::Ground => Verdict::Ground,
-            _ => Verdict::Mixed,
-        }
-    }
-}
-
-/// What is known of a cube of colours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
-    /// All are.
-    Paint,
-    /// None is.
-    Ground,
-    Mixed,
-}
-
-/// A box, in the space that distances are taken in, around all colours of a cube.
-struct Extent {
-    middle: Vector3<f64>,
-    half: Vector3<f64>,
-}
-
-impl Extent {
-    fn new(space: Space, low: [u8; 3], high: [u8; 3]) -> Extent {
-        let unit = |c: [u8; 3]| c.map(|v| f64::from(v) / 255.0);
-        let (lo, hi) = match space {
-            Space::Rgb => (unit(low), unit(high)),
-            Space::Lab => {
-                // XYZ rises with each of R, G, B, and L*a*b*'s compressive function rises: corners bound it.
-                let linear = linear_of_bytes();
-                let f = |[r, g, b]: [u8; 3]| {
-                    let [x, y, z] =
-                        xyz_from_linear([linear[usize::from(r)], linear[usize::from(g)], linear[usize::from(b)]]);
-                    [lab_f_near(x), lab_f_near(y), lab_f_near(z)]
-                };
-                let f0 = f(low);
-                let f1 = if low == high { f0 } else { f(high) };
-                let (f0, f1) = (f0.map(|v| v * (1.0 - LAB_F_NEAR)), f1.map(|v| v * (1.0 + LAB_F_NEAR)));
-                (
-                    [116.0 * f0[1] - 16.0, 500.0 * (f0[0] - f1[1]), 200.0 * (f0[1] - f1[2])],
-                    [116.0 * f1[1] - 16.0, 500.0 * (f1[0] - f0[1]), 200.0 * (f1[1] - f0[2])],
-                )
-            }
-        };
-        let (lo, hi) = (Vector3::from(lo), Vector3::from(hi));
-        // A hair of slack covers rounding.
-        Extent { middle: (lo + hi) / 2.0, half: ((hi - lo) / 2.0).add_scalar(1e-9) }
-    }
-}
-
-/// The distance from a cloud is a norm, so inside the box it differs from that of the middle by at most the norm of the half
-/// diagonal, for which the absolute weights give an upper bound.
-fn judge_clouds(clouds: &[Cloud], limit2: f64, extent: &Extent) -> Verdict {
-    const SLACK: f64 = 1e-6;
-    let limit = limit2.sqrt();
-    let mut verdict = Verdict::Ground;
-    for cloud in clouds {
-        let at_middle = cloud.distance2(&extent.middle).max(0.0).sqrt();
-        let reach = extent.half.dot(&(cloud.weight.abs() * extent.half)).sqrt();
-        if at_middle + reach < limit * (1.0 - SLACK) {
-            return Verdict::Paint;
-        }
-        if at_middle - reach <= limit * (1.0 + SLACK) {
-            verdict = Verdict::Mixed;
-        }
-    }
-    verdict
-}
-
-/// One bit for each 8-bit colour, red most significant.
-struct ColourTable {
-    words: Vec<u64>,
-    bounds: Bounds,
-}
-
-impl ColourTable {
-    const SLAB_WORDS: usize = 16 * 65_536 / 64;
-
-    fn new(test: &PaintTest) -> ColourTable {
-        let mut words = vec![0u64; (1 << 24) / 64];
-        // Sixteen reds at a time, so that slabs are disjoint slices.
-        let bounds = words
-            .par_chunks_mut(Self::SLAB_WORDS)
-            .enumerate()
-            .map(|(slab, words)| fill_slab(test, slab, words))
-            .reduce(|| Bounds::NOTHING, |a, b| a.union(&b));
-        ColourTable { words, bounds }
-    }
-
-    fn get(&self, c: [u8; 3]) -> bool {
-        let index = usize::from(c[0]) << 16 | usize::from(c[1]) << 8 | usize::from(c[2]);
-        self.words[index >> 6] >> (index & 63) & 1 == 1
-    }
-}
-
-/// The colours with red `16·slab .. 16·slab + 16`.
-fn fill_slab(test: &PaintTest, slab: usize, words: &mut [u64]) -> Bounds {
-    let mut fill = Fill { test, red: 16 * slab, words, bounds: Bounds::NOTHING };
-    for (g, b) in (0..256).step_by(16).flat_map(|g| (0..256).step_by(16).map(move |b| (g, b))) {
-        fill.cube([16 * slab, g, b], 16);
-    }
-    fill.bounds
-}
-
-struct Fill<'a> {
-    test: &'a PaintTest,
-    /// Of the first word.
-    red: usize,
-    words: &'a mut [u64],
-    bounds: Bounds,
-}
-
-impl Fill<'_> {
-    /// Splits cubes until one answer holds for the whole of each; below a certain size the colours are asked one by one.
-    fn cube(&mut self, [r, g, b]: [usize; 3], side: usize) {
-        const ONE_BY_ONE: usize = 2;
-        let low = [r as u8, g as u8, b as u8];
-        let verdict = self.test.judge(low, low.map(|v| v + (side - 1) as u8));
-        let colours = (0..side * side * side).map(|i| [r + i / (side * side), g + i / side % side, b + i % side]);
-        match verdict {
-            Verdict::Ground => {}
-            Verdict::Paint => {
-                colours.for_each(|colour| self.set(colour));
-                // Samples and their differences are extreme at corners.
-                let far = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { (side - 1) as u8 } else { 0 };
-                (0..8).for_each(|k| self.bounds.admit(std::array::from_fn(|axis| low[axis] + far(k, axis))));
-            }
-            Verdict::Mixed if side > ONE_BY_ONE => {
-                let half = side / 2;
-                for k in 0..8 {
-                    self.cube([r + half * (k >> 2), g + half * (k >> 1 & 1), b + half * (k & 1)], half);
-                }
-            }
-            Verdict::Mixed => {
-                for colour in colours {
-                    let bytes = colour.map(|v| v as u8);
-                    // The bound of a single colour is all but the colour: what it leaves open is asked exactly.
-                    let paint = match self.test.judge(bytes, bytes) {
-                        Verdict::Paint => true,
-                        Verdict::Ground => false,
-                        Verdict::Mixed => table_bit(self.test, bytes),
-                    };
-                    if paint {
-                        self.set(colour);
-                        self.bounds.admit(bytes);
-                    }
-                }
-            }
-        }
-    }
-
-    fn set(&mut self, [r, g, b]: [usize; 3]) {
-        let index = (r - self.red) << 16 | g << 8 | b;
-        self.words[index >> 6] |= 1 << (index & 63);
-    }
-}
-
-/// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
-fn table_bit(test: &PaintTest, colour: [u8; 3]) -> bool {
-    if test.space == Space::Rgb || test.rough.is_some() || test.low != [0; 3] || test.high != [255; 3] {
-        return test.is_paint(colour);
-    }
-    let lab = lab_from_f(xyz_from_linear(colour.map(|v| linear_of_bytes()[usize::from(v)])).map(lab_f));
-    test.clouds.iter().map(|c| c.distance2(&lab)).fold(f64::INFINITY, f64::min) / test.limit2 <= 1.0
 }
 
 /// Decides for every pixel of a row whether it is paint. Cheap to clone; shared by all workers.

@@ -18,3 +18,4 @@ pub mod filters;
 pub mod kernels;
 pub mod label;
 pub mod mask;
+mod table;

@@ -167,7 +167,7 @@ impl Detector for TargetDetector {
         self.scales.iter().map(|s| s.support_px()).max().unwrap_or(0)
     }
 
-    fn segment(&self, block: &Block, mask: &mut Mask) {
+    fn segment_block(&self, block: &Block, mask: &mut Mask) {
         let mut plane = Plane::of_block(block, &self.info);
         for level in 0..=self.levels() {
             if level > 0 {
