@@ -35,25 +35,26 @@ impl<'a> Local<'a> {
     pub fn of(scene: &'a Scene<'a>, plateau: Vector3<f64>, ring: (usize, usize)) -> Option<Local<'a>> {
         let ring = scene.ring(ring);
         let mut sums = vec![[0.0; 4]; scene.width * scene.height];
-        for i in ring.iter() {
+        ring.for_each(|i| {
             let c = scene.colour(i);
             sums[i] = [c[0], c[1], c[2], 1.0];
-        }
+        });
         for _ in 0..2 {
             boxed(&mut sums, scene.width);
         }
-        let scatter: Vec<Vector3<f64>> = ring.iter().filter_map(|i| Some(scene.colour(i) - mean(&sums[i])?)).collect();
+        let mut scatter: Vec<Vector3<f64>> = Vec::with_capacity(ring.count());
+        ring.for_each(|i| scatter.extend(mean(&sums[i]).map(|mean| scene.colour(i) - mean)));
         // Sensor noise and JPEG: 3 levels, as in the first look.
         let noise = ground(&scatter)?.covariance + Matrix3::identity() * 9.0;
         let inverse = noise.cholesky()?.inverse();
         let mut local = Local { scene, plateau, sums, inverse, contrast: 0.0 };
         let (mut open, mut border) = (0.0, 0usize);
-        for i in scene.own.grown(BORDER_PX).minus(&scene.own).iter() {
+        scene.own.grown(BORDER_PX).minus(&scene.own).for_each(|i| {
             if let Some(ground) = mean(&local.sums[i]) {
                 open += 1.0 / local.contrast2(&(plateau - ground)).1;
                 border += 1;
             }
-        }
+        });
         local.contrast = (border as f64 / open).sqrt();
         (border > 0).then_some(local)
     }

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::pixel_set::PixelSet;
-use crate::profile::colour::linear_from_srgb;
+use crate::profile::colour::{linear_from_srgb, linear_of_bytes};
 use crate::raster::Patch;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
@@ -75,7 +75,12 @@ impl<'a> Scene<'a> {
 
     /// Samples on the scale 0..=255, not rounded; in linear light for [`Scene::in_linear_light`].
     pub fn colour(&self, i: usize) -> Vector3<f64> {
-        let c = self.patch.rgb[i].map(|sample| f64::from(sample) * self.scale);
+        let samples = self.patch.rgb[i];
+        if self.linear && self.patch.white == 255 {
+            // The same numbers: bytes are on the scale already.
+            return Vector3::from(samples.map(|v| 255.0 * linear_of_bytes()[usize::from(v.min(255))]));
+        }
+        let c = samples.map(|sample| f64::from(sample) * self.scale);
         if self.linear {
             return Vector3::from(c.map(|v| 255.0 * linear_from_srgb(v / 255.0)));
         }

@@ -295,11 +295,17 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         ReaderArg::Native => ReaderChoice::Native,
         ReaderArg::Gdal => ReaderChoice::Gdal,
     };
-    let source = raster::with_white(raster::open(image, choice, read.page, cache_bytes)?, read.white)?;
-    let info = source.info();
     let profile = profile(marks)?;
+    // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for more.
+    let (source, colours) = std::thread::scope(|scope| {
+        let colours = scope.spawn(|| MarkDetector::colours(&profile));
+        let source = raster::open(image, choice, read.page, cache_bytes);
+        (source, colours.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    });
+    let source = raster::with_white(source?, read.white)?;
+    let info = source.info();
     let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
-    let detector = MarkDetector::new(profile, info, gsd_m)?;
+    let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,
         threads,

@@ -37,11 +37,14 @@ impl Search<'_> {
         let joined = |gcp: usize| pattern.pairs.iter().any(|pair| pair.1 == gcp);
         let own = untried.iter().filter(|pair| joined(pair.a) && joined(pair.b));
         let mut spent = 0;
-        let affordable = own.take_while(|pair| {
-            spent += pair.hypotheses();
-            spent <= budget
-        });
-        self.refined(pattern, affordable.map(|pair| (pair, self.try_pair(pair, budget))))
+        let affordable: Vec<&GcpPair> = own
+            .take_while(|pair| {
+                spent += pair.hypotheses();
+                spent <= budget
+            })
+            .collect();
+        let found: Vec<_> = affordable.into_par_iter().map(|pair| (pair, self.try_pair(pair, budget))).collect();
+        self.refined(pattern, found.into_iter())
     }
 
     fn refined<'p>(

@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::pipeline::{Detector, PaintDetector};
 use crate::profile::Profile;
 use crate::raster::{Block, Piece, Pixels, RasterInfo};
+use crate::segment::classify::PaintColours;
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
 use crate::target::TargetDetector;
@@ -25,13 +26,34 @@ impl MarkDetector {
     /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown, or asks for coded targets in a build
     /// without the cargo feature `coded`.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
-        if profile.tag.is_some() {
-            return coded(profile, info, gsd_m);
+        let colours = MarkDetector::colours(&profile)?;
+        MarkDetector::with_colours(profile, colours, info, gsd_m)
+    }
+
+    /// The colours of a profile of paint, for [`MarkDetector::with_colours`]: they take time and no image.
+    ///
+    /// # Errors
+    /// When the profile is not valid.
+    pub fn colours(profile: &Profile) -> Result<Option<PaintColours>> {
+        let is_paint = profile.tag.is_none() && !profile.is_target();
+        is_paint.then(|| PaintColours::of(profile)).transpose()
+    }
+
+    /// The same with what [`MarkDetector::colours`] said of the profile.
+    ///
+    /// # Errors
+    /// As [`MarkDetector::new`].
+    pub fn with_colours(
+        profile: Profile,
+        colours: Option<PaintColours>,
+        info: &RasterInfo,
+        gsd_m: Option<f64>,
+    ) -> Result<Self> {
+        match colours {
+            Some(colours) => Ok(MarkDetector::Paint(PaintDetector::with_colours(profile, colours, info, gsd_m)?)),
+            None if profile.tag.is_some() => coded(profile, info, gsd_m),
+            None => Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?)),
         }
-        if profile.is_target() {
-            return Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?));
-        }
-        Ok(MarkDetector::Paint(PaintDetector::new(profile, info, gsd_m)?))
     }
 
     /// For places where a mark must be: a weak score is enough.

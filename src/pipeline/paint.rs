@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::pipeline::Detector;
 use crate::profile::Profile;
 use crate::raster::{Block, Piece, Pixels, RasterInfo};
-use crate::segment::classify::Classifier;
+use crate::segment::classify::{Classifier, PaintColours};
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
 use crate::segment::mask::Mask;
@@ -26,8 +26,22 @@ impl PaintDetector {
     /// # Errors
     /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
+        let colours = PaintColours::of(&profile)?;
+        PaintDetector::with_colours(profile, colours, info, gsd_m)
+    }
+
+    /// The same with the profile's colours, which may be worked out before the image is open.
+    ///
+    /// # Errors
+    /// As [`PaintDetector::new`].
+    pub fn with_colours(
+        profile: Profile,
+        colours: PaintColours,
+        info: &RasterInfo,
+        gsd_m: Option<f64>,
+    ) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
-        let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
+        let classifier = Classifier::of(colours, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::from_profile(&profile, &gates);
         Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone() })
     }

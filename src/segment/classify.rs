@@ -76,6 +76,23 @@ impl PaintTest {
     }
 }
 
+/// The colours that a profile takes for paint, each decided once: what takes time about a [`Classifier`], and does not depend
+/// on the image. Cheap to clone.
+#[derive(Clone)]
+pub struct PaintColours {
+    table: Arc<ColourTable>,
+    test: Arc<PaintTest>,
+}
+
+impl PaintColours {
+    /// # Errors
+    /// [`Error::Usage`] when the profile is not valid or not one of paint.
+    pub fn of(profile: &Profile) -> Result<PaintColours> {
+        let test = PaintTest::new(profile)?;
+        Ok(PaintColours { table: Arc::new(ColourTable::new(&test)), test: Arc::new(test) })
+    }
+}
+
 /// Decides for every pixel of a row whether it is paint. Cheap to clone; shared by all workers.
 #[derive(Clone)]
 pub struct Classifier {
@@ -106,14 +123,26 @@ impl Classifier {
         alpha: Option<usize>,
         nodata: Option<f64>,
     ) -> Result<Classifier> {
+        Classifier::of(PaintColours::of(profile)?, sample, white, rgb, alpha, nodata)
+    }
+
+    /// The same of colours that are decided already.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when `white` is 0.
+    pub fn of(
+        PaintColours { table, test }: PaintColours,
+        sample: SampleType,
+        white: u16,
+        rgb: [usize; 3],
+        alpha: Option<usize>,
+        nodata: Option<f64>,
+    ) -> Result<Classifier> {
         if white == 0 {
             return Err(Error::usage("the value of white is 0", "give the largest sample value with --white"));
         }
-        let test = PaintTest::new(profile)?;
-        let table = ColourTable::new(&test);
         let nodata = nodata.filter(|v| v.fract() == 0.0 && (0.0..=65_535.0).contains(v)).map(|v| v as u16);
         let [of_samples, of_colours] = [rgb, [0, 1, 2]].map(|rgb| Arc::new(Prefilter::new(rgb, table.bounds)));
-        let (table, test) = (Arc::new(table), Arc::new(test));
         Ok(Classifier { table, of_samples, of_colours, test, sample, white, rgb, alpha, nodata })
     }
 
