@@ -57,27 +57,25 @@ fn fields(candidate: &Candidate) -> [Option<f64>; 10] {
 /// # Errors
 /// When `out` cannot be written.
 pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::Result<()> {
-    let features: Vec<serde_json::Value> = candidates
-        .iter()
-        .map(|candidate| {
-            let mut properties: serde_json::Map<String, serde_json::Value> = COLUMNS
-                .iter()
-                .zip(fields(candidate))
-                .filter_map(|(name, value)| Some(((*name).to_string(), value?.into())))
-                .collect();
-            if let Some(code) = &candidate.code {
-                properties.insert(CODE.to_string(), code.to_string().into());
-            }
-            serde_json::json!({
-                "type": "Feature",
-                "geometry": {"type": "Point", "coordinates": [candidate.centre.x, -candidate.centre.y]},
-                "properties": properties,
-            })
-        })
-        .collect();
-    let collection = serde_json::json!({"type": "FeatureCollection", "features": features});
-    serde_json::to_writer(&mut out, &collection)?;
-    writeln!(out)
+    // One at a time: thousands of documents take more memory than the scan that found them.
+    write!(out, r#"{{"type":"FeatureCollection","features":["#)?;
+    for (k, candidate) in candidates.iter().enumerate() {
+        let mut properties: serde_json::Map<String, serde_json::Value> = COLUMNS
+            .iter()
+            .zip(fields(candidate))
+            .filter_map(|(name, value)| Some(((*name).to_string(), value?.into())))
+            .collect();
+        if let Some(code) = &candidate.code {
+            properties.insert(CODE.to_string(), code.to_string().into());
+        }
+        let feature = serde_json::json!({
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [candidate.centre.x, -candidate.centre.y]},
+            "properties": properties,
+        });
+        write!(out, "{}{feature}", if k > 0 { "," } else { "" })?;
+    }
+    writeln!(out, "]}}")
 }
 
 /// Reads a CSV list.

@@ -343,7 +343,7 @@ impl<'a> Collector<'a> {
                     None => self.pass_on(region, straddlers),
                 }
             }
-            self.release_behind(id);
+            self.release_behind();
             let waiting = self.waiting.values().map(Vec::len).sum::<usize>() + self.collected.straddling.len();
             let found = self.collected.examined.len() + waiting;
             if found > MAX_CANDIDATES {
@@ -378,14 +378,10 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Lets go of the tiles that have come: of their file blocks at once, and of their seams when no region that straddles
-    /// them can be open still.
-    fn release_behind(&mut self, id: u64) {
+    /// Lets go of the tiles that have come: of their file blocks when no tile can want them any more, and of their seams when no
+    /// region that straddles them can be open still.
+    fn release_behind(&mut self) {
         let grid = &self.plan.grid;
-        if self.plan.halo_px == 0 {
-            // No other tile reads its pixels, though it may be far ahead of the first that has not come.
-            self.source.release(grid.tile(id).core);
-        }
         let (margin, largest) = (self.detector.patch_margin_px(), self.detector.largest_mark_px());
         let reach = margin + largest + 2 * self.plan.halo_px;
         // So many tiles to the right of one must have come before a region above its lowest rows is complete.
@@ -435,6 +431,10 @@ impl Worker<'_> {
                 let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
                 self.progress.saw(&block, tile.core, &found);
                 drop(block);
+                if self.plan.halo_px == 0 {
+                    // No other tile reads its pixels. At once, so that the next tile is read into the same buffers.
+                    self.source.release(tile.core);
+                }
                 for straddler in self.straddlers.try_iter() {
                     output.examined.push(examine_straddler(self.source, self.detector, &straddler)?);
                 }
