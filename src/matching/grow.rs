@@ -176,7 +176,7 @@ impl Search<'_> {
             keep_best(&mut shoots);
             (shoots, tried)
         };
-        let (mut all, tried) = self.from_chosen_points(pair, budget, from_point, |(mut one, n), (other, m)| {
+        let (mut all, tried) = self.over_chosen_points(pair, budget, from_point, |(mut one, n), (other, m)| {
             one.extend(other);
             keep_best(&mut one);
             (one, n + m)

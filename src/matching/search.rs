@@ -201,7 +201,7 @@ impl<'a> Search<'a> {
             return (Vec::new(), 0);
         }
         let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
-        let (mut all, tried) = self.from_chosen_points(pair, budget, per_point, |(mut one, n), (other, m)| {
+        let (mut all, tried) = self.over_chosen_points(pair, budget, per_point, |(mut one, n), (other, m)| {
             one.extend(other);
             keep_best(&mut one);
             (one, n + m)
@@ -212,7 +212,7 @@ impl<'a> Search<'a> {
 
     /// What `each` says of points for the first end of a pair, joined in any order: of all points, or evenly chosen of about
     /// as many as the budget of hypotheses allows.
-    pub fn from_chosen_points<T: Default + Send>(
+    pub fn over_chosen_points<T: Default + Send>(
         &self,
         pair: &GcpPair,
         budget: u64,

@@ -28,8 +28,6 @@ use crate::window::{Tile, Window};
 
 /// More marks than this are no marks; also what bounds memory on a picture of confetti.
 pub const MAX_CANDIDATES: usize = 1_000_000;
-/// Windows of straddling marks examined together.
-const EXAMINE_BATCH: usize = 16;
 /// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second of a fast
 /// disk. It lies in the system's cache, not in ours.
 const FETCH_AHEAD_BYTES: u64 = 64 << 20;
@@ -165,7 +163,7 @@ pub fn scan(
         progress.stage("looking at marks that straddle tiles");
     }
     straddling.sort_by_key(|straddler| straddler.region.first);
-    for batch in straddling.chunks(EXAMINE_BATCH) {
+    for batch in straddling.chunks(plan.workers) {
         examined.extend(examine_windows(source, detector, batch)?);
         // Or the blocks around far windows would fill the cache, in a long scan more than in a short one. A source that reads
         // from the top down needs its cache to step back.

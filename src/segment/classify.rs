@@ -261,6 +261,8 @@ pub fn lab_of(colour: [u8; 3]) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
+    use rayon::prelude::*;
+
     use super::*;
 
     fn classifier(profile: &str) -> Classifier {

@@ -85,7 +85,7 @@ struct Extent {
 }
 
 impl Extent {
-    /// `xyz` are the columns of linear light.
+    /// `xyz` are the weights of linear red, green and blue in X, Y and Z.
     fn new(space: Space, xyz: &[[f64; 3]; 3], low: [u8; 3], high: [u8; 3]) -> Extent {
         let mut extent = Extent { middle: [0.0; 3], slope: [[0.0; 3]; 3], bend: [0.0; 3] };
         if space == Space::Rgb {
@@ -102,17 +102,17 @@ impl Extent {
             let (lo, hi) = (linear[usize::from(low[c])], linear[usize::from(high[c])]);
             (light[c], half[c]) = ((lo + hi) / 2.0, (hi - lo) / 2.0);
         }
-        for j in 0..3 {
+        for (j, weights) in xyz.iter().enumerate() {
             let (mut t, mut reach) = (0.0, 0.0);
             for c in 0..3 {
-                t += xyz[c][j] * light[c];
-                reach += xyz[c][j] * half[c];
+                t += weights[c] * light[c];
+                reach += weights[c] * half[c];
             }
             let f = lab_f_near(t);
             // The cube root's derivative; below the knee it is that at the knee.
             let rise = if t > LAB_KNEE { f / (3.0 * t) } else { lab_f(LAB_KNEE) / (3.0 * LAB_KNEE) };
             for c in 0..3 {
-                extent.slope[j][c] = rise * xyz[c][j] * half[c];
+                extent.slope[j][c] = rise * weights[c] * half[c];
             }
             // Taylor: half the largest second derivative, 2/9 · t^(−5/3), times the square of the way.
             let root = lab_f_near((t - reach).max(LAB_KNEE));
@@ -142,7 +142,8 @@ impl<'a> Judge<'a> {
             Some((space, limit2, cloud)) => Some((*space, Ball::of(cloud, *space, *limit2)?)),
             None => None,
         };
-        let xyz = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(xyz_from_linear);
+        let of_channel = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(xyz_from_linear);
+        let xyz = std::array::from_fn(|j| of_channel.map(|column| column[j]));
         Some(Judge { test, space: test.space, clouds, rough, xyz })
     }
 
