@@ -24,11 +24,10 @@ const RESERVE_BYTES: u64 = 10 << 20;
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
 /// The faces of tiles get what the plan leaves over up to this: enough along a row of tiles of an image 100,000 pixels wide.
 const ENOUGH_SEAM_BYTES: u64 = 44 << 20;
-/// Pixels of a default tile: enough that most marks straddle no edge, and so few that they stay in a core's own cache from being read
-/// to being examined, as the buffer does that the next tile is read into.
-const DEFAULT_TILE_PIXELS: u64 = 512 * 512;
+/// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
+const DEFAULT_TILE_PIXELS: u64 = 1024 * 1024;
 /// A default band of strips is wide and low: more pixels, or most marks would straddle its edges.
-const DEFAULT_BAND_PIXELS: u64 = 4 << 20;
+const DEFAULT_BAND_PIXELS: u64 = 4 * DEFAULT_TILE_PIXELS;
 
 /// What the caller asks for.
 #[derive(Clone, Debug)]
