@@ -78,7 +78,9 @@ impl<'a> Scene<'a> {
         let samples = self.patch.rgb[i];
         if self.linear && self.patch.white == 255 {
             // The same numbers: bytes are on the scale already.
-            return Vector3::from(samples.map(|v| 255.0 * linear_of_bytes()[usize::from(v.min(255))]));
+            let beyond = |v: u16| linear_from_srgb(f64::from(v) / 255.0);
+            let light = |v: u16| linear_of_bytes().get(usize::from(v)).copied().unwrap_or_else(|| beyond(v));
+            return Vector3::from(samples.map(|v| 255.0 * light(v)));
         }
         let c = samples.map(|sample| f64::from(sample) * self.scale);
         if self.linear {
