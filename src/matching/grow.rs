@@ -176,13 +176,7 @@ impl Search<'_> {
             keep_best(&mut shoots);
             (shoots, tried)
         };
-        let (mut all, tried) = self.over_chosen_points(pair, budget, from_point, |(mut one, n), (other, m)| {
-            one.extend(other);
-            keep_best(&mut one);
-            (one, n + m)
-        });
-        keep_best(&mut all);
-        (all, tried)
+        self.over_chosen_points(pair, budget, from_point, keep_best)
     }
 
     /// Takes in one GCP after the other as long as it is more likely a pattern than not.

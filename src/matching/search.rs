@@ -201,31 +201,31 @@ impl<'a> Search<'a> {
             return (Vec::new(), 0);
         }
         let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
-        let (mut all, tried) = self.over_chosen_points(pair, budget, per_point, |(mut one, n), (other, m)| {
-            one.extend(other);
-            keep_best(&mut one);
-            (one, n + m)
-        });
-        keep_best(&mut all);
-        (all, tried)
+        self.over_chosen_points(pair, budget, per_point, keep_best)
     }
 
-    /// What `each` says of points for the first end of a pair, joined in any order: of all points, or evenly chosen of about
-    /// as many as the budget of hypotheses allows.
-    pub fn over_chosen_points<T: Default + Send>(
+    /// The best of what `each` finds with points at the first end of a pair, and how many hypotheses it tried: with all points, or
+    /// evenly chosen with about as many as the budget of hypotheses allows. They are joined in any order: `keep_best` must go by a
+    /// total one.
+    pub fn over_chosen_points<T: Send>(
         &self,
         pair: &GcpPair,
         budget: u64,
-        each: impl Fn(usize) -> T + Send + Sync,
-        join: impl Fn(T, T) -> T + Send + Sync,
-    ) -> T {
+        each: impl Fn(usize) -> (Vec<T>, u64) + Send + Sync,
+        keep_best: fn(&mut Vec<T>),
+    ) -> (Vec<T>, u64) {
         let points = self.field.points().len();
         let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
         let chosen = |k: usize| each(k * points / affordable);
+        let join = |(mut one, n): (Vec<T>, u64), (other, m): (Vec<T>, u64)| {
+            one.extend(other);
+            keep_best(&mut one);
+            (one, n + m)
+        };
         if pair.hypotheses().min(budget) < WORTH_THREADS {
-            return (0..affordable).map(chosen).fold(T::default(), join);
+            return (0..affordable).map(chosen).fold((Vec::new(), 0), join);
         }
-        (0..affordable).into_par_iter().map(chosen).reduce(T::default, join)
+        (0..affordable).into_par_iter().map(chosen).reduce(|| (Vec::new(), 0), join)
     }
 
     /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.
