@@ -44,16 +44,15 @@ demo: build
 # The random tests draw the same cases in every run; `make check-large` draws new ones.
 test: export PROPTEST_RNG_SEED ?= 2016
 test: deps test-deps
-	$(CARGO) test --quiet --features coded -- --format=terse
-	$(CARGO) test --quiet --lib --features force-scalar -- --format=terse segment without_the_feature
+	$(CARGO) test --quiet --workspace --features coded -- --format=terse
+	AUTOREF_KERNELS=scalar $(CARGO) test --quiet -p autoref-stream --features coded --lib -- --format=terse segment
 
 lint: deps
 	$(CARGO) fmt --check
-	$(CARGO) clippy --all-targets --features coded -- -D warnings
-	$(CARGO) clippy --lib --bins -- -D warnings
+	$(CARGO) clippy --workspace --all-targets --features coded -- -D warnings
 
 doc: deps
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --features coded
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --features coded
 
 check: lint doc test
 
@@ -66,7 +65,7 @@ fuzz:
 	cd fuzz && $(CARGO) +nightly fuzz run native_tiff corpus/native_tiff $(FUZZ_SEEDS) -- -max_total_time=600 -rss_limit_mb=1024 -timeout=10
 
 check-large: build
-	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
+	AUTOREF_LARGE=1 $(CARGO) test --workspace --release --features coded -- --nocapture
 
 clean:
 	$(CARGO) clean

@@ -13,7 +13,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 mode=warm
 case ${1:-} in --python | --cold) mode=${1#--}; shift ;; esac
-[ -n "${AUTOREF_BENCH_BUILT:-}" ] || cargo build --release --quiet --example gdal_touch --example codec_floor --bin autoref-stream
+[ -n "${AUTOREF_BENCH_BUILT:-}" ] || cargo build --release --quiet -p autoref-tools -p autoref-program
 bin=target/release
 rounds=${AUTOREF_BENCH_ROUNDS:-5}
 
@@ -75,11 +75,11 @@ while read -r name options; do
   file=$folder/$name.tif times=$(mktemp -d)
   for _ in $(seq "$rounds"); do
     timed "$times/ours" ours "$file" "$folder/$name.geojson"
-    timed "$times/gdal2" "$bin/examples/gdal_touch" "$file" 2
-    timed "$times/codec2" "$bin/examples/codec_floor" "$file" 2
+    timed "$times/gdal2" "$bin/gdal_touch" "$file" 2
+    timed "$times/codec2" "$bin/codec_floor" "$file" 2
     timed "$times/cat" cat "$file"
   done
-  timed "$times/gdal1" "$bin/examples/gdal_touch" "$file" 1
+  timed "$times/gdal1" "$bin/gdal_touch" "$file" 1
   wall() { least "$times/$1" 1; }
   peak=$(awk -F'[ ,]+' '/"peak_memory_bytes"/{printf "%d", $3/1048576}' "$folder/$name.autoref.json")
   printf '%-17s %6s %6s %6s %6s %6s | %6s %7s %8s | %5s %5s %6s %5s | %s\n' "$name" \

@@ -9,9 +9,9 @@
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
-use autoref_stream::raster::tiff::container::tag;
-use autoref_stream::raster::{RasterSource, ReaderChoice, Samples, open, tiff as native};
-use autoref_stream::window::Window;
+use autoref_raster::tiff::container::tag;
+use autoref_raster::window::Window;
+use autoref_raster::{RasterSource, ReaderChoice, Samples, open, tiff as native};
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use gdal::raster::RasterCreationOptions;
@@ -58,7 +58,7 @@ impl Measurement for ThreadTime {
 
 fn picture() -> Option<PathBuf> {
     let given = std::env::var_os("AUTOREF_BENCH_FILE").map(PathBuf::from);
-    let photograph = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data/photos/village_boruszyn.jpg");
+    let photograph = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/photos/village_boruszyn.jpg");
     given.or(Some(photograph.into())).filter(|path| path.exists())
 }
 

@@ -17,15 +17,16 @@ mod scan;
 
 use std::path::{Path, PathBuf};
 
+use autoref_raster::Patch;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::window::Window;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::candidate::examine::measure;
-use autoref_stream::coords::PixelPoint;
-use autoref_stream::profile::{Profile, learn};
-use autoref_stream::raster::Patch;
+use autoref_stream::learn::learn;
+use autoref_stream::profile::Profile;
 use autoref_stream::segment::label::Region;
 use autoref_stream::selftest::{Tally, reach_px};
-use autoref_stream::synth::plant::{Cell, Picture, Random, plant};
-use autoref_stream::window::Window;
+use autoref_synth::plant::{Cell, Picture, Random, plant};
 use rayon::prelude::*;
 use scan::Detector;
 

@@ -8,33 +8,26 @@
 //! TileGrid → Tile → Block → Mask → TileRegions → Region → Candidate → Match → Transform → outputs
 //! ```
 //!
-//! Only [`raster`] and the rooms that read and write lists ([`gcp`], [`georef`]) touch files; everything
+//! Only `autoref-raster` and the rooms that read and write lists ([`gcp`], [`georef`]) touch files; everything
 //! between takes values and returns values. The pixel convention is that of GDAL: x to the right, y down, `(0, 0)` at
 //! the outer corner of the first pixel (`docs/coordinates.md`).
 #![deny(unsafe_code)]
 
-pub mod accuracy;
+pub mod black_white;
 pub mod candidate;
 pub mod coded;
-pub mod coords;
-pub mod error;
-pub mod film;
+pub mod detector;
 pub mod gcp;
 pub mod georef;
+pub mod learn;
 pub mod matching;
 pub mod merge;
 pub mod pipeline;
 pub mod planning;
 pub mod profile;
-pub mod raster;
 pub mod rematch;
+pub mod replay;
 pub mod report;
-pub mod review;
+pub mod result;
 pub mod segment;
 pub mod selftest;
-pub mod solve;
-pub mod synth;
-pub mod target;
-pub mod window;
-
-pub use error::{Error, Result};

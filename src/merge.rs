@@ -12,8 +12,8 @@
 //! ```
 //! use autoref_stream::merge::RegionMerger;
 //! use autoref_stream::segment::label::Labeller;
-//! use autoref_stream::segment::mask::Mask;
-//! use autoref_stream::window::{TileGrid, Window};
+//! use autoref_raster::mask::Mask;
+//! use autoref_raster::window::{TileGrid, Window};
 //! let raster = Window::whole(8, 4);
 //! let grid = TileGrid::new(8, 4, 4, 4, 0); // two tiles side by side
 //! let mut merger = RegionMerger::new(grid);
@@ -32,7 +32,7 @@
 use std::collections::HashMap;
 
 use crate::segment::label::{FaceRun, Faces, Region, TileRegions};
-use crate::window::{TileGrid, Window};
+use autoref_raster::window::{TileGrid, Window};
 
 struct Entry {
     parent: u32,
@@ -232,7 +232,7 @@ fn reach(bounds: &Window, core: &Window) -> u8 {
 mod tests {
     use super::*;
     use crate::segment::label::Labeller;
-    use crate::segment::mask::Mask;
+    use autoref_raster::mask::Mask;
     use proptest::prelude::*;
 
     /// The oracle: flood fill over the whole mask, counting everything pixel by pixel.

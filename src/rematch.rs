@@ -5,30 +5,30 @@
 //! granted: where a mark must be, faint paint is worth believing. Each window is read once; nothing else is.
 //!
 //! ```
-//! use autoref_stream::coords::PixelPoint;
+//! use autoref_raster::coords::PixelPoint;
 //! use autoref_stream::pipeline::PaintDetector;
 //! use autoref_stream::profile::Profile;
-//! use autoref_stream::raster::RasterSource;
-//! use autoref_stream::raster::memory::MemorySource;
+//! use autoref_raster::RasterSource;
+//! use autoref_raster::memory::MemorySource;
 //! use autoref_stream::rematch::{Expected, SecondLook, rematch};
 //! let bare_ground = MemorySource::rgb8(64, 64, vec![90; 64 * 64 * 3]);
 //! let detector = PaintDetector::new(Profile::load("orange")?, bare_ground.info(), None)?;
 //! let at = |x: f64| Expected { gcp: 0, position: PixelPoint { x, y: 32.0 }, radius_px: 4.0 };
 //! let seen = rematch(&bare_ground, &detector, &[], &[at(32.0), at(900.0)])?;
 //! assert!(matches!(seen[..], [SecondLook::NotFound, SecondLook::Outside]));
-//! # Ok::<(), autoref_stream::Error>(())
+//! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
 use rayon::prelude::*;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
-use crate::error::Result;
-use crate::pipeline::Detector;
-use crate::raster::{RasterSource, View};
+use crate::detector::Detector;
 use crate::segment::label::Labeller;
-use crate::segment::mask::Mask;
-use crate::window::Window;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::mask::Mask;
+use autoref_raster::window::Window;
+use autoref_raster::{RasterSource, View};
 
 /// Where a GCP is expected.
 #[derive(Clone, Copy, Debug)]

@@ -1,17 +1,17 @@
 //! The detector over a whole picture in memory: classify, label, gate, examine.
 
+use autoref_raster::mask::Mask;
+use autoref_raster::window::Window;
+use autoref_raster::{Patch, PixelRow, SampleType, Samples};
 use autoref_stream::candidate::examine::{measure, score};
 use autoref_stream::candidate::split::examine_parts;
 use autoref_stream::candidate::{Candidate, Gates, examine, finish, patch_margin_px};
 use autoref_stream::profile::Profile;
-use autoref_stream::raster::{Patch, PixelRow, SampleType, Samples};
 use autoref_stream::segment::classify::Classifier;
 use autoref_stream::segment::filters::MaskFilters;
 use autoref_stream::segment::label::Region;
-use autoref_stream::segment::mask::Mask;
-use autoref_stream::window::Window;
 
-use autoref_stream::synth::plant::Picture;
+use autoref_synth::plant::Picture;
 
 pub struct Detector {
     pub profile: Profile,
@@ -40,7 +40,7 @@ impl Detector {
             let row = PixelRow { samples: Samples::U8(row), pixel_stride: 3, len: picture.width };
             self.classifier.classify_row(row, mask.row_mut(y as u64));
         }
-        MaskFilters::from_profile(&self.profile, &self.gates).apply(&mut mask);
+        MaskFilters::new(self.profile.filters, self.gates.max_side_px()).apply(&mut mask);
         label(&mask)
     }
 

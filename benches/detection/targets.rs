@@ -1,8 +1,6 @@
 //! Black and white targets planted into real photographs, with known centres.
 
-use std::path::PathBuf;
-
-use autoref_stream::synth::plant::{Picture, Random, blurred};
+use autoref_synth::plant::{Picture, Random, blurred};
 
 /// Photographs of ordinary ground. `IMG_0046` holds two cross plates of its own.
 pub const COVERS: [&str; 7] = [
@@ -24,7 +22,9 @@ pub enum Kind {
 }
 
 pub fn photo(name: &str) -> Option<Picture> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")).join(name);
+    let here = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = here.ancestors().find(|folder| folder.join(".ci").is_dir())?;
+    let path = root.join("../shared/data").join(name);
     let file = gdal::Dataset::open(&path).ok()?;
     let (width, height) = file.raster_size();
     let bands: Vec<Vec<u8>> = (1..=3)

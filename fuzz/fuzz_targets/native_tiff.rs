@@ -3,9 +3,9 @@
 
 use std::io::Write;
 
-use autoref_stream::raster::tiff::{Directories, open_pixels};
-use autoref_stream::raster::{RasterSource, read_patch};
-use autoref_stream::window::Window;
+use autoref_raster::tiff::{Directories, open_pixels};
+use autoref_raster::{RasterSource, read_patch};
+use autoref_raster::window::Window;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {

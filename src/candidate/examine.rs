@@ -9,18 +9,18 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Candidate;
-use super::blocks::{Refined, refine};
 use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
+use super::jpeg_fit::{Refined, refine};
 use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local};
 use super::patch::{Ground, Scene};
 use super::uncertainty::Place;
-use crate::coords::PixelPoint;
 use crate::profile::{CentreMode, Filters, Profile, Shape};
-use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::{Patch, Pixels};
 
 /// The ring of ground starts and ends so far outside the region, beyond the blurred border.
 const RING_PX: (usize, usize) = (4, 9);
@@ -98,7 +98,7 @@ pub(super) fn examine_whole(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    if !super::options::passes(scene, profile) {
+    if !super::prototype_options::passes(scene, profile) {
         return None;
     }
     let around = Some(Around { pixels, classifier });
@@ -118,7 +118,7 @@ pub(super) fn examine_part(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    if !super::options::passes(scene, profile) {
+    if !super::prototype_options::passes(scene, profile) {
         return None;
     }
     let evidence = measure_scene(scene, Some(Around { pixels, classifier }), region, classifier, profile);
@@ -136,7 +136,7 @@ fn candidate(
     if evidence.hopeless {
         return None;
     }
-    if let Some((x, y)) = super::options::plain_centre(scene, classifier, profile) {
+    if let Some((x, y)) = super::prototype_options::plain_centre(scene, classifier, profile) {
         evidence.centre = (x, y);
     }
     let score = score(&evidence, profile, gates);

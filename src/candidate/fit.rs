@@ -9,7 +9,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::kernels::{self, Model, PARAMETERS, Samples};
-use crate::coords::PixelPoint;
+use autoref_raster::coords::PixelPoint;
 
 /// Parameters: centre x, y; logarithms of the two sides (disc: of the diameter, twice); angle; logarithm of the blur;
 /// height; plane: constant, slope in x, slope in y.

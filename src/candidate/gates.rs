@@ -1,9 +1,9 @@
 //! The cheap gates: what a region's integers alone can rule out. They follow the limits of the 2016 prototype (Scripts A.9
 //! and A.55), computed from exact moments instead of pixels.
 
-use crate::error::Result;
 use crate::profile::Profile;
 use crate::segment::label::Region;
+use autoref_raster::error::Result;
 
 /// Limits on regions, in pixels, ready for use.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +27,7 @@ impl Gates {
     /// the largest mark's with 2 pixels of border, and the diagonal with that border for the side.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] when the profile is not valid, or gives metres only and `gsd_m` is unknown.
+    /// [`autoref_raster::Error::Usage`] when the profile is not valid, or gives metres only and `gsd_m` is unknown.
     pub fn new(profile: &Profile, gsd_m: Option<f64>) -> Result<Gates> {
         profile.validate()?;
         let (low, high) = profile.side_range_px(gsd_m)?;
@@ -135,7 +135,7 @@ pub fn centroid(region: &Region) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::window::Window;
+    use autoref_raster::window::Window;
 
     /// The region of the pixels of `window` for which `inside` holds; perimeter is left at the window's.
     fn region(window: Window, inside: impl Fn(u64, u64) -> bool) -> Region {

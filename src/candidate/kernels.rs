@@ -318,7 +318,7 @@ enum Vectors {
 #[cfg(target_arch = "x86_64")]
 impl Vectors {
     fn of_machine() -> Vectors {
-        if cfg!(feature = "force-scalar") {
+        if autoref_raster::simd::Kernels::wanted() == autoref_raster::simd::Kernels::Scalar {
             Vectors::None
         } else if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
             Vectors::Avx512

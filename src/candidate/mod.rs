@@ -8,31 +8,31 @@
 //! std::fs::write(&list, "x,y,score\n120.25,80.5,17\n").expect("writable");
 //! let candidates = read_csv(&list)?; // what `detect` writes; x and y are enough
 //! assert_eq!((candidates[0].centre.x, candidates[0].score), (120.25, Some(17.0)));
-//! # Ok::<(), autoref_stream::Error>(())
+//! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
-mod blocks;
 mod code;
 pub mod examine;
 pub mod fit;
 pub mod gates;
+mod jpeg_fit;
+mod jpeg_steps;
 pub mod kernels;
 mod local;
-pub mod options;
 pub mod patch;
 pub(crate) mod pixel_set;
+pub mod prototype_options;
 pub mod split;
-mod steps;
 mod uncertainty;
 
 use serde::{Deserialize, Serialize};
 
-use crate::coords::PixelPoint;
+use autoref_raster::coords::PixelPoint;
 
 pub use code::Code;
 pub use examine::{examine, patch_margin_px};
 pub use gates::Gates;
-pub use options::finish;
+pub use prototype_options::finish;
 
 /// A region that may be a mark.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

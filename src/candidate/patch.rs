@@ -3,10 +3,10 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::pixel_set::PixelSet;
-use crate::profile::colour::{linear_from_srgb, linear_of_bytes};
-use crate::raster::Patch;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
+use autoref_raster::Patch;
+use autoref_raster::srgb::{linear_from_srgb, linear_of_bytes};
 
 /// So far from paint its blur reaches.
 const BLURRED_PX: usize = 2;

@@ -9,10 +9,10 @@ use super::gates::Gates;
 use super::patch::Scene;
 use super::pixel_set::PixelSet;
 use crate::profile::Profile;
-use crate::raster::{Patch, Pixels};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
-use crate::window::Window;
+use autoref_raster::window::Window;
+use autoref_raster::{Patch, Pixels};
 
 /// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs a second look.
 const MOST_PARTS: usize = 256;

@@ -8,8 +8,8 @@
 //! uncovered conditions of `docs/benchmark-detection.md` weighted alike, on all covers but `IMG_0046`. Nothing in it knows a
 //! condition. What a strip that is lost on one side leaves open is reasoned, not fitted ([`cut_side`]).
 
-use super::blocks::Refined;
 use super::fit::{Fit, Form};
+use super::jpeg_fit::Refined;
 
 /// A centre in the patch and its covariance.
 pub(super) struct Place {

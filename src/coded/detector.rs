@@ -2,20 +2,20 @@
 
 use locus_core::{CornerRefinementMode, DetectorBuilder, DetectorConfig, ImageView, LocusEngine, TagFamily};
 
-use super::Family;
 use super::fit::{Fit, MOST_MODULES, Pattern, Pose, fit};
+use crate::black_white::fit::Sample;
+use crate::black_white::grey::{Plane, level, mean_of_cell};
+use crate::black_white::once_each;
 use crate::candidate::{Candidate, Code};
-use crate::coords::PixelPoint;
-use crate::error::{Error, Result};
-use crate::pipeline::Detector;
+use crate::detector::Detector;
+use crate::profile::Family;
 use crate::profile::Profile;
-use crate::raster::{Block, Patch, Pixels, RasterInfo};
 use crate::segment::label::Region;
-use crate::segment::mask::Mask;
-use crate::target::fit::Sample;
-use crate::target::grey::{Plane, level, mean_of_cell};
-use crate::target::once_each;
-use crate::window::Window;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::mask::Mask;
+use autoref_raster::window::Window;
+use autoref_raster::{Block, Patch, Pixels, RasterInfo};
 
 /// Sides of a cell in largest tags: the border about a cell is read again with its neighbour.
 const CELL_SIDES: f64 = 2.0;

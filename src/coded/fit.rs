@@ -7,9 +7,9 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::black_white::fit::{Sample, tukey_weights};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
-use crate::target::fit::{Sample, tukey_weights};
 
 /// Centre x, y; steps of one module along u and along v; logarithm of the blur in modules; ground level, height of white over
 /// it, slope of the light in x and y.

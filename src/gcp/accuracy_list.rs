@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::csv_list::{NAMES, find, tidy};
 use super::text::{self, SEPARATORS};
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
+use autoref_raster::error::{Error, Result};
 
 // As `tidy` leaves titles: small letters, blanks for underscores.
 const SIGMAS: [&str; 6] = ["sigma", "sigma m", "accuracy", "accuracy m", "std", "sigma xy"];

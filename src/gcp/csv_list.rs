@@ -6,11 +6,11 @@
 
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{Gcp, GcpRole};
-use crate::georef::crs::Crs;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 pub(super) const NAMES: &[&str] = &[
     "name",

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crate::coords::{GeoTransform, MapPoint, PixelPoint};
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
-use crate::georef::crs::{Accuracy, Coordinate, Crs};
+use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
+use autoref_raster::crs::{Accuracy, Coordinate, Crs};
+use autoref_raster::error::{Error, Result};
 
 /// When `--to-crs` is applied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -7,10 +7,10 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::error::{Error, Result};
 use crate::gcp::csv_list::is_check;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::error::{Error, Result};
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let document: Value = serde_json::from_str(text).map_err(|e| {

@@ -7,10 +7,10 @@
 
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::text;
+use autoref_raster::error::{Error, Result};
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let lines: Vec<(usize, &str)> =

@@ -9,7 +9,7 @@
 //! let list = gcp::read(&file, &options)?;
 //! assert_eq!((list.gcps[0].easting, list.gcps[0].northing), (570406.86, 7032516.80));
 //! assert_eq!(list.gcps[1].role, GcpRole::Check);
-//! # Ok::<(), autoref_stream::Error>(())
+//! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
 mod accuracy_list;
@@ -31,7 +31,7 @@ pub use read::{GcpList, GcpOptions, ImageGeoreference, read};
 
 use serde::{Deserialize, Serialize};
 
-use crate::coords::MapPoint;
+use autoref_raster::coords::MapPoint;
 
 /// A surveyed point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

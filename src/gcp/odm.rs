@@ -7,11 +7,11 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{Line, number};
 use crate::gcp::{Gcp, GcpRole, csv_list};
 use crate::georef::dialects::gcp_list::CHECK_PREFIX;
+use autoref_raster::error::{Error, Result};
 
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {

@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
-use crate::error::{Error, Result};
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::{Gcp, csv_list};
-use crate::georef::crs::Crs;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 /// Titles without which a table has no points; OGR has the coordinates of geometries itself.
 const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
 
 pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
-    crate::raster::initialise_gdal(0);
+    autoref_raster::initialise_gdal(0);
     let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
     let name = if zipped { PathBuf::from("/vsizip/").join(path) } else { path.to_path_buf() };
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;

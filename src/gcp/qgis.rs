@@ -7,10 +7,10 @@
 
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{Line, Separator, number, split};
+use autoref_raster::error::{Error, Result};
 
 pub(super) fn is_points(lines: &[Line<'_>]) -> bool {
     lines.iter().take(3).any(|line| {

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use crate::error::Error;
 use crate::gcp::Gcp;
-use crate::georef::crs::Crs;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::Error;
 
 /// A point as the file has it.
 pub(super) struct RawPoint {

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::coords::GeoTransform;
-use crate::error::{Error, Result};
 use crate::gcp::frame::{Frame, Reproject};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, qgis, text, xml};
-use crate::georef::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
+use autoref_raster::error::{Error, Result};
 
 /// Lists are small; what is larger is another file.
 const LARGEST_LIST_BYTES: u64 = 64 << 20;

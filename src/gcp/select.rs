@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::gcp::raw::RawPoint;
+use autoref_raster::error::{Error, Result};
 
 /// A choice of points: a name; a pattern of names with `*` and `?`; or `COLUMN=PATTERN` for an attribute.
 pub(super) struct Choice<'a>(pub &'a str);

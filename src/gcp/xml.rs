@@ -8,10 +8,10 @@ use std::path::Path;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use crate::error::{Error, Result};
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::text::number;
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::error::{Error, Result};
 
 /// The dialects of XML that are read here; all others are OGR's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

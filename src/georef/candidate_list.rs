@@ -10,8 +10,8 @@ use std::io::Write;
 use std::path::Path;
 
 use crate::candidate::{Candidate, Code};
-use crate::coords::PixelPoint;
-use crate::error::{Error, Result};
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::{Error, Result};
 
 const COLUMNS: [&str; 10] = ["x", "y", "score", "cov_xx", "cov_xy", "cov_yy", "area", "width", "height", "elevation"];
 /// Written after the others when any candidate has one.

@@ -6,9 +6,9 @@ use std::path::Path;
 
 use quick_xml::escape::escape;
 
-use crate::error::{Error, Result};
 use crate::georef::dialects::TiePoints;
 use crate::georef::sidecar;
+use autoref_raster::error::{Error, Result};
 
 /// Writes the VRT. Check points are left out, since every program that reads the list would fit through them.
 ///
@@ -23,7 +23,7 @@ pub fn write(image: &Path, page: usize, vrt: &Path, points: &TiePoints) -> Resul
     let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
     let mut list = String::from("  <GCPList");
     if let Some(crs) = &points.crs {
-        let mapping = sidecar::axis_mapping(crs);
+        let mapping = autoref_raster::crs::axis_mapping(crs);
         list.push_str(&format!(" Projection=\"{}\" dataAxisToSRSAxisMapping=\"{mapping}\"", escape(crs.wkt())));
     }
     list.push_str(">\n");

@@ -6,11 +6,11 @@ use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::spatial_ref::SpatialRef;
 
-use crate::coords::{GeoTransform, PixelPoint};
-use crate::error::{Error, Result};
-use crate::raster::ElevationModel;
-use crate::solve::heights::HeightCorrection;
-use crate::window::Window;
+use autoref_raster::ElevationModel;
+use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_raster::error::{Error, Result};
+use autoref_raster::window::Window;
+use autoref_solve::heights::HeightCorrection;
 
 /// Pixels that are held at a time.
 const CHUNK_PX: u64 = 1 << 20;
@@ -28,7 +28,7 @@ pub struct CopyPlace<'a> {
 
 /// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats. A few rows at a time are held, so memory does not
 /// depend on the model's size. Pixels without a height stay without. To make it appear whole or not at all is the
-/// caller's part ([`crate::georef::atomic`]).
+/// caller's part ([`autoref_raster::atomic`]).
 ///
 /// # Errors
 /// When the model cannot be read or the copy cannot be written.

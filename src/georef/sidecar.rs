@@ -5,13 +5,12 @@
 
 use std::path::{Path, PathBuf};
 
-use gdal::spatial_ref::{AxisMappingStrategy, SpatialRef};
 use quick_xml::events::{BytesText, Event};
 use quick_xml::{Reader, Writer};
 
-use crate::coords::GeoTransform;
-use crate::error::{Error, Result};
-use crate::georef::crs::Crs;
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 /// `e6.tif` → `e6.tfw`: first and last letter of the extension and a w, as GDAL and ArcGIS look for it.
 pub fn world_file_path(image: &Path) -> PathBuf {
@@ -51,7 +50,10 @@ pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&P
     let mut out = String::from("<PAMDataset>\n");
     if let Some(crs) = crs {
         let wkt = quick_xml::escape::escape(crs.wkt());
-        out.push_str(&format!("  <SRS dataAxisToSRSAxisMapping=\"{}\">{wkt}</SRS>\n", axis_mapping(crs)));
+        out.push_str(&format!(
+            "  <SRS dataAxisToSRSAxisMapping=\"{}\">{wkt}</SRS>\n",
+            autoref_raster::crs::axis_mapping(crs)
+        ));
     }
     let numbers = transform.0.map(|v| format!("{v:.17e}")).join(", ");
     out.push_str(&format!("  <GeoTransform>{numbers}</GeoTransform>\n"));
@@ -65,17 +67,6 @@ pub(super) fn transform_of_aux(text: &str) -> Option<GeoTransform> {
     let inner = text.split_once("<GeoTransform>")?.1.split_once("</GeoTransform>")?.0;
     let numbers: Vec<f64> = inner.split(',').map(|number| number.trim().parse().ok()).collect::<Option<_>>()?;
     Some(GeoTransform(numbers.try_into().ok()?))
-}
-
-/// Which axis of the CRS each of our (east, north) is: "2,1" where the authority puts north first.
-pub(crate) fn axis_mapping(crs: &Crs) -> &'static str {
-    let north_first = SpatialRef::from_wkt(crs.wkt()).ok().is_some_and(|mut reference| {
-        reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
-        let key = if crs.is_geographic() { "GEOGCS" } else { "PROJCS" };
-        reference.axis_orientation(key, 0).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_North)
-            && reference.axis_orientation(key, 1).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_East)
-    });
-    if north_first { "2,1" } else { "1,2" }
 }
 
 /// The children of the root but those that we write, as text.
@@ -152,7 +143,7 @@ fn vrt_of(
 ) -> Result<()> {
     let error = |e| Error::gdal(vrt, e);
     // It must outlive the copy, which refers to it.
-    let (_, source) = crate::raster::open_dataset(image, page)?;
+    let (_, source) = autoref_raster::open_dataset(image, page)?;
     let driver = gdal::DriverManager::get_driver_by_name("VRT").map_err(error)?;
     let mut copy = source.create_copy(&driver, vrt, &Default::default()).map_err(error)?;
     change(&mut copy).and_then(|()| copy.close()).map_err(error)

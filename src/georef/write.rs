@@ -7,14 +7,14 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::coords::GeoTransform;
-use crate::error::{Error, Result};
-use crate::georef::atomic::{self, Transaction};
-use crate::georef::crs::Crs;
 use crate::georef::dialects::{self, TiePoints};
-use crate::georef::result::RunResult;
 use crate::georef::{gcps_vrt, sidecar, tags, warp};
-use crate::raster::mosaic;
+use crate::result::RunResult;
+use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::mosaic;
 
 /// One kind of output: `--write KIND,…`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,7 +1,7 @@
 //! Quick answers to "may a candidate be near here?", for the search's inner loop.
 
-use crate::coords::PixelPoint;
 use crate::matching::field::Field;
+use autoref_raster::coords::PixelPoint;
 
 /// A prediction that chance hits this often is not worth a look.
 pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;

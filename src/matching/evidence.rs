@@ -15,9 +15,9 @@
 
 use std::f64::consts::SQRT_2;
 
-use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::field::Field;
-use crate::solve::Similarity;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Similarity;
 
 /// Tolerance levels tried, pixels: 1 to 11.3 by √2.
 pub const LEVELS_PX: [f64; 8] = [1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];

@@ -1,6 +1,6 @@
 //! The candidates as a field of points: nearest point, points at a distance, local density.
 
-use crate::coords::PixelPoint;
+use autoref_raster::coords::PixelPoint;
 
 /// Points in buckets of a square grid.
 pub struct Field {

@@ -7,10 +7,10 @@
 //! verification O. Chum and J. Matas, "Optimal randomized RANSAC", 2008). What survives is settled and weighed as every other
 //! pattern; nothing is believed because it grew.
 
-use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::Pattern;
 use crate::matching::search::{GcpPair, Search};
-use crate::solve::similarity::fit_equal_weights;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::similarity::fit_equal_weights;
 
 /// From so many candidates on patterns are grown.
 pub(super) const GROWN_FROM: usize = 30_000;
@@ -244,8 +244,8 @@ fn keep_best(shoots: &mut Vec<Shoot>) {
 mod tests {
     use super::*;
     use crate::candidate::Candidate;
-    use crate::coords::GeoTransform;
     use crate::matching::Priors;
+    use autoref_raster::coords::GeoTransform;
 
     const SIDE_PX: f64 = 1100.0;
 
@@ -303,7 +303,7 @@ mod tests {
             let p = PixelPoint { x: 900.0 * uniform(), y: 700.0 * uniform() };
             let map = transform.apply(PixelPoint { x: p.x + uniform(), y: p.y + uniform() });
             shoot = shoot.with(k, k, (map.easting - 500.0, map.northing - 900.0), p);
-            pairs.push(crate::solve::Pair { pixel: p, covariance_px2: None, map, survey_sigma_m: None });
+            pairs.push(autoref_solve::Pair { pixel: p, covariance_px2: None, map, survey_sigma_m: None });
         }
         // Fitted from map to pixels here, from pixels to the map there: equal to first order of the residuals.
         let similarity = fit_equal_weights(&pairs).expect("five pairs");

@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use autoref_stream::candidate::Candidate;
-//! use autoref_stream::coords::{GeoTransform, PixelPoint};
+//! use autoref_raster::coords::{GeoTransform, PixelPoint};
 //! use autoref_stream::gcp::Gcp;
 //! use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
 //! let transform = GeoTransform([570_000.0, 0.03, 0.004, 7_032_000.0, 0.004, -0.03]);
@@ -28,6 +28,7 @@
 
 mod bitmap;
 pub mod doctor;
+mod duplicates;
 pub mod evidence;
 mod explain;
 pub mod field;
@@ -38,13 +39,12 @@ pub mod robust;
 mod search;
 mod settle;
 pub mod tpp;
-mod twins;
 
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
-use crate::solve::Similarity;
+use autoref_solve::Similarity;
 
 pub use names::{Labels, NamesAgree, number_of_label};
 pub use robust::RobustMatcher;
@@ -147,7 +147,7 @@ pub trait Matcher {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::coords::PixelPoint;
+    use autoref_raster::coords::PixelPoint;
 
     #[test]
     fn the_size_of_marks_bounds_the_scale_unless_something_better_is_known() {

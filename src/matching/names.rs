@@ -18,11 +18,11 @@ use std::collections::HashMap;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
 use crate::gcp::Gcp;
 use crate::matching::Pattern;
 use crate::matching::search::Search;
-use crate::solve::Similarity;
+use autoref_raster::coords::PixelPoint;
+use autoref_solve::Similarity;
 
 /// Up to this many marks with names and as many GCPs the alignments are counted one by one.
 const MOST_COUNTED: usize = 24;

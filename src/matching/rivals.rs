@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
-use crate::solve::Similarity;
+use autoref_solve::Similarity;
 
 /// Hypotheses that are refined for each of the two questions.
 const REFINED: usize = 12;

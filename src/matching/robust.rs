@@ -8,13 +8,13 @@
 //! choice.
 
 use crate::candidate::Candidate;
-use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
 use crate::matching::search::Search;
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved};
+use autoref_raster::coords::MapPoint;
 
 /// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
 const RUNNER_UP_GAP: f64 = 2.0;

@@ -3,13 +3,13 @@
 use rayon::prelude::*;
 
 use crate::candidate::Candidate;
-use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::evidence::{LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::names::Names;
-use crate::solve::Similarity;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Similarity;
 
 /// Marks of a hypothesis closer together than this say nothing about scale and rotation.
 const SMALLEST_BASE_PX: f64 = 16.0;

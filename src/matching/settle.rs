@@ -1,11 +1,11 @@
 //! From a hypothesis to a pattern: least squares over all GCPs that have a mark, cleaned, and weighed.
 
-use crate::coords::PixelPoint;
 use crate::matching::Pattern;
 use crate::matching::evidence::{LEVELS_PX, evidence_of, spread_from_pair};
 use crate::matching::search::{GcpPair, Hypothesis, Search};
-use crate::solve::Similarity;
-use crate::solve::similarity::{Pair, fit_equal_weights};
+use autoref_raster::coords::PixelPoint;
+use autoref_solve::Similarity;
+use autoref_solve::similarity::{Pair, fit_equal_weights};
 
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.

@@ -16,12 +16,12 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
 use crate::gcp::Gcp;
 use crate::matching::robust::{Found, RobustMatcher, control_points};
 use crate::matching::search::Search;
 use crate::matching::{MatchOutcome, Matcher, Priors};
-use crate::solve::similarity::{Pair, fit_equal_weights};
+use autoref_raster::coords::PixelPoint;
+use autoref_solve::similarity::{Pair, fit_equal_weights};
 
 /// Which image points serve as anchors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -130,7 +130,7 @@ impl Matcher for TppMatcher {
 }
 
 /// Whether scale and rotation agree with what was known before.
-fn allowed(similarity: crate::solve::Similarity, priors: &Priors) -> bool {
+fn allowed(similarity: autoref_solve::Similarity, priors: &Priors) -> bool {
     let scale = similarity.scale_m_per_px();
     priors.gsd_m_per_px.is_none_or(|(low, high)| (low..=high).contains(&scale))
         && priors.rotation_deg.is_none_or(|(centre, half)| {

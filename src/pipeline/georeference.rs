@@ -3,15 +3,17 @@
 use std::time::Instant;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
-use crate::error::Result;
+use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved};
-use crate::pipeline::{Detector, Progress, ScanOutcome, ScanPlan, scan};
-use crate::raster::RasterSource;
+use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, SecondLook, rematch};
-use crate::solve::{Pair, Solution, solve};
+use autoref_raster::RasterSource;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::memory_plan::ScanPlan;
+use autoref_solve::{Pair, Solution, solve};
 
 /// Everything a run needs; the parts are values or hold no state that changes.
 pub struct Job<'a> {
@@ -213,7 +215,7 @@ fn orient(
 
 /// What surrounds a matched or refused list, for the doctor.
 pub struct Surroundings<'a> {
-    pub crs: Option<&'a crate::georef::crs::Crs>,
+    pub crs: Option<&'a autoref_raster::crs::Crs>,
     pub known: Option<KnownPlace>,
     pub max_false_alarms: f64,
 }

@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::coords::{GeoTransform, MapPoint, PixelPoint};
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
-use crate::georef::crs::{Coordinate, Crs};
 use crate::pipeline::georeference::{FoundMark, Orientation};
-use crate::raster::ElevationModel;
-use crate::solve::heights::{self, HeightCorrection, HeightPoint};
+use autoref_raster::ElevationModel;
+use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
+use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::error::{Error, Result};
+use autoref_solve::heights::{self, HeightCorrection, HeightPoint};
 
 /// Where a mark lies and what the model says there.
 type ReadHeight<'a> = dyn Fn(&FoundMark) -> Result<(MapPoint, Option<f64>)> + 'a;

@@ -1,17 +1,18 @@
 //! The detector that a profile asks for: paint by its colour, black and white targets by their shape, or coded targets.
 
+use crate::black_white::TargetDetector;
 use crate::candidate::Candidate;
 #[cfg(feature = "coded")]
 use crate::coded::CodedDetector;
-use crate::coords::PixelPoint;
-use crate::error::Result;
-use crate::pipeline::{Detector, PaintDetector};
+use crate::detector::Detector;
+use crate::pipeline::PaintDetector;
 use crate::profile::Profile;
-use crate::raster::{Block, Piece, Pixels, RasterInfo};
 use crate::segment::classify::PaintColours;
 use crate::segment::label::Region;
-use crate::segment::mask::Mask;
-use crate::target::TargetDetector;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::mask::Mask;
+use autoref_raster::{Block, Piece, Pixels, RasterInfo};
 
 /// Finds the marks of any profile.
 pub enum MarkDetector {
@@ -83,7 +84,7 @@ fn coded(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Mark
 
 #[cfg(not(feature = "coded"))]
 fn coded(profile: Profile, _info: &RasterInfo, _gsd_m: Option<f64>) -> Result<MarkDetector> {
-    Err(crate::Error::usage(
+    Err(autoref_raster::Error::usage(
         format!("profile \"{}\" asks for coded targets, and this program was built without them", profile.name),
         "build it with `cargo build --release --features coded`",
     ))
@@ -131,8 +132,8 @@ impl Detector for MarkDetector {
 #[cfg(all(test, not(feature = "coded")))]
 mod tests {
     use super::*;
-    use crate::raster::RasterSource;
-    use crate::raster::memory::MemorySource;
+    use autoref_raster::RasterSource;
+    use autoref_raster::memory::MemorySource;
 
     #[test]
     fn without_the_feature_coded_targets_are_refused_in_one_line() {

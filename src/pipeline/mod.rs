@@ -1,12 +1,13 @@
 //! Threads, channels and the memory budget: the only wiring.
 //!
-//! [`plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
+//! [`autoref_raster::memory_plan::plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
 //!
 //! ```
-//! use autoref_stream::pipeline::{NoProgress, PaintDetector, PlanOptions, plan, scan};
+//! use autoref_raster::memory_plan::{PlanOptions, plan};
+//! use autoref_stream::pipeline::{NoProgress, PaintDetector, scan};
 //! use autoref_stream::profile::Profile;
-//! use autoref_stream::raster::RasterSource;
-//! use autoref_stream::raster::memory::MemorySource;
+//! use autoref_raster::RasterSource;
+//! use autoref_raster::memory::MemorySource;
 //! let (mut rgb, side) = (vec![90; 64 * 64 * 3], 14);
 //! for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x + 20, y + 30))) {
 //!     rgb[(y * 64 + x) * 3..][..3].copy_from_slice(&[255, 103, 0]); // a mark of safety orange
@@ -24,7 +25,7 @@
 //! let found = scan(&source, &plan, &detector, &NoProgress)?;
 //! assert_eq!(found.candidates.len(), 1);
 //! assert!((found.candidates[0].centre.x - 27.0).abs() < 0.5);
-//! # Ok::<(), autoref_stream::Error>(())
+//! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
 pub mod georeference;
@@ -32,12 +33,10 @@ pub mod heights;
 pub mod marks;
 mod pace;
 pub mod paint;
-pub mod plan;
 pub mod scan;
 mod seams;
 pub mod second_pass;
 
 pub use marks::MarkDetector;
 pub use paint::PaintDetector;
-pub use plan::{PlanOptions, ScanPlan, peak_resident_bytes, plan};
-pub use scan::{Detector, NoProgress, Progress, ScanOutcome, ScanTimings, scan};
+pub use scan::{NoProgress, Progress, ScanOutcome, ScanTimings, scan};

@@ -2,15 +2,15 @@
 
 use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
-use crate::coords::PixelPoint;
-use crate::error::Result;
-use crate::pipeline::Detector;
+use crate::detector::Detector;
 use crate::profile::Profile;
-use crate::raster::{Block, Piece, Pixels, RasterInfo};
 use crate::segment::classify::{Classifier, PaintColours};
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
-use crate::segment::mask::Mask;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::mask::Mask;
+use autoref_raster::{Block, Piece, Pixels, RasterInfo};
 
 /// Finds the marks of a profile in a raster.
 pub struct PaintDetector {
@@ -42,7 +42,7 @@ impl PaintDetector {
     ) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
         let classifier = Classifier::of(colours, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
-        let filters = MaskFilters::from_profile(&profile, &gates);
+        let filters = MaskFilters::new(profile.filters, gates.max_side_px());
         Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone() })
     }
 
@@ -121,6 +121,6 @@ impl Detector for PaintDetector {
     }
 
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
-        crate::candidate::options::finish(list, &self.profile)
+        crate::candidate::prototype_options::finish(list, &self.profile)
     }
 }

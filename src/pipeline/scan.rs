@@ -15,16 +15,16 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
-use crate::error::{Error, Result};
+use crate::detector::Detector;
 use crate::merge::RegionMerger;
 use crate::pipeline::pace::Pace;
-use crate::pipeline::plan::ScanPlan;
 use crate::pipeline::seams::{Seam, Seams, band_pool};
-use crate::raster::{Block, BufferPool, Piece, Pixels, RasterInfo, RasterSource, ReadStats, View};
 use crate::segment::label::{Labeller, Region, TileRegions};
-use crate::segment::mask::Mask;
-use crate::window::{Tile, Window};
+use autoref_raster::error::{Error, Result};
+use autoref_raster::mask::Mask;
+use autoref_raster::memory_plan::ScanPlan;
+use autoref_raster::window::{Tile, Window};
+use autoref_raster::{Block, BufferPool, RasterInfo, RasterSource, ReadStats, View};
 
 /// More marks than this are no marks; also what bounds memory on a picture of confetti.
 pub const MAX_CANDIDATES: usize = 1_000_000;
@@ -33,52 +33,6 @@ pub const MAX_CANDIDATES: usize = 1_000_000;
 const FETCH_AHEAD_BYTES: u64 = 64 << 20;
 /// The fetcher is woken for so many tiles at once.
 const FETCHED_TOGETHER: u64 = 8;
-
-/// What tells paint from ground and marks from blobs. Implementations hold no state that changes.
-pub trait Detector: Sync {
-    /// Pixels around a core that [`Detector::segment`] must see to be right inside it.
-    fn halo_px(&self) -> u64;
-    /// Piece → Mask, for detectors that judge a pixel by itself: called for each piece of a block as soon as it is read, while
-    /// it lies in the nearest cache. The mask is of the block's window, and background at first.
-    fn segment_piece(&self, _piece: &Piece, _mask: &mut Mask) {}
-    /// Block → Mask: what is left to do when all pieces are there; sets the foreground bits of the mask.
-    fn segment_block(&self, block: &Block, mask: &mut Mask);
-    /// Block → Mask, all of it.
-    fn segment(&self, block: &Block, mask: &mut Mask) {
-        block.pieces.iter().for_each(|piece| self.segment_piece(piece, mask));
-        self.segment_block(block, mask);
-    }
-    /// Whether a complete region may be a mark, from its integers alone.
-    fn gate(&self, region: &Region) -> bool;
-    /// Pixels around a region's bounds that [`Detector::examine`] wants to see.
-    fn patch_margin_px(&self) -> u64;
-    /// The longest side a mark may have.
-    fn largest_mark_px(&self) -> u64;
-    /// Region → Candidate. The pixels are those of the region's bounds grown by the margin, clipped to the raster.
-    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate>;
-    /// Centre and outline of the shape that was fitted to a region, in image pixels; `None` when nothing was fitted.
-    fn outline(&self, _region: &Region, _pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        None
-    }
-
-    /// Region → Candidates, where a region may be several marks that touch.
-    fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
-        self.examine(region, pixels).into_iter().collect()
-    }
-    /// Region → Candidates where a mark must be, in a window of its own.
-    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
-        self.examine(region, pixels).into_iter().collect()
-    }
-    /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
-    /// for paint too (a mark on a red roof). `None` when there is no narrower one.
-    fn stricter(&self) -> Option<Box<dyn Detector>> {
-        None
-    }
-    /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.
-    fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
-        list
-    }
-}
 
 /// Hears how far the scan has come; called from several threads.
 pub trait Progress: Sync {

@@ -4,10 +4,10 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::scan::Detector;
-use crate::raster::{Block, BufferPool, Piece, PieceData, PooledBytes, RasterInfo, Samples};
+use crate::detector::Detector;
 use crate::segment::label::Region;
-use crate::window::{Tile, TileGrid, Window};
+use autoref_raster::window::{Tile, TileGrid, Window};
+use autoref_raster::{Block, BufferPool, Piece, PieceData, PooledBytes, RasterInfo, Samples};
 
 /// With more parts than this per 1024 pixels of a tile's sides whole bands along the faces are kept instead.
 const MANY: u64 = 100;
@@ -234,8 +234,8 @@ impl Seams {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::RasterSource;
-    use crate::raster::memory::MemorySource;
+    use autoref_raster::RasterSource;
+    use autoref_raster::memory::MemorySource;
 
     #[test]
     fn windows_are_joined_where_that_saves() {

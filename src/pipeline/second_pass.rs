@@ -3,13 +3,14 @@
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
-use crate::error::Result;
+use crate::learn::{DEFAULT_REACH_PX, learn};
 use crate::pipeline::MarkDetector;
 use crate::pipeline::georeference::{Job, Outcome, Run, georeference};
-use crate::profile::{DEFAULT_REACH_PX, Profile, learn};
-use crate::raster::{Patch, RasterSource, read_patch};
-use crate::window::Window;
+use crate::profile::Profile;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{Patch, RasterSource, read_patch};
 
 /// Most marks that teach.
 const MOST_TEACHERS: usize = 12;

@@ -12,9 +12,9 @@ use std::collections::HashSet;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::coords::{MapPoint, PixelPoint};
-use crate::solve::Similarity;
-use crate::solve::similarity::{Pair, fit_equal_weights};
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Similarity;
+use autoref_solve::similarity::{Pair, fit_equal_weights};
 
 /// No more ambiguities than this are listed.
 pub const MOST_REPORTED: usize = 12;

@@ -13,7 +13,7 @@ pub use strength::{CornerStrength, Strength, strength};
 
 use serde::Serialize;
 
-use crate::coords::MapPoint;
+use autoref_raster::coords::MapPoint;
 
 /// Sides of marks, pixels, from `docs/benchmark-detection.md`: from the smaller on at least 99 % are found, at the larger
 /// the centre is also known to a twentieth of a pixel and wear costs little.

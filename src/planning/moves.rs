@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ambiguity::{self, Freedom};
-use crate::coords::MapPoint;
+use autoref_raster::coords::MapPoint;
 
 /// Lengths tried, in tolerances: the shortest is just enough to be told apart surely.
 const LENGTHS: [f64; 4] = [4.0, 7.0, 12.0, 20.0];

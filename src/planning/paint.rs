@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::error::Result;
 use crate::profile::Profile;
-use crate::raster::{RasterSource, read_patch};
 use crate::segment::classify::PaintTest;
-use crate::window::Window;
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{RasterSource, read_patch};
 
 /// Windows looked at: spread evenly, this many and this large at most.
 const WINDOWS: u64 = 64;
@@ -106,7 +106,7 @@ pub(crate) fn sample(source: &dyn RasterSource) -> Result<Vec<[u8; 3]>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::memory::MemorySource;
+    use autoref_raster::memory::MemorySource;
 
     #[test]
     fn the_colour_of_the_ground_comes_last() {

@@ -3,7 +3,7 @@
 use nalgebra::Matrix2;
 use serde::Serialize;
 
-use crate::coords::MapPoint;
+use autoref_raster::coords::MapPoint;
 
 /// √(−2 ln 0.05): the Rayleigh distribution's 95 % in standard deviations.
 const RADIUS_95: f64 = 2.447_747;

@@ -4,20 +4,11 @@
 //! of the 2016 prototype: Euclidean, standardised Euclidean and Mahalanobis (P. C. Mahalanobis, "On the generalised
 //! distance in statistics", 1936).
 
+use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 use nalgebra::{Matrix3, Vector3};
 
 /// White point D65, 2° observer.
 const WHITE: [f64; 3] = [0.950_47, 1.0, 1.088_83];
-
-/// One sRGB sample in 0..=1 to linear light.
-pub fn linear_from_srgb(v: f64) -> f64 {
-    if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-/// Linear light to an sRGB sample, not clipped.
-pub fn srgb_from_linear(v: f64) -> f64 {
-    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
-}
 
 /// XYZ over the white point's, from linear red, green, blue. Every coefficient is positive, so that each output rises with
 /// each input: the table builder relies on it.
@@ -52,13 +43,6 @@ pub(crate) fn lab_f_near(t: f64) -> f64 {
 
 /// Relative error of [`lab_f_near`] at most.
 pub(crate) const LAB_F_NEAR: f64 = 4e-5;
-
-/// [`linear_from_srgb`] of the 256 bytes.
-pub(crate) fn linear_of_bytes() -> &'static [f64; 256] {
-    static TABLE: std::sync::LazyLock<[f64; 256]> =
-        std::sync::LazyLock::new(|| std::array::from_fn(|v| linear_from_srgb(v as f64 / 255.0)));
-    &TABLE
-}
 
 pub(crate) fn lab_from_f(f: [f64; 3]) -> Vector3<f64> {
     Vector3::new(116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2]))

@@ -3,12 +3,13 @@
 //! A pixel of a mark is paint seen through wear, light and blur: the paint's reflectance, mixed in linear light with 0–40 % of
 //! a ground that shines through (fading), lit by full sun to open shade (which is dimmer and bluer), mixed again with up to
 //! a quarter of ground by the blur of the border, and exposed. The cloud is the mean and covariance of that population in
-//! L\*a\*b\*; `examples/derive_profiles.rs` prints the TOML of every shipped profile from it.
+//! L\*a\*b\*; `tools/derive_profiles.rs` prints the TOML of every shipped profile from it.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::CloudSpec;
-use super::colour::{lab_from_srgb, linear_from_srgb, srgb_from_linear};
+use super::colour::lab_from_srgb;
+use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 
 /// Reflectances of common grounds, linear red, green, blue: asphalt old and new, concrete, gravel, grass green and dry, soil
 /// brown and red, sand, snow-bright lime.

@@ -6,21 +6,20 @@
 //! let orange = Profile::load("orange")?; // or the name of a TOML file
 //! let again = Profile::parse(&orange.to_toml()).expect("what it writes it reads");
 //! assert_eq!(orange, again);
-//! # Ok::<(), autoref_stream::Error>(())
+//! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
 pub mod colour;
-mod learn;
+mod family;
 pub mod mixing;
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::coded::Family;
-use crate::error::{Error, Result};
+use autoref_raster::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
-pub use learn::{DEFAULT_REACH_PX, LearnOptions, RoughRule, learn, learn_with};
+pub use family::Family;
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -582,7 +581,7 @@ impl Profile {
     }
 }
 
-/// One fresh paint of each shipped profile, in full sun: of those that `examples/derive_profiles.rs` makes the clouds from,
+/// One fresh paint of each shipped profile, in full sun: of those that `tools/derive_profiles.rs` makes the clouds from,
 /// but for orange, which is the benchmark's.
 const FRESH: [(&str, [u8; 3]); 6] = [
     ("orange", [255, 110, 20]),

@@ -3,15 +3,15 @@
 
 use rayon::prelude::*;
 
-use crate::coords::PixelPoint;
-use crate::error::Result;
-use crate::pipeline::Detector;
-use crate::raster::{Block, Patch, RasterInfo, RasterSource, View};
-use crate::report::keeper::Keeper;
+use crate::detector::Detector;
+use crate::report::kept_pixels::Keeper;
 use crate::report::overview::{Rgb8, Stretch};
 use crate::segment::label::Labeller;
-use crate::segment::mask::Mask;
-use crate::window::Window;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::mask::Mask;
+use autoref_raster::window::Window;
+use autoref_raster::{Block, Patch, RasterInfo, RasterSource, View};
 
 /// Chips are reduced to at most this many pixels a side.
 const MAX_CHIP_PX: u64 = 160;

@@ -1,7 +1,7 @@
 //! Pictures as text that a page can hold.
 
-use crate::error::{Error, Result};
 use crate::report::overview::Rgb8;
+use autoref_raster::error::{Error, Result};
 
 /// A `data:` URI with the picture as JPEG, colours at full resolution where `fine` is set: small bright marks would lose
 /// their colour otherwise.

@@ -8,22 +8,22 @@
 
 mod chips;
 mod jpeg;
-mod keeper;
+mod kept_pixels;
+mod layout_warnings;
 mod overview;
 mod points;
-mod words;
 
 pub use chips::{Chip, Spot, cut};
-pub use keeper::Keeper;
+pub use kept_pixels::Keeper;
+pub use layout_warnings::plain_warnings;
 pub use overview::{Overview, Rgb8, Stretch};
 pub use points::{Gathered, gather};
-pub use words::plain_warnings;
 
 use serde::Serialize;
 
-use crate::error::Result;
-use crate::georef::result::RunResult;
-use crate::solve::Similarity;
+use crate::result::RunResult;
+use autoref_raster::error::Result;
+use autoref_solve::Similarity;
 use points::{Candidates, ChipData, Point};
 
 /// A part of the report that another room words: a heading, sentences, figures with labels, and tables.
@@ -53,7 +53,7 @@ struct Page<'a> {
     source: &'a str,
     made: String,
     program: &'a str,
-    status: crate::georef::result::Status,
+    status: crate::result::Status,
     reason: Option<&'a str>,
     advice: &'a [String],
     image: Image<'a>,
@@ -62,7 +62,7 @@ struct Page<'a> {
     log10_false_alarms: Option<f64>,
     best_pairs: Option<usize>,
     similarity: Option<Similarity>,
-    solution: Option<&'a crate::solve::Solution>,
+    solution: Option<&'a autoref_solve::Solution>,
     /// The transform of `--model`, when it is not the similarity.
     chosen_model: Option<&'a serde_json::Value>,
     points: &'a [Point],
@@ -73,7 +73,7 @@ struct Page<'a> {
     warnings: Vec<&'a str>,
     sections: &'a [Section],
     details: serde_json::Value,
-    patch: Option<&'a crate::review::Patch>,
+    patch: Option<&'a autoref_review::Patch>,
 }
 
 #[derive(Serialize)]
@@ -136,7 +136,7 @@ pub fn page(
             height: gathered.overview_size.1,
             src: &gathered.overview,
         },
-        hand_variance_px2: crate::review::HAND_VARIANCE_PX2,
+        hand_variance_px2: autoref_review::HAND_VARIANCE_PX2,
         warnings: result
             .warnings
             .iter()

@@ -3,8 +3,8 @@
 use std::collections::HashSet;
 use std::sync::{Mutex, PoisonError};
 
-use crate::raster::{Block, Piece, RasterInfo, Samples};
-use crate::window::Window;
+use autoref_raster::window::Window;
+use autoref_raster::{Block, Piece, RasterInfo, Samples};
 
 /// Longest side of the overview.
 const MAX_SIDE_PX: f64 = 1280.0;
@@ -171,9 +171,9 @@ fn range(places: &[u64], from: u64, to: u64) -> std::ops::Range<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::RasterSource;
-    use crate::raster::memory::MemorySource;
-    use crate::window::TileGrid;
+    use autoref_raster::RasterSource;
+    use autoref_raster::memory::MemorySource;
+    use autoref_raster::window::TileGrid;
 
     fn source(width: u64, height: u64) -> MemorySource {
         let rgb = (0..width * height)

@@ -5,17 +5,17 @@ use std::collections::HashMap;
 use serde::Serialize;
 
 use crate::candidate::{Candidate, Code};
-use crate::coords::PixelPoint;
-use crate::error::Result;
+use crate::detector::Detector;
 use crate::gcp::Gcp;
-use crate::georef::result::{MatchRow, RunResult, Status};
-use crate::pipeline::Detector;
-use crate::raster::RasterSource;
 use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
-use crate::report::keeper::Keeper;
+use crate::report::kept_pixels::Keeper;
 use crate::report::overview::Overview;
-use crate::solve::Similarity;
+use crate::result::{MatchRow, RunResult, Status};
+use autoref_raster::RasterSource;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_solve::Similarity;
 
 /// No more chips than this, whatever the list: a page must open.
 const MAX_CHIPS: usize = 400;

@@ -9,11 +9,11 @@
 use std::sync::Arc;
 
 use super::table::ColourTable;
-use crate::error::{Error, Result};
 use crate::profile::Profile;
 use crate::profile::colour::{Cloud, Space, lab_from_srgb};
-use crate::raster::{PixelRow, SampleType, Samples};
 use crate::segment::kernels::Prefilter;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::{PixelRow, SampleType, Samples};
 
 /// The scalar reference: is this colour paint, and how far is it from it?
 #[derive(Clone, Debug)]

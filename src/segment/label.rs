@@ -8,8 +8,8 @@
 //! The run-and-union idea is that of A. Rosenfeld and J. L. Pfaltz, "Sequential operations in digital picture
 //! processing", 1966; we add the early exit and the faces.
 
-use crate::segment::mask::Mask;
-use crate::window::Window;
+use autoref_raster::mask::Mask;
+use autoref_raster::window::Window;
 
 /// An 8-connected set of foreground pixels, described by integers only, so that merging is exact in any order.
 ///

@@ -2,8 +2,8 @@
 //!
 //! ```
 //! use autoref_stream::segment::label::Labeller;
-//! use autoref_stream::segment::mask::Mask;
-//! use autoref_stream::window::Window;
+//! use autoref_raster::mask::Mask;
+//! use autoref_raster::window::Window;
 //! let raster = Window::whole(6, 4);
 //! let mut mask = Mask::new(raster);
 //! for (x, y) in [(1, 1), (2, 1), (2, 2)] {
@@ -17,5 +17,4 @@ pub mod classify;
 pub mod filters;
 pub mod kernels;
 pub mod label;
-pub mod mask;
 mod table;

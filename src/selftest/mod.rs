@@ -15,12 +15,14 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
-use crate::error::Result;
+use crate::detector::Detector;
 use crate::matching::field::Field;
-use crate::pipeline::{Detector, Progress, ScanPlan, scan};
-use crate::raster::{RasterInfo, RasterSource, SampleType};
-use crate::synth::plant::Cell;
+use crate::pipeline::{Progress, scan};
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::memory_plan::ScanPlan;
+use autoref_raster::{RasterInfo, RasterSource, SampleType};
+use autoref_synth::plant::Cell;
 
 /// The share of marks that a size must reach to be advised.
 pub const WANTED_RECALL: f64 = 0.99;

@@ -8,13 +8,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::coords::PixelPoint;
-use crate::error::Result;
-use crate::raster::{
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{
     Block, Piece, PieceData, PooledBytes, RasterInfo, RasterSource, ReadStats, SampleType, Samples, read_patch,
 };
-use crate::synth::plant::{Cell, Picture, Random, paint_mark};
-use crate::window::Window;
+use autoref_synth::plant::{Cell, Picture, Random, paint_mark};
 
 /// Ground around the window of a mark that goes through JPEG with it.
 const MARGIN_PX: u64 = 16;
@@ -328,7 +328,7 @@ fn lay<T: Copy>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::memory::MemorySource;
+    use autoref_raster::memory::MemorySource;
 
     fn source() -> Arc<dyn RasterSource> {
         let rgb = (0..700u32 * 500).flat_map(|i| [(i % 251) as u8, (i / 700 % 241) as u8, 90]).collect();

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use crate::candidate::Candidate;
-use crate::coords::PixelPoint;
 use crate::matching::field::Field;
+use autoref_raster::coords::PixelPoint;
 
 /// 97.5 % quantile of the standard normal distribution.
 const Z_95: f64 = 1.959_964;
@@ -163,7 +163,7 @@ mod tests {
     /// that takes marks for independent does not.
     #[test]
     fn the_interval_holds_on_ground_that_differs() {
-        let mut random = crate::synth::plant::Random(77);
+        let mut random = autoref_synth::plant::Random(77);
         let truth = 0.9 * 0.98 + 0.1 * 0.4;
         let (mut held, mut held_independent) = (0, 0);
         for _ in 0..400 {

@@ -1,12 +1,15 @@
 //! Marks of a picture in memory, looked for in tiles.
 
+use autoref_raster::RasterSource;
+use autoref_raster::memory::MemorySource;
+use autoref_raster::memory_plan::PlanOptions;
+use autoref_raster::memory_plan::plan;
+use autoref_raster::window::TileGrid;
 use autoref_stream::candidate::Candidate;
-use autoref_stream::pipeline::{Detector, MarkDetector, NoProgress, PlanOptions, plan, scan};
+use autoref_stream::detector::Detector;
+use autoref_stream::pipeline::{MarkDetector, NoProgress, scan};
 use autoref_stream::profile::Profile;
-use autoref_stream::raster::RasterSource;
-use autoref_stream::raster::memory::MemorySource;
-use autoref_stream::synth::plant::Picture;
-use autoref_stream::window::TileGrid;
+use autoref_synth::plant::Picture;
 
 pub fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads: usize) -> Vec<Candidate> {
     let detector = MarkDetector::new(profile.clone(), source.info(), None).expect("a sound profile");

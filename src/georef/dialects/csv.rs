@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{TiePoints, csv_field, write_file};
-use crate::error::Result;
+use autoref_raster::error::Result;
 
 /// Writes the table. Columns: `name`, `pixel_x`, `pixel_y`, `easting`, `northing`, `height`, `sigma_m`, `residual_e_m`,
 /// `residual_n_m`, `role` ("control" or "check"), `crs`.

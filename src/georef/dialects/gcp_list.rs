@@ -7,8 +7,8 @@
 use std::path::Path;
 
 use super::{TiePoints, write_file};
-use crate::error::{Error, Result};
-use crate::georef::crs::Crs;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 /// What OpenDroneMap's labels of check points begin with.
 pub const CHECK_PREFIX: &str = "CHK-";

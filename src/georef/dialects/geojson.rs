@@ -7,7 +7,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::{TiePoint, TiePoints, write_file};
-use crate::error::Result;
+use autoref_raster::error::Result;
 
 /// Writes the collection: features of `layer` "gcp" (where it was surveyed), "mark" (where the transform puts the mark) and
 /// "residual" (the line from the mark to the surveyed point).

@@ -7,7 +7,7 @@ use std::path::Path;
 use quick_xml::escape::escape;
 
 use super::{TiePoints, csv_field, write_file};
-use crate::error::Result;
+use autoref_raster::error::Result;
 
 /// Writes both files.
 ///

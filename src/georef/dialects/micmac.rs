@@ -6,7 +6,7 @@ use std::path::Path;
 use quick_xml::escape::escape;
 
 use super::{TiePoints, required_height, write_file};
-use crate::error::Result;
+use autoref_raster::error::Result;
 
 /// 1σ of a point whose survey says nothing, metres: what MicMac's own tools write.
 const UNKNOWN_SIGMA_M: f64 = 1.0;

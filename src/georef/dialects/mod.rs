@@ -13,12 +13,12 @@ pub mod points;
 
 use std::path::{Path, PathBuf};
 
-use crate::coords::{GeoTransform, PixelPoint};
-use crate::error::{Error, Result};
 use crate::gcp::Gcp;
-use crate::georef::crs::Crs;
-use crate::georef::result::RunResult;
 use crate::georef::write::Output;
+use crate::result::RunResult;
+use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 /// What was matched, ready for any dialect.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use super::{TiePoints, csv_field, required_height, write_file};
-use crate::error::Result;
+use autoref_raster::error::Result;
 
 /// Writes both files. The accuracies are there when every point has one.
 ///

@@ -5,9 +5,9 @@
 use std::path::Path;
 
 use super::{TiePoints, csv_field, write_file};
-use crate::coords::MapPoint;
-use crate::error::Result;
-use crate::georef::crs::Crs;
+use autoref_raster::coords::MapPoint;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::Result;
 
 /// Writes the file; dX, dY and the residual are in pixels, where the surveyed point lies minus the mark.
 ///

@@ -4,8 +4,8 @@ use std::os::unix::fs::FileExt;
 
 use super::TagOptions;
 use super::journal::Patch;
-use crate::error::{Error, Result};
-use crate::raster::tiff::container::{Directories, Role, tag};
+use autoref_raster::error::{Error, Result};
+use autoref_raster::tiff::container::{Directories, Role, tag};
 
 /// GDAL's "ghost area" right behind the header, as in
 /// <https://gdal.org/drivers/raster/cog.html#header-ghost-area>.

@@ -4,8 +4,8 @@ use std::os::unix::fs::FileExt;
 
 use super::journal::Patch;
 use super::keys::{GEO_TAGS, GeoTag, Values};
-use crate::error::{Error, Result};
-use crate::raster::tiff::container::{ByteOrder, Directories};
+use autoref_raster::error::{Error, Result};
+use autoref_raster::tiff::container::{ByteOrder, Directories};
 
 /// A disk sector: what lies in one is written whole or not at all.
 const SECTOR_BYTES: u64 = 512;

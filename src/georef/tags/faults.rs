@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use super::journal::{self, Plan};
 use super::store::Store;
 use super::{TagOptions, prepare};
-use crate::coords::GeoTransform;
-use crate::georef::crs::Crs;
-use crate::raster::{self, ReaderChoice};
+use autoref_raster::ReaderChoice;
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::Crs;
 
 const OLD: GeoTransform = GeoTransform([10.0, 2.0, 0.0, 20.0, 0.0, -2.0]);
 const NEW: GeoTransform = GeoTransform([570_000.25, 0.03, -0.004, 7_032_000.5, -0.004, -0.03]);
@@ -128,8 +128,9 @@ fn which(bytes: &[u8], file: &Path, pixels: &[[u16; 3]]) -> GeoTransform {
     drop(dataset);
     gdal::vsi::unlink_mem_file(&memory).expect("it was made above");
     std::fs::write(file, bytes).expect("writable");
-    let source = raster::open(file, ReaderChoice::Native, 0, 1 << 20).expect("the native reader opens every state");
-    let patch = raster::read_patch(source.as_ref(), source.info().bounds()).expect("readable");
+    let source =
+        autoref_raster::open(file, ReaderChoice::Native, 0, 1 << 20).expect("the native reader opens every state");
+    let patch = autoref_raster::read_patch(source.as_ref(), source.info().bounds()).expect("readable");
     assert!(patch.rgb == pixels, "pixels are wrong");
     assert_eq!(source.info().geotransform.map(near), Some(near(read)), "the readers disagree");
     near(read)
@@ -141,7 +142,7 @@ fn near(transform: GeoTransform) -> GeoTransform {
 }
 
 fn sample(path: &Path, options: &[&str], cog: bool) {
-    raster::initialise_gdal(0);
+    autoref_raster::initialise_gdal(0);
     let memory = gdal::DriverManager::get_driver_by_name("MEM").expect("there");
     let mut dataset = memory.create_with_band_type::<u8, _>("", 40, 24, 3).expect("created");
     for band in 1..=3 {
@@ -167,8 +168,8 @@ fn a_crash_at_any_byte_leaves_the_old_or_the_new_image() {
     for (number, (options, cog)) in kinds.into_iter().enumerate() {
         let (path, trial) = (folder.path().join(format!("{number}.tif")), folder.path().join("trial.tif"));
         sample(&path, options, cog);
-        let source = raster::open(&path, ReaderChoice::Native, 0, 1 << 20).expect("opens");
-        let pixels = raster::read_patch(source.as_ref(), source.info().bounds()).expect("readable").rgb;
+        let source = autoref_raster::open(&path, ReaderChoice::Native, 0, 1 << 20).expect("opens");
+        let pixels = autoref_raster::read_patch(source.as_ref(), source.info().bounds()).expect("readable").rgb;
         let before = std::fs::read(&path).expect("readable");
         let (edit, _) = prepare(&path, 0, &NEW, Some(&crs), &TagOptions { break_cog: true }).expect("it takes tags");
         let mut store = Remembering::new(before.clone(), None);

@@ -11,7 +11,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::store::Store;
-use crate::error::{Error, Result};
+use autoref_raster::error::{Error, Result};
 
 /// Last bytes of an edited file.
 const MAGIC: &[u8; 16] = b"autoref-undo-v1\n";

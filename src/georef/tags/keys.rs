@@ -10,9 +10,9 @@ use gdal::raster::RasterCreationOptions;
 use gdal::spatial_ref::SpatialRef;
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags, Metadata};
 
-use crate::coords::{GeoTransform, PixelPoint};
-use crate::error::{Error, Result};
-use crate::georef::crs::Crs;
+use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 pub const MODEL_PIXEL_SCALE: u16 = 33_550;
 pub const INTERGRAPH_MATRIX: u16 = 33_920;
@@ -115,7 +115,7 @@ fn transform_tags(transform: &GeoTransform, raster_type: RasterType) -> Vec<GeoT
 
 fn crs_tags(crs: Option<&Crs>, raster_type: RasterType) -> Result<(Vec<GeoTag>, Option<String>)> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
-    crate::raster::initialise_gdal(0);
+    autoref_raster::initialise_gdal(0);
     let number = COUNTER.fetch_add(1, Ordering::Relaxed);
     let path = PathBuf::from(format!("/vsimem/autoref-keys-{}-{number}.tif", std::process::id()));
     let result = one_pixel(&path, crs, raster_type).and_then(|()| {

@@ -16,13 +16,13 @@ use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::coords::GeoTransform;
-use crate::error::{Error, Result};
-use crate::georef::atomic::Edit;
-use crate::georef::crs::Crs;
 use crate::georef::sidecar;
-use crate::raster::tiff::container::Directories;
-use crate::raster::tiff::is_tiff;
+use autoref_raster::atomic::Edit;
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::tiff::container::Directories;
+use autoref_raster::tiff::is_tiff;
 
 pub use journal::Plan;
 pub use keys::RasterType;

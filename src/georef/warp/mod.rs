@@ -13,12 +13,12 @@ use std::str::FromStr;
 use gdal::cpl::CslStringList;
 use gdal::{Dataset, DriverManager, Metadata};
 
-use crate::coords::{GeoTransform, PixelPoint};
-use crate::error::{Error, Result};
-use crate::georef::crs::Crs;
-use crate::georef::sidecar::axis_mapping;
-use crate::pipeline::plan;
-use crate::raster::tiff::Directories;
+use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_raster::crs::Crs;
+use autoref_raster::crs::axis_mapping;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::memory_plan;
+use autoref_raster::tiff::Directories;
 
 /// How a pixel is made of its neighbours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -194,7 +194,7 @@ impl Default for WarpOptions {
             quality: None,
             resolution: None,
             border: Border::default(),
-            memory_budget_bytes: plan::DEFAULT_BUDGET_BYTES,
+            memory_budget_bytes: memory_plan::DEFAULT_BUDGET_BYTES,
             threads: 1,
         }
     }
@@ -221,8 +221,9 @@ impl Grid {
         }
         let corners = [(0, 0), (width, 0), (0, height), (width, height)]
             .map(|(x, y)| transform.apply(PixelPoint { x: x as f64, y: y as f64 }));
-        let low = |f: fn(&crate::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::INFINITY, f64::min);
-        let high = |f: fn(&crate::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
+        let low = |f: fn(&autoref_raster::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::INFINITY, f64::min);
+        let high =
+            |f: fn(&autoref_raster::coords::MapPoint) -> f64| corners.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
         let (west, east) = (low(|c| c.easting), high(|c| c.easting));
         let (south, north) = (low(|c| c.northing), high(|c| c.northing));
         let pixel = resolution.unwrap_or_else(|| transform.scale());
@@ -297,7 +298,7 @@ impl WarpOptions {
     ///
     /// Two thirds of what is left are cache: GDAL exceeds it while blocks wait to be written.
     fn means(&self) -> Result<(u64, usize)> {
-        let fixed = plan::baseline_bytes() + FIXED_BYTES;
+        let fixed = memory_plan::baseline_bytes() + FIXED_BYTES;
         let left = self.memory_budget_bytes.saturating_sub(fixed);
         let least = SMALLEST_CACHE_BYTES * 3 / 2;
         if left < least {
@@ -436,14 +437,14 @@ fn creation_options(options: &WarpOptions) -> gdal::errors::Result<CslStringList
 }
 
 fn open(image: &Path, page: usize) -> Result<(Dataset, vrt::Source)> {
-    let (name, dataset) = crate::raster::open_dataset(image, page)?;
+    let (name, dataset) = autoref_raster::open_dataset(image, page)?;
     let source = vrt::Source::of(image, &name, &dataset)?;
     Ok((dataset, source))
 }
 
 /// Every block of every directory must lie in the file: GDAL does not always notice a full disk.
 fn complete(out: &Path) -> Result<()> {
-    use crate::raster::tiff::container::tag;
+    use autoref_raster::tiff::container::tag;
     let file = Directories::read(out)?;
     if let Some(what) = &file.broken_tail {
         return Err(Error::format(out, "the copy", what.clone()));

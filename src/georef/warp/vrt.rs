@@ -12,9 +12,9 @@ use gdal::raster::ColorInterpretation;
 use quick_xml::escape::escape;
 
 use super::{Border, Grid};
-use crate::coords::GeoTransform;
-use crate::error::{Error, Result};
-use crate::georef::crs::Crs;
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
 
 /// Side of the blocks in which the warper works.
 const BLOCK_PX: u64 = 512;

@@ -20,11 +20,11 @@ mod rows;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
-use crate::coords::MapPoint;
 use crate::gcp::{Gcp, GcpRole};
-use crate::georef::crs::{Coordinate, Crs};
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
+use autoref_raster::coords::MapPoint;
+use autoref_raster::crs::{Coordinate, Crs};
 
 /// Metres in an international foot, and in a US survey foot.
 pub const FOOT_M: f64 = 0.3048;
@@ -84,7 +84,7 @@ pub struct Diagnosis {
 pub struct KnownPlace {
     pub centre: MapPoint,
     /// The same place in pixels.
-    pub centre_px: crate::coords::PixelPoint,
+    pub centre_px: autoref_raster::coords::PixelPoint,
 }
 
 /// What the doctor is told.

@@ -1,9 +1,9 @@
 //! Scale and place of a fit against what the image says of itself.
 
 use super::{Certainty, Diagnosis, Doctor, FOOT_M, Mistake, US_SURVEY_FOOT_M, neighbours};
-use crate::coords::MapPoint;
-use crate::georef::crs::Coordinate;
 use crate::matching::Pattern;
+use autoref_raster::coords::MapPoint;
+use autoref_raster::crs::Coordinate;
 
 /// Two places agree within this part of the image's diagonal, or this many metres if that is more.
 const NEAR_DIAGONALS: f64 = 0.25;

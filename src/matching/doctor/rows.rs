@@ -3,12 +3,12 @@
 use std::f64::consts::PI;
 
 use super::{Certainty, Diagnosis, Doctor, FOOT_M, Mistake, POSSIBLE_LOG10, US_SURVEY_FOOT_M};
-use crate::coords::{MapPoint, PixelPoint};
 use crate::matching::Pattern;
 use crate::matching::evidence::log10_tail;
 use crate::matching::field::Field;
 use crate::matching::settle::{centre_and_spread, tolerance_px};
-use crate::solve::Pair;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Pair;
 
 /// Places of a digit that can be mistyped: 10^−1 m (smaller ones hide in the tolerance) to 10^6 m.
 const PLACES: std::ops::RangeInclusive<i32> = -1..=6;

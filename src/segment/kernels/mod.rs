@@ -132,10 +132,13 @@ impl Prefilter {
 
     /// Writes one bit a pixel: does it pass? Every word of `bits` is overwritten, unused high bits are zero.
     ///
-    /// Uses AVX2 where the machine has it, the pixels are 3 or 4 samples wide and the feature `force-scalar` is off.
+    /// Uses AVX2 where the machine has it, the pixels are 3 or 4 samples wide and [`autoref_raster::simd::Kernels`] asks for the widest.
     pub fn row(&self, samples: &[u8], stride: usize, len: usize, bits: &mut [u64]) {
         #[cfg(target_arch = "x86_64")]
-        if !cfg!(feature = "force-scalar") && matches!(stride, 3 | 4) && is_x86_feature_detected!("avx2") {
+        if autoref_raster::simd::Kernels::wanted() == autoref_raster::simd::Kernels::Widest
+            && matches!(stride, 3 | 4)
+            && is_x86_feature_detected!("avx2")
+        {
             // SAFETY: the machine has AVX2, as just asked.
             unsafe { x86_64::prefilter(self, samples, stride, len, bits) };
             return;

@@ -1,0 +1,268 @@
+//! Cameras as TOML files: those that come with the program, and the user's own.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::types::{Camera, CameraMark, MarkKind, YAxis};
+use autoref_raster::error::{Error, Result};
+
+const BUILTIN: [(&str, &str); 7] = [
+    ("svalbard-zeiss-1936", include_str!("cameras/svalbard-zeiss-1936.toml")),
+    ("wild-15-4", include_str!("cameras/wild-15-4.toml")),
+    ("rmk-cross", include_str!("cameras/rmk-cross.toml")),
+    ("rmk-dot", include_str!("cameras/rmk-dot.toml")),
+    ("corner-dot-ring", include_str!("cameras/corner-dot-ring.toml")),
+    ("side-notch", include_str!("cameras/side-notch.toml")),
+    ("arc-cross", include_str!("cameras/arc-cross.toml")),
+];
+
+/// The cameras that come with the program, in the order of `--list-cameras`.
+///
+/// # Panics
+/// Never: a test reads every one of them.
+pub fn builtin_cameras() -> Vec<Camera> {
+    BUILTIN
+        .iter()
+        .map(|(name, text)| parse(text, Path::new(name)).expect("the built-in cameras are read by a test"))
+        .collect()
+}
+
+/// A camera by its built-in name or from a TOML file.
+///
+/// # Errors
+/// [`Error::Usage`] when neither a camera nor a file has this name; [`Error::Format`] when the file is no camera, with the
+/// line or the mark at fault.
+pub fn load_camera(name_or_file: &str) -> Result<Camera> {
+    if let Some((name, text)) = BUILTIN.iter().find(|(name, _)| *name == name_or_file) {
+        return parse(text, Path::new(name));
+    }
+    let path = Path::new(name_or_file);
+    if !path.is_file() {
+        return Err(Error::usage(
+            format!("{name_or_file}: neither a camera of the program nor a file"),
+            "see --list-cameras, or write a TOML file as docs/film.md shows",
+        ));
+    }
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let mut camera = parse(&text, path)?;
+    // Templates lie beside the camera's file.
+    for mark in &mut camera.marks {
+        if let MarkKind::Learned { template } = &mut mark.kind
+            && let Some(folder) = path.parent()
+        {
+            *template = folder.join(&*template);
+        }
+    }
+    Ok(camera)
+}
+
+/// Reads and checks a camera's TOML; `path` is for messages.
+///
+/// # Errors
+/// [`Error::Format`] as for [`load_camera`].
+pub fn parse(text: &str, path: &Path) -> Result<Camera> {
+    let mut camera: Camera = toml::from_str(text).map_err(|e| {
+        let line = e.span().map_or(0, |s| text[..s.start].matches('\n').count() + 1);
+        Error::format(path, format!("line {line}"), e.message().lines().collect::<Vec<_>>().join(" "))
+    })?;
+    check(&camera, path)?;
+    if camera.marks.iter().any(|m| m.x_mm.is_none()) {
+        from_distances(&mut camera, path)?;
+    }
+    Ok(camera)
+}
+
+fn check(camera: &Camera, path: &Path) -> Result<()> {
+    let wrong = |place: String, what: &str| Err(Error::format(path, place, what));
+    let positive = |v: f64| v.is_finite() && v > 0.0;
+    if !camera.film_size_mm.iter().all(|v| positive(*v) && *v < 2000.0) {
+        return wrong("film_size_mm".into(), "must be two lengths in millimetres, above 0 and below 2000");
+    }
+    if camera.image_size_mm.is_some_and(|s| !s.iter().all(|v| positive(*v) && *v < 2000.0)) {
+        return wrong("image_size_mm".into(), "must be two lengths in millimetres, above 0 and below 2000");
+    }
+    if camera.focal_length_mm.is_some_and(|f| !positive(f)) {
+        return wrong("focal_length_mm".into(), "must be above 0");
+    }
+    if !(2..=64).contains(&camera.marks.len()) {
+        return wrong("marks".into(), "a camera has 2 to 64 marks");
+    }
+    if !camera.masked_mm.iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+        return wrong(
+            "masked_mm".into(),
+            "every box is four numbers in millimetres: x, y, x, y of two opposite corners",
+        );
+    }
+    let mut names = HashSet::new();
+    for mark in &camera.marks {
+        let place = || format!("mark \"{}\"", mark.name);
+        if mark.name.is_empty() || !names.insert(&mark.name) {
+            return wrong(place(), "every mark needs a name of its own");
+        }
+        if mark.x_mm.is_some() != mark.y_mm.is_some() {
+            return wrong(place(), "has one coordinate; give x_mm and y_mm, or neither and distances_mm");
+        }
+        if mark.x_mm.is_none() && mark.near_mm.is_none() {
+            return wrong(place(), "has no position; give x_mm and y_mm, or near_mm and distances_mm");
+        }
+        if ![mark.x_mm, mark.y_mm].iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+            return wrong(place(), "its position is not on any film");
+        }
+        if !super::shape::is_sound(&mark.kind) {
+            return wrong(
+                place(),
+                "its lengths are not those of a mark: all must be above 0 and below 50 mm, and fit in each other",
+            );
+        }
+    }
+    let spread = |f: fn(&CameraMark) -> Option<f64>| {
+        let v: Vec<f64> = camera.marks.iter().filter_map(f).collect();
+        v.iter().copied().fold(f64::MIN, f64::max) - v.iter().copied().fold(f64::MAX, f64::min)
+    };
+    if camera.marks.iter().all(|m| m.x_mm.is_some()) && spread(|m| m.x_mm).hypot(spread(|m| m.y_mm)) < 1.0 {
+        return wrong("marks".into(), "all marks lie within a millimetre");
+    }
+    for ([a, b], d) in &camera.distances_mm {
+        if !(names.contains(a) && names.contains(b)) || a == b || !positive(*d) {
+            return wrong(format!("distance {a} to {b}"), "must name two marks of the camera and be above 0");
+        }
+    }
+    Ok(())
+}
+
+/// Coordinates from distances: Gauss–Newton from the rough positions. What distances do not determine (place and turn) stays
+/// as the rough positions have it, since steps are of least norm.
+fn from_distances(camera: &mut Camera, path: &Path) -> Result<()> {
+    let index = |name: &str| camera.marks.iter().position(|m| m.name == name).expect("checked before");
+    let n = camera.marks.len();
+    let mut at: Vec<[f64; 2]> = camera
+        .marks
+        .iter()
+        .map(|m| m.near_mm.or(m.x_mm.zip(m.y_mm).map(|(x, y)| [x, y])).expect("checked before"))
+        .collect();
+    if camera.distances_mm.len() + 3 < 2 * n {
+        return Err(Error::format(
+            path,
+            "distances_mm",
+            format!("{} distances do not fix {n} marks; {} are needed", camera.distances_mm.len(), 2 * n - 3),
+        ));
+    }
+    let pairs: Vec<(usize, usize, f64)> =
+        camera.distances_mm.iter().map(|([a, b], d)| (index(a), index(b), *d)).collect();
+    for _ in 0..50 {
+        let mut design = DMatrix::zeros(pairs.len(), 2 * n);
+        let mut right = DVector::zeros(pairs.len());
+        for (row, &(a, b, d)) in pairs.iter().enumerate() {
+            let (dx, dy) = (at[a][0] - at[b][0], at[a][1] - at[b][1]);
+            let now = dx.hypot(dy).max(1e-9);
+            for (k, v) in [dx / now, dy / now].into_iter().enumerate() {
+                design[(row, 2 * a + k)] = v;
+                design[(row, 2 * b + k)] = -v;
+            }
+            right[row] = d - now;
+        }
+        let Ok(step) = design.svd(true, true).solve(&right, 1e-9) else { break };
+        for (i, p) in at.iter_mut().enumerate() {
+            p[0] += step[2 * i];
+            p[1] += step[2 * i + 1];
+        }
+        if step.norm() < 1e-10 {
+            break;
+        }
+    }
+    let worst =
+        pairs.iter().map(|&(a, b, d)| ((at[a][0] - at[b][0]).hypot(at[a][1] - at[b][1]) - d).abs()).fold(0.0, f64::max);
+    if !worst.is_finite() || worst > 0.5 {
+        return Err(Error::format(path, "distances_mm", format!("contradict each other by {worst:.2} mm")));
+    }
+    for (mark, p) in camera.marks.iter_mut().zip(at) {
+        (mark.x_mm, mark.y_mm) = (Some(p[0]), Some(p[1]));
+    }
+    Ok(())
+}
+
+impl Camera {
+    /// Positions of the marks on the film, millimetres, x to the right and y **down**, whatever the camera's own axes.
+    pub fn film_points(&self) -> Vec<[f64; 2]> {
+        let sign = self.y_sign();
+        self.marks.iter().map(|m| [m.x_mm.unwrap_or(0.0), sign * m.y_mm.unwrap_or(0.0)]).collect()
+    }
+
+    /// 1 where the camera's y runs down, −1 where it runs up.
+    pub fn y_sign(&self) -> f64 {
+        match self.y_axis {
+            YAxis::Down => 1.0,
+            YAxis::Up => -1.0,
+        }
+    }
+
+    /// The marks' bounding box, millimetres, y down: upper left and lower right corner.
+    pub fn film_box(&self) -> ([f64; 2], [f64; 2]) {
+        let points = self.film_points();
+        let end = |start: f64, pick: fn(f64, f64) -> f64| [0, 1].map(|k| points.iter().map(|p| p[k]).fold(start, pick));
+        (end(f64::MAX, f64::min), end(f64::MIN, f64::max))
+    }
+
+    /// The middle of the marks' bounding box, millimetres, y down.
+    pub fn film_centre(&self) -> [f64; 2] {
+        let (low, high) = self.film_box();
+        [0, 1].map(|k| 0.5 * (low[k] + high[k]))
+    }
+
+    /// Clockwise turn of each mark's shape on an upright frame, degrees.
+    pub fn turns_deg(&self) -> Vec<f64> {
+        let centre = self.film_centre();
+        let turn = |mark: &CameraMark, p: &[f64; 2]| {
+            mark.turn_deg.unwrap_or_else(|| {
+                let (x, y) = (p[0] - centre[0], p[1] - centre[1]);
+                match (x.abs() > y.abs(), x > 0.0, y > 0.0) {
+                    (true, true, _) => 270.0,
+                    (true, false, _) => 90.0,
+                    (false, _, true) => 0.0,
+                    (false, _, false) => 180.0,
+                }
+            })
+        };
+        self.marks.iter().zip(&self.film_points()).map(|(m, p)| turn(m, p)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cameras_of_the_program_are_sound_and_named_as_listed() {
+        let cameras = builtin_cameras();
+        assert!(cameras.iter().map(|c| c.name.as_str()).eq(BUILTIN.iter().map(|b| b.0)));
+    }
+
+    #[test]
+    fn marks_known_by_distances_only_get_coordinates() {
+        let text = r#"
+name = "d"
+film_size_mm = [100.0, 100.0]
+y_axis = "down"
+distances_mm = [[["a","b"],80.0],[["b","c"],80.0],[["c","d"],80.0],[["d","a"],80.0],[["a","c"],113.13708498984761]]
+marks = [
+  { name = "a", near_mm = [10.0, 11.0], kind = { shape = "dot", diameter_mm = 0.2 } },
+  { name = "b", near_mm = [91.0, 10.0], kind = { shape = "dot", diameter_mm = 0.2 } },
+  { name = "c", near_mm = [90.0, 92.0], kind = { shape = "dot", diameter_mm = 0.2 } },
+  { name = "d", near_mm = [10.0, 90.0], kind = { shape = "dot", diameter_mm = 0.2 } },
+]"#;
+        let p = parse(text, Path::new("d.toml")).expect("sound").film_points();
+        assert!(((p[1][0] - p[3][0]).hypot(p[1][1] - p[3][1]) - 113.137_084_989).abs() < 1e-6);
+        let few = text.replace(r#",[["a","c"],113.13708498984761]"#, "");
+        assert!(parse(&few, Path::new("d.toml")).is_err(), "four sides do not fix a quadrangle");
+    }
+
+    #[test]
+    fn what_is_no_camera_is_refused_in_one_line() {
+        for text in ["", "name = 1", "name = \"x\"\nfilm_size_mm = [1.0, -1.0]\ny_axis = \"up\"\nmarks = []"] {
+            let message = parse(text, Path::new("x.toml")).expect_err("refused").to_string();
+            assert!(message.starts_with("x.toml: ") && !message.contains('\n'), "{message}");
+        }
+    }
+}

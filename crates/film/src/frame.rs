@@ -1,0 +1,427 @@
+//! One frame: search, constellation, second look, checks, inner orientation.
+
+use std::path::Path;
+use std::time::Instant;
+
+use super::check::agreement;
+use super::constellation::{Assembly, assemble};
+use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
+use super::look::Measured;
+use super::search::{Peak, search};
+use super::sketch::{Sketches, upright};
+use super::template::Model;
+use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
+use super::window::{around, open_scan};
+use autoref_raster::RasterSource;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+
+/// How marks are found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// Correlation with the drawn or learned mark and least squares.
+    #[default]
+    Correlation,
+    /// The steps of the 2017 thesis; three-toothed marks only.
+    Thesis2017,
+}
+
+/// How frames are looked at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FindOptions {
+    pub method: Method,
+    /// Size of a scanned pixel on the film; `None`: from the film's and the scan's sizes.
+    pub pixel_um: Option<f64>,
+    /// The inner orientation that is solved when marks allow it.
+    pub model: InnerModel,
+    /// Clockwise turn of the frames in the scans, 0, 90, 180 or 270; `None`: found.
+    pub turn_deg: Option<f64>,
+    /// Whether the scans show the film from the wrong side; `None`: found.
+    pub mirrored: Option<bool>,
+    /// Side of the search box as a share of the frame's longer side.
+    pub box_share: f64,
+    /// How far a mark may lie from where the others put it: micrometres on the film, but never below `agreement_px`.
+    pub agreement_um: f64,
+    pub agreement_px: f64,
+}
+
+impl Default for FindOptions {
+    /// The box is that of the 2017 thesis. The real Wild frame keeps its corners within 20 µm of an affine transform; 2.5 px leave room for that on
+    /// coarse scans and still show an error of 5 px in one mark.
+    fn default() -> Self {
+        FindOptions {
+            method: Method::Correlation,
+            pixel_um: None,
+            model: InnerModel::Affine,
+            turn_deg: None,
+            mirrored: None,
+            box_share: 0.10,
+            agreement_um: 40.0,
+            agreement_px: 2.5,
+        }
+    }
+}
+
+impl FindOptions {
+    /// How far a mark may lie from where the others put it.
+    pub(super) fn tolerance_px(&self, pose: &Pose) -> f64 {
+        (self.agreement_um / 1e3 * pose.px_per_mm()).max(self.agreement_px)
+    }
+}
+
+/// The search box grows by these factors while too few marks are found.
+const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
+/// Peaks kept per search box.
+const PEAKS: usize = 10;
+/// Another way of lying whose marks reach this share of the best correlation is as good: asymmetric marks lose more.
+const AS_GOOD: f64 = 0.98;
+
+/// A camera ready for work: its shapes drawn or read once for a whole roll.
+#[derive(Clone, Debug)]
+pub struct Finder {
+    pub camera: Camera,
+    pub(super) film: Vec<[f64; 2]>,
+    pub(super) turns_deg: Vec<f64>,
+    pub(super) centre: [f64; 2],
+    /// For every mark, its shape; marks that look alike share one.
+    pub(super) class: Vec<usize>,
+    pub(super) models: Vec<Model>,
+}
+
+/// One search box, done.
+struct Slot {
+    class: usize,
+    /// Direction of the shape's inward axis in the scan, and of its right, as quarters of a turn.
+    linear: [f64; 4],
+    centre: PixelPoint,
+    half_px: f64,
+    peaks: Vec<Peak>,
+}
+
+impl Finder {
+    /// # Errors
+    /// When a learned template cannot be read.
+    pub fn new(camera: &Camera) -> Result<Finder> {
+        let mut models: Vec<Model> = vec![];
+        let mut class = vec![];
+        for mark in &camera.marks {
+            let model = Model::of(&mark.kind)?;
+            let known = models.iter().position(|m| *m == model);
+            class.push(known.unwrap_or(models.len()));
+            if known.is_none() {
+                models.push(model);
+            }
+        }
+        Ok(Finder::assembled(camera, class, models))
+    }
+
+    /// With a model for every mark, whatever kinds the camera names.
+    pub(super) fn with_models(camera: &Camera, models: Vec<Model>) -> Finder {
+        Finder::assembled(camera, (0..models.len()).collect(), models)
+    }
+
+    fn assembled(camera: &Camera, class: Vec<usize>, models: Vec<Model>) -> Finder {
+        Finder {
+            film: camera.film_points(),
+            turns_deg: camera.turns_deg(),
+            centre: camera.film_centre(),
+            camera: camera.clone(),
+            class,
+            models,
+        }
+    }
+
+    fn size_mm(&self) -> f64 {
+        self.camera.film_size_mm[0].max(self.camera.film_size_mm[1])
+    }
+
+    pub(super) fn model(&self, mark: usize) -> &Model {
+        &self.models[self.class[mark]]
+    }
+
+    /// Shape → scan of a mark under a pose, alike for all that look alike.
+    pub(super) fn linear(&self, pose: &Pose, mark: usize) -> [f64; 4] {
+        let linear = pose.shape_linear(self.turns_deg[mark]);
+        if self.model(mark).is_alike_by_quarters() { upright(linear) } else { linear }
+    }
+
+    /// The marks and the inner orientation of one scan. Finding nothing is no error: the status says so.
+    ///
+    /// # Errors
+    /// Those of reading the scan; [`Error::Usage`](autoref_raster::error::Error::Usage) when the method does not know the camera's marks.
+    pub fn find(&self, source: &dyn RasterSource, options: &FindOptions) -> Result<FrameResult> {
+        let started = Instant::now();
+        let info = source.info();
+        let mut result = FrameResult {
+            path: info.path.clone(),
+            name: info.path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            width: info.width,
+            height: info.height,
+            status: FrameStatus::Failed { reasons: vec!["no two marks fit the camera".into()] },
+            marks: vec![],
+            inner: None,
+            notes: vec![],
+            elapsed_s: 0.0,
+        };
+        if options.method == Method::Thesis2017 {
+            self.find_as_in_2017(source, options, &mut result)?;
+        } else if let Some(assembly) = self.assembly(source, options)? {
+            self.second_look(source, options, &assembly, &mut result)?;
+        } else {
+            result.marks = self.camera.marks.iter().map(|m| missing(&m.name, None, "not found")).collect();
+        }
+        result.elapsed_s = started.elapsed().as_secs_f64();
+        Ok(result)
+    }
+
+    /// Turns and mirrorings to try, the usual first.
+    pub(super) fn orientations(&self, options: &FindOptions) -> Vec<(f64, bool)> {
+        let turns = options.turn_deg.map_or(vec![0.0, 180.0, 90.0, 270.0], |t| vec![t]);
+        let mirrors = options.mirrored.map_or(vec![false, true], |m| vec![m]);
+        mirrors.iter().flat_map(|m| turns.iter().map(move |t| (*t, *m))).collect()
+    }
+
+    /// Possible sizes of a pixel, micrometres, the likeliest first.
+    pub(super) fn pixel_sizes_um(&self, source: &dyn RasterSource, options: &FindOptions) -> Vec<f64> {
+        if let Some(size) = options.pixel_um {
+            return vec![size];
+        }
+        let (width, height) = (source.info().width as f64, source.info().height as f64);
+        let [a, b] = self.camera.film_size_mm;
+        // The scan shows the film's longer side along its own.
+        let (film_long, film_short) = (a.max(b), a.min(b));
+        let (long, short) = (width.max(height), width.min(height));
+        let (by_short, by_long) = (1e3 * film_short / short, 1e3 * film_long / long);
+        if (by_short / by_long - 1.0).abs() < 0.02 { vec![0.5 * (by_short + by_long)] } else { vec![by_short, by_long] }
+    }
+
+    fn assembly(&self, source: &dyn RasterSource, options: &FindOptions) -> Result<Option<Assembly>> {
+        let info = source.info();
+        let middle = PixelPoint { x: 0.5 * info.width as f64, y: 0.5 * info.height as f64 };
+        let wanted = self.film.len().min(3);
+        let mut best: Option<Assembly> = None;
+        // How well each way of lying fits: marks found and the score, the best of all boxes.
+        let mut ways: Vec<((f64, bool), usize, f64)> = vec![];
+        let rank = |best: Option<Assembly>, ways: &[((f64, bool), usize, f64)]| {
+            best.map(|b| Assembly { rivals: rivals(&b, ways), ..b })
+        };
+        for growth in GROWTH {
+            for pixel_um in self.pixel_sizes_um(source, options) {
+                let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
+                let (mut slots, mut sketches): (Vec<Slot>, _) = (vec![], Sketches::default());
+                for (turn_deg, mirrored) in self.orientations(options) {
+                    let assumed = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
+                    let peaks = (0..self.film.len())
+                        .map(|k| self.slot(source, &mut slots, &mut sketches, k, &assumed, half_px))
+                        .collect::<Result<Vec<_>>>()?;
+                    let Some(found) = assemble(&self.film, &peaks, &assumed) else { continue };
+                    let chosen_only = keep_chosen(found, &peaks);
+                    ways.push(((turn_deg, mirrored), chosen_only.marks(), chosen_only.score));
+                    if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
+                        best = Some(chosen_only);
+                    }
+                }
+                if best.as_ref().is_some_and(|b| b.marks() == self.film.len()) {
+                    return Ok(rank(best, &ways));
+                }
+            }
+            if best.as_ref().is_some_and(|b| b.marks() >= wanted.max(self.film.len() - 1)) {
+                break;
+            }
+        }
+        Ok(rank(best, &ways))
+    }
+
+    /// The peaks of mark `k` under `assumed`, from a box searched before where shape and place are the same.
+    fn slot<'a>(
+        &'a self,
+        source: &dyn RasterSource,
+        slots: &mut Vec<Slot>,
+        sketches: &mut Sketches<'a>,
+        k: usize,
+        assumed: &Pose,
+        half_px: f64,
+    ) -> Result<Vec<Peak>> {
+        let centre = assumed.apply(self.film[k]);
+        let linear = self.linear(assumed, k);
+        let alike = |a: &[f64; 4], b: &[f64; 4]| {
+            let unit = assumed.px_per_mm();
+            let close = |i: usize, sign: f64| {
+                (a[i] - sign * b[i]).abs() < 0.05 * unit && (a[i + 2] - sign * b[i + 2]).abs() < 0.05 * unit
+            };
+            let model = self.model(k);
+            // Lines at no multiple of 45° lie otherwise in a mirror.
+            let mirrored = model.is_symmetric() && model.sectors_deg().is_none_or(|deg| deg.rem_euclid(45.0) == 0.0);
+            let right = close(0, 1.0) || (mirrored && close(0, -1.0));
+            // Mirrored, a shape that quarters of a turn do not change lies as if turned over either way.
+            let inward = close(1, 1.0) || (mirrored && model.is_alike_by_quarters() && close(1, -1.0));
+            right && inward
+        };
+        let known = slots.iter().find(|s| {
+            s.class == self.class[k] && alike(&s.linear, &linear) && distance(s.centre, centre) < 0.3 * s.half_px
+        });
+        if let Some(slot) = known {
+            return Ok(slot.peaks.clone());
+        }
+        // A wide mark needs room to be moved in.
+        let half_px = half_px.max((self.model(k).radius_mm() + 0.03 * self.size_mm()) * assumed.px_per_mm());
+        let peaks = match around(centre, half_px, half_px, &source.info().bounds()) {
+            Some(window) => search(source, window, &sketches.of(self.model(k), linear).picture, PEAKS)?,
+            None => vec![],
+        };
+        slots.push(Slot { class: self.class[k], linear, centre, half_px, peaks: peaks.clone() });
+        Ok(peaks)
+    }
+
+    pub(super) fn judge(
+        &self,
+        options: &FindOptions,
+        pose: &Pose,
+        measured: &[Option<Measured>],
+        doubtful_names: Option<String>,
+        result: &mut FrameResult,
+    ) {
+        let tolerance_px = options.tolerance_px(pose);
+        let sound: Vec<usize> =
+            (0..self.film.len()).filter(|k| measured[*k].as_ref().is_some_and(|m| m.reason.is_none())).collect();
+        let places = |list: &[usize]| -> Vec<([f64; 2], PixelPoint)> {
+            list.iter().filter_map(|k| Some((self.film[*k], measured[*k].as_ref()?.centre))).collect()
+        };
+        let compared = agreement(&places(&sound), pose.mirrored, tolerance_px);
+        let good: Vec<usize> = sound.iter().zip(&compared).filter(|(_, a)| a.agrees).map(|(k, _)| *k).collect();
+        let others_pose = fit_pose(&places(&good), pose.mirrored).filter(|_| good.len() >= 2);
+        for (k, mark) in self.camera.marks.iter().enumerate() {
+            let verdict = sound.iter().position(|s| *s == k).map(|i| &compared[i]);
+            let predicted = verdict.and_then(|v| v.predicted).or(others_pose.map(|p| p.apply(self.film[k])));
+            result.marks.push(match &measured[k] {
+                None => missing(&mark.name, predicted, self.why_missing(predicted, result)),
+                Some(m) => {
+                    let reason = m.reason.clone().or(verdict.and_then(|v| v.reason.clone())).or(doubtful_names.clone());
+                    MarkFind {
+                        mark: mark.name.clone(),
+                        status: if reason.is_none() { MarkStatus::Ok } else { MarkStatus::Doubtful },
+                        centre: Some(m.centre),
+                        covariance_px2: m.covariance_px2,
+                        predicted,
+                        score: Some(m.score),
+                        residual_um: None,
+                        reason,
+                    }
+                }
+            });
+        }
+        let used: Vec<usize> = if good.len() >= 3 { good } else { sound };
+        self.orient(options, pose, measured, &used, doubtful_names, result);
+    }
+
+    fn why_missing(&self, predicted: Option<PixelPoint>, result: &FrameResult) -> &'static str {
+        let outside = |p: PixelPoint| p.x < 0.0 || p.y < 0.0 || p.x > result.width as f64 || p.y > result.height as f64;
+        if predicted.is_some_and(outside) { "lies outside the scan" } else { "not found" }
+    }
+
+    /// Solves with the marks `used` and gives the frame its status.
+    fn orient(
+        &self,
+        options: &FindOptions,
+        pose: &Pose,
+        measured: &[Option<Measured>],
+        used: &[usize],
+        doubtful_names: Option<String>,
+        result: &mut FrameResult,
+    ) {
+        let observations: Vec<Observation> = used
+            .iter()
+            .filter_map(|&k| {
+                let m = measured[k].as_ref()?;
+                let mark = &self.camera.marks[k];
+                Some(Observation {
+                    name: mark.name.clone(),
+                    mm: [mark.x_mm?, mark.y_mm?],
+                    pixel: m.centre,
+                    covariance_px2: m.covariance_px2.unwrap_or([1.0, 0.0, 1.0]),
+                })
+            })
+            .collect();
+        let mut reasons: Vec<String> = doubtful_names.into_iter().collect();
+        for m in result.marks.iter().filter(|m| m.status != MarkStatus::Ok) {
+            let reason = m.reason.as_deref().unwrap_or_default();
+            if !reasons.iter().any(|r| r == reason) {
+                reasons.push(format!("mark {}: {reason}", m.mark));
+            }
+        }
+        let Some(inner) = solve(&self.camera, &observations, options.model, pose.mirrored) else {
+            reasons.insert(0, format!("{} marks to be trusted: no inner orientation", observations.len()));
+            result.status = FrameStatus::Failed { reasons };
+            return;
+        };
+        for m in &mut result.marks {
+            let mm = self.camera.marks.iter().find(|c| c.name == m.mark).and_then(|c| c.x_mm.zip(c.y_mm));
+            m.residual_um = mm.zip(m.centre).and_then(|(mm, p)| residual_um(&inner, [mm.0, mm.1], p));
+        }
+        if observations.len() < self.film.len() {
+            reasons.insert(0, format!("solved with {} of {} marks", observations.len(), self.film.len()));
+        }
+        if inner.mirrored {
+            result.notes.push("the scan shows the film from the wrong side (mirrored)".into());
+        }
+        result.inner = Some(inner);
+        result.status = if reasons.is_empty() { FrameStatus::Ok } else { FrameStatus::Doubtful { reasons } };
+    }
+}
+
+fn missing(name: &str, predicted: Option<PixelPoint>, reason: &str) -> MarkFind {
+    MarkFind {
+        mark: name.to_owned(),
+        status: MarkStatus::Missing,
+        centre: None,
+        covariance_px2: None,
+        predicted,
+        score: None,
+        residual_um: None,
+        reason: Some(reason.to_owned()),
+    }
+}
+
+/// Leaves only the chosen peaks' agreement in the score: what counts between orientations is also how well they fit.
+fn keep_chosen(mut assembly: Assembly, peaks: &[Vec<Peak>]) -> Assembly {
+    assembly.score = assembly.chosen.iter().enumerate().filter_map(|(k, c)| Some(peaks[k][(*c)?].score)).sum();
+    assembly
+}
+
+/// The ways in which the frame may lie that fit nearly as well as the assembly taken, its own first.
+fn rivals(best: &Assembly, ways: &[((f64, bool), usize, f64)]) -> Vec<(f64, bool)> {
+    let good = |w: &&((f64, bool), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
+    let mut all: Vec<_> = ways.iter().filter(good).collect();
+    all.sort_by(|a, b| b.2.total_cmp(&a.2));
+    let mut rivals: Vec<(f64, bool)> = vec![];
+    for way in all {
+        if !rivals.contains(&way.0) {
+            rivals.push(way.0);
+        }
+    }
+    rivals
+}
+
+/// Opens and examines one scan; what goes wrong with it becomes its status.
+pub fn find_frame(finder: &Finder, path: &Path, options: &FindOptions) -> FrameResult {
+    let started = Instant::now();
+    let result = open_scan(path).and_then(|source| finder.find(source.as_ref(), options));
+    match result {
+        Ok(mut frame) => {
+            frame.path = path.to_path_buf();
+            frame.elapsed_s = started.elapsed().as_secs_f64();
+            frame
+        }
+        Err(error) => FrameResult {
+            path: path.to_path_buf(),
+            name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            width: 0,
+            height: 0,
+            status: FrameStatus::Failed { reasons: vec![error.to_string()] },
+            marks: vec![],
+            inner: None,
+            notes: vec![],
+            elapsed_s: started.elapsed().as_secs_f64(),
+        },
+    }
+}

@@ -1,0 +1,284 @@
+//! Film ↔ scan: the pose that the search uses, and the inner orientation with residuals and covariance. The least squares are
+//! those of [`autoref_solve`].
+
+use nalgebra::DMatrix;
+
+use super::types::{Camera, InnerModel, InnerOrientation};
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::planar;
+use autoref_solve::similarity::{Pair, fit_equal_weights};
+
+/// Film (millimetres, y down) → scan: a similarity, perhaps mirrored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Row by row, pixels per millimetre.
+    pub linear: [f64; 4],
+    /// Where the film's origin lies in the scan.
+    pub offset: [f64; 2],
+    pub mirrored: bool,
+}
+
+impl Pose {
+    /// The film's `centre_mm` on `centre`, turned clockwise by `turn_deg` after mirroring left to right.
+    pub fn about(centre_mm: [f64; 2], centre: PixelPoint, px_per_mm: f64, turn_deg: f64, mirrored: bool) -> Pose {
+        let (s, c) = turn_deg.to_radians().sin_cos();
+        let m = if mirrored { -1.0 } else { 1.0 };
+        let linear = [c * m, -s, s * m, c].map(|v| v * px_per_mm);
+        let [x, y] = centre_mm;
+        let offset = [centre.x - linear[0] * x - linear[1] * y, centre.y - linear[2] * x - linear[3] * y];
+        Pose { linear, offset, mirrored }
+    }
+
+    pub fn apply(&self, mm: [f64; 2]) -> PixelPoint {
+        let l = &self.linear;
+        PixelPoint { x: l[0] * mm[0] + l[1] * mm[1] + self.offset[0], y: l[2] * mm[0] + l[3] * mm[1] + self.offset[1] }
+    }
+
+    pub fn px_per_mm(&self) -> f64 {
+        self.linear[0].hypot(self.linear[2])
+    }
+
+    /// Clockwise, degrees, where the film's down points relative to the scan's.
+    pub fn turn_deg(&self) -> f64 {
+        (-self.linear[1]).atan2(self.linear[3]).to_degrees()
+    }
+
+    /// Shape → scan of a mark that is turned clockwise by `turn_deg` on the upright frame.
+    pub fn shape_linear(&self, turn_deg: f64) -> [f64; 4] {
+        let (s, c) = turn_deg.to_radians().sin_cos();
+        let l = &self.linear;
+        // Shape (u, v inwards) → film: (c·u + s·v, s·u − c·v).
+        [l[0] * c + l[1] * s, l[0] * s - l[1] * c, l[2] * c + l[3] * s, l[2] * s - l[3] * c]
+    }
+}
+
+fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: bool) -> Pair {
+    let sign = if mirrored { -1.0 } else { 1.0 };
+    Pair {
+        pixel: PixelPoint { x: sign * pixel.x, y: pixel.y },
+        covariance_px2: None,
+        map: MapPoint { easting: film[0], northing: -film[1] },
+        survey_sigma_m: None,
+    }
+}
+
+/// The pose through film points (y down) and their places in the scan; `None` below two or when they coincide.
+pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: bool) -> Option<Pose> {
+    let pairs: Vec<Pair> = points.iter().map(|(mm, p)| pair(*mm, *p, mirrored)).collect();
+    let similarity = fit_equal_weights(&pairs)?;
+    let sign = if mirrored { -1.0 } else { 1.0 };
+    let to_scan = |x: f64, y: f64| {
+        let p = similarity.invert(MapPoint { easting: x, northing: -y });
+        [sign * p.x, p.y]
+    };
+    let (o, x, y) = (to_scan(0.0, 0.0), to_scan(1.0, 0.0), to_scan(0.0, 1.0));
+    let pose = Pose { linear: [x[0] - o[0], y[0] - o[0], x[1] - o[1], y[1] - o[1]], offset: o, mirrored };
+    pose.linear.iter().chain(&pose.offset).all(|v| v.is_finite()).then_some(pose)
+}
+
+/// Root mean square distance, pixels, between the points and what the pose says.
+pub fn rms_px(pose: &Pose, points: &[([f64; 2], PixelPoint)]) -> f64 {
+    let sum: f64 = points.iter().map(|(mm, p)| distance(pose.apply(*mm), *p).powi(2)).sum();
+    (sum / points.len().max(1) as f64).sqrt()
+}
+
+pub fn distance(a: PixelPoint, b: PixelPoint) -> f64 {
+    (a.x - b.x).hypot(a.y - b.y)
+}
+
+/// A mark that takes part in the inner orientation.
+#[derive(Clone, Debug)]
+pub struct Observation {
+    pub name: String,
+    /// Camera's own axes.
+    pub mm: [f64; 2],
+    pub pixel: PixelPoint,
+    pub covariance_px2: [f64; 3],
+}
+
+/// Solves `model`, or the next simpler one that the number of marks determines with redundancy where there is one.
+///
+/// `None` below two marks or when they are degenerate.
+pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored: bool) -> Option<InnerOrientation> {
+    let model = match (model, marks.len()) {
+        (_, 0..=1) => return None,
+        (_, 2..=3) => InnerModel::Similarity,
+        (InnerModel::Projective, 4) => InnerModel::Affine,
+        (m, _) => m,
+    };
+    let sign = camera.y_sign();
+    let film: Vec<([f64; 2], PixelPoint)> = marks.iter().map(|m| ([m.mm[0], sign * m.mm[1]], m.pixel)).collect();
+    let pose = fit_pose(&film, mirrored)?;
+    let h = matrix(marks, model, sign, mirrored)?;
+    let mut inner = InnerOrientation {
+        model,
+        pixel_to_mm: h,
+        rmse_um: 0.0,
+        sigma0_um: None,
+        covariance: vec![],
+        marks: marks.iter().map(|m| m.name.clone()).collect(),
+        leave_one_out_um: leave_one_out(marks, model, sign, mirrored),
+        leave_one_out_rmse_um: None,
+        pixel_um: 1e3 / pose.px_per_mm(),
+        rotation_deg: pose.turn_deg(),
+        mirrored,
+    };
+    let residuals: Vec<[f64; 2]> =
+        marks.iter().map(|m| residual_um(&inner, m.mm, m.pixel)).collect::<Option<Vec<_>>>()?;
+    let square: f64 = residuals.iter().map(|r| r[0] * r[0] + r[1] * r[1]).sum();
+    let free = match model {
+        InnerModel::Similarity => 4,
+        InnerModel::Affine => 6,
+        InnerModel::Projective => 8,
+    };
+    inner.rmse_um = (square / marks.len() as f64).sqrt();
+    let left_out: Option<Vec<f64>> =
+        inner.leave_one_out_um.iter().map(|r| r.map(|r| r[0] * r[0] + r[1] * r[1])).collect();
+    inner.leave_one_out_rmse_um = left_out.map(|r| (r.iter().sum::<f64>() / r.len() as f64).sqrt());
+    let redundancy = 2 * marks.len() as i64 - free;
+    inner.sigma0_um = (redundancy > 0).then(|| (square / redundancy as f64).sqrt());
+    inner.covariance = covariance(&inner, marks, sign)?;
+    Some(inner)
+}
+
+/// Measured − calibrated, micrometres, in the camera's axes.
+pub fn residual_um(inner: &InnerOrientation, mm: [f64; 2], pixel: PixelPoint) -> Option<[f64; 2]> {
+    inner.to_mm(pixel).map(|at| [1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])])
+}
+
+/// Pixels → millimetres of the camera; `None` when the marks do not determine the model.
+fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+    match model {
+        InnerModel::Similarity => similarity_matrix(marks, sign, mirrored),
+        InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
+        InnerModel::Projective => planar_matrix(marks, planar::Kind::Projective),
+    }
+}
+
+/// Every mark against the model solved from the others.
+fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Vec<Option<[f64; 2]>> {
+    let of = |i: usize| {
+        let others = [&marks[..i], &marks[i + 1..]].concat();
+        let h = matrix(&others, model, sign, mirrored)?;
+        let (p, mm) = (marks[i].pixel, marks[i].mm);
+        let w = h[6] * p.x + h[7] * p.y + h[8];
+        let at = [(h[0] * p.x + h[1] * p.y + h[2]) / w, (h[3] * p.x + h[4] * p.y + h[5]) / w];
+        (w > 0.0).then(|| [0, 1].map(|k| 1e3 * (at[k] - mm[k])))
+    };
+    (0..marks.len()).map(of).collect()
+}
+
+/// The fitted similarity itself, in the camera's axes: turning it over to a pose and back would cost digits.
+fn similarity_matrix(marks: &[Observation], sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+    let pairs: Vec<Pair> = marks.iter().map(|m| pair([m.mm[0], sign * m.mm[1]], m.pixel, mirrored)).collect();
+    let g = fit_equal_weights(&pairs)?.geotransform().0;
+    let m = if mirrored { -1.0 } else { 1.0 };
+    // Northing is −y of the film.
+    Some([m * g[1], g[2], g[0], -sign * m * g[4], -sign * g[5], -sign * g[3], 0.0, 0.0, 1.0])
+}
+
+fn planar_matrix(marks: &[Observation], kind: planar::Kind) -> Option<[f64; 9]> {
+    let pairs: Vec<Pair> = marks
+        .iter()
+        .map(|m| Pair {
+            pixel: m.pixel,
+            covariance_px2: None,
+            map: MapPoint { easting: m.mm[0], northing: m.mm[1] },
+            survey_sigma_m: None,
+        })
+        .collect();
+    let h = planar::fit(&pairs, kind).ok()?.matrix();
+    let last = h[(2, 2)];
+    (last.abs() > 1e-12).then(|| std::array::from_fn(|k| h[(k / 3, k % 3)] / last))
+}
+
+/// Covariance of the free coefficients: (J'P J)⁻¹ with P from the marks' own covariances on the film, scaled by the
+/// variance of unit weight when that is larger than 1.
+fn covariance(inner: &InnerOrientation, marks: &[Observation], sign: f64) -> Option<Vec<Vec<f64>>> {
+    let h = &inner.pixel_to_mm;
+    let n = match inner.model {
+        InnerModel::Similarity => 4,
+        InnerModel::Affine => 6,
+        InnerModel::Projective => 8,
+    };
+    let mut normal = DMatrix::<f64>::zeros(n, n);
+    let mut misfit = 0.0;
+    // Pixels are scaled so that the normal matrix keeps its digits.
+    let unit = marks.iter().map(|m| m.pixel.x.abs().max(m.pixel.y.abs())).fold(1.0, f64::max);
+    let mirror = if inner.mirrored { -1.0 } else { 1.0 };
+    for m in marks {
+        let (x, y) = (m.pixel.x / unit, m.pixel.y / unit);
+        let w = h[6] * m.pixel.x + h[7] * m.pixel.y + h[8];
+        let at = inner.to_mm(m.pixel)?;
+        let rows: [Vec<f64>; 2] = match inner.model {
+            InnerModel::Similarity => [vec![mirror * x, -y, 1.0, 0.0], vec![sign * y, sign * mirror * x, 0.0, 1.0]],
+            InnerModel::Affine => [vec![x, y, 1.0, 0.0, 0.0, 0.0], vec![0.0, 0.0, 0.0, x, y, 1.0]],
+            InnerModel::Projective => [
+                vec![x / w, y / w, 1.0 / w, 0.0, 0.0, 0.0, -at[0] * x / w, -at[0] * y / w],
+                vec![0.0, 0.0, 0.0, x / w, y / w, 1.0 / w, -at[1] * x / w, -at[1] * y / w],
+            ],
+        };
+        let pixel_mm = inner.pixel_um / 1e3;
+        // One number per mark: the marks' error ellipses are nearly round.
+        let variance = 0.5 * (m.covariance_px2[0] + m.covariance_px2[2]) * pixel_mm * pixel_mm;
+        let p = 1.0 / variance.max(1e-10);
+        for row in &rows {
+            for a in 0..n {
+                for b in 0..n {
+                    normal[(a, b)] += p * row[a] * row[b];
+                }
+            }
+        }
+        let r = residual_um(inner, m.mm, m.pixel)?;
+        misfit += p * (r[0] * r[0] + r[1] * r[1]) * 1e-6;
+    }
+    let redundancy = 2.0 * marks.len() as f64 - n as f64;
+    let scale = if redundancy > 0.0 { (misfit / redundancy).max(1.0) } else { 1.0 };
+    let inverse = normal.try_inverse()? * scale;
+    let in_pixels = |k: usize| match (inner.model, k) {
+        (InnerModel::Similarity, 0 | 1) => 1.0 / unit,
+        (InnerModel::Affine | InnerModel::Projective, 0 | 1 | 3 | 4 | 6 | 7) => 1.0 / unit,
+        _ => 1.0,
+    };
+    Some((0..n).map(|a| (0..n).map(|b| inverse[(a, b)] * in_pixels(a) * in_pixels(b)).collect()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::load_camera;
+
+    fn observed(camera: &Camera, pose: &Pose) -> Vec<Observation> {
+        let film = camera.film_points();
+        camera
+            .marks
+            .iter()
+            .zip(film)
+            .map(|(m, mm)| Observation {
+                name: m.name.clone(),
+                mm: [m.x_mm.expect("known"), m.y_mm.expect("known")],
+                pixel: pose.apply(mm),
+                covariance_px2: [0.01, 0.0, 0.01],
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_model_gives_back_an_exact_frame_turned_and_mirrored() {
+        for name in ["svalbard-zeiss-1936", "wild-15-4"] {
+            let camera = load_camera(name).expect("built in");
+            for (turn, mirrored) in [(0.0, false), (91.0, false), (-178.0, true)] {
+                let pose = Pose::about(camera.film_centre(), PixelPoint { x: 6000.0, y: 5900.0 }, 70.0, turn, mirrored);
+                let marks = observed(&camera, &pose);
+                for model in [InnerModel::Similarity, InnerModel::Affine, InnerModel::Projective] {
+                    let inner = solve(&camera, &marks, model, mirrored).expect("well determined");
+                    assert!(inner.rmse_um < 1e-3, "{name} {model:?}: {}", inner.rmse_um);
+                    assert!((inner.pixel_um - 1e3 / 70.0).abs() < 1e-6);
+                    let back = inner.to_pixel(marks[1].mm).expect("regular");
+                    assert!(distance(back, marks[1].pixel) < 1e-6);
+                    assert!(inner.covariance.iter().enumerate().all(|(k, row)| row[k] > 0.0));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! Templates from a roll: the marks of many frames, aligned and averaged.
+//!
+//! Where a camera's shape is drawn, the frames are examined with that first; where nobody knows the shape, the marks of one
+//! frame are pointed at and cut out, found again in the other frames, and averaged. What differs from frame to frame (the image
+//! behind the mark, scratches) gets little weight, so that what is left is the mark.
+
+use std::path::{Path, PathBuf};
+
+use super::frame::{FindOptions, Finder};
+use super::inner::{Pose, fit_pose};
+use super::template::{LearnedTemplate, Model};
+use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
+use super::window::{Grey, around, open_scan, read_grey};
+use autoref_raster::RasterSource;
+use autoref_raster::atomic;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::{Error, Result};
+
+/// A mark that somebody points at in the first frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pointed {
+    pub mark: String,
+    pub at: PixelPoint,
+}
+
+/// Spread of brightness between frames, of the window's own range, at which a value counts half.
+const SPREAD: f64 = 0.12;
+/// Marks that correlate less are not averaged.
+const LEAST_SCORE: f64 = 0.5;
+/// Values along the longer side of a template, at most.
+const MOST_VALUES: f64 = 2048.0;
+
+/// One template per mark of the camera, in the camera's order; `None` where fewer than two frames show the mark (one, when
+/// only one frame is given).
+///
+/// `window_mm` is width and height of what is cut out, about the reference point. With `pointed` (at least two marks, in the first
+/// scan) marks that nobody pointed at are left out.
+///
+/// # Errors
+/// Those of reading the scans; [`Error::Usage`] when nothing can be learned.
+pub fn learn(
+    scans: &[&dyn RasterSource],
+    camera: &Camera,
+    pointed: &[Pointed],
+    window_mm: [f64; 2],
+    options: &FindOptions,
+) -> Result<Vec<Option<LearnedTemplate>>> {
+    let visit = |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(scans[k]);
+    learn_visiting(scans.len(), &visit, camera, pointed, window_mm, options)
+}
+
+/// Shows the scan of a number to somebody; it is open only that long.
+type Visit<'a> = &'a dyn Fn(usize, &mut dyn FnMut(&dyn RasterSource) -> Result<()>) -> Result<()>;
+
+fn learn_visiting(
+    count: usize,
+    visit: Visit,
+    camera: &Camera,
+    pointed: &[Pointed],
+    window_mm: [f64; 2],
+    options: &FindOptions,
+) -> Result<Vec<Option<LearnedTemplate>>> {
+    if count == 0 {
+        return Err(Error::usage("no frames to learn from", "name the scans of a roll"));
+    }
+    let mut templates: Vec<Option<LearnedTemplate>> = vec![None; camera.marks.len()];
+    let mut finder = Finder::new(&drawn_only(camera, pointed)?)?;
+    if !pointed.is_empty() {
+        let (pose, places) = pose_of_pointed(camera, pointed)?;
+        for (k, at) in places {
+            let grid = Grid::new(&pose, window_mm);
+            visit(0, &mut |scan| {
+                templates[k] = cut(scan, camera, &pose, k, at, &grid)?.map(|w| Stack::of(&w).average(&grid));
+                Ok(())
+            })?;
+        }
+        finder = with_templates(camera, &templates)?;
+    }
+    // The second round looks with the average of the first.
+    for _ in 0..2 {
+        let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
+        let mut grid: Option<Grid> = None;
+        for number in 0..count {
+            visit(number, &mut |scan| {
+                let frame = finder.find(scan, options)?;
+                let Some(pose) = pose_of(&finder.camera, &frame) else { return Ok(()) };
+                let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
+                for (k, at) in good_marks(camera, &frame) {
+                    if let Some(w) = cut(scan, camera, &pose, k, at, &grid)? {
+                        match &mut stacks[k] {
+                            Some(stack) => stack.add(&w),
+                            empty => *empty = Some(Stack::of(&w)),
+                        }
+                    }
+                }
+                Ok(())
+            })?;
+        }
+        let Some(grid) = grid else {
+            return Err(Error::usage(
+                "no frame shows marks that could be learned",
+                "point at them in the first frame with --at MARK=X,Y, two or more",
+            ));
+        };
+        for (template, stack) in templates.iter_mut().zip(stacks) {
+            if let Some(stack) = stack.filter(|s| s.windows >= count.min(2)) {
+                *template = Some(stack.average(&grid));
+            }
+        }
+        finder = with_templates(camera, &templates)?;
+    }
+    Ok(templates)
+}
+
+/// As [`learn`] from files, opened one at a time, writing `NAME-learned.toml` and a template per mark into `folder`. Returns
+/// the camera's file and how many scans were learned from: those that cannot be read are left out with a warning.
+///
+/// # Errors
+/// Those of [`learn`] and of writing.
+pub fn learn_files(
+    scans: &[PathBuf],
+    camera: &Camera,
+    pointed: &[Pointed],
+    window_mm: [f64; 2],
+    options: &FindOptions,
+    folder: &Path,
+) -> Result<(PathBuf, usize)> {
+    let mut readable = vec![];
+    for (number, scan) in scans.iter().enumerate() {
+        match open_scan(scan) {
+            Ok(_) => readable.push(scan),
+            // What was pointed at lies in the first.
+            Err(error) if number == 0 && !pointed.is_empty() => return Err(error),
+            Err(error) => tracing::warn!("left out: {error}"),
+        }
+    }
+    let visit =
+        |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(open_scan(readable[k])?.as_ref());
+    let templates = learn_visiting(readable.len(), &visit, camera, pointed, window_mm, options)?;
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+    let mut learned = camera.clone();
+    learned.name = format!("{}-learned", camera.name);
+    learned.marks.clear();
+    for (mark, template) in camera.marks.iter().zip(&templates) {
+        let Some(template) = template else { continue };
+        let safe: String = mark.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+        let file = format!("{}-{safe}.template.json", camera.name);
+        let json = serde_json::to_vec(template).expect("a template is plain data");
+        atomic::write(&folder.join(&file), &json)?;
+        let mut mark = mark.clone();
+        mark.kind = MarkKind::Learned { template: file.into() };
+        learned.marks.push(mark);
+    }
+    if learned.marks.len() < 2 {
+        return Err(Error::usage(
+            "fewer than two marks could be learned",
+            "give more frames, or point at the marks in the first one with --at MARK=X,Y",
+        ));
+    }
+    let path = folder.join(format!("{}.toml", learned.name));
+    let text = toml::to_string(&learned).map_err(|e| Error::format(&path, "camera", e.to_string()))?;
+    atomic::write(&path, text.as_bytes())?;
+    Ok((path, readable.len()))
+}
+
+/// With pointed marks the camera's own shapes are not wanted, and may not exist.
+fn drawn_only(camera: &Camera, pointed: &[Pointed]) -> Result<Camera> {
+    let mut camera = camera.clone();
+    if !pointed.is_empty() {
+        for mark in &mut camera.marks {
+            mark.kind = MarkKind::Dot { diameter_mm: 0.3, ring_diameter_mm: None, ring_line_mm: None };
+        }
+    }
+    Ok(camera)
+}
+
+fn with_templates(camera: &Camera, templates: &[Option<LearnedTemplate>]) -> Result<Finder> {
+    let mut kept = camera.clone();
+    let mut models = vec![];
+    kept.marks = camera
+        .marks
+        .iter()
+        .zip(templates)
+        .filter_map(|(mark, t)| {
+            models.push(Model::Learned(t.clone()?));
+            Some(mark.clone())
+        })
+        .collect();
+    // Turns follow from the whole camera, not from what is left of it.
+    let turns = camera.turns_deg();
+    for mark in &mut kept.marks {
+        let k = camera.marks.iter().position(|m| m.name == mark.name).expect("taken from there");
+        mark.turn_deg = Some(turns[k]);
+    }
+    Ok(Finder::with_models(&kept, models))
+}
+
+fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(usize, PixelPoint)>)> {
+    let film = camera.film_points();
+    let mut places = vec![];
+    for p in pointed {
+        let Some(k) = camera.marks.iter().position(|m| m.name == p.mark) else {
+            let names: Vec<&str> = camera.marks.iter().map(|m| m.name.as_str()).collect();
+            return Err(Error::usage(
+                format!("{}: the camera has no mark {}", camera.name, p.mark),
+                format!("its marks are {}", names.join(", ")),
+            ));
+        };
+        places.push((k, p.at));
+    }
+    let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
+    let pose = (points.len() >= 2).then(|| fit_pose(&points, false)).flatten();
+    pose.map(|pose| (pose, places)).ok_or_else(|| {
+        Error::usage(
+            "one mark does not say how the frame lies",
+            "point at two or more different marks of the first frame",
+        )
+    })
+}
+
+fn pose_of(camera: &Camera, frame: &FrameResult) -> Option<Pose> {
+    let film = camera.film_points();
+    let inner = frame.inner.as_ref()?;
+    let points: Vec<_> = camera
+        .marks
+        .iter()
+        .enumerate()
+        .filter(|(_, m)| inner.marks.contains(&m.name))
+        .filter_map(|(k, m)| Some((film[k], frame.marks.iter().find(|f| f.mark == m.name)?.centre?)))
+        .collect();
+    fit_pose(&points, inner.mirrored)
+}
+
+fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> {
+    frame
+        .marks
+        .iter()
+        .filter(|m| m.status != MarkStatus::Missing && m.score.is_some_and(|s| s >= LEAST_SCORE))
+        .filter_map(|m| Some((camera.marks.iter().position(|c| c.name == m.mark)?, m.centre?)))
+        .collect()
+}
+
+/// The values of a template: one grid for all frames of a roll, so that they can be averaged.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    step_mm: f64,
+    width: usize,
+    height: usize,
+}
+
+impl Grid {
+    /// One value per pixel of `pose`, at most [`MOST_VALUES`] along a side.
+    fn new(pose: &Pose, window_mm: [f64; 2]) -> Grid {
+        let step_mm = (1.0 / pose.px_per_mm()).max(window_mm[0].max(window_mm[1]) / MOST_VALUES);
+        let [width, height] = window_mm.map(|mm| ((mm / step_mm).round() as usize).max(8));
+        Grid { step_mm, width, height }
+    }
+}
+
+/// The mark's surroundings as it stands at the lower edge, dark 0, bright 1. `None` when they leave the scan.
+fn cut(
+    scan: &dyn RasterSource,
+    camera: &Camera,
+    pose: &Pose,
+    k: usize,
+    at: PixelPoint,
+    grid: &Grid,
+) -> Result<Option<Vec<f32>>> {
+    let Grid { step_mm, width, height } = *grid;
+    let linear = pose.shape_linear(camera.turns_deg()[k]);
+    let half_px = 0.5 * (width as f64).hypot(height as f64) * step_mm * pose.px_per_mm() + 4.0;
+    let Some(window) = around(at, half_px, half_px, &scan.info().bounds()) else { return Ok(None) };
+    let grey = read_grey(scan, window, 1)?;
+    let mut values = Vec::with_capacity(width * height);
+    for j in 0..height {
+        for i in 0..width {
+            let u = (i as f64 + 0.5 - 0.5 * width as f64) * step_mm;
+            let v = -(j as f64 + 0.5 - 0.5 * height as f64) * step_mm;
+            let p = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
+            match bilinear(&grey, p) {
+                Some(value) => values.push(value),
+                None => return Ok(None),
+            }
+        }
+    }
+    let mut sorted = values.clone();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let (low, high) = (sorted[sorted.len() / 20], sorted[sorted.len() * 19 / 20]);
+    let range = (high - low).max(1e-4);
+    values.iter_mut().for_each(|v| *v = ((*v - low) / range).clamp(-0.5, 1.5));
+    Ok(Some(values))
+}
+
+fn bilinear(grey: &Grey, p: PixelPoint) -> Option<f32> {
+    let [x, y] = grey.from_scan(p).map(|v| v - 0.5);
+    if x < 0.0 || y < 0.0 || x + 1.0 >= grey.width as f64 || y + 1.0 >= grey.height as f64 {
+        return None;
+    }
+    let (i, j) = (x as usize, y as usize);
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let row = |j: usize| grey.at(i, j) + (grey.at(i + 1, j) - grey.at(i, j)) * fx;
+    Some(row(j) + (row(j + 1) - row(j)) * fy)
+}
+
+/// Windows of one mark, summed: memory does not depend on their number.
+#[derive(Clone)]
+struct Stack {
+    windows: usize,
+    sum: Vec<f64>,
+    square: Vec<f64>,
+}
+
+impl Stack {
+    fn of(window: &[f32]) -> Stack {
+        let mut stack = Stack { windows: 0, sum: vec![0.0; window.len()], square: vec![0.0; window.len()] };
+        stack.add(window);
+        stack
+    }
+
+    fn add(&mut self, window: &[f32]) {
+        self.windows += 1;
+        for ((sum, square), v) in self.sum.iter_mut().zip(&mut self.square).zip(window) {
+            *sum += f64::from(*v);
+            *square += f64::from(*v).powi(2);
+        }
+    }
+
+    fn average(&self, grid: &Grid) -> LearnedTemplate {
+        let n = self.windows as f64;
+        let mean = |k: usize| self.sum[k] / n;
+        let variance = |k: usize| (self.square[k] / n - mean(k).powi(2)).max(0.0);
+        LearnedTemplate {
+            pixel_um: 1e3 * grid.step_mm,
+            width: grid.width,
+            height: grid.height,
+            reference: [0.5 * grid.width as f64, 0.5 * grid.height as f64],
+            values: (0..self.sum.len()).map(|k| mean(k) as f32).collect(),
+            weights: (0..self.sum.len()).map(|k| (1.0 / (1.0 + variance(k) / SPREAD.powi(2))) as f32).collect(),
+            marks: self.windows,
+        }
+    }
+}

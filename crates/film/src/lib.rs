@@ -1,0 +1,44 @@
+//! Scanned film: finds the fiducial marks of a camera in a very large scan, tells which is which from their constellation,
+//! refines them to a fraction of a pixel, solves the inner orientation and says which frames a person must look at.
+//!
+//! ```text
+//! Camera → Template → search windows → peaks → constellation → refined marks → checks → InnerOrientation
+//! ```
+//!
+//! Only windows that can hold marks are read ([`window`]); a frame costs the same memory however large its scan is.
+//! `docs/film.md` has the method, the measured table and the limits. [`drawn`] draws frames with known truth. This crate imports
+//! `autoref-raster`, `autoref-solve`, `autoref-review` and `autoref-synth`.
+
+#![deny(unsafe_code)]
+
+pub mod camera;
+pub mod check;
+pub mod consistency;
+pub mod constellation;
+pub mod contact_sheet;
+mod correlate;
+pub mod drawn;
+pub mod frame;
+pub mod inner;
+mod kernel;
+pub mod learn;
+mod look;
+pub mod micmac;
+mod naming;
+pub mod patch;
+pub mod refine;
+pub mod resample;
+pub mod roll;
+pub mod search;
+pub mod shape;
+mod sketch;
+pub mod spool;
+pub mod tables;
+pub mod template;
+mod thesis;
+pub mod types;
+pub mod window;
+
+pub use camera::{builtin_cameras, load_camera};
+pub use frame::{FindOptions, Finder, Method, find_frame};
+pub use types::*;

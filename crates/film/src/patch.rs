@@ -1,0 +1,112 @@
+//! What a reviewer of the contact sheet changed, replayed on the frames.
+
+use super::check::agreement;
+use super::frame::FindOptions;
+use super::inner::{Observation, residual_um, solve};
+use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus};
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::{Error, Result};
+use autoref_review::HAND_VARIANCE_PX2;
+use autoref_review::{Action, Edit, Patch, Target};
+
+/// The frame and the mark that an edit is about; `None` for edits of GCPs, which a patch for fiducial marks has not.
+pub fn names(edit: &Edit) -> Option<(&str, &str)> {
+    match &edit.target {
+        Target::Fiducial { frame, mark } => Some((frame, mark)),
+        Target::Gcp { .. } => None,
+    }
+}
+
+/// Applies the edits that name this frame and solves again with the marks that are then OK. Marks that nobody touched keep
+/// what the program said of them. `None` when no edit names the frame.
+///
+/// # Errors
+/// [`Error::Usage`] when an edit names a mark that the camera has not, accepts one that has no place, or picks.
+pub fn replay(camera: &Camera, frame: &FrameResult, patch: &Patch, model: InnerModel) -> Result<Option<FrameResult>> {
+    let mine = |e| names(e).filter(|(of, _)| *of == frame.name).map(|(_, mark)| (e, mark));
+    let mut edits = patch.edits.iter().filter_map(mine).peekable();
+    if edits.peek().is_none() {
+        return Ok(None);
+    }
+    let mut next = frame.clone();
+    for (edit, name) in edits {
+        let place = edit.target.to_string();
+        let mark = next.marks.iter_mut().find(|m| m.mark == name);
+        let mark =
+            mark.ok_or_else(|| Error::usage(format!("{place}: no such mark"), "use the patch with its own roll"))?;
+        match (edit.action, edit.x, edit.y) {
+            (Action::Move, Some(x), Some(y)) => {
+                mark.centre = Some(PixelPoint { x, y });
+                mark.covariance_px2 = Some([HAND_VARIANCE_PX2, 0.0, HAND_VARIANCE_PX2]);
+                mark.score = None;
+                (mark.status, mark.reason) = (MarkStatus::Ok, Some("placed by hand".into()));
+            }
+            (Action::Accept, ..) if mark.centre.is_some() => {
+                (mark.status, mark.reason) = (MarkStatus::Ok, Some("accepted by hand".into()));
+            }
+            (Action::Reject, ..) => {
+                (mark.status, mark.reason) = (MarkStatus::Doubtful, Some("rejected by hand".into()));
+            }
+            (Action::NotVisible, ..) => {
+                (mark.status, mark.centre, mark.reason) = (MarkStatus::Missing, None, Some("not visible".into()));
+            }
+            (Action::Pick, ..) => {
+                return Err(Error::usage(format!("{place}: fiducial marks have no list to pick from"), "use move"));
+            }
+            _ => return Err(Error::usage(format!("{place}: it has no place to accept"), "place it first")),
+        }
+    }
+    resolve(camera, &mut next, model);
+    Ok(Some(next))
+}
+
+/// A hand can err too: marks that a review calls good are compared with each other as found ones are.
+fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: bool) -> Vec<String> {
+    let film = camera.film_points();
+    let used: Vec<usize> = (0..frame.marks.len().min(film.len()))
+        .filter(|&k| frame.marks[k].status == MarkStatus::Ok && frame.marks[k].centre.is_some())
+        .collect();
+    let points: Vec<([f64; 2], PixelPoint)> =
+        used.iter().filter_map(|&k| Some((film[k], frame.marks[k].centre?))).collect();
+    let options = FindOptions::default();
+    let pixel_um = frame.inner.as_ref().map_or(f64::INFINITY, |inner| inner.pixel_um);
+    let tolerance_px = (options.agreement_um / pixel_um).max(options.agreement_px);
+    agreement(&points, mirrored, tolerance_px)
+        .iter()
+        .zip(&used)
+        .filter_map(|(compared, &k)| Some(format!("{}: {}", frame.marks[k].mark, compared.reason.as_ref()?)))
+        .collect()
+}
+
+fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
+    let place = |name: &str| camera.marks.iter().find(|c| c.name == name).and_then(|c| Some([c.x_mm?, c.y_mm?]));
+    let used: Vec<Observation> = frame
+        .marks
+        .iter()
+        .filter(|m| m.status == MarkStatus::Ok)
+        .filter_map(|m| {
+            let covariance_px2 = m.covariance_px2.unwrap_or([0.04, 0.0, 0.04]);
+            Some(Observation { name: m.mark.clone(), mm: place(&m.mark)?, pixel: m.centre?, covariance_px2 })
+        })
+        .collect();
+    let mirrored = frame.inner.as_ref().is_some_and(|i| i.mirrored);
+    frame.inner = solve(camera, &used, model, mirrored);
+    for m in &mut frame.marks {
+        m.residual_um = match (&frame.inner, m.centre, place(&m.mark)) {
+            (Some(inner), Some(c), Some(mm)) => residual_um(inner, mm, c),
+            _ => None,
+        };
+    }
+    let short = format!("{} of {} marks after review", used.len(), camera.marks.len());
+    frame.status = match (&frame.inner, used.len()) {
+        (None, _) => FrameStatus::Failed { reasons: vec![short] },
+        (Some(_), 0..=2) => FrameStatus::Doubtful { reasons: vec![short] },
+        (Some(_), n) if n < camera.marks.len() => FrameStatus::Doubtful { reasons: vec![short] },
+        (Some(_), _) => FrameStatus::Ok,
+    };
+    let contradictions = contradictions(camera, frame, mirrored);
+    if frame.inner.is_some() && !contradictions.is_empty() {
+        frame.status = FrameStatus::Doubtful { reasons: contradictions };
+    }
+    frame.notes.push("reviewed by hand".into());
+}

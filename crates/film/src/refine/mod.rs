@@ -1,0 +1,279 @@
+//! The centre of a mark to a fraction of a pixel: least squares between the scan and the drawn mark.
+//!
+//! The model of a pixel is `d + T(x − c) · (g + gx·dx + gy·dy)`: d the level of the opaque frame, T the drawn mark blurred
+//! as by a scanner, g its brightness, and gx, gy how that changes across it, which only marks that show the image have. After
+//! A. Gruen, "Adaptive least squares correlation", South African Journal of Photogrammetry, 1985, with Tukey's biweight, so
+//! that scratches and dust take no part.
+
+mod drawing;
+mod fit;
+mod spread;
+mod surface;
+
+use self::fit::Fit;
+use self::surface::Surface;
+use super::kernel::{Kernel, widest};
+use super::template::{Linear, Model};
+use super::window::Grey;
+use autoref_raster::coords::PixelPoint;
+
+/// A refined centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refined {
+    pub centre: PixelPoint,
+    /// Var x, cov xy, var y, px².
+    pub covariance_px2: [f64; 3],
+    /// Brightness of the mark above the opaque frame, of white.
+    pub contrast: f64,
+    /// Robust standard deviation of a pixel about the model, of white.
+    pub sigma: f64,
+    /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more room beside
+    /// the mark, so that what is missing of it weighs more.
+    pub misfit: f64,
+}
+
+/// No centre moves further than this from where it starts, pixels.
+const MOST_PX: f64 = 6.0;
+/// Rounds of least squares; a centre that moves less is settled, pixels.
+const MOST_ROUNDS: usize = 25;
+const STEP_PX: f64 = 2e-3;
+/// Of marks that reach further than this one pixel in so many is taken until the centre moves less than that, pixels.
+const LARGE_PX: f64 = 25.0;
+const SPARSE: usize = 5;
+const SPARSE_STEP_PX: f64 = 0.05;
+/// Steps that shrink by a factor between these, one after the other in the same direction, are taken to go on shrinking so.
+const SHRINKING: std::ops::Range<f64> = 0.3..0.8;
+
+/// Marks of lines that fit worse are looked at from around, how far around, pixels, and by how much another place must fit better: a
+/// scratch along a line holds the centre where only that line fits.
+const DAMAGED: f64 = 0.03;
+const AROUND_PX: f64 = 2.0;
+const CLEARLY: f64 = 0.01;
+/// So many standard deviations the misfit of some of the pixels may be above that of all.
+const ROUGHLY_SIGMAS: f64 = 2.0;
+
+/// A mark drawn for one frame, to be refined from one or several starts.
+pub struct Refiner {
+    surface: Surface,
+    slopes: bool,
+    /// For marks of lines, how far around a start is tried where the mark is damaged.
+    around_px: Option<f64>,
+}
+
+impl Refiner {
+    /// `radius_mm`: what lies further from the reference point takes no part. `None` for a degenerate pose.
+    pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Refiner> {
+        let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
+        Some(Refiner {
+            surface: Surface::new(model, linear, radius_mm)?,
+            slopes: model.is_drawn() && model.shows_image(),
+            around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
+        })
+    }
+
+    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away. Of
+    /// several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
+    pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
+        let Some(step) = self.around_px else { return self.settle(grey, start, &|_, _| true) };
+        let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
+            let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
+            PixelPoint { x: start.x + dx, y: start.y + dy }
+        });
+        Some(self.best_of(grey, &around, doubt)?.1)
+    }
+
+    /// Of several starts the one whose mark fits best, with its index; of those that fit equally well the first, and the first that is
+    /// undamaged ends the search. `doubt` is added to the misfit of a place.
+    pub fn best_of(
+        &self,
+        grey: &Grey,
+        starts: &[PixelPoint],
+        doubt: impl Fn(PixelPoint) -> f64,
+    ) -> Option<(usize, Refined)> {
+        let mut best: Option<(usize, Refined, f64)> = None;
+        for (k, start) in starts.iter().enumerate() {
+            let most = best.as_ref().map_or(f64::INFINITY, |b| b.2 - CLEARLY);
+            let hopeful = |place: PixelPoint, misfit: f64| misfit + doubt(place) < most;
+            let Some(r) = self.settle(grey, *start, &hopeful).filter(|r| r.contrast > 0.0) else { continue };
+            let misfit = r.misfit + doubt(r.centre);
+            if misfit < most {
+                best = Some((k, r, misfit));
+            }
+            if misfit < DAMAGED {
+                break;
+            }
+        }
+        best.map(|(k, r, _)| (k, r))
+    }
+
+    fn settle(&self, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
+        if self.slopes {
+            widest(Descent::<6, 4> { surface: &self.surface, grey, start, hopeful })
+        } else {
+            widest(Descent::<4, 2> { surface: &self.surface, grey, start, hopeful })
+        }
+    }
+}
+
+/// Whether a place with at least so large a misfit is worth going on with.
+type Hopeful<'a> = dyn Fn(PixelPoint, f64) -> bool + 'a;
+
+/// Gauss-Newton with `N` unknowns: `M` levels and the centre.
+#[derive(Clone, Copy)]
+struct Descent<'a, const N: usize, const M: usize> {
+    surface: &'a Surface,
+    grey: &'a Grey,
+    start: PixelPoint,
+    /// Asked before all pixels are taken.
+    hopeful: &'a Hopeful<'a>,
+}
+
+impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
+    type Output = Option<Refined>;
+
+    /// Of a large mark on some of its pixels while the centre still moves, then on all.
+    #[inline(always)]
+    fn run(self) -> Option<Refined> {
+        let Descent { surface, grey, start, hopeful } = self;
+        let mut c = grey.from_scan(start);
+        let mut fit = Fit::<N, M>::default();
+        let is_large = (0..2).flat_map(|axis| surface.reach_px(axis)).any(|px| px > LARGE_PX);
+        let mut sparse = if is_large { SPARSE } else { 1 };
+        let mut settled = None;
+        let mut stride = Stride::default();
+        for round in 0..MOST_ROUNDS {
+            fit.gather(grey, surface, c, sparse);
+            if fit.pixels() < 24 {
+                return None;
+            }
+            let (inverse, step) = fit.round()?;
+            let step = [step[M], step[M + 1]];
+            let size = step[0].hypot(step[1]);
+            let moved = stride.of(step);
+            c = [c[0] + moved[0], c[1] + moved[1]];
+            let centre = grey.to_scan(c[0], c[1]);
+            if (centre.x - start.x).hypot(centre.y - start.y) > MOST_PX || !size.is_finite() {
+                return None;
+            }
+            if sparse > 1 {
+                let settled = size < SPARSE_STEP_PX;
+                if settled {
+                    let (misfit, pixels) = fit.misfit();
+                    if !hopeful(centre, misfit - ROUGHLY_SIGMAS * 0.5 / pixels.sqrt()) {
+                        return None;
+                    }
+                }
+                if settled || round == MOST_ROUNDS / 2 {
+                    (sparse, stride) = (1, Stride::default());
+                }
+                continue;
+            }
+            settled = Some((centre, inverse));
+            if size < STEP_PX {
+                break;
+            }
+        }
+        let (centre, inverse) = settled?;
+        let variance = fit.sigma() * fit.sigma();
+        let covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
+        let refined =
+            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit().0 };
+        covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
+    }
+}
+
+/// How far each step goes: no further than a pixel along either axis, but to the end where steps shrink alike. Weights that follow the
+/// residuals make the descent as slow as a geometric series, of which two steps tell the sum.
+#[derive(Default)]
+struct Stride {
+    last: Option<[f64; 2]>,
+}
+
+impl Stride {
+    fn of(&mut self, step: [f64; 2]) -> [f64; 2] {
+        let limited = step.map(|v| v.clamp(-1.0, 1.0));
+        let factor = self.last.filter(|_| limited == step).map_or(1.0, |last| onward(last, step));
+        // A step cut short says nothing of the next, and after a longer one the next two tell anew.
+        self.last = (limited == step && factor == 1.0).then_some(step);
+        limited.map(|v| factor * v)
+    }
+}
+
+/// How many times as far as `step` the end is when steps go on shrinking as from `last` to `step`.
+fn onward(last: [f64; 2], step: [f64; 2]) -> f64 {
+    let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
+    let shrunk = dot(last, step) / dot(last, last);
+    let straight = dot(last, step) > 0.9 * (dot(last, last) * dot(step, step)).sqrt();
+    if straight && SHRINKING.contains(&shrunk) { 1.0 / (1.0 - shrunk) } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::types::MarkKind;
+
+    /// A cross with grain, a corner of it under a bright speck.
+    fn scanned(model: &Model, linear: Linear, centre: PixelPoint) -> Grey {
+        const SIDE: usize = 90;
+        let inverse = crate::template::invert(linear).expect("a turn");
+        let value = |n: usize| {
+            let (x, y) = (n % SIDE, n / SIDE);
+            let of = |k: usize| {
+                let (dx, dy) = (
+                    x as f64 + (k % 8) as f64 / 8.0 + 0.0625 - centre.x,
+                    y as f64 + (k / 8) as f64 / 8.0 + 0.0625 - centre.y,
+                );
+                let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
+                model.sample(u, v).map_or(0.0, |s| s.0)
+            };
+            let grain = ((n as u32).wrapping_mul(2_654_435_761) >> 24) as f32 / 255.0;
+            let speck = x < 50 && (20..30).contains(&y);
+            if speck { 0.8 } else { 0.1 + 0.02 * grain + 0.5 * (0..64).map(of).sum::<f32>() / 64.0 }
+        };
+        Grey { width: SIDE, height: SIDE, data: (0..SIDE * SIDE).map(value).collect(), origin: [0, 0], factor: 1 }
+    }
+
+    #[test]
+    fn a_cross_under_a_speck_settles_and_alike_on_every_processor() {
+        let model = Model::Drawn(MarkKind::Cross { arm_mm: 0.6, line_mm: 0.08, gap_mm: 0.0, lines_deg: 0.0 });
+        let linear = [50.0, 0.7, 0.7, -50.0];
+        let centre = PixelPoint { x: 45.3, y: 44.8 };
+        let grey = scanned(&model, linear, centre);
+        let refiner = Refiner::new(&model, linear, 0.8).expect("a turn");
+        let start = PixelPoint { x: 45.0, y: 45.0 };
+        let descent = Descent::<4, 2> { surface: &refiner.surface, grey: &grey, start, hopeful: &|_, _| true };
+        let found = widest(descent).expect("settles");
+        assert_eq!(Some(found), descent.run());
+        // No scanner blurs this one: its edges, steeper than those of the model, count for little.
+        let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
+        assert!(off < 0.25, "{off} px");
+    }
+
+    /// Steps until one is small, from so far off, where each takes a share of the way that is left; and how far the furthest went.
+    fn rounds(start: f64, share: f64) -> (usize, f64) {
+        let (mut stride, mut at, mut furthest) = (Stride::default(), -start, -start);
+        for round in 1..100 {
+            let step = -at * share;
+            at += stride.of([step, 0.0])[0];
+            furthest = furthest.max(at);
+            if step.abs() < STEP_PX {
+                return (round, furthest);
+            }
+        }
+        (100, furthest)
+    }
+
+    #[test]
+    fn steps_that_shrink_go_to_their_end_and_none_beyond_it() {
+        // Exact steps, some cut short: as many as without looking ahead.
+        for (start, most) in [(0.3, 2), (1.75, 3), (4.75, 6), (6.0, 7)] {
+            let (rounds, furthest) = rounds(start, 1.0);
+            assert!(rounds <= most && furthest <= 1e-9, "{start}: {rounds} rounds, to {furthest}");
+        }
+        // Slow ones: in a few, and not beyond the end.
+        for share in [0.25, 0.4, 0.6] {
+            let (rounds, furthest) = rounds(1.0, share);
+            assert!(rounds <= 5 && furthest <= 1e-9, "{share}: {rounds} rounds, to {furthest}");
+        }
+    }
+}

@@ -1,0 +1,441 @@
+//! Windows of a scan as grey floats, decimated while they are read.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::kernel::{Kernel, widest};
+use super::spool::SpooledSource;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{
+    Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType,
+    Samples, open,
+};
+
+/// Rows read at a time: what is held of the file while a large window is decimated.
+const BAND_ROWS: u64 = 512;
+
+/// Grey values, 0 black to 1 white, row-major. Of colour scans each pixel's largest band: marks are exposed in one colour
+/// (red on Wild frames) and would be lost in a mean.
+#[derive(Clone, Debug)]
+pub struct Grey {
+    pub width: usize,
+    pub height: usize,
+    pub data: Vec<f32>,
+    /// Pixel of the scan at the outer corner of the first value; negative where values were added before the scan's edge.
+    pub origin: [i64; 2],
+    /// Pixels of the scan along one value.
+    pub factor: u64,
+}
+
+impl Grey {
+    pub fn at(&self, x: usize, y: usize) -> f32 {
+        self.data[y * self.width + x]
+    }
+
+    /// From a place in units of values (0 the outer corner of the first) to the scan's pixels.
+    pub fn to_scan(&self, x: f64, y: f64) -> PixelPoint {
+        let f = self.factor as f64;
+        PixelPoint { x: self.origin[0] as f64 + f * x, y: self.origin[1] as f64 + f * y }
+    }
+
+    pub fn from_scan(&self, p: PixelPoint) -> [f64; 2] {
+        let f = self.factor as f64;
+        [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]
+    }
+
+    /// With `by` more values along the sides that lie at the scan's edge, each as the one it follows. A mark that lies whole in the
+    /// scan but close to its edge then keeps room for its decimated picture, which reaches up to two values further.
+    pub fn beyond_edges(self, scan: &Window, by: usize) -> Grey {
+        let step = self.factor as i64;
+        let end = |k: usize, n: usize| self.origin[k] + (n as i64 + 1) * step;
+        let before = [0, 1].map(|k| if self.origin[k] < step { by } else { 0 });
+        let after = [(0, self.width, scan.width), (1, self.height, scan.height)]
+            .map(|(k, n, size)| if end(k, n) > size as i64 { by } else { 0 });
+        if self.data.is_empty() || before == [0, 0] && after == [0, 0] {
+            return self;
+        }
+        let (width, height) = (before[0] + self.width + after[0], before[1] + self.height + after[1]);
+        let nearest = |v: usize, before: usize, n: usize| v.saturating_sub(before).min(n - 1);
+        let data = (0..width * height)
+            .map(|i| self.at(nearest(i % width, before[0], self.width), nearest(i / width, before[1], self.height)))
+            .collect();
+        let origin = [0, 1].map(|k| self.origin[k] - before[k] as i64 * step);
+        Grey { width, height, data, origin, factor: self.factor }
+    }
+
+    /// Means over `by` × `by` values; what does not fill a block at the right and lower edge is left away.
+    pub fn decimated(&self, by: usize) -> Grey {
+        if by == 1 {
+            return self.clone();
+        }
+        let (width, height) = (self.width / by, self.height / by);
+        let mut data = vec![0.0f32; width * height];
+        let scale = 1.0 / (by * by) as f32;
+        for y in 0..height * by {
+            let row = &self.data[y * self.width..][..width * by];
+            let out = &mut data[y / by * width..][..width];
+            match by {
+                2 => add_means::<2>(row, scale, out),
+                4 => add_means::<4>(row, scale, out),
+                _ => out
+                    .iter_mut()
+                    .zip(row.chunks_exact(by))
+                    .for_each(|(o, part)| *o += part.iter().sum::<f32>() * scale),
+            }
+        }
+        Grey { width, height, data, origin: self.origin, factor: self.factor * by as u64 }
+    }
+}
+
+/// Adds the sum of every `N` values, scaled.
+fn add_means<const N: usize>(row: &[f32], scale: f32, out: &mut [f32]) {
+    for (o, part) in out.iter_mut().zip(row.as_chunks::<N>().0) {
+        *o += part.iter().sum::<f32>() * scale;
+    }
+}
+
+/// Decoded blocks kept of a scan while it is examined.
+const CACHE_BYTES: u64 = 24 << 20;
+/// Scans that can only be read from the top down are held in memory up to this size, decoded; larger ones go to a temporary
+/// file.
+const HELD_BYTES: u64 = 24 << 20;
+
+/// Opens a scan for reading in windows. JPEG, PNG and files of one compressed strip, which cannot be, are decoded once to grey.
+///
+/// # Errors
+/// Those of [`open`] and, for such a file, of reading it and of [`SpooledSource::of`].
+pub fn open_scan(path: &Path) -> Result<Arc<dyn RasterSource>> {
+    let source = open(path, ReaderChoice::Auto, 0, CACHE_BYTES)?;
+    let info = source.info();
+    if !info.sequential {
+        return Ok(source);
+    }
+    let sample_bytes = if info.sample == SampleType::U8 { 1 } else { 2 };
+    if info.pixels() * sample_bytes > HELD_BYTES {
+        return Ok(Arc::new(SpooledSource::of(source.as_ref())?));
+    }
+    Ok(Arc::new(GreySource::read_whole(source.as_ref())?))
+}
+
+/// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows.
+///
+/// # Errors
+/// Those of reading and of `sink`.
+pub fn read_rows(source: &dyn RasterSource, sink: &mut dyn FnMut(&[u16]) -> Result<()>) -> Result<()> {
+    let from = source.info();
+    let [r, g, b] = from.rgb;
+    let width = from.width as usize;
+    let mut rows = vec![0u16; width * 64];
+    let mut top = 0;
+    while top < from.height {
+        let band = Window::new(0, top, from.width, 64.min(from.height - top));
+        rows.fill(0);
+        for piece in source.read(band)?.pieces.iter().filter(|p| !p.empty) {
+            let part = piece.window.intersect(&band);
+            for y in part.y..part.bottom() {
+                let row = piece.row(part.x, y, part.width);
+                let out = &mut rows[(y - top) as usize * width + part.x as usize..][..row.len];
+                let stride = row.pixel_stride;
+                match row.samples {
+                    Samples::U8(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                        let p = &s[i * stride..];
+                        *o = u16::from(p[r].max(p[g]).max(p[b]));
+                    }),
+                    Samples::U16(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                        let p = &s[i * stride..];
+                        *o = p[r].max(p[g]).max(p[b]);
+                    }),
+                }
+            }
+        }
+        for row in rows.chunks(width).take(band.height as usize) {
+            sink(row)?;
+        }
+        top = band.bottom();
+    }
+    Ok(())
+}
+
+/// A scan held in memory, one band of 8 or 16 bits.
+pub struct GreySource {
+    info: RasterInfo,
+    data: GreyData,
+}
+
+enum GreyData {
+    U8(Arc<autoref_raster::PooledBytes>),
+    U16(Arc<Vec<u16>>),
+}
+
+impl GreySource {
+    /// # Panics
+    /// When `data` does not hold `width · height` samples.
+    pub fn new(path: &Path, width: u64, height: u64, data: Vec<u16>) -> Self {
+        assert_eq!(data.len() as u64, width * height, "one sample a pixel");
+        let info = grey_info(path, width, height, SampleType::U16, 65_535);
+        GreySource { info, data: GreyData::U16(Arc::new(data)) }
+    }
+
+    fn read_whole(source: &dyn RasterSource) -> Result<Self> {
+        let from = source.info();
+        let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
+        info.geotransform = from.geotransform;
+        let (mut bytes, mut words): (Vec<u8>, Vec<u16>) = (vec![], vec![]);
+        read_rows(source, &mut |row| {
+            match from.sample {
+                SampleType::U8 => bytes.extend(row.iter().map(|v| *v as u8)),
+                SampleType::U16 => words.extend_from_slice(row),
+            }
+            Ok(())
+        })?;
+        let data = match from.sample {
+            SampleType::U8 => GreyData::U8(Arc::new(autoref_raster::PooledBytes { bytes, home: None })),
+            SampleType::U16 => GreyData::U16(Arc::new(words)),
+        };
+        Ok(GreySource { info, data })
+    }
+}
+
+/// What is known of a grey picture in memory.
+pub fn grey_info(path: &Path, width: u64, height: u64, sample: SampleType, white: u16) -> RasterInfo {
+    RasterInfo {
+        path: path.to_path_buf(),
+        width,
+        height,
+        bands: 1,
+        sample,
+        rgb: [0, 0, 0],
+        alpha: None,
+        nodata: None,
+        white,
+        layout: BlockLayout::Strips { rows: 1 },
+        blocks: height,
+        chunk_bytes: 0,
+        sequential: false,
+        reader: "memory",
+        description: "grey in memory".into(),
+        geotransform: None,
+        crs_wkt: None,
+        resolution_m_per_px: None,
+    }
+}
+
+impl RasterSource for GreySource {
+    fn info(&self) -> &RasterInfo {
+        &self.info
+    }
+
+    fn read(&self, window: Window) -> Result<Block> {
+        let width = self.info.width as usize;
+        let data = match &self.data {
+            GreyData::U8(bytes) => PieceData::U8(bytes.clone()),
+            GreyData::U16(words) => PieceData::U16(words.clone()),
+        };
+        let offset = window.y as usize * width + window.x as usize;
+        let piece = Piece { window, data, offset, row_stride: width, pixel_stride: 1, empty: false };
+        Ok(Block { window, pieces: vec![piece] })
+    }
+
+    fn stats(&self) -> ReadStats {
+        ReadStats::default()
+    }
+}
+
+/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value. What the reader keeps of
+/// the window stays: who reads a place for the last time calls [`RasterSource::release`].
+///
+/// # Errors
+/// Those of [`RasterSource::read`].
+pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Result<Grey> {
+    let info = source.info();
+    let window = window.intersect(&info.bounds());
+    let (width, height) = ((window.width / factor) as usize, (window.height / factor) as usize);
+    let mut grey =
+        Grey { width, height, data: vec![0.0; width * height], origin: [window.x as i64, window.y as i64], factor };
+    if width == 0 || height == 0 {
+        return Ok(grey);
+    }
+    let used = Window::new(window.x, window.y, width as u64 * factor, height as u64 * factor);
+    let band_rows = (BAND_ROWS / factor).max(1) * factor;
+    let scale = 1.0 / (factor * factor) as f32 / f32::from(info.white.max(1));
+    let mut top = used.y;
+    while top < used.bottom() {
+        let band = Window::new(used.x, top, used.width, band_rows.min(used.bottom() - top));
+        let block = source.read(band)?;
+        for piece in block.pieces.iter().filter(|p| !p.empty) {
+            let part = piece.window.intersect(&band);
+            for y in part.y..part.bottom() {
+                let row = piece.row(part.x, y, part.width);
+                let out = &mut grey.data[((y - used.y) / factor) as usize * width..][..width];
+                add_row(&row, info, part.x - used.x, factor, scale, out);
+            }
+        }
+        top = band.bottom();
+    }
+    Ok(grey)
+}
+
+/// Adds the pixels of a row, from column `first` of the window, to the values they belong to.
+fn add_row(row: &PixelRow, info: &RasterInfo, first: u64, factor: u64, scale: f32, out: &mut [f32]) {
+    if row.pixel_stride == 1 {
+        return match row.samples {
+            Samples::U8(s) => add_grey(&s[..row.len], first, factor, scale, out),
+            Samples::U16(s) => add_grey(&s[..row.len], first, factor, scale, out),
+        };
+    }
+    let [r, g, b] = info.rgb;
+    let stride = row.pixel_stride;
+    let (mut at, mut within) = ((first / factor) as usize, first % factor);
+    let mut sum = 0u32;
+    let mut put = |value: u32| {
+        sum += value;
+        within += 1;
+        if within == factor {
+            out[at] += sum as f32 * scale;
+            (at, within, sum) = (at + 1, 0, 0);
+        }
+    };
+    match row.samples {
+        Samples::U8(s) if r == b => (0..row.len).for_each(|i| put(u32::from(s[i * stride + r]))),
+        Samples::U8(s) => (0..row.len).for_each(|i| {
+            let p = &s[i * stride..];
+            put(u32::from(p[r].max(p[g]).max(p[b])));
+        }),
+        Samples::U16(s) => (0..row.len).for_each(|i| {
+            let p = &s[i * stride..];
+            put(u32::from(p[r].max(p[g]).max(p[b])));
+        }),
+    }
+    if within > 0 && at < out.len() {
+        out[at] += sum as f32 * scale;
+    }
+}
+
+/// [`add_row`] where a pixel is one sample.
+fn add_grey<S: Copy + Into<u32>>(samples: &[S], first: u64, factor: u64, scale: f32, out: &mut [f32]) {
+    let at = (first / factor) as usize;
+    let sum = |part: &[S]| part.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    // What belongs to a value that an earlier piece began.
+    let begun = ((factor - first % factor) % factor).min(samples.len() as u64) as usize;
+    let (head, rest) = samples.split_at(begun);
+    if !head.is_empty() {
+        out[at] += sum(head);
+    }
+    let out = &mut out[at + usize::from(!first.is_multiple_of(factor))..];
+    match factor {
+        1 => out.iter_mut().zip(rest).for_each(|(o, v)| *o += (*v).into() as f32 * scale),
+        2 => add_even::<S, 2>(rest, scale, out),
+        4 => add_even::<S, 4>(rest, scale, out),
+        8 => add_even::<S, 8>(rest, scale, out),
+        _ => out.iter_mut().zip(rest.chunks(factor as usize)).for_each(|(o, part)| *o += sum(part)),
+    }
+}
+
+/// Sums of `N` samples each; the last may be of fewer.
+fn add_even<S: Copy + Into<u32>, const N: usize>(samples: &[S], scale: f32, out: &mut [f32]) {
+    let (whole, rest) = samples.as_chunks::<N>();
+    for (o, part) in out.iter_mut().zip(whole) {
+        *o += part.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    }
+    if let Some(o) = out.get_mut(whole.len())
+        && !rest.is_empty()
+    {
+        *o += rest.iter().map(|v| (*v).into()).sum::<u32>() as f32 * scale;
+    }
+}
+
+/// Gaussian of standard deviation `sigma` values, in place; beyond an edge its last value goes on.
+pub(super) fn blur(values: &mut [f32], width: usize, height: usize, sigma: f64) {
+    if width == 0 || height == 0 {
+        return;
+    }
+    widest(Blur { values, width, height, kernel: &gaussian(sigma) });
+}
+
+/// Weights of a Gaussian of standard deviation `sigma` values, from its middle outwards; both sides are the same.
+pub(super) fn gaussian(sigma: f64) -> Vec<f32> {
+    let reach = (3.0 * sigma).ceil() as i64;
+    let weight = |k: i64| (-0.5 * (k as f64 / sigma).powi(2)).exp();
+    let total: f64 = (-reach..=reach).map(weight).sum();
+    (0..=reach).map(|k| (weight(k) / total) as f32).collect()
+}
+
+struct Blur<'a> {
+    values: &'a mut [f32],
+    width: usize,
+    height: usize,
+    kernel: &'a [f32],
+}
+
+impl Kernel for Blur<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Blur { values, width, height, kernel } = self;
+        let reach = kernel.len() - 1;
+        let mut line = vec![0.0f32; width + 2 * reach];
+        for row in values.chunks_exact_mut(width) {
+            line[..reach].fill(row[0]);
+            line[reach..reach + width].copy_from_slice(row);
+            line[reach + width..].fill(row[width - 1]);
+            scale(row, kernel[0]);
+            for (k, weight) in kernel.iter().enumerate().skip(1) {
+                add_weighted(row, &line[reach - k..], &line[reach + k..], *weight);
+            }
+        }
+        let before = values.to_vec();
+        for (y, out) in values.chunks_exact_mut(width).enumerate() {
+            scale(out, kernel[0]);
+            for (k, weight) in kernel.iter().enumerate().skip(1) {
+                let (above, below) = (y.saturating_sub(k), (y + k).min(height - 1));
+                add_weighted(out, &before[above * width..], &before[below * width..], *weight);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+pub(super) fn scale(out: &mut [f32], by: f32) {
+    for o in out {
+        *o *= by;
+    }
+}
+
+#[inline(always)]
+pub(super) fn add_weighted(out: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
+    let (a, b) = (&a[..out.len()], &b[..out.len()]);
+    for i in 0..out.len() {
+        out[i] += weight * (a[i] + b[i]);
+    }
+}
+
+/// The window of half width `half_px` around a place, clipped to the scan; `None` when nothing of it lies inside.
+pub fn around(centre: PixelPoint, half_x_px: f64, half_y_px: f64, bounds: &Window) -> Option<Window> {
+    let clip = |v: f64, end: u64| v.clamp(0.0, end as f64) as u64;
+    let (x0, x1) =
+        (clip((centre.x - half_x_px).floor(), bounds.width), clip((centre.x + half_x_px).ceil(), bounds.width));
+    let (y0, y1) =
+        (clip((centre.y - half_y_px).floor(), bounds.height), clip((centre.y + half_y_px).ceil(), bounds.height));
+    (x1 > x0 && y1 > y0).then(|| Window::new(x0, y0, x1 - x0, y1 - y0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_raster::memory::MemorySource;
+
+    #[test]
+    fn decimated_reading_is_reading_and_decimating() {
+        let rgb: Vec<u8> = (0..64u32 * 48).flat_map(|i| [(i * 7 % 251) as u8; 3]).collect();
+        let source = MemorySource::rgb8(64, 48, rgb);
+        let window = Window::new(3, 5, 41, 37);
+        let whole = read_grey(&source, window, 1).expect("memory");
+        let quarter = read_grey(&source, window, 4).expect("memory");
+        let made = whole.decimated(4);
+        assert_eq!((quarter.width, quarter.height), (10, 9));
+        assert!(quarter.data.iter().zip(&made.data).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+}

@@ -1,0 +1,91 @@
+//! What the result may claim of its accuracy: flags, and the lines of the summary.
+
+use std::path::PathBuf;
+
+use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
+use autoref_stream::candidate::Candidate;
+use autoref_stream::gcp::GcpList;
+use autoref_stream::result::{RunResult, Status};
+use clap::Args;
+
+/// Survey errors and the statement.
+#[derive(Args, Debug, Clone, Default)]
+pub struct AccuracyArgs {
+    /// Survey errors (1σ, metres) point by point: CSV with `name` and `sigma`, or `sigma_e`, `sigma_n`, `sigma_h`. Weights of
+    /// the fit and part of the accuracy statement.
+    #[arg(long, value_name = "FILE", help_heading = "Accuracy")]
+    pub accuracy: Option<PathBuf>,
+    /// The ASPRS accuracy class that the result is to meet, RMSE in metres. Default: the smallest that it does meet.
+    #[arg(long, value_name = "M", value_parser = positive, help_heading = "Accuracy")]
+    pub accuracy_class: Option<f64>,
+    /// Add the accuracy at 95 % confidence after the NSSDA.
+    #[arg(long, help_heading = "Accuracy")]
+    pub nssda: bool,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let number = text.trim().trim_end_matches('m').trim().parse::<f64>().ok();
+    number.filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| format!("`{text}` is no positive length in metres"))
+}
+
+/// Adds statement and expected errors to a solved result. `size_px` is the image's.
+pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_px: (f64, f64)) {
+    let Some(solution) = result.solution.as_ref().filter(|_| result.status == Status::Solved) else { return };
+    let checks: Vec<CheckError> = result
+        .check_points
+        .iter()
+        .map(|row| {
+            let gcp = list.gcps.iter().find(|gcp| gcp.name == row.gcp);
+            CheckError {
+                name: row.gcp.clone(),
+                // Residuals are surveyed − computed.
+                easting_m: -row.residual_e_m,
+                northing_m: -row.residual_n_m,
+                height_m: None,
+                survey_sigma_m: gcp.and_then(|gcp| gcp.sigma_m),
+                survey_sigma_height_m: gcp.and_then(|gcp| gcp.sigma_height_m),
+            }
+        })
+        .collect();
+    let affine = result.chosen_model.as_ref().filter(|model| model["model"] == "affine");
+    let leave_one_out: Vec<(f64, f64)> = match affine {
+        // What is written, not the similarity beside it.
+        Some(affine) => serde_json::from_value(affine["leave_one_out_m"].clone()).unwrap_or_default(),
+        None => solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect(),
+    };
+    let options =
+        StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
+    result.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
+    result.expected_errors = accuracy::error_map::corners(solution, size_px);
+}
+
+/// The image's size, or how far the candidates reach.
+pub fn extent(size: Option<(f64, f64)>, candidates: &[Candidate]) -> (f64, f64) {
+    size.unwrap_or_else(|| {
+        candidates.iter().fold((1.0, 1.0), |(w, h), c| (f64::max(w, c.centre.x), f64::max(h, c.centre.y)))
+    })
+}
+
+/// The lines of the summary.
+pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
+    let Some(statement) = &result.accuracy else { return };
+    let cm = |metres: f64| format!("{:.1} cm", 100.0 * metres);
+    if let Some(h) = &statement.figures.horizontal {
+        let survey = h
+            .rmse_h2_m
+            .map_or(String::new(), |s| format!(", with the survey's own {} RMSE_H {}", cm(s), cm(h.rmse_h_m)));
+        line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, cm(h.rmse_h1_m)));
+    }
+    let by_size = |a: &&CornerError, b: &&CornerError| a.expected.point_95_m.total_cmp(&b.expected.point_95_m);
+    let corners = result.expected_errors.iter();
+    if let (Some(best), Some(worst)) = (corners.clone().min_by(by_size), corners.max_by(by_size)) {
+        let at = |c: &CornerError| format!("{} in the {} corner", cm(c.expected.point_95_m), c.direction);
+        line("Expected error", format!("of a point, 95 %: {}, {}", at(best), at(worst)));
+    }
+    for sentence in &statement.sentences {
+        line("Accuracy", sentence.clone());
+    }
+    for reservation in &statement.reservations {
+        line("  but", reservation.clone());
+    }
+}

@@ -1,0 +1,106 @@
+//! `autoref-stream apply`: outputs from the result of an earlier run.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use autoref_raster as raster;
+use autoref_raster::atomic::Transaction;
+use autoref_raster::memory_plan;
+use autoref_stream::georef::transfer;
+use autoref_stream::georef::write::Output;
+use autoref_stream::result::RunResult;
+use clap::Args;
+
+use crate::cli::common::{Bytes, threads};
+use crate::cli::write::{WarpBar, WriteArgs};
+
+/// Write outputs from the result of an earlier run, without looking for marks again.
+#[derive(Args, Debug)]
+pub struct ApplyArgs {
+    /// The NAME.autoref.json of a run.
+    pub result: PathBuf,
+    /// The image, if it is no longer where the result says.
+    pub image: Option<PathBuf>,
+    /// Write for another raster of the same project instead, such as the elevation model.
+    #[arg(long, value_name = "RASTER", conflicts_with = "image")]
+    pub to: Option<PathBuf>,
+    /// With --to: the outer edges of both rasters coincide.
+    #[arg(long, requires = "to")]
+    pub same_extent: bool,
+    /// Image of a multi-page file, counted from 0. Default: the one that was solved.
+    #[arg(long, value_name = "N", help_heading = "Reading")]
+    pub page: Option<usize>,
+    /// Bound on the peak resident memory of the whole program: bytes, or with K, M or G.
+    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    pub memory: Bytes,
+    /// Number of threads that compress a warped copy. Default: one for each core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
+    pub threads: Option<u64>,
+    /// Print what was written as one JSON document on standard output.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+    /// Print nothing but errors.
+    #[arg(long, help_heading = "Messages")]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub write: WriteArgs,
+}
+
+pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
+    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.memory.0));
+    let result = RunResult::read(&args.result)?;
+    if result.geotransform.is_none() {
+        let reason = result.reason.as_deref().unwrap_or("it was not solved");
+        bail!("{}: there is no georeference to apply: {reason}", args.result.display());
+    }
+    let (image, result, page) = match &args.to {
+        Some(other) => (other.clone(), transfer::carry(&result, other, args.same_extent)?, args.page.unwrap_or(0)),
+        None => {
+            let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
+            let page = args.page.unwrap_or(solved as usize);
+            (image_of(args, &result, page)?, result, page)
+        }
+    };
+    let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
+    let mut transaction = Transaction::new();
+    let bar = WarpBar::new(request.wants(Output::Warp) && !args.quiet && !args.json);
+    let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
+    drop(bar);
+    let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
+    transaction.commit()?;
+    if args.json {
+        let document = serde_json::json!({
+            "files_written": written,
+            "warnings": warnings,
+            "peak_memory_bytes": memory_plan::peak_resident_bytes(),
+        });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else if !args.quiet {
+        for warning in &warnings {
+            println!("Note      {warning}");
+        }
+        println!("Written   {}", written.join(", "));
+    }
+    Ok(())
+}
+
+/// The image that was solved, of the same size as then.
+fn image_of(args: &ApplyArgs, result: &RunResult, page: usize) -> anyhow::Result<PathBuf> {
+    let solved = result.image.as_ref();
+    let Some(image) = args.image.clone().or_else(|| solved.map(|image| PathBuf::from(&image.path))) else {
+        bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
+    };
+    if let Some(solved) = solved
+        && let (width, height) = raster::size(&image, page)?
+        && (width, height) != (solved.width, solved.height)
+    {
+        bail!(
+            "{}: it has {width} × {height} pixels, the image that was solved {} × {}; for another raster of the same project \
+             give --to",
+            image.display(),
+            solved.width,
+            solved.height
+        );
+    }
+    Ok(image)
+}

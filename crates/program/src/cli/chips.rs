@@ -1,0 +1,114 @@
+//! `autoref-stream chips`: a small picture around every mark, and all of them on one contact sheet.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use autoref_raster::Patch;
+use autoref_raster::coords::PixelPoint;
+
+use super::common::SampleArgs;
+use super::positions::{PositionArgs, patch_around};
+
+/// Cut a window around every mark and write the windows and a contact sheet as PNG.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The image.
+    image: PathBuf,
+    #[command(flatten)]
+    positions: PositionArgs,
+    /// Side of a window, pixels; the 2016 prototype used 201.
+    #[arg(long, value_name = "PX", default_value_t = 201)]
+    side_px: u64,
+    /// Directory to write to; made when absent.
+    #[arg(short, long, value_name = "DIR", default_value = "chips")]
+    output: PathBuf,
+    /// Replace existing pictures.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print what was done as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    samples: SampleArgs,
+}
+
+pub fn run(args: &Args) -> Result<()> {
+    if !(3..=2001).contains(&args.side_px) {
+        bail!("--side-px {} is not between 3 and 2001", args.side_px);
+    }
+    let source = args.samples.open(&args.image, 64 << 20)?;
+    let found = args.positions.positions(source.info())?;
+    if !found.outside.is_empty() {
+        eprintln!("outside the image: {}", found.outside.join(", "));
+    }
+    let marks = &found.marks;
+    let sheet_path = args.output.join("contact.png");
+    let paths: Vec<PathBuf> = marks.iter().map(|mark| args.output.join(format!("{}.png", plain(&mark.name)))).collect();
+    if let Some(path) = paths.iter().chain([&sheet_path]).find(|p| p.exists() && !args.overwrite) {
+        bail!("{} exists; give --overwrite to replace it", path.display());
+    }
+    std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot make it", args.output.display()))?;
+    let side = args.side_px as usize;
+    let columns = (marks.len() as f64).sqrt().ceil() as usize;
+    let rows = marks.len().div_ceil(columns);
+    // One pixel of black between the windows.
+    let pitch = side + 1;
+    let (width, height) = (columns * pitch - 1, rows * pitch - 1);
+    if width * height > 200_000_000 {
+        bail!("a contact sheet of {} windows of {side} pixels is too large; give a smaller --side-px", marks.len());
+    }
+    let mut sheet = vec![0u8; width * height * 3];
+    for (i, (mark, path)) in marks.iter().zip(&paths).enumerate() {
+        let patch = patch_around(source.as_ref(), mark.at, args.side_px / 2)?;
+        let chip = centred(&patch, mark.at, side);
+        write_png(path, &chip, side, side)?;
+        let (x0, y0) = (i % columns * pitch, i / columns * pitch);
+        for y in 0..side {
+            let to = ((y0 + y) * width + x0) * 3;
+            sheet[to..to + side * 3].copy_from_slice(&chip[y * side * 3..(y + 1) * side * 3]);
+        }
+    }
+    write_png(&sheet_path, &sheet, width, height)?;
+    if args.json {
+        let files: Vec<String> = paths.iter().chain([&sheet_path]).map(|path| path.display().to_string()).collect();
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&serde_json::json!({"files_written": files, "outside": found.outside}))?
+        );
+    }
+    Ok(())
+}
+
+/// A name that is safe in a path.
+fn plain(name: &str) -> String {
+    name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+}
+
+/// The patch with its mark in the middle of a square, black where the image ends.
+fn centred(patch: &Patch, at: PixelPoint, side: usize) -> Vec<u8> {
+    let mut out = vec![0u8; side * side * 3];
+    let (left, top) = (at.x as i64 - side as i64 / 2, at.y as i64 - side as i64 / 2);
+    for (i, colour) in patch.rgb.iter().enumerate().filter(|(i, _)| patch.valid[*i]) {
+        let x = patch.window.x as i64 + i as i64 % patch.window.width as i64 - left;
+        let y = patch.window.y as i64 + i as i64 / patch.window.width as i64 - top;
+        if (0..side as i64).contains(&x) && (0..side as i64).contains(&y) {
+            let to = (y as usize * side + x as usize) * 3;
+            for c in 0..3 {
+                out[to + c] = (u32::from(colour[c]) * 255 / u32::from(patch.white)).min(255) as u8;
+            }
+        }
+    }
+    out
+}
+
+fn write_png(path: &Path, rgb: &[u8], width: usize, height: usize) -> Result<()> {
+    let failed = || format!("{}: cannot write it", path.display());
+    let mut encoder =
+        png::Encoder::new(BufWriter::new(File::create(path).with_context(failed)?), width as u32, height as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    let mut writer = encoder.write_header().with_context(failed)?;
+    writer.write_image_data(rgb).with_context(failed)?;
+    writer.finish().with_context(failed)
+}

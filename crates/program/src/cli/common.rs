@@ -1,0 +1,535 @@
+//! Flags and helpers that several commands share.
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+
+use anyhow::{Context, bail};
+use autoref_raster::crs::Crs;
+use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
+use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
+use autoref_stream::detector::Detector;
+use autoref_stream::gcp::GcpOptions;
+use autoref_stream::matching::tpp::Anchors;
+use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
+use autoref_stream::pipeline::{MarkDetector, Progress};
+use autoref_stream::profile::Profile;
+use clap::{Args, ValueEnum};
+
+use crate::cli::accuracy::AccuracyArgs;
+use crate::cli::frame::{self, FrameArgs};
+
+/// How the image is read and with what means.
+#[derive(Args, Debug)]
+pub struct ReadArgs {
+    /// Side of the tiles, in pixels, taken literally; for strips, a band of at most N² pixels. Default: about a million
+    /// pixels, in whole file blocks.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000), help_heading = "Resources")]
+    pub tile: Option<u64>,
+    /// Number of working threads. Default: one for each core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
+    pub threads: Option<u64>,
+    /// Bound on the peak resident memory of the whole program, libraries included: bytes, or with K, M or G. At least 112M.
+    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    pub memory: Bytes,
+    /// Which decoder: the native one takes most TIFFs, GDAL everything else.
+    #[arg(long, value_enum, default_value = "auto", help_heading = "Reading")]
+    pub reader: ReaderArg,
+    /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Reading")]
+    pub page: usize,
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
+    /// NBITS, else the largest value of the samples' type. Never taken from the image's own brightness.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
+    pub white: Option<u16>,
+}
+
+/// How the image is read by the commands that look at a few places of it.
+#[derive(Args, Debug)]
+pub struct SampleArgs {
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
+    /// NBITS, else the largest value of the samples' type.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
+    white: Option<u16>,
+    /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Reading")]
+    page: usize,
+}
+
+impl SampleArgs {
+    pub fn open(&self, image: &Path, cache_bytes: u64) -> anyhow::Result<Arc<dyn RasterSource>> {
+        let source = raster::open(image, ReaderChoice::Auto, self.page, cache_bytes)?;
+        Ok(raster::with_white(source, self.white)?)
+    }
+}
+
+/// What the marks look like.
+#[derive(Args, Debug)]
+pub struct MarkArgs {
+    /// Mark profile: a built-in name, or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
+    /// `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with `--features coded`.
+    #[arg(long, value_name = "NAME|FILE", default_value = "orange", help_heading = "Marks")]
+    pub profile: String,
+    /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.
+    #[arg(long, value_name = "SIZE", help_heading = "Marks")]
+    pub mark_size: Option<MarkSize>,
+}
+
+/// What is known before matching.
+#[derive(Args, Debug)]
+pub struct MatchArgs {
+    /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. Default: from the image's georeference or
+    /// resolution, else unknown.
+    #[arg(long, value_name = "M", help_heading = "Matching")]
+    pub gsd: Option<Gsd>,
+    /// The image's top points north within DEG degrees.
+    #[arg(long, value_name = "DEG", num_args = 0..=1, default_missing_value = "15", help_heading = "Matching")]
+    pub north_up: Option<f64>,
+    /// Whether a georeference or resolution that the image already has may narrow the search.
+    #[arg(long, value_enum, default_value = "auto", help_heading = "Matching")]
+    pub prior: PriorArg,
+    /// How the pattern is found: `robust` from pairs; `tpp`, the topological point patterns of the 2016 thesis.
+    #[arg(long, value_enum, default_value = "robust", help_heading = "Matching")]
+    pub matcher: MatcherArg,
+    /// With --matcher tpp: largest difference of radii, in units of the distance to the nearest neighbour.
+    #[arg(long, value_name = "R", default_value_t = 0.05, help_heading = "Matching")]
+    pub tpp_radius: f64,
+    /// With --matcher tpp: largest difference of angles, in radians.
+    #[arg(long, value_name = "RAD", default_value_t = 0.05, help_heading = "Matching")]
+    pub tpp_angle: f64,
+    /// With --matcher tpp: fewest matched points of a proposal.
+    #[arg(long, value_name = "N", default_value_t = 5, help_heading = "Matching")]
+    pub tpp_minimum: usize,
+    /// With --matcher tpp: one anchor, the candidate of this number in the list (from 0), instead of all.
+    #[arg(long, value_name = "N", help_heading = "Matching")]
+    pub tpp_anchor: Option<usize>,
+    /// With --matcher tpp: leave out image points farther from their anchor than any GCP from its own.
+    #[arg(long, help_heading = "Matching")]
+    pub tpp_image_limit: bool,
+    /// With --matcher tpp: leave out GCPs farther from their anchor than any image point from its own.
+    #[arg(long, help_heading = "Matching")]
+    pub tpp_gcp_limit: bool,
+    /// With --matcher tpp: leave out points farther from the anchor than this, in units of the distance to its neighbour.
+    #[arg(long, value_name = "R", help_heading = "Matching")]
+    pub tpp_distance: Option<f64>,
+    /// Nothing is written when chance alone would produce more patterns as good as the one found.
+    #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
+    pub max_false_alarms: f64,
+}
+
+/// How the list of GCPs is read.
+#[derive(Args, Debug)]
+pub struct GcpArgs {
+    /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML, GPX.
+    #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
+    // Asked for by `path`: a replay takes the points of the result.
+    pub gcps: Option<PathBuf>,
+    /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says, else the image's.
+    #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
+    pub crs: Option<String>,
+    /// CRS of the outputs, when it is not that of the points.
+    #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
+    pub to_crs: Option<String>,
+    /// Use only these points: names, patterns (G*), attributes (COLUMN=VALUE).
+    #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
+    pub names: Vec<String>,
+    /// Keep these points out of matching and fit, and compare them afterwards: names, patterns (C*), attributes
+    /// (COLUMN=VALUE). A column `role` or `check` does the same.
+    #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Ground control points")]
+    pub check: Vec<String>,
+    #[command(flatten)]
+    pub accuracy: AccuracyArgs,
+    #[command(flatten)]
+    pub frame: FrameArgs,
+}
+
+impl GcpArgs {
+    pub fn path(&self) -> anyhow::Result<&Path> {
+        self.gcps.as_deref().context("no list of GCPs: give --gcps FILE")
+    }
+
+    /// `image`: where the points are, when the list names no CRS.
+    pub fn options(&self, image: Option<&RasterInfo>) -> GcpOptions {
+        let mut options = GcpOptions {
+            crs: self.crs.clone(),
+            to_crs: self.to_crs.clone(),
+            names: self.names.clone(),
+            check: self.check.clone(),
+            accuracy: self.accuracy.accuracy.clone(),
+            image: image.and_then(frame::of_image),
+            ..GcpOptions::default()
+        };
+        self.frame.fill(&mut options);
+        options
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ReaderArg {
+    Auto,
+    Native,
+    Gdal,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PriorArg {
+    /// Use what the image has; when nothing fits, try again without.
+    Auto,
+    /// Ignore it.
+    None,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MatcherArg {
+    Robust,
+    Tpp,
+}
+
+/// A number of bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Bytes(pub u64);
+
+impl FromStr for Bytes {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let trimmed = text.trim().trim_end_matches(['b', 'B']).trim_end_matches(['i', 'I']);
+        let (number, unit) = match trimmed.char_indices().last() {
+            Some((at, 'k' | 'K')) => (&trimmed[..at], 1u64 << 10),
+            Some((at, 'm' | 'M')) => (&trimmed[..at], 1 << 20),
+            Some((at, 'g' | 'G')) => (&trimmed[..at], 1 << 30),
+            _ => (trimmed, 1),
+        };
+        let value: f64 = number.trim().parse().map_err(|_| format!("`{text}` is no size; write 512M or 2G"))?;
+        let bytes = value * unit as f64;
+        if !(1.0..1e18).contains(&bytes) {
+            return Err(format!("`{text}` is no sensible size"));
+        }
+        Ok(Bytes(bytes as u64))
+    }
+}
+
+/// Smallest and largest ground size of a pixel, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gsd(pub f64, pub f64);
+
+impl FromStr for Gsd {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |t: &str| {
+            let t = t.trim().trim_end_matches('m').trim();
+            t.parse::<f64>()
+                .ok()
+                .filter(|v| *v > 0.0 && v.is_finite())
+                .ok_or(format!("`{t}` is no positive length in metres"))
+        };
+        let range = if let Some((low, high)) = text.split_once("..") {
+            Gsd(number(low)?, number(high)?)
+        } else if let Some((centre, tolerance)) = text.split_once('±').or_else(|| text.split_once("+-")) {
+            let centre = number(centre)?;
+            let half = match tolerance.trim().strip_suffix('%') {
+                Some(percent) => centre * number(percent)? / 100.0,
+                None => number(tolerance)?,
+            };
+            if half >= centre {
+                return Err(format!("`{text}`: the tolerance is larger than the value"));
+            }
+            Gsd(centre - half, centre + half)
+        } else {
+            let centre = number(text)?;
+            Gsd(centre * 0.9, centre * 1.1)
+        };
+        if range.0 > range.1 {
+            return Err(format!("`{text}`: the smaller value comes first"));
+        }
+        Ok(range)
+    }
+}
+
+/// A range of mark sides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MarkSize {
+    Pixels(f64, f64),
+    Metres(f64, f64),
+}
+
+impl FromStr for MarkSize {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (low, high) = text.split_once("..").unwrap_or((text, text));
+        let metres = high.trim_end().ends_with('m');
+        let number = |t: &str| {
+            let t = t.trim().trim_end_matches("px").trim_end_matches('m').trim();
+            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or(format!("`{t}` is no size"))
+        };
+        // A single size means about that size.
+        let (low, high) = match (number(low)?, number(high)?) {
+            (low, high) if low == high => (low * 0.75, high * 1.25),
+            (low, high) if low < high => (low, high),
+            _ => return Err(format!("`{text}`: the smaller size comes first")),
+        };
+        Ok(if metres { MarkSize::Metres(low, high) } else { MarkSize::Pixels(low, high) })
+    }
+}
+
+/// An opened image with the detector and the plan for scanning it.
+pub struct Prepared {
+    pub source: Arc<dyn RasterSource>,
+    pub detector: MarkDetector,
+    pub plan: ScanPlan,
+    /// What the plan was made with.
+    pub options: PlanOptions,
+}
+
+/// As asked for, else one for each core.
+pub fn threads(asked: Option<u64>) -> usize {
+    asked.map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize)
+}
+
+/// Opens the image, builds the detector, and plans before the first read.
+pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -> anyhow::Result<Prepared> {
+    let threads = threads(read.threads);
+    // Fails only when a pool exists already, which then serves.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    let cache_bytes = autoref_raster::memory_plan::cache_share_bytes(read.memory.0);
+    let choice = match read.reader {
+        ReaderArg::Auto => ReaderChoice::Auto,
+        ReaderArg::Native => ReaderChoice::Native,
+        ReaderArg::Gdal => ReaderChoice::Gdal,
+    };
+    let profile = profile(marks)?;
+    // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for more.
+    let (source, colours) = std::thread::scope(|scope| {
+        let colours = scope.spawn(|| MarkDetector::colours(&profile));
+        let source = raster::open(image, choice, read.page, cache_bytes);
+        (source, colours.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    });
+    let source = raster::with_white(source?, read.white)?;
+    let info = source.info();
+    let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
+    let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
+    let options = PlanOptions {
+        tile_px: read.tile,
+        threads,
+        memory_budget_bytes: read.memory.0,
+        baseline_bytes: autoref_raster::memory_plan::baseline_bytes(),
+        cache_bytes,
+    };
+    let plan = autoref_raster::memory_plan::plan(info, detector.halo_px(), &options)?;
+    tracing::info!(
+        "{}: {}×{} px, {} bands, {} ({})",
+        image.display(),
+        info.width,
+        info.height,
+        info.bands,
+        info.description,
+        info.reader
+    );
+    tracing::info!("memory plan: {}", plan.line());
+    Ok(Prepared { source, detector, plan, options })
+}
+
+fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
+    let mut profile = Profile::load(&marks.profile)?;
+    match marks.mark_size {
+        Some(MarkSize::Pixels(low, high)) => {
+            (profile.size.min_px, profile.size.max_px) = (Some(low), Some(high));
+            (profile.size.min_m, profile.size.max_m) = (None, None);
+        }
+        Some(MarkSize::Metres(low, high)) => {
+            (profile.size.min_m, profile.size.max_m) = (Some(low), Some(high));
+            (profile.size.min_px, profile.size.max_px) = (None, None);
+        }
+        None => {}
+    }
+    Ok(profile)
+}
+
+/// Ground size of a pixel by the image's own account.
+fn known_gsd(info: &RasterInfo) -> Option<f64> {
+    prior_scale(info).map(|(low, high)| (low * high).sqrt())
+}
+
+/// Scale range by an existing georeference in metres (±10 %), or the resolution tags (±20 %).
+fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
+    let crs = info.crs_wkt.as_deref().and_then(|wkt| Crs::parse(wkt).ok());
+    let unit_m = match &crs {
+        Some(crs) if crs.is_geographic() => None,
+        Some(crs) => Some(crs.metres_per_unit()),
+        None => Some(1.0),
+    };
+    let georeferenced = info.geotransform.as_ref().zip(unit_m).map(|(t, unit_m)| t.scale() * unit_m);
+    match (georeferenced, info.resolution_m_per_px) {
+        (Some(gsd), _) if (1e-4..1e4).contains(&gsd) => Some((gsd * 0.9, gsd * 1.1)),
+        (_, Some(gsd)) => Some((gsd * 0.8, gsd * 1.2)),
+        _ => None,
+    }
+}
+
+/// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's part.
+pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
+    let size = Some((info.width as f64, info.height as f64));
+    let asked = Priors {
+        gsd_m_per_px: matching.gsd.map(|g| (g.0, g.1)),
+        rotation_deg: matching.north_up.map(|half| (0.0, half)),
+        image_size_px: size,
+    };
+    let mut ladder = vec![asked.clone()];
+    if matching.prior == PriorArg::Auto
+        && asked.gsd_m_per_px.is_none()
+        && let Some(scale) = prior_scale(info)
+    {
+        ladder.insert(0, Priors { gsd_m_per_px: Some(scale), ..asked });
+    }
+    ladder
+}
+
+/// The matcher that was asked for, knowing how many sets of priors it may be tried with.
+pub fn matcher(matching: &MatchArgs, tries: usize) -> anyhow::Result<Box<dyn Matcher>> {
+    if !(matching.max_false_alarms > 0.0 && matching.max_false_alarms <= 1.0) {
+        bail!("--max-false-alarms {} is not between 0 and 1", matching.max_false_alarms);
+    }
+    if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
+        bail!("--north-up takes degrees from 0 to 180");
+    }
+    if matching.matcher == MatcherArg::Tpp {
+        return Ok(Box::new(TppMatcher {
+            radius_threshold: matching.tpp_radius,
+            angle_threshold: matching.tpp_angle,
+            minimum_matches: matching.tpp_minimum,
+            anchors: matching.tpp_anchor.map_or(Anchors::All, Anchors::One),
+            image_limit: matching.tpp_image_limit,
+            gcp_limit: matching.tpp_gcp_limit,
+            max_distance: matching.tpp_distance.unwrap_or(f64::INFINITY),
+            max_false_alarms: matching.max_false_alarms / tries as f64,
+        }));
+    }
+    Ok(Box::new(RobustMatcher {
+        max_false_alarms: matching.max_false_alarms,
+        tries: tries as f64,
+        ..RobustMatcher::default()
+    }))
+}
+
+/// A progress bar while the image is read: MB/s, share done, time left. Silent unless stderr is a terminal.
+pub struct Bar {
+    bar: Option<indicatif::ProgressBar>,
+    bytes_per_pixel: u64,
+}
+
+impl Bar {
+    pub fn new(info: &RasterInfo, quiet: bool) -> Self {
+        let bytes_per_pixel = (info.bands * info.sample.bytes()) as u64;
+        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+            let bar = indicatif::ProgressBar::new(info.pixels() * bytes_per_pixel);
+            bar.set_style(Bar::reading());
+            bar.set_message("reading");
+            bar
+        });
+        Bar { bar, bytes_per_pixel }
+    }
+
+    fn reading() -> indicatif::ProgressStyle {
+        indicatif::ProgressStyle::with_template(
+            "{msg} {bar:30} {percent:>3} % {decimal_bytes_per_sec:>12} {eta:>4} left",
+        )
+        .expect("the template is well formed")
+    }
+
+    pub fn finish(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+
+    /// What goes on now: a line that moves, in place of the bar.
+    pub fn stage(&self, what: &str) {
+        tracing::info!("{what}");
+        if let Some(bar) = &self.bar {
+            let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}")
+                .expect("the template is well formed");
+            bar.set_style(style);
+            bar.set_message(what.to_string());
+            bar.enable_steady_tick(std::time::Duration::from_millis(120));
+        }
+    }
+}
+
+impl Progress for Bar {
+    fn scanned(&self, pixels: u64) {
+        if let Some(bar) = &self.bar {
+            bar.inc(pixels * self.bytes_per_pixel);
+        }
+    }
+
+    fn pass(&self, what: &str) {
+        tracing::info!("{what}");
+        if let Some(bar) = &self.bar {
+            bar.disable_steady_tick();
+            bar.reset();
+            bar.set_style(Bar::reading());
+            bar.set_message(what.to_string());
+        }
+    }
+
+    fn stage(&self, what: &str) {
+        Bar::stage(self, what);
+    }
+}
+
+/// A line that moves while something without a measure of its progress goes on; gone when it is dropped. Silent unless
+/// stderr is a terminal.
+pub struct Busy(indicatif::ProgressBar);
+
+impl Busy {
+    pub fn new(what: &str, quiet: bool) -> Self {
+        let bar = indicatif::ProgressBar::new_spinner();
+        if quiet || !std::io::stderr().is_terminal() {
+            bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
+        }
+        let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}");
+        bar.set_style(style.expect("the template is well formed"));
+        bar.set_message(what.to_string());
+        bar.enable_steady_tick(std::time::Duration::from_millis(120));
+        Busy(bar)
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+/// Writes text to a file, whole or not at all, or to standard output for "-".
+pub fn write_text(path: &Path, text: &[u8], overwrite: bool) -> anyhow::Result<()> {
+    use std::io::Write;
+    if path.as_os_str() == "-" {
+        return std::io::stdout().write_all(text).context("cannot write to standard output");
+    }
+    autoref_raster::atomic::check_outputs(&[path], overwrite)?;
+    Ok(autoref_raster::atomic::write(path, text)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ground_sample_distances_as_people_write_them() {
+        assert_eq!("0.02..0.05".parse(), Ok(Gsd(0.02, 0.05)));
+        let Gsd(low, high) = "0.03±5%".parse().expect("a range");
+        assert!((low - 0.0285).abs() < 1e-12 && (high - 0.0315).abs() < 1e-12);
+        let Gsd(low, high) = "0.03".parse().expect("a number");
+        assert!((low - 0.027).abs() < 1e-12 && (high - 0.033).abs() < 1e-12);
+        assert!("-1".parse::<Gsd>().is_err() && "0.05..0.02".parse::<Gsd>().is_err());
+    }
+
+    #[test]
+    fn sizes_with_units() {
+        assert_eq!("512M".parse::<Bytes>().expect("a size").0, 512 << 20);
+        assert_eq!("2GiB".parse::<Bytes>().expect("a size").0, 2 << 30);
+        assert!("many".parse::<Bytes>().is_err());
+        assert_eq!("0.3m..0.5m".parse(), Ok(MarkSize::Metres(0.3, 0.5)));
+    }
+}

@@ -1,0 +1,79 @@
+//! `autoref-stream detect`: the candidates of an image as a list.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use autoref_stream::georef::candidate_list;
+use autoref_stream::pipeline::scan;
+use clap::Args;
+
+use crate::cli::common::{self, Bar, Gsd, MarkArgs, ReadArgs};
+
+/// Find the marks in an image and write the candidates as CSV or GeoJSON.
+#[derive(Args, Debug)]
+pub struct DetectArgs {
+    /// The image: any raster that GDAL opens.
+    pub image: PathBuf,
+    /// Where the list goes: .csv or .geojson; "-" is standard output as CSV.
+    #[arg(short, long, value_name = "FILE", default_value = "-")]
+    pub output: PathBuf,
+    /// Replace an existing list.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print candidates and counts as one JSON document on standard output; then `-o -` writes no CSV.
+    #[arg(long)]
+    pub json: bool,
+    /// No progress bar, no summary.
+    #[arg(long)]
+    pub quiet: bool,
+    /// Ground size of a pixel in metres, for profiles that give mark sizes in metres.
+    #[arg(long, value_name = "M", help_heading = "Marks")]
+    pub gsd: Option<Gsd>,
+    #[command(flatten)]
+    pub marks: MarkArgs,
+    #[command(flatten)]
+    pub read: ReadArgs,
+}
+
+pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
+    if args.output.as_os_str() != "-" {
+        autoref_raster::atomic::check_outputs(&[&args.output], args.overwrite)?;
+    }
+    let prepared = common::prepare(&args.image, &args.read, &args.marks, args.gsd)?;
+    let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
+    let found = scan(prepared.source.as_ref(), &prepared.plan, &prepared.detector, &bar)?;
+    bar.finish();
+    let geojson =
+        args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("geojson") || e.eq_ignore_ascii_case("json"));
+    let mut text = Vec::new();
+    if geojson {
+        candidate_list::write_geojson(&found.candidates, &mut text)?;
+    } else {
+        candidate_list::write_csv(&found.candidates, &mut text)?;
+    }
+    let to_stdout = args.output.as_os_str() == "-";
+    if !(args.json && to_stdout) {
+        common::write_text(&args.output, &text, args.overwrite)?;
+    }
+    if args.json {
+        let info = prepared.source.info();
+        let document = serde_json::json!({
+            "image": info.path.display().to_string(),
+            "width": info.width,
+            "height": info.height,
+            "files_written": if to_stdout { Vec::new() } else { vec![args.output.display().to_string()] },
+            "regions_examined": found.regions_examined,
+            "timings": found.timings,
+            "candidates": found.candidates,
+        });
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    } else if !args.quiet {
+        eprintln!(
+            "{} candidates of {} regions examined, in {:.2} s",
+            found.candidates.len(),
+            found.regions_examined,
+            found.timings.scan_s + found.timings.examine_s
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}

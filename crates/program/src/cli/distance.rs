@@ -1,0 +1,85 @@
+//! `autoref-stream distance`: the distance of every pixel's colour from the paint, to see what the detector sees.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use autoref_raster::window::Window;
+use autoref_stream::profile::Profile;
+use autoref_stream::segment::classify::Classifier;
+use gdal::DriverManager;
+use gdal::raster::{Buffer, RasterCreationOptions};
+
+use super::common::SampleArgs;
+
+/// Write the colour distance under a profile as a one-band 32-bit float GeoTIFF.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The image.
+    image: PathBuf,
+    /// A shipped profile or a TOML file.
+    #[arg(long, default_value = "orange", value_name = "NAME|FILE")]
+    profile: String,
+    /// Divide by the profile's limit: up to 1 is paint. Without it the distance is in standard deviations.
+    #[arg(long)]
+    normalised: bool,
+    /// Where to write.
+    #[arg(short, long, value_name = "TIF")]
+    output: PathBuf,
+    /// Replace an existing output.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print what was done as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    samples: SampleArgs,
+}
+
+pub fn run(args: &Args) -> Result<()> {
+    if args.output.exists() && !args.overwrite {
+        bail!("{} exists; give --overwrite to replace it", args.output.display());
+    }
+    let profile = Profile::load(&args.profile)?;
+    let source = args.samples.open(&args.image, 128 << 20)?;
+    let info = source.info();
+    let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
+    let unit = if args.normalised { 1.0 / profile.colour.limit } else { 1.0 };
+
+    let failed = || format!("{}: GDAL cannot write it", args.output.display());
+    let driver = DriverManager::get_driver_by_name("GTiff").with_context(failed)?;
+    let options = RasterCreationOptions::from_iter(["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER", "TILED=YES"]);
+    // Whole or not at all: written beside the output, renamed at the end.
+    let partial = args.output.with_extension("tif.part");
+    let (width, height) = (info.width, info.height);
+    let mut file = driver
+        .create_with_band_type_with_options::<f32, _>(&partial, width as usize, height as usize, 1, &options)
+        .with_context(failed)?;
+    if let Some(transform) = info.geotransform {
+        file.set_geo_transform(&transform.0).with_context(failed)?;
+    }
+    let mut band = file.rasterband(1).with_context(failed)?;
+    band.set_no_data_value(Some(f64::NAN)).with_context(failed)?;
+    // Bands of rows that a bounded amount of memory holds, in multiples of the output's tiles.
+    let columns = width.min(8192);
+    let rows = 256u64;
+    for y in (0..height).step_by(rows as usize) {
+        for x in (0..width).step_by(columns as usize) {
+            let window = Window::new(x, y, columns.min(width - x), rows.min(height - y));
+            let patch = source.read(window)?.to_patch(info);
+            let distance = |i: usize| {
+                let colour = patch.rgb[i].map(|v| f64::from(classifier.to_byte(v)) / 255.0);
+                if patch.valid[i] { (classifier.reference().nearest2(colour).sqrt() * unit) as f32 } else { f32::NAN }
+            };
+            let size = (window.width as usize, window.height as usize);
+            let mut values = Buffer::new(size, (0..patch.rgb.len()).map(distance).collect());
+            band.write((x as isize, y as isize), size, &mut values).with_context(failed)?;
+        }
+    }
+    file.close().with_context(failed)?;
+    std::fs::rename(&partial, &args.output).with_context(failed)?;
+    if args.json {
+        let document = serde_json::json!({"files_written": [args.output.display().to_string()]});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    }
+    Ok(())
+}

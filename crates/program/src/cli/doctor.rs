@@ -1,0 +1,66 @@
+//! The blunder doctor at the end of a run: what it is told, and names that marks of a list carry.
+
+use std::path::Path;
+
+use autoref_raster::RasterInfo;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::error::Error;
+use autoref_stream::candidate::Candidate;
+use autoref_stream::gcp::GcpList;
+use autoref_stream::matching::Priors;
+use autoref_stream::matching::doctor::{KnownPlace, exchanged_labels};
+use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
+
+use crate::cli::common::MatchArgs;
+
+/// Titles of a column with names of marks.
+const NAMES: [&str; 5] = ["name", "label", "gcp", "gcp_name", "marker"];
+
+pub fn examine(
+    outcome: &mut Outcome,
+    candidates: &[Candidate],
+    list: &GcpList,
+    priors: &Priors,
+    known: Option<KnownPlace>,
+    matching: &MatchArgs,
+) {
+    // Coordinates in metres are those of the CRS only when it counts in metres.
+    let crs = list.crs.as_ref().filter(|_| list.frame.is_plain());
+    let surroundings = Surroundings { crs, known, max_false_alarms: matching.max_false_alarms };
+    diagnose(outcome, candidates, &list.gcps, &priors.with_mark_sizes(candidates), surroundings);
+}
+
+/// Where the image's own georeference puts its centre, in the metres of the list.
+pub fn known_place(info: &RasterInfo, list: &GcpList) -> Option<KnownPlace> {
+    let (transform, crs) = (info.geotransform?, list.crs.as_ref().filter(|_| list.frame.is_plain())?);
+    let own = Crs::parse(info.crs_wkt.as_deref()?).ok()?;
+    let centre_px = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
+    let place = transform.apply(centre_px);
+    let mut point = [Coordinate { x: place.easting, y: place.northing, height: None }];
+    own.transform(&mut point, crs, f64::INFINITY).ok()?;
+    let centre = autoref_raster::coords::MapPoint { easting: point[0].x, northing: point[0].y };
+    Some(KnownPlace { centre, centre_px })
+}
+
+/// Compares names that the marks of a list carry with what the pattern says.
+///
+/// # Errors
+/// When the list cannot be read again.
+pub fn labels(path: &Path, outcome: &mut Outcome, list: &GcpList) -> autoref_raster::error::Result<()> {
+    let Outcome::Solved(orientation) = outcome else { return Ok(()) };
+    let unreadable = |e: csv::Error| Error::format(path, "names of the marks", e.to_string());
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(unreadable)?;
+    let headers = reader.headers().map_err(unreadable)?;
+    let is_name = |h: &str| NAMES.iter().any(|n| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(n));
+    let Some(column) = headers.iter().position(is_name) else { return Ok(()) };
+    let mut labels = Vec::new();
+    for (index, record) in reader.records().enumerate() {
+        let record = record.map_err(unreadable)?;
+        labels.extend(record.get(column).filter(|n| !n.is_empty()).map(|name| (index, name.to_string())));
+    }
+    let told = exchanged_labels(&labels, &orientation.evidence.pattern, &list.gcps);
+    orientation.diagnoses.extend(told);
+    Ok(())
+}

@@ -1,0 +1,71 @@
+//! Flags that say how coordinates are understood, and the way from the fit's metres to the outputs.
+
+use autoref_raster::RasterInfo;
+use autoref_raster::crs::{Coordinate, DEFAULT_DATUM_ACCURACY_M};
+use autoref_stream::gcp::{GcpList, GcpOptions, ImageGeoreference, Reproject};
+use autoref_stream::result::RunResult;
+use clap::{Args, ValueEnum};
+
+#[derive(Args, Debug)]
+pub struct FrameArgs {
+    /// Whether --to-crs is applied to the points before the fit, or to the result after it.
+    #[arg(long, value_enum, default_value = "before", help_heading = "Ground control points")]
+    pub reproject: ReprojectArg,
+    /// Worst accuracy of a change of datum that is accepted, metres by the authority's word.
+    #[arg(long, value_name = "M", default_value_t = DEFAULT_DATUM_ACCURACY_M, help_heading = "Ground control points")]
+    pub datum_accuracy: f64,
+    /// Layer of a file with several (GeoPackage, KML, spreadsheet).
+    #[arg(long, value_name = "NAME", help_heading = "Ground control points")]
+    pub gcp_layer: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ReprojectArg {
+    Before,
+    After,
+}
+
+impl FrameArgs {
+    pub fn fill(&self, options: &mut GcpOptions) {
+        options.reproject = match self.reproject {
+            ReprojectArg::Before => Reproject::Before,
+            ReprojectArg::After => Reproject::After,
+        };
+        options.datum_accuracy_m = self.datum_accuracy;
+        options.layer = self.gcp_layer.clone();
+    }
+}
+
+/// What an image says of itself, for lists that name no CRS.
+pub fn of_image(info: &RasterInfo) -> Option<ImageGeoreference> {
+    Some(ImageGeoreference {
+        crs_wkt: info.crs_wkt.clone().filter(|wkt| !wkt.is_empty())?,
+        transform: info.geotransform?,
+        size_px: (info.width, info.height),
+    })
+}
+
+/// Brings transform and points of a result from the metres of the fit into the units and CRS of the outputs. Residuals,
+/// scale and the solution itself stay in metres.
+pub fn deliver(result: &mut RunResult, list: &GcpList, size_px: Option<(f64, f64)>) -> anyhow::Result<()> {
+    let Some(fitted) = result.geotransform else { return Ok(()) };
+    if list.frame.is_plain() {
+        return Ok(());
+    }
+    let mut points: Vec<Coordinate> = result
+        .matches
+        .iter()
+        .chain(&result.check_points)
+        .map(|row| Coordinate { x: row.easting, y: row.northing, height: row.height })
+        .collect();
+    // Without an image the marks tell how far the transform has to hold.
+    let marks = result.matches.iter().fold((1.0, 1.0), |(w, h): (f64, f64), row| (w.max(row.x), h.max(row.y)));
+    let delivered = list.frame.deliver(&fitted, size_px.unwrap_or(marks))?;
+    list.frame.leave(&mut points)?;
+    for (row, point) in result.matches.iter_mut().chain(&mut result.check_points).zip(points) {
+        (row.easting, row.northing, row.height) = (point.x, point.y, point.height);
+    }
+    result.geotransform = Some(delivered.transform);
+    result.warnings.extend(delivered.notes);
+    Ok(())
+}

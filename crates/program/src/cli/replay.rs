@@ -1,0 +1,152 @@
+//! `autoref-stream solve NAME.autoref.json --patch FILE`: what a review changed, applied to the result it was made from.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::bail;
+use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
+use autoref_raster::crs::Crs;
+use autoref_review::{Patch, Subject};
+use autoref_stream::gcp::{Frame, GcpList};
+use autoref_stream::matching::{Effort, Evidence};
+use autoref_stream::pipeline::georeference::Outcome;
+use autoref_stream::replay::{Replayed, replay};
+use autoref_stream::report;
+use autoref_stream::result::RunResult;
+
+use crate::cli::accuracy;
+use crate::cli::run::{self, Document};
+use crate::cli::solve::SolveArgs;
+use crate::cli::solving;
+
+pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
+    if args.gcps.gcps.is_some() {
+        bail!("--patch takes the points of {}; leave --gcps away", args.candidates.display());
+    }
+    if args.solving.asked() {
+        bail!("--patch solves again what the recorded run solved; leave --model, --solver and --dem away");
+    }
+    if let Some(output) = &args.output {
+        autoref_raster::atomic::check_outputs(&[output], args.overwrite)?;
+    }
+    let recorded = RunResult::read(&args.candidates)?;
+    let patch = Patch::read(patch_path, Subject::Gcps)?;
+    let replayed = replay(&recorded, &patch, patch_path)?;
+    let delivery = Delivery::of(&recorded, &args.candidates)?;
+    let mut notes = Vec::new();
+    let name = args.candidates.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    if !patch.source.is_empty() && patch.source != name {
+        notes.push(format!("the patch was made from {}, not from {name}", patch.source));
+    }
+    let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
+    let list = GcpList { gcps: recorded.gcps.clone(), crs, frame: Frame::local(), notes };
+    let outcome = match replayed {
+        Replayed::Solved(orientation) => Outcome::Solved(orientation),
+        Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
+            diagnoses: Vec::new(),
+            reason: format!("the review leaves {points} point(s); an orientation needs 2 in different places"),
+            advice: vec!["accept or place more marks".into()],
+            best: None,
+            runner_up: None,
+            effort: Effort::default(),
+        })),
+    };
+    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
+    let result = &mut document.result;
+    result.options = recorded.options.clone();
+    // A georeference can be written from what was settled by hand: `apply` wants to know the image.
+    result.image = recorded.image.clone();
+    let size = recorded.image.as_ref().map(|image| (image.width as f64, image.height as f64));
+    if let Outcome::Solved(orientation) = &outcome {
+        solving::again(result, &recorded, orientation, &list);
+    }
+    let extent = accuracy::extent(size, &result.candidates);
+    accuracy::state(result, &list, &args.gcps.accuracy, extent);
+    if let (Some(solution), Some(image)) = (&result.solution, &recorded.image) {
+        let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
+        result.warnings.extend(report::plain_warnings(solution, &marks, image.width as f64, image.height as f64));
+    }
+    result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
+    if differs(&patch, document.result.geotransform.map(|g| g.0)) {
+        bail!(
+            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or              remove `shown` from the patch to replay it all the same",
+            patch_path.display(),
+            args.candidates.display()
+        );
+    }
+    document.result.patch = Some(patch);
+    if let Some(delivery) = &delivery {
+        delivery.apply(&mut document.result);
+    }
+    document.finish(started);
+    if let Some(output) = &args.output {
+        document.result.files_written.push(output.display().to_string());
+        crate::cli::common::write_text(output, document.result.to_json().as_bytes(), args.overwrite)?;
+    }
+    run::print(&document.result, args.json, args.quiet);
+    Ok(document.exit_code())
+}
+
+/// Whether the page had shown another transform: the patch belongs to another result, or was changed since.
+fn differs(patch: &Patch, now: Option<[f64; 6]>) -> bool {
+    let Some(shown) = &patch.shown else { return false };
+    let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
+    match (shown.geotransform, now) {
+        (Some(a), Some(b)) => !a.iter().zip(b).all(|(a, b)| close(*a, b)),
+        (a, b) => a.is_some() || b.is_some(),
+    }
+}
+
+/// The way from the metres of the fit to the units and CRS of the outputs, as the recorded run went it.
+struct Delivery {
+    fitted: GeoTransform,
+    delivered: GeoTransform,
+    size_px: (f64, f64),
+}
+
+impl Delivery {
+    /// `None` when the two are the same.
+    fn of(recorded: &RunResult, path: &Path) -> anyhow::Result<Option<Delivery>> {
+        if !recorded.delivered {
+            return Ok(None);
+        }
+        let (Some(solution), Some(delivered)) = (&recorded.solution, recorded.geotransform) else {
+            bail!(
+                "{}: the run was refused and its outputs are in other units or another CRS than its points; \
+                 run it again with points in metres, without --to-crs",
+                path.display()
+            );
+        };
+        let size_px =
+            recorded.image.as_ref().map_or((1000.0, 1000.0), |image| (image.width as f64, image.height as f64));
+        let fitted = solving::written_affine(recorded).unwrap_or(solution.geotransform);
+        Ok(Some(Delivery { fitted, delivered, size_px }))
+    }
+
+    fn point(&self, fitted: MapPoint) -> MapPoint {
+        let pixel = self.fitted.invert(fitted).expect("a solution has a scale");
+        self.delivered.apply(pixel)
+    }
+
+    fn apply(&self, result: &mut RunResult) {
+        result.delivered = true;
+        result.geotransform = result.geotransform.map(|fitted| {
+            let (width, height) = self.size_px;
+            let at = |x: f64, y: f64| self.point(fitted.apply(PixelPoint { x, y }));
+            let (origin, right, down) = (at(0.0, 0.0), at(width, 0.0), at(0.0, height));
+            GeoTransform([
+                origin.easting,
+                (right.easting - origin.easting) / width,
+                (down.easting - origin.easting) / height,
+                origin.northing,
+                (right.northing - origin.northing) / width,
+                (down.northing - origin.northing) / height,
+            ])
+        });
+        for row in result.matches.iter_mut().chain(&mut result.check_points) {
+            let point = self.point(MapPoint { easting: row.easting, northing: row.northing });
+            (row.easting, row.northing) = (point.easting, point.northing);
+        }
+    }
+}

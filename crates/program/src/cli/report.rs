@@ -1,0 +1,200 @@
+//! The report beside a result: its flags, what it gathers during the scan, and when it is made.
+
+use std::path::{Path, PathBuf};
+
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::window::Window;
+use autoref_raster::{Block, RasterSource};
+use autoref_solve::accuracy::AccuracyStatement;
+use autoref_solve::heights::HeightModel;
+use autoref_stream::candidate::Candidate;
+use autoref_stream::detector::Detector;
+use autoref_stream::pipeline::Progress;
+use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
+use autoref_stream::report::{self, Gathered, Keeper, Overview, Section, Table};
+use autoref_stream::result::RunResult;
+use clap::Args;
+
+use crate::cli::common::Bar;
+
+#[derive(Args, Debug)]
+pub struct ReportArgs {
+    /// Write NAME.report.html, a page with pictures, plots and tables in which marks can be reviewed (the default).
+    #[arg(long, overrides_with = "no_report", help_heading = "Output")]
+    report: bool,
+    /// Write no report.
+    #[arg(long, help_heading = "Output")]
+    no_report: bool,
+}
+
+impl ReportArgs {
+    pub fn wanted(&self) -> bool {
+        !self.no_report
+    }
+}
+
+/// The progress bar, and the overview that grows with it.
+pub struct Watch<'a> {
+    bar: &'a Bar,
+    source: &'a dyn RasterSource,
+    detector: &'a dyn Detector,
+    /// When a report is wanted.
+    pictures: Option<(Overview, Keeper)>,
+}
+
+impl<'a> Watch<'a> {
+    pub fn new(bar: &'a Bar, source: &'a dyn RasterSource, detector: &'a dyn Detector, args: &ReportArgs) -> Self {
+        let pictures = args.wanted().then(|| (Overview::new(source.info()), Keeper::default()));
+        Watch { bar, source, detector, pictures }
+    }
+
+    /// Adds what the places of the marks mean to the warnings, and cuts the pictures of the report, when one is wanted.
+    pub fn gather(&self, result: &mut RunResult) -> anyhow::Result<Option<Gathered>> {
+        if let Some(solution) = &result.solution {
+            let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
+            let info = self.source.info();
+            let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
+            result.warnings.extend(words);
+        }
+        let Some((overview, kept)) = &self.pictures else { return Ok(None) };
+        self.bar.stage("making the report");
+        Ok(Some(report::gather(self.source, self.detector, overview, kept, result)?))
+    }
+}
+
+impl Progress for Watch<'_> {
+    fn scanned(&self, pixels: u64) {
+        self.bar.scanned(pixels);
+    }
+
+    fn saw(&self, block: &Block, core: Window, found: &[&Candidate]) {
+        if let Some((overview, kept)) = &self.pictures {
+            overview.add(block, core);
+            kept.add(block, self.source.info(), self.detector, found);
+        }
+    }
+
+    fn pass(&self, what: &str) {
+        Progress::pass(self.bar, what);
+    }
+
+    fn stage(&self, what: &str) {
+        self.bar.stage(what);
+    }
+}
+
+/// Where the report goes: beside the result.
+pub fn path(json: &Path) -> PathBuf {
+    // "e6.autoref.json": both extensions go.
+    json.with_extension("").with_extension("report.html")
+}
+
+/// The page as text.
+pub fn page(result: &RunResult, gathered: &Gathered, json: &Path) -> autoref_raster::Result<String> {
+    let name = json.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    report::page(result, gathered, &sections(result), &name, report::utc(std::time::SystemTime::now()))
+}
+
+/// Parts that other rooms word.
+fn sections(result: &RunResult) -> Vec<Section> {
+    result.accuracy.iter().map(accuracy_section).chain(result.heights.iter().map(heights_section)).collect()
+}
+
+fn heights_section(heights: &HeightResult) -> Section {
+    let m = |value: f64| format!("{value:.3} m");
+    let opt = |value: Option<f64>| value.map_or("–".into(), m);
+    let correction = &heights.correction;
+    let chosen = correction.chosen_fit();
+    let mut figures = vec![
+        ("Surface chosen".to_string(), surface(chosen.model).to_string()),
+        ("RMS before, after".to_string(), format!("{}, {}", m(correction.uncorrected_rms_m), m(chosen.rms_m))),
+        ("RMS, each point left out".to_string(), opt(chosen.leave_one_out_rms_m)),
+    ];
+    if heights.check_rms_m.is_some() {
+        figures.push(("RMS of check points".to_string(), opt(heights.check_rms_m)));
+    }
+    let fits = correction.fits.iter().map(|f| vec![surface(f.model).into(), m(f.rms_m), opt(f.leave_one_out_rms_m)]);
+    let row = |row: &HeightRow, state: &str| {
+        vec![
+            row.gcp.clone(),
+            state.into(),
+            m(row.surveyed_m),
+            m(row.model_m),
+            m(row.residual_m),
+            opt(row.leave_one_out_m),
+        ]
+    };
+    let points = heights.points.iter().map(|point| row(point, "in the fit"));
+    let checks = heights.check_points.iter().map(|point| row(point, "check point"));
+    let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();
+    Section {
+        heading: "Heights".into(),
+        paragraphs: vec![
+            "Surveyed heights against the elevation model; the surface with the least error of points left out is \
+                          what to add to the model."
+                .into(),
+        ],
+        reservations: heights
+            .warnings
+            .iter()
+            .chain(correction.warnings.iter().filter(|w| !heights.warnings.contains(w)))
+            .cloned()
+            .collect(),
+        figures,
+        tables: vec![
+            Table { caption: "Surfaces".into(), header: titles(&["Surface", "RMS", "Left out"]), rows: fits.collect() },
+            Table {
+                caption: "Heights of the points; residuals are surveyed − corrected model".into(),
+                header: titles(&["Point", "State", "Surveyed", "Model", "Residual", "Left out"]),
+                rows: points.chain(checks).collect(),
+            },
+        ],
+    }
+}
+
+fn surface(model: HeightModel) -> &'static str {
+    match model {
+        HeightModel::Shift => "shift",
+        HeightModel::Tilt => "tilt",
+        HeightModel::Quadratic => "quadratic (doming)",
+    }
+}
+
+fn accuracy_section(statement: &AccuracyStatement) -> Section {
+    let m = |value: f64| format!("{value:.3} m");
+    let figures = &statement.figures;
+    let mut rows: Vec<(String, String)> = Vec::new();
+    let mut add = |name: &str, value: String| rows.push((name.into(), value));
+    if let Some(h) = &figures.horizontal {
+        add("Check points", h.check_points.to_string());
+        add("RMSE easting, northing", format!("{}, {}", m(h.rmse_e_m), m(h.rmse_n_m)));
+        add("Mean easting, northing", format!("{}, {}", m(h.mean_e_m), m(h.mean_n_m)));
+        add("RMSE_H1, of the check points", m(h.rmse_h1_m));
+        add("RMSE_H2, of their survey", h.rmse_h2_m.map_or("not stated".into(), m));
+        add("RMSE_H", m(h.rmse_h_m));
+    }
+    if let Some(v) = &figures.vertical {
+        add("RMSE_V1, of the heights", m(v.rmse_v1_m));
+        add("RMSE_V2, of their survey", v.rmse_v2_m.map_or("not stated".into(), m));
+        add("RMSE_V", m(v.rmse_v_m));
+    }
+    if let Some(rmse) = figures.rmse_3d_m {
+        add("RMSE_3D", m(rmse));
+    }
+    if let Some(nssda) = &figures.nssda {
+        add("NSSDA, 95 %", m(nssda.horizontal_95_m));
+        if let Some(vertical) = nssda.vertical_95_m {
+            add("NSSDA heights, 95 %", m(vertical));
+        }
+    }
+    if let Some(rmse) = figures.leave_one_out_m {
+        add("Points of the fit, each left out", m(rmse));
+    }
+    Section {
+        heading: "Accuracy statement".into(),
+        paragraphs: statement.sentences.clone(),
+        reservations: statement.reservations.clone(),
+        figures: rows,
+        tables: Vec::new(),
+    }
+}

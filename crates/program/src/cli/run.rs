@@ -1,0 +1,497 @@
+//! The main job: an image and a list of GCPs in, a georeference out.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use anyhow::Context;
+use autoref_raster::RasterInfo;
+use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::crs::Crs;
+use autoref_raster::memory_plan;
+use autoref_stream::candidate::Candidate;
+use autoref_stream::gcp::{self, GcpList};
+use autoref_stream::georef::dialects;
+use autoref_stream::georef::write::{Output, WriteRequest};
+use autoref_stream::pipeline::MarkDetector;
+use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
+use autoref_stream::pipeline::second_pass::second_pass;
+use autoref_stream::report::Gathered;
+use autoref_stream::result::{
+    ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
+};
+use clap::Args;
+
+use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::frame;
+use crate::cli::report::{self, ReportArgs, Watch};
+use crate::cli::solving::{self, SolvingArgs};
+use crate::cli::write::{self, WriteArgs};
+use crate::cli::{accuracy, doctor};
+
+/// Flags of the main job.
+#[derive(Args, Debug)]
+pub struct RunArgs {
+    /// The orthophoto: any raster that GDAL opens.
+    // An option only because a subcommand does without; clap demands it otherwise.
+    #[arg(required = true)]
+    pub image: Option<PathBuf>,
+    #[command(flatten)]
+    pub gcps: GcpArgs,
+    #[command(flatten)]
+    pub marks: MarkArgs,
+    #[command(flatten)]
+    pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
+    #[command(flatten)]
+    pub write: WriteArgs,
+    #[command(flatten)]
+    pub report: ReportArgs,
+    /// Print the result as one JSON document on standard output; all else goes to stderr.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+    /// Learn the marks from what was found and scan again; done in any case when nothing is solved.
+    #[arg(long, help_heading = "Marks")]
+    pub second_pass: bool,
+    /// No progress bar, no summary.
+    #[arg(long, help_heading = "Messages")]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub read: ReadArgs,
+}
+
+pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
+    let started = Instant::now();
+    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
+    let image = args.image.as_deref().context("no image: name one")?;
+    let gcp_file = args.gcps.path()?;
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
+    let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
+    let json = json_path(&request);
+    let report = args.report.wanted().then(|| report::path(&json));
+    let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
+    atomic::check_outputs(&outputs, args.write.overwrite)?;
+    args.solving.check(args.write.overwrite)?;
+    let open_s = started.elapsed().as_secs_f64();
+    let info = source.info();
+    let priors = common::priors(info, &args.matching);
+    // Colours can be learned from the image for a second pass, which is another chance for an accident.
+    let learns = matches!(detector, MarkDetector::Paint(_));
+    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 })?;
+    let bar = Bar::new(info, args.quiet || args.json);
+    let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
+    let second_look = detector.relaxed();
+    let job = Job {
+        source: source.as_ref(),
+        plan: &plan,
+        detector: &detector,
+        second_look: &second_look,
+        gcps: &list.gcps,
+        matcher: matcher.as_ref(),
+        priors: &priors,
+        progress: &watch,
+    };
+    let mut run = georeference(&job)?;
+    let mut second = None;
+    let refused = matches!(run.outcome, Outcome::Refused(_));
+    if learns && (refused || args.second_pass) {
+        (run, second) = second_pass(&job, run)?;
+    }
+    let known = doctor::known_place(info, &list);
+    doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
+    let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
+    document.result.options = options(args, &job);
+    document.describe_reading(info, &run, source.stats(), open_s);
+    document.result.second_pass = second;
+    document.result.memory_plan = Some(plan.clone());
+    let place = solving::ImagePlace::of(info);
+    let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
+    frame::deliver(&mut document.result, &list, place.size_px)?;
+    document.result.warnings.extend(plan.notes.iter().cloned());
+    document.prior(info, &list);
+    let report_started = Instant::now();
+    let gathered = watch.gather(&mut document.result)?;
+    document.result.timings.report_s = report_started.elapsed().as_secs_f64();
+    bar.finish();
+    // Its caches make room for what writing needs.
+    drop(source);
+    let report = report.as_deref().zip(gathered.as_ref());
+    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
+    print(&document.result, args.json, args.quiet);
+    Ok(document.exit_code())
+}
+
+fn json_path(request: &WriteRequest) -> PathBuf {
+    request.base.with_extension("autoref.json")
+}
+
+fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
+    serde_json::json!({
+        "profile": args.marks.profile,
+        "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
+        "priors": job.priors,
+        "max_false_alarms": args.matching.max_false_alarms,
+        "tile": args.read.tile,
+        "threads": args.read.threads,
+        "memory_budget_bytes": args.read.memory.0,
+        "reader": format!("{:?}", args.read.reader).to_lowercase(),
+        "page": args.read.page,
+        "white": job.source.info().white,
+        "halo_px": job.detector.halo_px(),
+        "check": args.gcps.check,
+        "accuracy": args.gcps.accuracy.accuracy,
+        "accuracy_class_m": args.gcps.accuracy.accuracy_class,
+        "names": args.gcps.names,
+    })
+}
+
+/// All outputs and the JSON that lists them appear together, or nothing does.
+fn write_outputs(
+    request: &WriteRequest,
+    json: &Path,
+    report: Option<(&Path, &Gathered)>,
+    document: &mut Document,
+    started: Instant,
+    quiet: bool,
+    dem: Option<solving::DemCopy>,
+) -> anyhow::Result<()> {
+    let writing = Instant::now();
+    let mut transaction = Transaction::new();
+    if document.result.geotransform.is_some() {
+        let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
+        let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
+        document.result.warnings.extend(warnings);
+    }
+    if let Some(dem) = dem {
+        dem.stage(&document.result, &mut transaction)?;
+    }
+    let written = transaction.paths();
+    document.result.files_written = written
+        .iter()
+        .map(PathBuf::as_path)
+        .chain(report.map(|r| r.0))
+        .chain([json])
+        .map(|path| path.display().to_string())
+        .collect();
+    document.result.timings.write_s = writing.elapsed().as_secs_f64();
+    document.finish(started);
+    if let Some((path, gathered)) = report {
+        transaction.stage_bytes(path, report::page(&document.result, gathered, json)?.as_bytes())?;
+    }
+    transaction.stage_bytes(json, document.result.to_json().as_bytes())?;
+    Ok(transaction.commit()?)
+}
+
+/// A result under construction.
+pub struct Document {
+    pub result: RunResult,
+}
+
+impl Document {
+    pub fn new(list: &GcpList, gcp_file: &Path, outcome: &Outcome, candidates: Vec<Candidate>) -> Self {
+        let mut result = RunResult {
+            schema_version: SCHEMA_VERSION,
+            program: format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
+            status: Status::Refused,
+            reason: None,
+            advice: Vec::new(),
+            image: None,
+            gcp_file: gcp_file.display().to_string(),
+            options: serde_json::Value::Null,
+            geotransform: None,
+            crs: list.crs.as_ref().map(autoref_raster::crs::Crs::label),
+            rmse_m: None,
+            rmse_e_m: None,
+            rmse_n_m: None,
+            rmse_px: None,
+            scale_m_per_px: None,
+            rotation_deg: None,
+            gcps_listed: list.gcps.len(),
+            gcps: list.gcps.clone(),
+            delivered: !list.frame.is_plain(),
+            gcps_in_image: None,
+            candidates_found: candidates.len(),
+            false_alarms: None,
+            log10_false_alarms: None,
+            matches: Vec::new(),
+            check_points: Vec::new(),
+            accuracy: None,
+            expected_errors: Vec::new(),
+            not_found: Vec::new(),
+            outside: Vec::new(),
+            solution: None,
+            runner_up: None,
+            best_pattern: None,
+            search: None,
+            names: None,
+            prior_georeference: None,
+            diagnoses: Vec::new(),
+            heights: None,
+            chosen_model: None,
+            warnings: list.notes.clone(),
+            patch: None,
+            candidates,
+            files_written: Vec::new(),
+            reading: None,
+            second_pass: None,
+            memory_plan: None,
+            timings: Timings::default(),
+            peak_memory_bytes: None,
+            elapsed_s: 0.0,
+        };
+        match outcome {
+            Outcome::Solved(orientation) => solved(&mut result, orientation, list),
+            Outcome::Refused(evidence) => {
+                result.reason = Some(evidence.reason.clone());
+                result.advice = evidence.advice.clone();
+                result.search = Some(evidence.effort.clone());
+                result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
+                result.best_pattern = evidence.best.clone();
+                result.runner_up = evidence.runner_up.clone();
+                result.diagnoses = evidence.diagnoses.clone();
+            }
+        }
+        result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
+        Document { result }
+    }
+
+    fn describe_reading(&mut self, info: &RasterInfo, run: &Run, all: autoref_raster::ReadStats, open_s: f64) {
+        self.result.image = Some(ImageInfo {
+            path: info.path.display().to_string(),
+            width: info.width,
+            height: info.height,
+            bands: info.bands,
+            reader: info.reader.to_string(),
+            description: info.description.clone(),
+        });
+        let scan = run.scan.scan_reads;
+        self.result.reading = Some(Reading {
+            blocks_in_file: info.blocks,
+            blocks_decoded: scan.blocks_decoded,
+            blocks_skipped: scan.blocks_skipped,
+            bytes_read: scan.bytes_read,
+            window_blocks_decoded: all.blocks_decoded - scan.blocks_decoded,
+            window_bytes_read: all.bytes_read - scan.bytes_read,
+        });
+        let timings = &mut self.result.timings;
+        timings.open_s = open_s;
+        timings.scan_s = run.scan.timings.scan_s;
+        timings.examine_s = run.scan.timings.examine_s;
+        timings.match_s = run.match_s;
+        timings.rematch_s = run.rematch_s;
+    }
+
+    /// An existing georeference is reported, with how far the new one moves the image.
+    fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
+        let Some(old) = info.geotransform else { return };
+        let same_crs = match (&info.crs_wkt, &list.crs) {
+            (Some(wkt), Some(crs)) if !crs.is_geographic() => {
+                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+            }
+            _ => false,
+        };
+        let centre = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
+        let moved_m = self.result.geotransform.filter(|_| same_crs).map(|new| {
+            let (a, b) = (old.apply(centre), new.apply(centre));
+            (a.easting - b.easting).hypot(a.northing - b.northing)
+                * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
+        });
+        if self.result.geotransform.is_some() {
+            self.result.warnings.push(match moved_m {
+                Some(moved) => format!("the image's own georeference is overridden; its centre moves by {moved:.3} m"),
+                None => "the image's own georeference is overridden".into(),
+            });
+        }
+        self.result.prior_georeference =
+            Some(PriorGeoreference { geotransform: old, crs: info.crs_wkt.clone(), moved_m });
+    }
+
+    pub fn finish(&mut self, started: Instant) {
+        self.result.peak_memory_bytes = memory_plan::peak_resident_bytes();
+        self.result.elapsed_s = started.elapsed().as_secs_f64();
+    }
+
+    pub fn exit_code(&self) -> ExitCode {
+        match self.result.status {
+            Status::Solved => ExitCode::SUCCESS,
+            Status::Refused => ExitCode::from(1),
+        }
+    }
+}
+
+fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
+    let solution = &orientation.solution;
+    result.status = Status::Solved;
+    result.geotransform = Some(solution.geotransform);
+    result.rmse_m = Some(solution.rmse_m);
+    result.rmse_e_m = Some(solution.rmse_e_m);
+    result.rmse_n_m = Some(solution.rmse_n_m);
+    result.rmse_px = Some(solution.rmse_px);
+    result.scale_m_per_px = Some(solution.scale_m_per_px);
+    result.rotation_deg = Some(solution.rotation_deg);
+    let pattern = &orientation.evidence.pattern;
+    result.log10_false_alarms = Some(pattern.log10_false_alarms);
+    result.runner_up = orientation.evidence.runner_up.clone();
+    result.search = Some(orientation.evidence.effort.clone());
+    result.names = orientation.evidence.names;
+    result.matches = orientation
+        .marks
+        .iter()
+        .zip(&solution.pairs)
+        .map(|(mark, pair)| {
+            let mut row = row(mark, orientation, list);
+            row.leave_one_out_m = pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m).map(|(e, n)| e.hypot(n));
+            row.redundancy = Some(pair.redundancy);
+            row.detectable_blunder_m = pair.detectable_blunder_m;
+            row.outlier = pair.outlier;
+            row
+        })
+        .collect();
+    result.check_points = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
+    let name = |&i: &usize| list.gcps[i].name.clone();
+    result.not_found = orientation.not_found.iter().map(name).collect();
+    result.outside = orientation.outside.iter().map(name).collect();
+    result.gcps_in_image = Some(orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len());
+    result.warnings.extend(solution.warnings.iter().cloned());
+    let outliers: Vec<&str> = result.matches.iter().filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
+    if !outliers.is_empty() {
+        result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+    }
+    result.warnings.extend(near_misses(result, orientation, list));
+    result.diagnoses = orientation.diagnoses.clone();
+    result.advice.extend(result.diagnoses.iter().map(|d| d.message.clone()));
+    result.solution = Some(solution.clone());
+}
+
+/// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
+fn near_misses(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
+    const NEAR_PX: f64 = 60.0;
+    let solution = &orientation.solution;
+    let taken = |c: &Candidate| orientation.marks.iter().any(|mark| mark.mark.centre == c.centre);
+    orientation
+        .not_found
+        .iter()
+        .filter_map(|&gcp| {
+            let place = solution.similarity.invert(list.gcps[gcp].position());
+            let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
+            let nearest = result
+                .candidates
+                .iter()
+                .filter(|c| !taken(c))
+                .map(distance)
+                .filter(|d| *d < NEAR_PX)
+                .min_by(f64::total_cmp)?;
+            Some(format!(
+                "{}: no mark where it must be, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
+                list.gcps[gcp].name,
+                nearest * solution.scale_m_per_px
+            ))
+        })
+        .collect()
+}
+
+fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow {
+    let gcp = &list.gcps[found.gcp];
+    let computed = orientation.solution.similarity.apply(found.mark.centre);
+    let (e, n) = (gcp.easting - computed.easting, gcp.northing - computed.northing);
+    MatchRow {
+        gcp: gcp.name.clone(),
+        x: found.mark.centre.x,
+        y: found.mark.centre.y,
+        easting: gcp.easting,
+        northing: gcp.northing,
+        height: gcp.height,
+        survey_sigma_m: gcp.sigma_m,
+        residual_e_m: e,
+        residual_n_m: n,
+        residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,
+        covariance_px2: found.mark.covariance_px2,
+        score: found.mark.score,
+        found_by: match found.found_by {
+            FoundBy::Scan => "scan".into(),
+            FoundBy::Rematch => "rematch".into(),
+            FoundBy::Review => "review".into(),
+        },
+        leave_one_out_m: None,
+        redundancy: None,
+        detectable_blunder_m: None,
+        outlier: false,
+        code: found.mark.code.clone(),
+    }
+}
+
+/// The summary a surveyor reads, or the document.
+pub fn print(result: &RunResult, json: bool, quiet: bool) {
+    if json {
+        print!("{}", result.to_json());
+    }
+    if quiet {
+        return;
+    }
+    let text = summary(result);
+    if json { eprint!("{text}") } else { print!("{text}") }
+}
+
+fn summary(result: &RunResult) -> String {
+    use std::fmt::Write;
+    let mut out = String::new();
+    let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
+    let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
+    line("Marks found", format!("{} candidates", result.candidates_found));
+    if let Some(second) = &result.second_pass {
+        line("Second pass", second.line());
+    }
+    if result.status == Status::Solved {
+        line(
+            "GCPs matched",
+            format!("{}{visible}, {} listed", result.matches.len() + result.check_points.len(), result.gcps_listed),
+        );
+        if !result.not_found.is_empty() {
+            line("  not found", result.not_found.join(", "));
+        }
+        if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
+            line("Scale", format!("{scale:.7} m per pixel"));
+            line("Rotation", format!("{rotation:.5}° anticlockwise from east"));
+        }
+        if let (Some(e), Some(n), Some(all), Some(px)) =
+            (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px)
+        {
+            line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
+        }
+        solving::lines(result, &mut line);
+        accuracy::lines(result, &mut line);
+        for diagnosis in &result.diagnoses {
+            line("Mistake?", diagnosis.message.clone());
+        }
+    } else {
+        line("GCPs listed", result.gcps_listed.to_string());
+        line("Not solved", result.reason.clone().unwrap_or_default());
+        for advice in &result.advice {
+            line("  may help", advice.clone());
+        }
+    }
+    if let Some(log10) = result.log10_false_alarms {
+        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
+        line("Chance of accident", format!("{figure} such patterns expected by chance"));
+    }
+    if let Some(names) = &result.names {
+        let against =
+            if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
+        line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
+    }
+    for warning in &result.warnings {
+        line("Note", warning.clone());
+    }
+    if !result.files_written.is_empty() {
+        line("Written", result.files_written.join(", "));
+    }
+    let memory =
+        result.peak_memory_bytes.map_or(String::new(), |b| format!(", peak memory {:.0} MiB", b as f64 / 1_048_576.0));
+    line("Time", format!("{:.2} s{memory}", result.elapsed_s));
+    out
+}

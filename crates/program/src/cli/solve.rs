@@ -1,0 +1,106 @@
+//! `autoref-stream solve`: from two lists to an orientation, without an image.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use autoref_stream::gcp;
+use autoref_stream::georef::candidate_list;
+use autoref_stream::matching::Priors;
+use autoref_stream::pipeline::georeference::solve_candidates;
+use clap::Args;
+
+use crate::cli::accuracy::{self, extent};
+use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::doctor;
+use crate::cli::frame;
+use crate::cli::replay;
+use crate::cli::run::{self, Document};
+use crate::cli::solving::{ImagePlace, SolvingArgs};
+
+/// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
+#[derive(Args, Debug)]
+pub struct SolveArgs {
+    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size and
+    /// elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
+    pub candidates: PathBuf,
+    /// Replay what a review changed: the patch file that the page of --report saved. Needs no --gcps.
+    #[arg(long, value_name = "FILE")]
+    pub patch: Option<PathBuf>,
+    /// Write the result here, as JSON. Without it nothing is written.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Width and height of the image, in pixels; tells which GCPs must be visible. Default: the candidates' extent.
+    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 1)]
+    pub size: Vec<f64>,
+    /// Replace an existing result.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print the result as one JSON document instead of the summary.
+    #[arg(long)]
+    pub json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub gcps: GcpArgs,
+    #[command(flatten)]
+    pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
+}
+
+pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
+    let started = Instant::now();
+    if let Some(patch) = &args.patch {
+        return replay::run(args, patch, started);
+    }
+    if args.candidates.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        anyhow::bail!(
+            "{} is a result, not a list of candidates; give --patch FILE to replay a review",
+            args.candidates.display()
+        );
+    }
+    let size = match args.size.as_slice() {
+        [] => None,
+        &[width, height] if width > 0.0 && height > 0.0 => Some((width, height)),
+        _ => anyhow::bail!("--size takes width and height in pixels: --size 22039,20051"),
+    };
+    if let Some(output) = &args.output {
+        autoref_raster::atomic::check_outputs(&[output], args.overwrite)?;
+    }
+    args.solving.check(args.overwrite)?;
+    let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
+    let candidates = candidate_list::read_csv(&args.candidates)?;
+    let priors = Priors {
+        gsd_m_per_px: args.matching.gsd.map(|g| (g.0, g.1)),
+        rotation_deg: args.matching.north_up.map(|half| (0.0, half)),
+        image_size_px: size,
+    };
+    let matcher = common::matcher(&args.matching, 1)?;
+    let match_started = Instant::now();
+    let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
+    doctor::examine(&mut outcome, &candidates, &list, &priors, None, &args.matching);
+    doctor::labels(&args.candidates, &mut outcome, &list)?;
+    let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
+    document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
+    document.result.timings.match_s = match_started.elapsed().as_secs_f64();
+    let place = ImagePlace { size_px: size, georeference: None };
+    let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
+    let seen = extent(size, &document.result.candidates);
+    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
+    frame::deliver(&mut document.result, &list, size)?;
+    if let Some(dem) = dem {
+        let mut transaction = autoref_raster::atomic::Transaction::new();
+        dem.stage(&document.result, &mut transaction)?;
+        document.result.files_written.extend(transaction.paths().iter().map(|path| path.display().to_string()));
+        transaction.commit()?;
+    }
+    document.finish(started);
+    if let Some(output) = &args.output {
+        document.result.files_written.push(output.display().to_string());
+        common::write_text(output, document.result.to_json().as_bytes(), args.overwrite)?;
+    }
+    run::print(&document.result, args.json, args.quiet);
+    Ok(document.exit_code())
+}

@@ -1,0 +1,392 @@
+//! Flags about what is solved beside the similarity: heights, other models, other solvers.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::coords::{GeoTransform, MapPoint};
+use autoref_raster::crs::Coordinate;
+use autoref_raster::{ElevationModel, RasterInfo};
+use autoref_solve::absolute::{self, AbsoluteOrientation, Method, PointPair};
+use autoref_solve::{Pair, kraus, planar};
+use autoref_stream::gcp::GcpList;
+use autoref_stream::georef::heights::{CopyPlace, write_corrected};
+use autoref_stream::pipeline::georeference::{Orientation, Outcome};
+use autoref_stream::pipeline::heights::{self, HeightResult, ModelFrame, PlacedModel};
+use autoref_stream::result::RunResult;
+use clap::{Args, ValueEnum};
+
+#[derive(Args, Debug)]
+pub struct SolvingArgs {
+    /// Elevation model, any raster: in the image's grid, or with a georeference of its own. Its heights at the marks are
+    /// compared with the survey; shift, tilt or a quadratic surface is chosen by leave-one-out error.
+    #[arg(long, value_name = "MODEL", help_heading = "Solving")]
+    pub dem: Option<PathBuf>,
+    /// Write a copy of the elevation model with the height correction applied (GeoTIFF, 32-bit floats).
+    #[arg(long, value_name = "FILE", requires = "dem", help_heading = "Solving")]
+    pub write_dem: Option<PathBuf>,
+    /// The transform: `similarity`; `affine`, which is written instead; `projective` and `7-parameter` (in space, with the
+    /// heights of the survey and the model), which no world file can hold: they are reported beside it.
+    #[arg(long, value_enum, default_value = "similarity", help_heading = "Solving")]
+    pub model: ModelArg,
+    /// With --model 7-parameter: the method. All have one rotation; those of Horn take the symmetric scale.
+    #[arg(long, value_enum, default_value = "umeyama", help_heading = "Solving")]
+    pub solver: SolverArg,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ModelArg {
+    Similarity,
+    Affine,
+    Projective,
+    #[value(name = "7-parameter")]
+    SevenParameter,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SolverArg {
+    Horn,
+    HornHilden,
+    Umeyama,
+    UmeyamaHornScale,
+    Kraus,
+}
+
+/// What is known of the image's size and place.
+pub struct ImagePlace {
+    pub size_px: Option<(f64, f64)>,
+    pub georeference: Option<GeoTransform>,
+}
+
+impl ImagePlace {
+    pub fn of(info: &RasterInfo) -> Self {
+        ImagePlace { size_px: Some((info.width as f64, info.height as f64)), georeference: info.geotransform }
+    }
+}
+
+/// A corrected elevation model that is to be written.
+pub struct DemCopy {
+    placed: PlacedModel,
+    heights: HeightResult,
+    fitted: GeoTransform,
+    target: PathBuf,
+    list_wkt: Option<String>,
+}
+
+impl DemCopy {
+    pub fn stage(self, result: &RunResult, transaction: &mut Transaction) -> autoref_raster::error::Result<()> {
+        let to_positions = self.placed.to_positions(&self.fitted);
+        let own = self.placed.frame == ModelFrame::Map;
+        // The delivered transform counts in the outputs' units, the positions of the surface in metres of the fit.
+        let delivered = result.geotransform.map_or(to_positions, |g| self.placed.to_positions(&g));
+        let place = CopyPlace {
+            to_positions,
+            geotransform: if own { to_positions } else { delivered },
+            crs_wkt: if own { self.placed.model.crs_wkt() } else { self.list_wkt.as_deref() },
+        };
+        transaction.stage(&self.target, |partial| {
+            write_corrected(&self.placed.model, &self.heights.correction, &place, partial)
+        })
+    }
+}
+
+impl SolvingArgs {
+    /// Refuses before the image is read what cannot be.
+    ///
+    /// # Errors
+    /// An elevation model that cannot be opened, a copy that would be written over something.
+    pub fn check(&self, overwrite: bool) -> anyhow::Result<()> {
+        if let Some(dem) = &self.dem {
+            ElevationModel::open(dem)?;
+        }
+        if let Some(copy) = &self.write_dem {
+            if self.dem.as_deref().is_some_and(|dem| same_file(dem, copy)) {
+                bail!("--write-dem {} is the elevation model itself; name another file", copy.display());
+            }
+            atomic::check_outputs(&[copy], overwrite)?;
+        }
+        if self.solver != SolverArg::Umeyama && self.model != ModelArg::SevenParameter {
+            bail!("--solver is of --model 7-parameter; a similarity in the plane has one closed form");
+        }
+        Ok(())
+    }
+
+    /// Solves what was asked for beside the similarity, and enters it in the result.
+    pub fn apply(
+        &self,
+        result: &mut RunResult,
+        outcome: &Outcome,
+        list: &GcpList,
+        place: &ImagePlace,
+    ) -> anyhow::Result<Option<DemCopy>> {
+        let Outcome::Solved(orientation) = outcome else { return Ok(None) };
+        let copy = self.heights(result, orientation, list, place)?;
+        let pairs = pairs(orientation, list);
+        match self.model {
+            ModelArg::Similarity => {}
+            ModelArg::Affine => planar_model(result, &pairs, planar::Kind::Affine),
+            ModelArg::Projective => planar_model(result, &pairs, planar::Kind::Projective),
+            ModelArg::SevenParameter => self.in_space(result, orientation, list),
+        }
+        Ok(copy)
+    }
+
+    /// Whether the command line asks for any of it.
+    pub fn asked(&self) -> bool {
+        self.dem.is_some() || self.model != ModelArg::Similarity || self.solver != SolverArg::Umeyama
+    }
+
+    fn heights(
+        &self,
+        result: &mut RunResult,
+        orientation: &Orientation,
+        list: &GcpList,
+        place: &ImagePlace,
+    ) -> anyhow::Result<Option<DemCopy>> {
+        let Some(dem) = &self.dem else {
+            result.heights = heights::from_list(orientation, &list.gcps)?;
+            return Ok(None);
+        };
+        let name = dem.display().to_string();
+        let model = ElevationModel::open(dem)?;
+        let placed = PlacedModel::new(model, &name, place.size_px, place.georeference, list.crs.as_ref())?;
+        let to_map = |p: MapPoint| {
+            let mut point = [Coordinate { x: p.easting, y: p.northing, height: None }];
+            list.frame.leave(&mut point)?;
+            Ok(MapPoint { easting: point[0].x, northing: point[0].y })
+        };
+        let mut solved = heights::correct(orientation, &list.gcps, &placed, &to_map)?;
+        if solved.position_crs.is_none() {
+            solved.position_crs = list.crs.as_ref().map(autoref_raster::crs::Crs::label);
+        }
+        result.heights = Some(solved.clone());
+        Ok(self.write_dem.clone().map(|target| DemCopy {
+            placed,
+            heights: solved,
+            fitted: orientation.solution.geotransform,
+            target,
+            list_wkt: list.crs.as_ref().map(|crs| crs.wkt().to_string()),
+        }))
+    }
+
+    /// Seven parameters in metres: the image points are brought to metres by the similarity first, so that one scale
+    /// serves planimetry and heights.
+    fn in_space(&self, result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
+        let Some(heights) = &result.heights else {
+            result.warnings.push("--model 7-parameter needs heights: give --dem, and heights in the list".into());
+            return;
+        };
+        let mut names = Vec::new();
+        let points: Vec<PointPair> = orientation
+            .marks
+            .iter()
+            .filter_map(|mark| {
+                let gcp = &list.gcps[mark.gcp];
+                let row = heights.points.iter().find(|row| row.gcp == gcp.name)?;
+                let at = orientation.solution.similarity.apply(mark.mark.centre);
+                names.push(gcp.name.clone());
+                Some(PointPair {
+                    model: nalgebra::Vector3::new(at.easting, at.northing, row.model_m),
+                    target: nalgebra::Vector3::new(gcp.easting, gcp.northing, row.surveyed_m),
+                })
+            })
+            .collect();
+        let method = match self.solver {
+            SolverArg::Horn => Some(Method::Horn),
+            SolverArg::HornHilden => Some(Method::HornHilden),
+            SolverArg::Umeyama => Some(Method::Umeyama),
+            SolverArg::UmeyamaHornScale => Some(Method::UmeyamaSymmetricScale),
+            SolverArg::Kraus => None,
+        };
+        let solved = match method {
+            Some(method) => absolute::solve(&points, method).map(|o| (o, None)),
+            None => kraus::adjust(&points).map(|a| (a.orientation, a.sigma0)),
+        };
+        match solved {
+            Ok((space, sigma0)) => {
+                if points.len() < 5 {
+                    let few = points.len();
+                    result
+                        .warnings
+                        .push(format!("only {few} points with heights: seven parameters are hardly checked"));
+                }
+                result.chosen_model = Some(self.describe(&space, sigma0, &names));
+            }
+            Err(why) => result.warnings.push(format!(
+                "no 7-parameter solution from {} points with heights ({why:?}): the similarity stands alone",
+                points.len()
+            )),
+        }
+    }
+
+    fn describe(&self, space: &AbsoluteOrientation, sigma0_m: Option<f64>, names: &[String]) -> serde_json::Value {
+        let by_axis = space.rmse_by_axis();
+        let residuals: Vec<serde_json::Value> = names
+            .iter()
+            .zip(&space.residuals)
+            .map(|(gcp, r)| serde_json::json!({"gcp": gcp, "e_m": r.x, "n_m": r.y, "h_m": r.z}))
+            .collect();
+        let rows: Vec<Vec<f64>> = space.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
+        serde_json::json!({
+            "model": "7-parameter",
+            "solver": format!("{:?}", self.solver),
+            "from": "similarity's easting and northing of the marks, elevation of the model; metres",
+            "scale": space.scale,
+            "rotation": rows,
+            "translation_m": space.translation.as_slice(),
+            "rmse_m": space.rmse,
+            "rmse_e_m": by_axis.x,
+            "rmse_n_m": by_axis.y,
+            "rmse_h_m": by_axis.z,
+            "sigma0_m": sigma0_m,
+            "residuals": residuals,
+        })
+    }
+}
+
+fn same_file(one: &Path, other: &Path) -> bool {
+    match (one.canonicalize(), other.canonicalize()) {
+        (Ok(one), Ok(other)) => one == other,
+        _ => one == other,
+    }
+}
+
+fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
+    orientation
+        .marks
+        .iter()
+        .map(|mark| Pair {
+            pixel: mark.mark.centre,
+            covariance_px2: mark.mark.covariance_px2,
+            map: list.gcps[mark.gcp].position(),
+            survey_sigma_m: list.gcps[mark.gcp].sigma_m,
+        })
+        .collect()
+}
+
+/// Solves again, from the marks that a review left, the model that the recorded run had.
+pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orientation, list: &GcpList) {
+    if recorded.heights.is_some() {
+        result.warnings.push("heights were not compared again: a replay does not read the elevation model".into());
+    }
+    let Some(model) = recorded.chosen_model.as_ref().and_then(|model| model["model"].as_str()) else { return };
+    match model {
+        "affine" => planar_model(result, &pairs(orientation, list), planar::Kind::Affine),
+        "projective" => planar_model(result, &pairs(orientation, list), planar::Kind::Projective),
+        other => result.warnings.push(format!("the {other} transform was not solved again: it needs heights")),
+    }
+}
+
+/// The affine transform that stands in the place of the similarity.
+pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
+    let model = result.chosen_model.as_ref().filter(|model| model["model"] == "affine")?;
+    let entry = |row: usize, column: usize| model["matrix"][row][column].as_f64();
+    let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
+    let (e, n) = (row(0)?, row(1)?);
+    Some(GeoTransform([e[0], e[1], e[2], n[0], n[1], n[2]]))
+}
+
+/// An affine transform takes the similarity's place in the outputs; a projective one is reported.
+fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
+    let fit = match planar::fit(pairs, kind) {
+        Ok(fit) => fit,
+        Err(why) => {
+            result
+                .warnings
+                .push(format!("{} points do not support this --model ({why:?}); the similarity is used", pairs.len()));
+            return;
+        }
+    };
+    result.warnings.extend(fit.warnings.iter().cloned());
+    let matrix: Vec<Vec<f64>> = fit.matrix().row_iter().map(|row| row.iter().copied().collect()).collect();
+    result.chosen_model = Some(serde_json::json!({
+        "model": if kind == planar::Kind::Affine { "affine" } else { "projective" },
+        "matrix": matrix,
+        "rmse_m": fit.rmse_m,
+        "leave_one_out_rmse_m": fit.leave_one_out_rmse_m,
+        "similarity_rmse_m": result.rmse_m,
+        "residuals_m": fit.residuals_m,
+        "leave_one_out_m": fit.leave_one_out_m,
+    }));
+    if kind == planar::Kind::Projective {
+        result
+            .warnings
+            .push("a geotransform cannot hold a projective transform: the outputs are the similarity's".into());
+        return;
+    }
+    let at = |x: f64, y: f64| fit.apply(autoref_raster::coords::PixelPoint { x, y });
+    // Far arms, so that eastings of millions do not round the coefficients.
+    const ARM: f64 = 65_536.0;
+    let (Some(o), Some(x), Some(y)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
+    result.geotransform = Some(GeoTransform([
+        o.easting,
+        (x.easting - o.easting) / ARM,
+        (y.easting - o.easting) / ARM,
+        o.northing,
+        (x.northing - o.northing) / ARM,
+        (y.northing - o.northing) / ARM,
+    ]));
+    let n = fit.residuals_m.len() as f64;
+    let rms = |axis: usize| (fit.residuals_m.iter().map(|r| r[axis].powi(2)).sum::<f64>() / n).sqrt();
+    (result.rmse_e_m, result.rmse_n_m, result.rmse_m) = (Some(rms(0)), Some(rms(1)), Some(fit.rmse_m));
+    result.rmse_px = result.scale_m_per_px.map(|scale| fit.rmse_m / scale);
+    let scale = result.scale_m_per_px.unwrap_or(1.0);
+    for (i, (row, residual)) in result.matches.iter_mut().zip(&fit.residuals_m).enumerate() {
+        (row.residual_e_m, row.residual_n_m) = (residual[0], residual[1]);
+        row.residual_px = residual[0].hypot(residual[1]) / scale;
+        row.leave_one_out_m = fit.leave_one_out_m.as_ref().map(|left_out| left_out[i][0].hypot(left_out[i][1]));
+    }
+    // What is tested is what is written.
+    for row in &mut result.check_points {
+        let Some(computed) = at(row.x, row.y) else { continue };
+        (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
+        row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
+    }
+    result.warnings.push(
+        "the affine transform is written; expected errors, redundancy and outliers are those of the similarity".into(),
+    );
+}
+
+/// Lines of the summary.
+pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
+    if let Some(model) = &result.chosen_model {
+        let figure = |name: &str| model[name].as_f64();
+        let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
+        line(
+            "Model",
+            format!(
+                "{}: RMSE {:.4} m{heights}",
+                model["model"].as_str().unwrap_or_default(),
+                figure("rmse_m").unwrap_or_default()
+            ),
+        );
+    }
+    let Some(heights) = &result.heights else { return };
+    let from = match heights.frame {
+        ModelFrame::Image => "model in the image's grid",
+        ModelFrame::Map => "model in map coordinates",
+        ModelFrame::List => "elevations of the list",
+    };
+    line(
+        "Heights",
+        format!(
+            "{} points, {from}; uncorrected RMS {:.4} m",
+            heights.points.len(),
+            heights.correction.uncorrected_rms_m
+        ),
+    );
+    for fit in &heights.correction.fits {
+        let left_out = fit.leave_one_out_rms_m.map_or(String::new(), |loo| format!(", leave-one-out {loo:.4} m"));
+        let chosen = if fit.model == heights.correction.chosen { "  (chosen)" } else { "" };
+        line(&format!("  {}", fit.model.label()), format!("RMS {:.4} m{left_out}{chosen}", fit.rms_m));
+    }
+    if let Some(rms) = heights.check_rms_m {
+        line("  check points", format!("RMS {rms:.4} m of {}", heights.check_points.len()));
+    }
+    if !heights.without_height.is_empty() {
+        line("  no height", heights.without_height.join(", "));
+    }
+    for warning in &heights.warnings {
+        line("  note", warning.clone());
+    }
+}

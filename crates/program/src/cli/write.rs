@@ -1,0 +1,139 @@
+//! Flags for what is written, shared by the main job and `apply`.
+
+use std::path::{Path, PathBuf};
+
+use autoref_raster::mosaic;
+use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
+use autoref_stream::georef::write::{Output, WriteRequest};
+use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// What is written and where.
+#[derive(Args, Debug)]
+pub struct WriteArgs {
+    /// What to write. Default: world,aux, and vrt too with --out; for a folder or list of tiles only vrt.
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',', value_parser = kinds(), help_heading = "Output")]
+    pub write: Vec<Output>,
+    /// Write here instead of beside the image.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Replace outputs that exist; without it they are an error before any work.
+    #[arg(long, help_heading = "Output")]
+    pub overwrite: bool,
+    /// With --write tags: a Cloud Optimized GeoTIFF may become an ordinary one.
+    #[arg(long, help_heading = "Output")]
+    pub break_cog: bool,
+    #[command(flatten)]
+    pub warp: WarpArgs,
+}
+
+/// The north-up copy of `--write warp`.
+#[derive(Args, Debug)]
+pub struct WarpArgs {
+    /// How a pixel of the copy is made of those around it.
+    #[arg(long, value_name = "HOW", default_value_t, value_parser = names::<Resampling>(Resampling::ALL.map(Resampling::name)),
+        help_heading = "Output: warp")]
+    pub resampling: Resampling,
+    /// Compression of the copy; jpeg and webp lose detail.
+    #[arg(long, value_name = "HOW", default_value_t, value_parser = names::<Compression>(Compression::ALL.map(Compression::name)),
+        help_heading = "Output: warp")]
+    pub compress: Compression,
+    /// Quality of jpeg and webp, 1 to 100. Default: 75.
+    #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(1..=100), help_heading = "Output: warp")]
+    pub quality: Option<u8>,
+    /// Side of a pixel of the copy, in map units. Default: that of the image.
+    #[arg(long, value_name = "M", help_heading = "Output: warp")]
+    pub resolution: Option<f64>,
+    /// What is where no image is: alpha (one more band), or a nodata value. Default: the image's nodata value if it has one,
+    /// -9999 for elevation models without, else alpha.
+    #[arg(
+        long,
+        value_name = "alpha|VALUE",
+        default_value = "auto",
+        allow_hyphen_values = true,
+        hide_default_value = true,
+        help_heading = "Output: warp"
+    )]
+    pub border: Border,
+}
+
+fn names<T>(names: impl IntoIterator<Item = &'static str>) -> impl TypedValueParser<Value = T>
+where
+    T: std::str::FromStr<Err = String> + Clone + Send + Sync + 'static,
+{
+    PossibleValuesParser::new(names).try_map(|name| name.parse::<T>())
+}
+
+fn kinds() -> impl TypedValueParser<Value = Output> {
+    let values = Output::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.describe()));
+    PossibleValuesParser::new(values).try_map(|name| name.parse::<Output>())
+}
+
+impl WriteArgs {
+    fn kinds(&self, image: &Path) -> Vec<Output> {
+        match (self.write.is_empty(), &self.out) {
+            // The tiles' own world files are what places them: nothing replaces them unasked.
+            (true, _) if mosaic::is_mosaic(image) => vec![Output::Vrt],
+            (false, _) => self.write.clone(),
+            (true, None) => vec![Output::World, Output::Aux],
+            (true, Some(_)) => vec![Output::World, Output::Aux, Output::Vrt],
+        }
+    }
+
+    /// What these flags ask for, checked as far as that goes before any work.
+    pub fn request(
+        &self,
+        image: &Path,
+        page: usize,
+        memory_budget_bytes: u64,
+        threads: usize,
+    ) -> anyhow::Result<WriteRequest> {
+        if let Some(folder) = &self.out {
+            std::fs::create_dir_all(folder)
+                .map_err(|e| autoref_raster::Error::io(folder, "create the output folder", e))?;
+        }
+        let mut request = WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), self.overwrite);
+        request.page = page;
+        request.tags.break_cog = self.break_cog;
+        request.warp = WarpOptions {
+            resampling: self.warp.resampling,
+            compression: self.warp.compress,
+            quality: self.warp.quality,
+            resolution: self.warp.resolution,
+            border: self.warp.border,
+            memory_budget_bytes,
+            threads,
+        };
+        request.check()?;
+        Ok(request)
+    }
+}
+
+/// How far the warped copy is.
+pub struct WarpBar(ProgressBar);
+
+impl WarpBar {
+    pub fn new(visible: bool) -> Self {
+        let bar = ProgressBar::new(1000);
+        if !visible {
+            bar.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        let style = ProgressStyle::with_template("{spinner} warping {wide_bar} {percent} %  {eta} left")
+            .expect("a fixed template");
+        bar.set_style(style);
+        WarpBar(bar)
+    }
+
+    /// From 0 to 1; answers whether to go on.
+    pub fn set(&self, done: f64) -> bool {
+        self.0.set_position((done.clamp(0.0, 1.0) * 1000.0) as u64);
+        true
+    }
+}
+
+impl Drop for WarpBar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

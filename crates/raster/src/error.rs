@@ -1,0 +1,68 @@
+//! The one error type of the library. What is no error but an answer (no match, a refused georeference) is an enum with
+//! data in the room it belongs to.
+//!
+//! ```
+//! use autoref_raster::Error;
+//! let error = Error::format("points.csv", "row 7", "`abc` is no number for the easting");
+//! assert_eq!(error.to_string(), "points.csv: row 7: `abc` is no number for the easting");
+//! ```
+
+use std::path::PathBuf;
+
+/// What went wrong, split by whose fault it is: the file's, ours to support, the caller's, the budget's, the system's.
+///
+/// Every message is one line that names the file, the place in it and, where there is one, the remedy.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file breaks the rules of its own format: truncated, out of range, not what it claims to be.
+    #[error("{}: {place}: {what}", path.display())]
+    Format {
+        path: PathBuf,
+        /// Where in the file: "directory 0, tag 324", "row 7", "tile 12".
+        place: String,
+        what: String,
+    },
+    /// The file may be right, but it uses something this program does not read or write.
+    #[error("{}: not supported: {what}; {remedy}", path.display())]
+    Unsupported { path: PathBuf, what: String, remedy: String },
+    /// The caller asked for something that cannot be: options that contradict each other, an output that exists.
+    #[error("{what}; {remedy}")]
+    Usage { what: String, remedy: String },
+    /// It cannot be done within the memory (or other) limit; the numbers say by how much.
+    #[error("{what}: needs {needed} bytes, allowed are {allowed}; {remedy}")]
+    Limit { what: String, needed: u64, allowed: u64, remedy: String },
+    /// The operating system said no.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io {
+        path: PathBuf,
+        /// A verb phrase: "open", "read 4096 bytes at 17", "rename".
+        action: String,
+        source: std::io::Error,
+    },
+    /// GDAL or PROJ said no; its own words are kept.
+    #[error("{}: GDAL: {what}", path.display())]
+    Gdal { path: PathBuf, what: String },
+}
+
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    pub fn format(path: impl Into<PathBuf>, place: impl Into<String>, what: impl Into<String>) -> Self {
+        Error::Format { path: path.into(), place: place.into(), what: what.into() }
+    }
+    pub fn unsupported(path: impl Into<PathBuf>, what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Error::Unsupported { path: path.into(), what: what.into(), remedy: remedy.into() }
+    }
+    pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Error::Usage { what: what.into(), remedy: remedy.into() }
+    }
+    pub fn io(path: impl Into<PathBuf>, action: impl Into<String>, source: std::io::Error) -> Self {
+        Error::Io { path: path.into(), action: action.into(), source }
+    }
+    /// GDAL's message may span lines; ours is one.
+    pub fn gdal(path: impl Into<PathBuf>, what: impl std::fmt::Display) -> Self {
+        let what = what.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        Error::Gdal { path: path.into(), what }
+    }
+}

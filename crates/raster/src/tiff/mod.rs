@@ -1,0 +1,16 @@
+//! The native TIFF and BigTIFF reader: a thin layer over the codecs.
+
+mod codec;
+pub mod container;
+mod decoder;
+mod empty_blocks;
+mod jpeg;
+mod layout;
+mod lzw;
+mod mapping;
+mod predictor;
+mod rows;
+mod stream;
+
+pub use container::{Directories, is_tiff};
+pub use decoder::{TiffDecoder, open, open_mapped, open_pixels};

@@ -1,0 +1,218 @@
+//! How far off a place in the image may be: radii that hold the true position in 95 of 100 cases.
+//!
+//! For a 2-D similarity with isotropic noise the error of the transform at a pixel is isotropic too, with the variance
+//! σ²·q per coordinate, q = 1/Σp + d²/Σp·d² (d the distance from the weighted centre; K. R. Koch, "Parameter Estimation and
+//! Hypothesis Testing in Linear Models", 2nd ed., 1999, section 3.2). σ² is not known but estimated from ν = 2n − 4
+//! redundant measurements, so the squared length of the error over 2·σ̂²·q is distributed as Fisher's F with (2, ν) degrees
+//! of freedom. F(2, ν) has its quantiles in closed form, P(F > f) = (1 + 2f/ν)^(−ν/2), and the radius is
+//!
+//! r₉₅ = σ̂ · √(q · ν · (0.05^(−2/ν) − 1)),
+//!
+//! which tends to the Rayleigh quantile 2.4477·σ·√q for many points and is 2.5 times that for three. With two points nothing
+//! is redundant: the radius rests on the stated precision of marks and survey, and is absent when neither is stated.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Solution;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+
+/// Share of the cases in which the true position lies outside the radius.
+const OUTSIDE: f64 = 0.05;
+
+/// Radii of 95 % at one place, metres on the ground.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpectedError {
+    /// Of the transform alone: where the place really is, were the image free of errors of its own there.
+    pub transform_95_m: f64,
+    /// Of a point read off the image there: the transform's error and that of one mark (centring, the image's own
+    /// deformation, survey), as the residuals show it.
+    pub point_95_m: f64,
+}
+
+/// What a solution says of its errors anywhere in the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ErrorModel {
+    /// √(ν · (0.05^(−2/ν) − 1)) times the standard deviation of a coordinate of unit weight, metres.
+    radius_m: f64,
+    /// Σp and Σp·d², px².
+    weight: f64,
+    spread_px2: f64,
+    centre: PixelPoint,
+}
+
+impl ErrorModel {
+    /// `None` when the noise is unknown: two points without stated precision.
+    pub fn new(solution: &Solution) -> Option<Self> {
+        let weight: f64 = solution.pairs.iter().map(|pair| pair.weight).sum();
+        let variance = solution.covariance[2][2] * weight;
+        let freedom = 2.0 * solution.pairs.len() as f64 - 4.0;
+        if freedom <= 0.0 && variance <= 0.0 {
+            return None;
+        }
+        let spread_px2 = if variance > 0.0 { variance / solution.covariance[0][0] } else { f64::INFINITY };
+        let quantile = if freedom > 0.0 {
+            (freedom * (OUTSIDE.powf(-2.0 / freedom) - 1.0)).sqrt()
+        } else {
+            (-2.0 * OUTSIDE.ln()).sqrt()
+        };
+        Some(ErrorModel { radius_m: quantile * variance.sqrt(), weight, spread_px2, centre: solution.centre })
+    }
+
+    /// At a pixel, inside the image or not.
+    pub fn at(&self, p: PixelPoint) -> ExpectedError {
+        let arm = (p.x - self.centre.x).powi(2) + (p.y - self.centre.y).powi(2);
+        let cofactor = 1.0 / self.weight + arm / self.spread_px2;
+        ExpectedError {
+            transform_95_m: self.radius_m * cofactor.sqrt(),
+            point_95_m: self.radius_m * (1.0 + cofactor).sqrt(),
+        }
+    }
+}
+
+/// Expected errors over an image, at the nodes of a grid that reaches from corner to corner.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ErrorMap {
+    pub width_px: f64,
+    pub height_px: f64,
+    /// Nodes from left to right and from top to bottom, the edges included; at least 2 each.
+    pub columns: usize,
+    pub rows: usize,
+    /// Row-major from the upper left corner.
+    pub nodes: Vec<ExpectedError>,
+}
+
+/// The expected error in one corner of the image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CornerError {
+    pub corner: Corner,
+    /// Which way it lies from the middle of the image, on the map: "north-west".
+    pub direction: String,
+    #[serde(flatten)]
+    pub expected: ExpectedError,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Corner {
+    UpperLeft,
+    UpperRight,
+    LowerRight,
+    LowerLeft,
+}
+
+impl ErrorMap {
+    /// The map of an image of the given size, the longer side in `steps` steps (at least 1) and the other in steps about
+    /// as long. `None` when the solution says nothing of its noise.
+    pub fn new(solution: &Solution, (width_px, height_px): (f64, f64), steps: usize) -> Option<Self> {
+        let model = ErrorModel::new(solution)?;
+        let longer = width_px.max(height_px).max(1.0);
+        let nodes_of = |side: f64| ((steps.max(1) as f64 * side / longer).round() as usize).max(1) + 1;
+        let (columns, rows) = (nodes_of(width_px), nodes_of(height_px));
+        let nodes = (0..rows * columns)
+            .map(|i| model.at(place(i % columns, i / columns, columns, rows, width_px, height_px)))
+            .collect();
+        Some(ErrorMap { width_px, height_px, columns, rows, nodes })
+    }
+
+    /// Where a node lies in the image.
+    ///
+    /// # Panics
+    /// When column or row is out of range.
+    pub fn place(&self, column: usize, row: usize) -> PixelPoint {
+        assert!(column < self.columns && row < self.rows, "a node of the grid");
+        place(column, row, self.columns, self.rows, self.width_px, self.height_px)
+    }
+
+    /// Smallest and largest radius of a point.
+    pub fn range_95_m(&self) -> (f64, f64) {
+        self.nodes.iter().fold((f64::INFINITY, 0.0), |(low, high), node| {
+            (f64::min(low, node.point_95_m), f64::max(high, node.point_95_m))
+        })
+    }
+}
+
+fn place(column: usize, row: usize, columns: usize, rows: usize, width_px: f64, height_px: f64) -> PixelPoint {
+    PixelPoint { x: width_px * column as f64 / (columns - 1) as f64, y: height_px * row as f64 / (rows - 1) as f64 }
+}
+
+/// The expected errors in the four corners of an image, clockwise from the upper left; empty when the solution says nothing
+/// of its noise.
+pub fn corners(solution: &Solution, (width_px, height_px): (f64, f64)) -> Vec<CornerError> {
+    let Some(model) = ErrorModel::new(solution) else { return Vec::new() };
+    let middle = solution.similarity.apply(PixelPoint { x: width_px / 2.0, y: height_px / 2.0 });
+    [
+        (Corner::UpperLeft, 0.0, 0.0),
+        (Corner::UpperRight, width_px, 0.0),
+        (Corner::LowerRight, width_px, height_px),
+        (Corner::LowerLeft, 0.0, height_px),
+    ]
+    .into_iter()
+    .map(|(corner, x, y)| {
+        let p = PixelPoint { x, y };
+        CornerError { corner, direction: direction(middle, solution.similarity.apply(p)).into(), expected: model.at(p) }
+    })
+    .collect()
+}
+
+/// One of the eight winds.
+fn direction(from: MapPoint, to: MapPoint) -> &'static str {
+    const WINDS: [&str; 8] = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
+    let angle = (to.northing - from.northing).atan2(to.easting - from.easting).to_degrees();
+    WINDS[(angle / 45.0).round().rem_euclid(8.0) as usize]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Pair, solve};
+
+    fn solution(residuals_m: &[(f64, f64)], sigma_m: Option<f64>) -> Solution {
+        // A square of 1,000 px about (500, 500), north up, 0.1 m per pixel.
+        let corners = [(0.0, 0.0), (1000.0, 0.0), (1000.0, 1000.0), (0.0, 1000.0)];
+        let pairs: Vec<Pair> = residuals_m
+            .iter()
+            .zip(corners)
+            .map(|((e, n), (x, y))| Pair {
+                pixel: PixelPoint { x, y },
+                covariance_px2: None,
+                map: MapPoint { easting: 0.1 * x + e, northing: -0.1 * y + n },
+                survey_sigma_m: sigma_m,
+            })
+            .collect();
+        solve(&pairs).expect("four corners are no line")
+    }
+
+    #[test]
+    fn radii_by_hand() {
+        // Residuals ±0.01 m that neither shift nor turn nor scale the square: e = +,−,+,− leaves all four parameters alone.
+        let s = solution(&[(0.01, 0.0), (-0.01, 0.0), (0.01, 0.0), (-0.01, 0.0)], None);
+        // ν = 4, σ̂² = 4·10⁻⁴/4 = 10⁻⁴; 0.05^(−1/2) = 4.472136, √(4·3.472136) = 3.726734.
+        let model = ErrorModel::new(&s).expect("four points");
+        let centre = model.at(PixelPoint { x: 500.0, y: 500.0 });
+        assert!((centre.transform_95_m - 0.01 * 3.726_734 * 0.5).abs() < 1e-7, "{centre:?}");
+        assert!((centre.point_95_m - 0.01 * 3.726_734 * 1.25f64.sqrt()).abs() < 1e-7);
+        // In a corner q = 1/4 + 500000/2000000 = 1/2.
+        let corner = model.at(PixelPoint { x: 0.0, y: 0.0 });
+        assert!((corner.transform_95_m - 0.01 * 3.726_734 * 0.5f64.sqrt()).abs() < 1e-7);
+        let map = ErrorMap::new(&s, (1000.0, 500.0), 8).expect("noise is known");
+        assert_eq!((map.columns, map.rows, map.nodes.len()), (9, 5, 45));
+        assert_eq!(map.place(8, 4), PixelPoint { x: 1000.0, y: 500.0 });
+        assert_eq!(map.nodes[4 * 9 + 8], model.at(map.place(8, 4)));
+        assert!((map.range_95_m().0 - centre.point_95_m).abs() < 1e-12);
+    }
+
+    #[test]
+    fn two_points_rest_on_what_is_stated() {
+        assert!(ErrorModel::new(&solution(&[(0.0, 0.0), (0.0, 0.0)], None)).is_none());
+        let model = ErrorModel::new(&solution(&[(0.0, 0.0), (0.0, 0.0)], Some(0.02))).expect("σ is stated");
+        let middle = model.at(PixelPoint { x: 500.0, y: 0.0 });
+        assert!((middle.transform_95_m - 2.447_747 * 0.02 * 0.5f64.sqrt()).abs() < 1e-7, "{middle:?}");
+    }
+
+    #[test]
+    fn corners_are_named_by_the_map() {
+        let s = solution(&[(0.01, 0.0), (-0.01, 0.0), (0.01, 0.0), (-0.01, 0.0)], None);
+        let named: Vec<String> = corners(&s, (1000.0, 1000.0)).into_iter().map(|c| c.direction).collect();
+        assert_eq!(named, ["north-west", "north-east", "south-east", "south-west"]);
+    }
+}

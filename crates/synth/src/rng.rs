@@ -1,0 +1,110 @@
+//! Random numbers that depend on a seed and a place, never on who asks first: the picture is the same for every thread
+//! count and every cut into windows.
+
+/// The finaliser of SplitMix64 (G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators",
+/// OOPSLA 2014): a bijection of 64 bits in which every input bit moves about half of the output bits.
+#[inline]
+pub fn mix(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// A hash of a place on an integer lattice.
+#[inline]
+pub fn hash2(seed: u64, x: i64, y: i64) -> u64 {
+    mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f))
+}
+
+/// SplitMix64 as a sequence.
+#[derive(Clone, Debug)]
+pub struct Rng(u64);
+
+impl Rng {
+    /// One independent stream per (seed, purpose, index).
+    pub fn new(seed: u64, purpose: u64, index: u64) -> Self {
+        Rng(mix(mix(seed ^ 0x5851_f42d_4c95_7f2d) ^ mix(purpose.wrapping_mul(0x1405_7b7e_f767_814f)) ^ index))
+    }
+
+    pub fn next_u64(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        mix(self.0)
+    }
+
+    /// Uniform in [0, 1).
+    pub fn unit(&mut self) -> f64 {
+        (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn range(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+
+    /// Uniform below `n`; 0 when `n` is 0.
+    pub fn below(&mut self, n: usize) -> usize {
+        ((self.unit() * n as f64) as usize).min(n.saturating_sub(1))
+    }
+
+    pub fn chance(&mut self, share: f64) -> bool {
+        self.unit() < share
+    }
+
+    /// Standard normal, by Box and Muller (1958).
+    pub fn normal(&mut self) -> f64 {
+        let u = 1.0 - self.unit();
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
+    }
+
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for i in (1..items.len()).rev() {
+            items.swap(i, self.below(i + 1));
+        }
+    }
+}
+
+/// Standard normal deviates from 12 bits by a table of quantiles, in 1/256 of a level: what a pixel of noise costs is
+/// one look-up.
+#[derive(Clone, Debug)]
+pub struct NoiseTable {
+    table: Vec<i32>,
+    seed: u64,
+}
+
+impl NoiseTable {
+    pub fn new(seed: u64, sigma: f64) -> Self {
+        let n = 4096;
+        let mut values: Vec<i32> = Vec::with_capacity(n);
+        // The quantile function by bisection of erf; 4096 values once.
+        for i in 0..n {
+            let p = (i as f64 + 0.5) / n as f64;
+            let (mut low, mut high) = (-6.0, 6.0);
+            for _ in 0..50 {
+                let mid = 0.5 * (low + high);
+                if super::shape::normal_cdf(mid) < p { low = mid } else { high = mid }
+            }
+            values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
+        }
+        NoiseTable { table: values, seed: mix(seed ^ 0x6e6f_6973) }
+    }
+
+    /// Noise of the three bands at a pixel, in 1/256 of an 8-bit level.
+    #[inline]
+    pub fn at(&self, x: u64, y: u64) -> [i32; 3] {
+        let h = hash2(self.seed, x as i64, y as i64);
+        [0, 12, 24].map(|shift| self.table[((h >> shift) & 4095) as usize])
+    }
+}
+
+/// Value noise in [0, 1] at a place: hashed lattice values, smoothed between.
+#[inline]
+pub fn value_noise(seed: u64, x: f32, y: f32) -> f32 {
+    // Floor by hand: the baseline instruction set makes a library call of `f32::floor`.
+    let floor = |t: f32| t as i64 - i64::from((t as i64 as f32) > t);
+    let (i, j) = (floor(x), floor(y));
+    let (fx, fy) = (x - i as f32, y - j as f32);
+    let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
+    let at = |i, j| (hash2(seed, i, j) >> 40) as f32 * (1.0 / 16_777_216.0);
+    let top = at(i, j) + (at(i + 1, j) - at(i, j)) * sx;
+    let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * sx;
+    top + (bottom - top) * sy
+}

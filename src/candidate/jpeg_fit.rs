@@ -1,0 +1,570 @@
+//! Centres in pictures that went through a JPEG, weighed as the JPEG left them.
+//!
+//! A JPEG rounds the cosine coefficients of 8 × 8 blocks, luma at full and chroma mostly at half resolution, each in steps of
+//! its own (ITU-T T.81, 1992). Seen pixel by pixel that is noise correlated over whole blocks, before which a fit of pixels
+//! gets half of what the picture holds. Where the steps show in the patch ([`super::jpeg_steps`]), the shape that was fitted to
+//! pixels is fitted again to the coefficients: each weighs as much as its step (rounding has the variance q²/12: B. Widrow
+//! and I. Kollar, "Quantization noise", 2008) and the texture of the ground at that frequency let it. A picture that was
+//! resampled after its JPEG shows no steps on the grid and keeps the fit to pixels.
+
+use nalgebra::{SMatrix, SVector, Vector3};
+
+use super::fit::{Fit, Form, add_priors};
+use super::jpeg_steps::{CELLS, Cells, Cosines, N, TO_YCC, Tables};
+use super::kernels::{self, Model};
+use super::patch::{Ground, Scene};
+use crate::segment::classify::Classifier;
+use autoref_raster::Patch;
+
+/// Columns and rows of a block of chroma at half resolution.
+const MACRO: usize = 16;
+/// A mark that reaches over more of them keeps the fit to pixels.
+const MOST_MACROS: i64 = 8;
+/// Centre x, y; logarithms of the sides; angle; logarithm of the blur.
+const SHAPE: usize = 6;
+/// Of a channel: paint; ground; its slopes in x and y.
+const COLOUR: usize = 4;
+const PARAMETERS: usize = SHAPE + 3 * COLOUR;
+/// Steps of least squares.
+const ROUNDS: usize = 3;
+/// Variance of a coefficient by rounded samples.
+const SAMPLES: f64 = 0.15;
+/// What the picture of a block is made of: gradients of the shape, the shape, open ground, that times x, times y.
+const PARTS: usize = SHAPE + COLOUR;
+type Vector = SVector<f64, PARAMETERS>;
+type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// A fit to the coefficients of a JPEG.
+#[derive(Clone, Debug)]
+pub struct Refined {
+    /// Centre in the patch that the first look saw.
+    pub x: f64,
+    pub y: f64,
+    pub sides_px: [f64; 2],
+    pub angle_rad: f64,
+    pub blur_px: f64,
+    /// xx, xy, yy of the centre.
+    pub covariance_px2: [f64; 3],
+    /// The quality, as libjpeg counts, whose steps the patch shows.
+    pub quality: u32,
+}
+
+/// Luma and colour differences around a mark, on the JPEG's grid.
+struct Planes {
+    width: usize,
+    height: usize,
+    /// At full resolution.
+    luma: Vec<f64>,
+    seen: Vec<bool>,
+    /// At half resolution.
+    chroma: [Vec<f64>; 2],
+    half_seen: Vec<bool>,
+}
+
+/// Linear combinations of luma and colour differences whose ground texture is not correlated: each less what those before it
+/// tell of it. What rounding adds to each is kept with it.
+struct Channels {
+    /// Second less first; third less first, third less second.
+    less: [f64; 3],
+    /// Variance of the ground's pixels.
+    spread: [f64; 3],
+    /// Variance of each coefficient by rounding.
+    rounding: [Cells; 3],
+}
+
+impl Channels {
+    fn new(ground: &Ground, tables: &Tables) -> Channels {
+        /// Variance of pixels by noise and rounding, which tells nothing of the other channels.
+        const NOISE: f64 = 9.0;
+        let v = TO_YCC * ground.covariance * TO_YCC.transpose();
+        let (first, second) = (v[(0, 1)] / (v[(0, 0)] + NOISE), v[(0, 2)] / (v[(0, 0)] + NOISE));
+        let rest = v[(1, 1)] - first * v[(0, 1)];
+        let between = v[(1, 2)] - first * v[(0, 2)];
+        let third = between / (rest + NOISE);
+        let last = v[(2, 2)] - second * v[(0, 2)] - third * between;
+        let own = |q: f64| q * q / 12.0;
+        // Luma averaged over 2 × 2 pixels has a quarter of the noise, at twice the frequency.
+        let below = |k: usize| own(tables.luma[k / N / 2 * N + k % N / 2]) / 4.0;
+        Channels {
+            less: [first, second, third],
+            spread: [v[(0, 0)], rest, last].map(|v| v.max(0.1)),
+            rounding: [
+                tables.luma.map(own),
+                std::array::from_fn(|k| own(tables.chroma[k]) + first.powi(2) * below(k)),
+                std::array::from_fn(|k| {
+                    own(tables.chroma[k]) * (1.0 + third.powi(2)) + (second - third * first).powi(2) * below(k)
+                }),
+            ],
+        }
+    }
+
+    fn of(&self, ycc: Vector3<f64>) -> [f64; 3] {
+        let b = ycc[1] - self.less[0] * ycc[0];
+        [ycc[0], b, ycc[2] - self.less[1] * ycc[0] - self.less[2] * b]
+    }
+
+    /// Puts the channels in the place of the colour differences.
+    fn apply(&self, planes: &mut Planes) {
+        let luma = half(&planes.luma, planes.width, planes.height);
+        let [blue, red] = &mut planes.chroma;
+        for ((y, b), r) in luma.iter().zip(blue).zip(red) {
+            [_, *b, *r] = self.of(Vector3::new(*y, *b, *r));
+        }
+    }
+}
+
+/// Means over 2 × 2 pixels.
+fn half(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let mut out = Vec::with_capacity(width * height / 4);
+    for rows in plane.chunks_exact(2 * width) {
+        let (upper, lower) = rows.split_at(width);
+        out.extend(upper.chunks_exact(2).zip(lower.chunks_exact(2)).map(|(u, l)| (u[0] + u[1] + l[0] + l[1]) / 4.0));
+    }
+    out
+}
+
+/// First cell and length of the blocks that hold a stretch, in pixels of the image; `None` of too many.
+fn span(at: f64, reach: f64) -> Option<(i64, usize)> {
+    let m = MACRO as f64;
+    let (from, to) = (((at - reach) / m).floor() as i64, ((at + reach) / m).ceil() as i64);
+    (to - from <= MOST_MACROS).then_some((from * MACRO as i64, (to - from) as usize * MACRO))
+}
+
+/// The planes around a fitted mark and where their corner lies in the image.
+fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Option<(Planes, (i64, i64))> {
+    let inner = &scene.patch.window;
+    let [a, b] = fit.sides_px;
+    let (sin, cos) = fit.angle_rad.sin_cos();
+    let spare = 2.5 * fit.blur_px + 1.0;
+    let (x, width) = span(inner.x as f64 + fit.x, (a * cos.abs() + b * sin.abs()) / 2.0 + spare)?;
+    let (y, height) = span(inner.y as f64 + fit.y, (a * sin.abs() + b * cos.abs()) / 2.0 + spare)?;
+    let outer = &around.window;
+    let scale = 255.0 / f64::from(around.white);
+    // With a rim of one pixel, for the interpolation of chroma.
+    let (w, h) = (width + 2, height + 2);
+    let mut all = vec![Vector3::zeros(); w * h];
+    let mut seen = vec![false; w * h];
+    let hidden = scene.beside_other().minus(&scene.own);
+    for i in 0..w * h {
+        let (u, v) = (x + (i % w) as i64 - 1, y + (i / w) as i64 - 1);
+        let (Ok(u), Ok(v)) = (u64::try_from(u), u64::try_from(v)) else { continue };
+        if !outer.contains(u, v) {
+            continue;
+        }
+        let j = (v - outer.y) as usize * outer.width as usize + (u - outer.x) as usize;
+        let clear = if inner.contains(u, v) {
+            let k = (v - inner.y) as usize * scene.width + (u - inner.x) as usize;
+            !hidden.has(k)
+        } else {
+            !paint[j]
+        };
+        all[i] = TO_YCC * Vector3::from(around.rgb[j].map(|v| f64::from(v) * scale));
+        seen[i] = around.valid[j] && clear;
+    }
+    let core = |i: usize| (i / width + 1) * w + i % width + 1;
+    let (luma, core_seen) = (0..width * height).map(|i| (all[core(i)][0], seen[core(i)])).unzip();
+    let (chroma, half_seen) = chroma(&all, &seen, (width, height));
+    Some((Planes { width, height, luma, seen: core_seen, chroma, half_seen }, (x, y)))
+}
+
+/// Colour differences at half resolution, as the file has them, and which are known; `all` and `seen` have a rim of a pixel.
+fn chroma(all: &[Vector3<f64>], seen: &[bool], (width, height): (usize, usize)) -> ([Vec<f64>; 2], Vec<bool>) {
+    // libjpeg interpolates with weights of 3/4 and 1/4; these four undo that exactly.
+    const UNDO: [f64; 4] = [-0.25, 0.75, 0.75, -0.25];
+    let w = width + 2;
+    let count = width * height / 4;
+    let mut out = [vec![0.0; count], vec![0.0; count]];
+    let mut known = vec![true; count];
+    for i in 0..count {
+        let first = 2 * (i / (width / 2)) * w + 2 * (i % (width / 2));
+        for (dy, y) in UNDO.iter().enumerate() {
+            for (dx, x) in UNDO.iter().enumerate() {
+                let j = first + dy * w + dx;
+                known[i] &= seen[j];
+                out[0][i] += x * y * all[j][1];
+                out[1][i] += x * y * all[j][2];
+            }
+        }
+    }
+    (out, known)
+}
+
+fn block(plane: &[f64], width: usize, b: usize) -> Cells {
+    let (x, y) = (b % (width / N) * N, b / (width / N) * N);
+    let mut out = [0.0; CELLS];
+    for (row, cells) in out.chunks_exact_mut(N).enumerate() {
+        cells.copy_from_slice(&plane[(y + row) * width + x..][..N]);
+    }
+    out
+}
+
+#[derive(Clone)]
+struct State {
+    shape: [f64; SHAPE],
+    /// Of each channel.
+    colour: [[f64; COLOUR]; 3],
+}
+
+impl State {
+    fn model(&self, form: Form) -> Model {
+        let [x, y, a, b, angle, sigma] = self.shape;
+        let (sin, cos) = angle.sin_cos();
+        let (a, b, sigma) = (a.exp(), b.exp(), sigma.exp());
+        Model { form, x, y, a, b, sigma, sin, cos, height: 1.0, plane: [0.0; 3], origin: (0.0, 0.0) }
+    }
+}
+
+/// The shape over the planes: gradients, then values.
+struct Basis {
+    parts: [Vec<f64>; SHAPE + 1],
+}
+
+impl Basis {
+    fn of(planes: &Planes, model: &Model) -> Basis {
+        let (width, height) = (planes.width, planes.height);
+        let mut parts: [Vec<f64>; SHAPE + 1] = std::array::from_fn(|_| vec![0.0; width * height]);
+        for i in 0..width * height {
+            let (value, by) = kernels::shape(model, (i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            for (part, g) in parts.iter_mut().zip(by) {
+                part[i] = g;
+            }
+            parts[SHAPE][i] = value;
+        }
+        Basis { parts }
+    }
+
+    fn half(&self, planes: &Planes) -> Basis {
+        Basis { parts: std::array::from_fn(|k| half(&self.parts[k], planes.width, planes.height)) }
+    }
+}
+
+/// A block in coefficients, seen in one channel.
+struct Seen<'a> {
+    channel: usize,
+    parts: &'a [Cells; PARTS],
+    /// The parts that are not nothing all over the block.
+    some: std::ops::Range<usize>,
+    left: Cells,
+    /// How much of the ground's texture each pixel shows, and the mean square of that.
+    shown: &'a Cells,
+    open: f64,
+}
+
+struct Block {
+    parts: [Cells; PARTS],
+    some: std::ops::Range<usize>,
+    left: Vec<(usize, Cells)>,
+    shown: Cells,
+    open: f64,
+}
+
+/// Transforms the blocks of one resolution: `pixel` is that of its cells, `data` the channels.
+fn add_blocks(
+    out: &mut Vec<Block>,
+    (basis, seen, width, pixel): (&Basis, &[bool], usize, f64),
+    data: &[(usize, &[f64])],
+    state: &State,
+    cosines: &Cosines,
+) {
+    /// Blocks of which fewer cells were seen do not count.
+    const LEAST_SEEN: usize = 44;
+    /// Paint is worn, most up to a fifth: so much of the ground's texture shows on it.
+    const WORN: f64 = 0.02;
+    let mask: Vec<f64> = seen.iter().map(|&s| f64::from(u8::from(s))).collect();
+    for b in 0..seen.len() / CELLS {
+        let mask = block(&mask, width, b);
+        if mask.iter().filter(|&&m| m > 0.0).count() < LEAST_SEEN {
+            continue;
+        }
+        let values = block(&basis.parts[SHAPE], width, b);
+        let (least, most) = values.iter().fold((1.0f64, 0.0f64), |m, &v| (m.0.min(v), m.1.max(v)));
+        let some = if most < 1e-3 {
+            SHAPE + 1..PARTS
+        } else if least > 0.999 {
+            SHAPE..SHAPE + 1
+        } else {
+            0..PARTS
+        };
+        let (bx, by) = (b % (width / N) * N, b / (width / N) * N);
+        let x: Cells = std::array::from_fn(|i| ((bx + i % N) as f64 + 0.5) * pixel - state.shape[0]);
+        let y: Cells = std::array::from_fn(|i| ((by + i / N) as f64 + 0.5) * pixel - state.shape[1]);
+        let mut parts = [[0.0; CELLS]; PARTS];
+        for k in some.clone() {
+            let mut cells: Cells = match k {
+                0..=SHAPE => block(&basis.parts[k], width, b),
+                7 => values.map(|v| 1.0 - v),
+                8 => std::array::from_fn(|i| (1.0 - values[i]) * x[i]),
+                _ => std::array::from_fn(|i| (1.0 - values[i]) * y[i]),
+            };
+            cells.iter_mut().zip(&mask).for_each(|(c, m)| *c *= m);
+            parts[k] = cosines.transform(&cells);
+        }
+        let left = data.iter().map(|&(channel, data)| {
+            let [paint, ground, gx, gy] = state.colour[channel];
+            let data = block(data, width, b);
+            let cells: Cells = std::array::from_fn(|i| {
+                let plane = ground + gx * x[i] + gy * y[i];
+                mask[i] * (data[i] - paint * values[i] - plane * (1.0 - values[i]))
+            });
+            (channel, cosines.transform(&cells))
+        });
+        let open = values.iter().map(|v| (1.0 - v) * (1.0 - v)).sum::<f64>() / CELLS as f64;
+        let worn = WORN.sqrt();
+        let shown = std::array::from_fn(|i| mask[i] * (1.0 - values[i] + worn * values[i]));
+        out.push(Block { parts, some, left: left.collect(), shown, open: open.max(WORN) });
+    }
+}
+
+/// Class of a coefficient: its distance from the constant one.
+fn class(k: usize) -> usize {
+    (((k / N * (k / N) + k % N * (k % N)) as f64).sqrt() + 0.5) as usize
+}
+const CLASSES: usize = 11;
+
+/// Variance of the ground's texture in each channel and class: what is left over beyond rounding, and before much was seen a
+/// spectrum that falls with the third power of the frequency and has the variance of the pixels in the ring.
+fn texture(seen: &[Seen<'_>], channels: &Channels, classes: &[usize; CELLS]) -> [[f64; CLASSES]; 3] {
+    const TRUST: f64 = 4.0;
+    let mut sums = [[[0.0f64; 2]; CLASSES]; 3];
+    for block in seen {
+        let rounding = &channels.rounding[block.channel];
+        for k in 0..CELLS {
+            let sum = &mut sums[block.channel][classes[k]];
+            sum[0] += block.left[k] * block.left[k] - rounding[k];
+            sum[1] += block.open;
+        }
+    }
+    std::array::from_fn(|c| {
+        std::array::from_fn(|r| {
+            // 64 over the sum of the spectrum.
+            let expected = 20.0 * channels.spread[c] / (1.0 + (r * r) as f64).powf(1.5);
+            let [sum, count] = sums[c][r];
+            ((sum + TRUST * expected) / (count + TRUST)).max(0.05)
+        })
+    })
+}
+
+fn dot(a: &Cells, b: &Cells) -> f64 {
+    let mut sums = [0.0; N];
+    for (a, b) in a.chunks_exact(N).zip(b.chunks_exact(N)) {
+        for i in 0..N {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    sums.iter().sum()
+}
+
+/// Parameter that a part belongs to, and the factor from part to gradient.
+fn parameter(part: usize, channel: usize, state: &State) -> (usize, f64) {
+    let [paint, ground, ..] = state.colour[channel];
+    if part < SHAPE { (part, paint - ground) } else { (part + COLOUR * channel, 1.0) }
+}
+
+/// Adds a block to the normal equations.
+fn add_equations(seen: &Seen<'_>, state: &State, weights: &Cells, h: &mut Matrix, g: &mut Vector) {
+    let by = |p: usize| parameter(p, seen.channel, state);
+    for p in seen.some.clone() {
+        let (row, scale) = by(p);
+        let weighted: Cells = std::array::from_fn(|k| weights[k] * scale * seen.parts[p][k]);
+        g[row] += dot(&weighted, &seen.left);
+        for s in p..seen.some.end {
+            let (column, scale) = by(s);
+            h[(row, column)] += scale * dot(&weighted, &seen.parts[s]);
+        }
+    }
+}
+
+struct Problem<'a> {
+    form: Form,
+    planes: &'a Planes,
+    channels: &'a Channels,
+    cosines: &'a Cosines,
+    classes: [usize; CELLS],
+}
+
+impl Problem<'_> {
+    fn blocks(&self, state: &State) -> Vec<Block> {
+        let planes = self.planes;
+        let full = Basis::of(planes, &state.model(self.form));
+        let mut blocks = Vec::new();
+        add_blocks(&mut blocks, (&full, &planes.seen, planes.width, 1.0), &[(0, &planes.luma)], state, self.cosines);
+        let coarse = (&full.half(planes), &planes.half_seen[..], planes.width / 2, 2.0);
+        let chroma = [(1, &planes.chroma[0][..]), (2, &planes.chroma[1][..])];
+        add_blocks(&mut blocks, coarse, &chroma, state, self.cosines);
+        blocks
+    }
+
+    /// One step of least squares and, after the last, the covariance (xx, xy, yy) of the centre; from the second on weight is
+    /// taken from what lies far off (Student's distribution).
+    fn step(&self, state: &State, round: usize) -> Option<(Vector, [f64; 3])> {
+        const FREEDOM: f64 = 6.0;
+        let blocks = self.blocks(state);
+        let seen: Vec<Seen<'_>> = blocks
+            .iter()
+            .flat_map(|b| {
+                let one = move |&(channel, left): &(usize, Cells)| Seen {
+                    channel,
+                    parts: &b.parts,
+                    some: b.some.clone(),
+                    left,
+                    shown: &b.shown,
+                    open: b.open,
+                };
+                b.left.iter().map(one)
+            })
+            .collect();
+        let texture = texture(&seen, self.channels, &self.classes);
+        let weigh = |block: &Seen<'_>| -> Cells {
+            let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
+            std::array::from_fn(|k| {
+                let variance = rounding[k] + texture[self.classes[k]] * block.open + SAMPLES;
+                let z2 = block.left[k] * block.left[k] / variance;
+                if round > 0 { (FREEDOM + 1.0) / (FREEDOM + z2) / variance } else { 1.0 / variance }
+            })
+        };
+        let weights: Vec<Cells> = seen.iter().map(weigh).collect();
+        let (mut h, mut g) = (Matrix::zeros(), Vector::zeros());
+        for (block, weights) in seen.iter().zip(&weights) {
+            add_equations(block, state, weights, &mut h, &mut g);
+        }
+        h.fill_lower_triangle_with_upper_triangle();
+        self.add_priors(state, &mut h, &mut g);
+        let factor = h.cholesky()?;
+        let covariance = if round + 1 == ROUNDS {
+            self.covariance(state, &seen, &weights, &texture, &factor.inverse())
+        } else {
+            [0.0; 3]
+        };
+        Some((factor.solve(&g), covariance))
+    }
+
+    /// Covariance of the centre: what rounding and texture add to the very sums that it is made of.
+    ///
+    /// The inverse of the normal equations would be it if the texture of each coefficient were independent of the others'. Where
+    /// a mark cuts through a block it is not: texture that is long against the block, cut off at the border, shows in all
+    /// coefficients at once, most of all in those that tell where the border is. So the influence of each coefficient on the centre
+    /// (F. R. Hampel, "The influence curve and its role in robust estimation", Journal of the American Statistical Association
+    /// 69, 1974) is taken back to pixels, weakened there by how much of the ground each shows, and met with the ground's spectrum.
+    fn covariance(
+        &self,
+        state: &State,
+        seen: &[Seen<'_>],
+        weights: &[Cells],
+        texture: &[[f64; CLASSES]; 3],
+        inverse: &Matrix,
+    ) -> [f64; 3] {
+        let mut prior = Matrix::zeros();
+        self.add_priors(state, &mut prior, &mut Vector::zeros());
+        let rows = inverse.fixed_rows::<2>(0);
+        let by_prior = rows * prior * rows.transpose();
+        let mut out = [by_prior[(0, 0)], by_prior[(0, 1)], by_prior[(1, 1)]];
+        for (block, weights) in seen.iter().zip(weights) {
+            let mut influence = [[0.0; CELLS]; 2];
+            for p in block.some.clone() {
+                let (row, scale) = parameter(p, block.channel, state);
+                for (axis, influence) in influence.iter_mut().enumerate() {
+                    let factor = inverse[(axis, row)] * scale;
+                    influence.iter_mut().zip(&block.parts[p]).for_each(|(i, part)| *i += factor * part);
+                }
+            }
+            let shown = influence.each_mut().map(|influence| {
+                influence.iter_mut().zip(weights).for_each(|(i, w)| *i *= w);
+                let mut pixels = self.cosines.back(influence);
+                pixels.iter_mut().zip(block.shown).for_each(|(p, shown)| *p *= shown);
+                self.cosines.transform(&pixels)
+            });
+            let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
+            for (sum, (a, b)) in out.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
+                *sum += (0..CELLS)
+                    .map(|k| {
+                        (rounding[k] + SAMPLES) * influence[a][k] * influence[b][k]
+                            + texture[self.classes[k]] * shown[a][k] * shown[b][k]
+                    })
+                    .sum::<f64>();
+            }
+        }
+        out
+    }
+
+    fn add_priors(&self, state: &State, h: &mut Matrix, g: &mut Vector) {
+        const ASPECT_SD: f64 = 0.1;
+        /// Of the logarithm of the blur about a pixel.
+        const BLUR_SD: f64 = 0.4;
+        /// Levels a pixel.
+        const SLOPE_SD: f64 = 1.0;
+        let s = &state.shape;
+        let pull = |at: usize, value: f64, sd: f64| (value / sd, [(at, 1.0 / sd), (at, 0.0)]);
+        let mut priors = vec![
+            ((s[2] - s[3]) / ASPECT_SD, [(2, 1.0 / ASPECT_SD), (3, -1.0 / ASPECT_SD)]),
+            pull(5, s[5], BLUR_SD),
+            // Weak ones keep the equations regular: a blob's angle and a disc's second side are free.
+            pull(4, 0.0, 10.0),
+            pull(3, 0.0, 100.0),
+        ];
+        for (c, colour) in state.colour.iter().enumerate() {
+            let first = SHAPE + COLOUR * c;
+            priors.extend([pull(first, 0.0, 1000.0), pull(first + 1, 0.0, 1000.0)]);
+            priors.extend([2, 3].map(|k| pull(first + k, colour[k], SLOPE_SD)));
+        }
+        add_priors(priors, h, g, &mut 0.0);
+    }
+}
+
+/// Fits again to the coefficients, from a fit to pixels; `around` is a patch that holds the scene's and more. `None` when it
+/// shows no steps of a JPEG or nothing came of it.
+pub(super) fn refine(
+    scene: &Scene<'_>,
+    around: &Patch,
+    classifier: &Classifier,
+    fit: &Fit,
+    (paint, ground): (Vector3<f64>, &Ground),
+) -> Option<Refined> {
+    /// No JPEG moves a centre further.
+    const MOST_PX: f64 = 0.6;
+    let cosines = Cosines::new();
+    let tables = Tables::shown_by(around, &cosines)?;
+    let is_paint = classifier.paint_of(&around.rgb, &around.valid);
+    let (mut planes, (x, y)) = planes(scene, around, &is_paint, fit)?;
+    let channels = Channels::new(ground, &tables);
+    channels.apply(&mut planes);
+    let problem = Problem {
+        form: fit.form,
+        planes: &planes,
+        channels: &channels,
+        cosines: &cosines,
+        classes: std::array::from_fn(class),
+    };
+    let window = &scene.patch.window;
+    let (x, y) = ((x - window.x as i64) as f64, (y - window.y as i64) as f64);
+    let [a, b] = fit.sides_px;
+    let (paint, bare) = (channels.of(TO_YCC * paint), channels.of(TO_YCC * ground.mean));
+    let mut state = State {
+        // Pixels see the blur of the interpolated chroma too.
+        shape: [fit.x - x, fit.y - y, a.ln(), b.ln(), fit.angle_rad, fit.blur_px.min(1.3).ln()],
+        colour: std::array::from_fn(|c| [paint[c], bare[c], 0.0, 0.0]),
+    };
+    let mut covariance_px2 = [0.0; 3];
+    for round in 0..ROUNDS {
+        let step;
+        (step, covariance_px2) = problem.step(&state, round)?;
+        for (p, value) in state.shape.iter_mut().enumerate() {
+            *value += step[p].clamp(-0.5, 0.5);
+        }
+        for (p, value) in state.colour.as_flattened_mut().iter_mut().enumerate() {
+            *value += step[SHAPE + p];
+        }
+    }
+    let [cx, cy, a, b, angle_rad, blur] = state.shape;
+    let (x, y) = (cx + x, cy + y);
+    // Also false of what is no number.
+    let near = (x - fit.x).hypot(y - fit.y) < MOST_PX;
+    near.then(|| Refined {
+        x,
+        y,
+        sides_px: if fit.form == Form::Disc { [a.exp(); 2] } else { [a.exp(), b.exp()] },
+        angle_rad,
+        blur_px: blur.exp(),
+        covariance_px2,
+        quality: tables.quality,
+    })
+}

@@ -1,0 +1,218 @@
+//! The result of a run as JSON: everything that was asked, seen, solved and written. `docs/formats.md` documents it.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::candidate::{Candidate, Code};
+use crate::gcp::Gcp;
+use crate::matching::{Effort, NamesAgree, Pattern};
+use autoref_raster::coords::GeoTransform;
+use autoref_raster::error::{Error, Result};
+use autoref_solve::Solution;
+
+/// Version of the layout; it grows when a field changes its meaning.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// "solved" or "refused".
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    Solved,
+    Refused,
+}
+
+/// The document. Absent values are `null`; no number is ever NaN or infinite. Lists that an older program did not write are
+/// empty when it is read.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunResult {
+    pub schema_version: u32,
+    pub program: String,
+    pub status: Status,
+    /// Why it was refused, in plain words.
+    pub reason: Option<String>,
+    /// What would help.
+    #[serde(default)]
+    pub advice: Vec<String>,
+    pub image: Option<ImageInfo>,
+    pub gcp_file: String,
+    pub options: serde_json::Value,
+    /// GDAL's six numbers; pixel corners.
+    pub geotransform: Option<GeoTransform>,
+    /// "EPSG:n", WKT, or null for local coordinates.
+    pub crs: Option<String>,
+    /// √(mean(dE² + dN²)), unweighted, metres.
+    pub rmse_m: Option<f64>,
+    pub rmse_e_m: Option<f64>,
+    pub rmse_n_m: Option<f64>,
+    pub rmse_px: Option<f64>,
+    pub scale_m_per_px: Option<f64>,
+    /// Anticlockwise from east.
+    pub rotation_deg: Option<f64>,
+    pub gcps_listed: usize,
+    /// The whole list as it was used in the fit, in the order of the file.
+    #[serde(default)]
+    pub gcps: Vec<Gcp>,
+    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
+    #[serde(default)]
+    pub delivered: bool,
+    /// GCPs that the transform puts inside the image.
+    pub gcps_in_image: Option<usize>,
+    pub candidates_found: usize,
+    /// Patterns as good as this that chance alone would produce; see `log10_false_alarms` when it is too small for a double.
+    pub false_alarms: Option<f64>,
+    pub log10_false_alarms: Option<f64>,
+    #[serde(default)]
+    pub matches: Vec<MatchRow>,
+    #[serde(default)]
+    pub check_points: Vec<MatchRow>,
+    /// What may be claimed of the accuracy; null when nothing was solved.
+    pub accuracy: Option<autoref_solve::accuracy::AccuracyStatement>,
+    /// Expected errors in the image's corners; empty when nothing is known of them.
+    #[serde(default)]
+    pub expected_errors: Vec<autoref_solve::accuracy::CornerError>,
+    /// GCPs inside the image of which no mark was found.
+    #[serde(default)]
+    pub not_found: Vec<String>,
+    /// GCPs that lie outside the image.
+    #[serde(default)]
+    pub outside: Vec<String>,
+    pub solution: Option<Solution>,
+    pub runner_up: Option<Pattern>,
+    /// The best partial pattern of a refused run.
+    pub best_pattern: Option<Pattern>,
+    pub search: Option<Effort>,
+    /// How the names of coded targets agree with the match, when they were heeded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub names: Option<NamesAgree>,
+    pub prior_georeference: Option<PriorGeoreference>,
+    /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
+    #[serde(default)]
+    pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
+    /// What was solved of an elevation model.
+    #[serde(default)]
+    pub heights: Option<crate::pipeline::heights::HeightResult>,
+    /// The transform of `--model`, beside the similarity.
+    #[serde(default)]
+    pub chosen_model: Option<serde_json::Value>,
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// The review that was replayed, whole: who reads the result sees what was changed by hand.
+    pub patch: Option<autoref_review::Patch>,
+    #[serde(default)]
+    pub candidates: Vec<Candidate>,
+    #[serde(default)]
+    pub files_written: Vec<String>,
+    pub reading: Option<Reading>,
+    /// What the self-taught second pass did, when there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
+    pub memory_plan: Option<autoref_raster::memory_plan::ScanPlan>,
+    #[serde(default)]
+    pub timings: Timings,
+    pub peak_memory_bytes: Option<u64>,
+    pub elapsed_s: f64,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ImageInfo {
+    pub path: String,
+    pub width: u64,
+    pub height: u64,
+    pub bands: usize,
+    pub reader: String,
+    pub description: String,
+}
+
+/// One GCP with the mark that is it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MatchRow {
+    pub gcp: String,
+    pub x: f64,
+    pub y: f64,
+    pub easting: f64,
+    pub northing: f64,
+    pub height: Option<f64>,
+    /// 1σ of the survey in each of easting and northing, metres.
+    pub survey_sigma_m: Option<f64>,
+    /// Surveyed − computed.
+    pub residual_e_m: f64,
+    pub residual_n_m: f64,
+    pub residual_px: f64,
+    pub covariance_px2: Option<[f64; 3]>,
+    pub score: Option<f64>,
+    /// "scan" or "rematch": which look gave the centre; "review" when a person did.
+    pub found_by: String,
+    pub leave_one_out_m: Option<f64>,
+    pub redundancy: Option<f64>,
+    pub detectable_blunder_m: Option<f64>,
+    pub outlier: bool,
+    /// What a coded target says of itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<Code>,
+}
+
+/// A georeference that the image already had.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct PriorGeoreference {
+    pub geotransform: GeoTransform,
+    pub crs: Option<String>,
+    /// How far the new georeference moves the image's centre, metres; null when the CRSs differ.
+    pub moved_m: Option<f64>,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Reading {
+    pub blocks_in_file: u64,
+    /// Decoded during the scan.
+    pub blocks_decoded: u64,
+    pub blocks_skipped: u64,
+    pub bytes_read: u64,
+    /// Decoded for windows of their own: marks that straddle tiles, and the second look.
+    pub window_blocks_decoded: u64,
+    pub window_bytes_read: u64,
+}
+
+/// Wall-clock seconds of the stages.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Timings {
+    pub open_s: f64,
+    pub scan_s: f64,
+    pub examine_s: f64,
+    pub match_s: f64,
+    pub rematch_s: f64,
+    /// Pictures of the report.
+    pub report_s: f64,
+    pub write_s: f64,
+}
+
+impl RunResult {
+    /// Reads a document that a run has written.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document, [`Error::Unsupported`]
+    /// when it is of a later version.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());
+        let value: serde_json::Value =
+            serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), format!("no JSON: {e}")))?;
+        match value.get("schema_version").and_then(serde_json::Value::as_u64) {
+            None => return Err(Error::format(path, "schema_version", "it is missing: this is no result of a run")),
+            Some(version) if version > u64::from(SCHEMA_VERSION) => {
+                let what = format!("a result of schema version {version}");
+                return Err(Error::unsupported(path, what, "use the program that wrote it, or a later one"));
+            }
+            Some(_) => {}
+        }
+        serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), e.to_string()))
+    }
+
+    /// The document as text.
+    pub fn to_json(&self) -> String {
+        let mut text = serde_json::to_string_pretty(self).expect("no map keys but strings, no failing serialiser");
+        text.push('\n');
+        text
+    }
+}

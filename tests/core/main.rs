@@ -1,0 +1,27 @@
+//! What the library promises, without the program.
+#![allow(clippy::unwrap_used)] // a test that fails here says where
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../../benches/detection/targets.rs"]
+#[allow(dead_code)] // the benches use the rest
+mod drawn_targets;
+mod readers_oracle;
+#[path = "../../benches/detection/scan.rs"]
+#[allow(dead_code)] // the benches use the rest
+mod scan;
+
+mod adversity;
+mod detection;
+mod doctor;
+mod gcp_lists;
+mod matching;
+mod names;
+mod reader_facts;
+mod readers;
+mod repetition;
+mod synth;
+mod tags;
+mod targets;
+mod thesis;
+mod tile_invariance;

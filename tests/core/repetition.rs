@@ -1,0 +1,146 @@
+//! Figures that repeat, in the list or in the image: nothing in the picture says which is which, so nothing may be claimed.
+
+use crate::common::{Random, bare_candidate};
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Similarity;
+use autoref_stream::candidate::Candidate;
+use autoref_stream::gcp::Gcp;
+use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Priors, RobustMatcher};
+
+const SIZE: (f64, f64) = (8000.0, 6000.0);
+const GSD: f64 = 0.03;
+
+/// An image of 240 × 180 m, turned at random; map coordinates of image positions.
+fn truth(random: &mut Random) -> Similarity {
+    let angle = random.uniform(-180.0, 180.0).to_radians();
+    let (a_re, a_im) = (GSD * angle.cos(), GSD * angle.sin());
+    Similarity { a_re, a_im, easting_0: 569_000.0, northing_0: 7_032_000.0 }
+}
+
+fn figure(random: &mut Random, points: usize) -> Vec<PixelPoint> {
+    (0..points).map(|_| PixelPoint { x: random.uniform(800.0, 3200.0), y: random.uniform(800.0, 5200.0) }).collect()
+}
+
+fn list(points: impl IntoIterator<Item = MapPoint>) -> Vec<Gcp> {
+    points.into_iter().enumerate().map(|(i, m)| Gcp::control(format!("P{i}"), m.easting, m.northing)).collect()
+}
+
+fn marks(random: &mut Random, points: &[PixelPoint], clutter: usize) -> Vec<Candidate> {
+    let mut all: Vec<Candidate> =
+        points.iter().map(|p| bare_candidate(p.x + 0.5 * random.normal(), p.y + 0.5 * random.normal())).collect();
+    all.extend((0..clutter).map(|_| bare_candidate(random.uniform(0.0, SIZE.0), random.uniform(0.0, SIZE.1))));
+    all
+}
+
+fn find(candidates: &[Candidate], gcps: &[Gcp]) -> MatchOutcome {
+    let priors = Priors { gsd_m_per_px: Some((0.9 * GSD, 1.1 * GSD)), rotation_deg: None, image_size_px: Some(SIZE) };
+    RobustMatcher::default().find(candidates, gcps, &priors)
+}
+
+#[track_caller]
+fn refused(what: &str, outcome: MatchOutcome) -> Box<Evidence> {
+    match outcome {
+        MatchOutcome::NoMatch(evidence) => evidence,
+        MatchOutcome::Solved(solved) => panic!("{what}: believed {:?}, rival {:?}", solved.pattern, solved.runner_up),
+    }
+}
+
+#[track_caller]
+fn repeats(what: &str, outcome: MatchOutcome) {
+    let evidence = refused(what, outcome);
+    assert!(evidence.reason.contains("another one is almost as good"), "{what}: {}", evidence.reason);
+    assert!(evidence.advice.iter().any(|line| line.contains("repeats")), "{what}: {:?}", evidence.advice);
+}
+
+/// The image shows one of two places that look the same in the list, and other GCPs that were not marked.
+#[test]
+fn a_figure_that_the_list_holds_twice() {
+    let mut random = Random::new(41);
+    for trial in 0..20 {
+        let truth = truth(&mut random);
+        let figure = figure(&mut random, 6);
+        let placed: Vec<MapPoint> = figure.iter().map(|p| truth.apply(*p)).collect();
+        // Far enough away that the image never shows both.
+        let again = placed.iter().map(|m| MapPoint { easting: m.easting + 700.0, northing: m.northing - 400.0 });
+        let others = (0..10).map(|_| MapPoint {
+            easting: 569_000.0 + random.uniform(-900.0, 900.0),
+            northing: 7_032_000.0 + random.uniform(-900.0, 900.0),
+        });
+        let gcps = list(placed.iter().copied().chain(again).chain(others.collect::<Vec<_>>()));
+        let candidates = marks(&mut random, &figure, 40);
+        repeats(&format!("trial {trial}"), find(&candidates, &gcps));
+    }
+}
+
+#[test]
+fn a_figure_that_the_image_shows_twice() {
+    let mut random = Random::new(43);
+    for trial in 0..20 {
+        let truth = truth(&mut random);
+        let figure = figure(&mut random, 7);
+        let gcps = list(figure.iter().map(|p| truth.apply(*p)));
+        let moved = figure.iter().map(|p| PixelPoint { x: p.x + 3600.0, y: p.y + 300.0 });
+        let moved: Vec<PixelPoint> = moved.collect();
+        // Each copy lacks another mark; then one of them has all: marks are overlooked every day.
+        for first in [1, 0] {
+            let seen: Vec<PixelPoint> = figure[first..].iter().chain(&moved[..6]).copied().collect();
+            let candidates = marks(&mut random, &seen, 40);
+            repeats(&format!("trial {trial}, {} and 6 marks", 7 - first), find(&candidates, &gcps));
+        }
+    }
+}
+
+#[test]
+fn symmetric_layouts() {
+    let mut random = Random::new(44);
+    let centre = PixelPoint { x: 4000.0, y: 3000.0 };
+    let ring = |n: usize| -> Vec<PixelPoint> {
+        let at = |i: usize| 0.3 + std::f64::consts::TAU * i as f64 / n as f64;
+        (0..n).map(|i| PixelPoint { x: centre.x + 2000.0 * at(i).cos(), y: centre.y + 2000.0 * at(i).sin() }).collect()
+    };
+    let line: Vec<PixelPoint> = (0..6).map(|i| PixelPoint { x: 1000.0 + 1100.0 * f64::from(i), y: 2500.0 }).collect();
+    let grid: Vec<PixelPoint> = (0..12)
+        .map(|i| PixelPoint { x: 1500.0 + 1200.0 * f64::from(i % 4), y: 1500.0 + 1200.0 * f64::from(i / 4) })
+        .collect();
+    for (what, layout) in [
+        ("triangle", ring(3)),
+        ("square", ring(4)),
+        ("hexagon", ring(6)),
+        ("ring of twelve", ring(12)),
+        ("line", line),
+        ("grid", grid),
+    ] {
+        for clutter in [0, 30] {
+            let truth = truth(&mut random);
+            let gcps = list(layout.iter().map(|p| truth.apply(*p)));
+            let candidates = marks(&mut random, &layout, clutter);
+            refused(&format!("{what} with {clutter} false"), find(&candidates, &gcps));
+        }
+    }
+}
+
+/// Points surveyed twice, marks found twice: the second is no witness.
+#[test]
+fn duplicates_are_no_evidence() {
+    let mut random = Random::new(45);
+    let doubled = |gcps: &[Gcp], by: f64| -> Vec<Gcp> {
+        list(
+            gcps.iter()
+                .flat_map(|g| [0.0, by].map(|d| MapPoint { easting: g.easting + d, northing: g.northing - 0.3 * d })),
+        )
+    };
+    let trials = if crate::common::large() { 1000 } else { 60 };
+    for trial in 0..trials {
+        // Three points a centimetre to half a metre apart from themselves, and clutter in twos: no pattern.
+        let by = [0.01, 0.03, 0.1, 0.5][trial % 4];
+        let truth = truth(&mut random);
+        let unrelated = figure(&mut random, 8);
+        let gcps = doubled(&list(unrelated.iter().map(|p| truth.apply(*p))), by);
+        let clutter: Vec<PixelPoint> = (0..60)
+            .map(|_| PixelPoint { x: random.uniform(0.0, SIZE.0), y: random.uniform(0.0, SIZE.1) })
+            .flat_map(|p| [p, PixelPoint { x: p.x + by / GSD, y: p.y + 2.0 }])
+            .collect();
+        let candidates = marks(&mut random, &clutter, 0);
+        refused(&format!("trial {trial}, {by} m apart"), find(&candidates, &gcps));
+    }
+}

@@ -1,0 +1,33 @@
+//! What the program promises on the command line, in the files it writes and in the pages it makes.
+#![allow(clippy::unwrap_used)] // a test that fails here says where
+
+mod browser;
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../../benches/detection/targets.rs"]
+#[allow(dead_code)] // the benches use the rest
+mod drawn_targets;
+#[path = "../../benches/detection/scan.rs"]
+#[allow(dead_code)] // the benches use the rest
+mod scan;
+
+mod accuracy;
+#[cfg(feature = "coded")]
+mod coded;
+mod command_line;
+mod detection_commands;
+mod dialects;
+mod e6;
+mod film;
+mod film_outputs;
+mod film_rolls;
+mod heights;
+mod main_job;
+mod outputs;
+mod photographs;
+mod planning;
+mod pumpkins;
+mod report;
+mod robustness;
+mod second_pass;
+mod selftest;
