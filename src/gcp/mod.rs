@@ -17,7 +17,7 @@ mod csv_list;
 mod frame;
 mod geojson;
 mod kof;
-mod odm;
+pub mod odm;
 mod ogr;
 mod qgis;
 mod raw;

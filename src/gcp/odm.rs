@@ -10,8 +10,10 @@ use std::path::Path;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{Line, number};
 use crate::gcp::{Gcp, GcpRole, csv_list};
-use crate::georef::dialects::gcp_list::CHECK_PREFIX;
 use autoref_raster::error::{Error, Result};
+
+/// What OpenDroneMap's labels of check points begin with.
+pub const CHECK_PREFIX: &str = "CHK-";
 
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {

@@ -12,6 +12,7 @@ mod readers_oracle;
 mod scan;
 
 mod adversity;
+mod architecture;
 mod detection;
 mod doctor;
 mod gcp_lists;

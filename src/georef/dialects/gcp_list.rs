@@ -10,8 +10,7 @@ use super::{TiePoints, write_file};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
-/// What OpenDroneMap's labels of check points begin with.
-pub const CHECK_PREFIX: &str = "CHK-";
+use crate::gcp::odm::CHECK_PREFIX;
 
 /// Writes the list.
 ///
