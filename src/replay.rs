@@ -82,12 +82,7 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
             elevation_m: None,
             code: row.code.clone(),
         });
-        let found_by = match row.found_by.as_str() {
-            "rematch" => FoundBy::Rematch,
-            "review" => FoundBy::Review,
-            _ => FoundBy::Scan,
-        };
-        held[gcp] = Some(Held { mark, found_by, used: true });
+        held[gcp] = Some(Held { mark, found_by: row.found_by, used: true });
     }
     if recorded.status == Status::Refused {
         for &(candidate, gcp) in recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs) {

@@ -1,5 +1,6 @@
 //! A corrected copy of an elevation model, streamed.
 
+use autoref_raster::Written;
 use std::path::Path;
 
 use gdal::DriverManager;
@@ -41,6 +42,7 @@ pub fn write_corrected(
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let (width, height) = model.size();
     let options = RasterCreationOptions::from_iter(["COMPRESS=DEFLATE", "PREDICTOR=3", "BIGTIFF=IF_SAFER"]);
+    let written = Written::watch(path);
     let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
     let mut copy = driver
         .create_with_band_type_with_options::<f32, _>(path, width as usize, height as usize, 1, &options)
@@ -71,5 +73,5 @@ pub fn write_corrected(
         band.write((0, y as isize), size, &mut Buffer::new(size, values)).map_err(failed)?;
     }
     copy.flush_cache().map_err(failed)?;
-    copy.close().map_err(failed)
+    written.close(copy)
 }

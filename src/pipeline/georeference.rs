@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use serde::{Deserialize, Serialize};
+
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
@@ -44,10 +46,12 @@ pub enum Outcome {
     Refused(Box<Evidence>),
 }
 
-/// Which look gave a mark's centre.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Which look gave a mark's centre; in JSON "scan", "rematch" or "review".
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum FoundBy {
     Scan,
+    /// The refinement: a window of its own where the GCP must be.
     Rematch,
     /// A person, on record in a patch file.
     Review,

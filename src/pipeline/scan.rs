@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::TrySendError;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -31,6 +32,8 @@ pub const MAX_CANDIDATES: usize = 1_000_000;
 /// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second of a fast
 /// disk. It lies in the system's cache, not in ours.
 const FETCH_AHEAD_BYTES: u64 = 64 << 20;
+/// Straddling marks that may wait for each worker, with the pixels around them.
+const STRADDLERS_PER_WORKER: usize = 64;
 /// The fetcher is woken for so many tiles at once.
 const FETCHED_TOGETHER: u64 = 8;
 
@@ -171,7 +174,7 @@ fn scan_tiles(
     let tile_bytes = plan.grid.tile_width() * plan.grid.tile_height() * (info.bands * info.sample.bytes()) as u64;
     let pace = Pace::of(plan.workers, FETCH_AHEAD_BYTES.div_ceil(tile_bytes.max(1)));
     let next_tile = AtomicU64::new(0);
-    let (straddler_sender, straddlers) = crossbeam_channel::unbounded::<Straddler>();
+    let (straddler_sender, straddlers) = crossbeam_channel::bounded::<Straddler>(STRADDLERS_PER_WORKER * plan.workers);
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let (stop, pace) = (&stop, &pace);
@@ -292,7 +295,7 @@ impl<'a> Collector<'a> {
             for region in complete {
                 match self.missing_tile(&region) {
                     Some(missing) => self.waiting.entry(missing).or_default().push(region),
-                    None => self.pass_on(region, straddlers),
+                    None => self.pass_on(region, straddlers)?,
                 }
             }
             self.release_behind();
@@ -319,15 +322,25 @@ impl<'a> Collector<'a> {
     }
 
     /// All tiles around the region have come. What the seams do not hold is read again after the scan.
-    fn pass_on(&mut self, region: Region, straddlers: &crossbeam_channel::Sender<Straddler>) {
+    /// Where the workers have enough to do it is examined here, so that no more wait than the channel holds.
+    fn pass_on(&mut self, region: Region, straddlers: &crossbeam_channel::Sender<Straddler>) -> Result<()> {
         let window = patch_window(&region, self.detector, self.source.info());
         let straddler = Straddler { block: self.seams.block(window), region };
         if straddler.block.is_none() {
             self.collected.straddling.push(straddler);
-        } else if let Err(unsent) = straddlers.send(straddler) {
-            // Nobody listens when all workers have ended.
-            self.collected.straddling.push(unsent.0);
+            return Ok(());
         }
+        match straddlers.try_send(straddler) {
+            Ok(()) => {}
+            Err(TrySendError::Full(straddler)) => {
+                let examined = examine_straddler(self.source, self.detector, &straddler)?;
+                self.collected.clutter += u64::from(examined.1.is_empty());
+                self.collected.examined.extend(Some(examined).filter(|(_, found)| !found.is_empty()));
+            }
+            // Nobody listens when all workers have ended.
+            Err(TrySendError::Disconnected(straddler)) => self.collected.straddling.push(straddler),
+        }
+        Ok(())
     }
 
     /// Lets go of the tiles that have come: of their file blocks when no tile can want them any more, and of their seams when no

@@ -7,6 +7,7 @@ use serde::Serialize;
 use crate::candidate::{Candidate, Code};
 use crate::detector::Detector;
 use crate::gcp::Gcp;
+use crate::pipeline::georeference::FoundBy;
 use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
 use crate::report::kept_pixels::Keeper;
@@ -66,7 +67,7 @@ struct Mark {
     /// What a coded target says of itself, as `family:number`.
     #[serde(skip_serializing_if = "Option::is_none")]
     code: Option<Code>,
-    found_by: String,
+    found_by: FoundBy,
     /// Index in the result's list.
     candidate: Option<usize>,
     size_px: Option<[f64; 2]>,
@@ -272,7 +273,7 @@ impl<'a> Plan<'a> {
             covariance_px2: row.covariance_px2,
             score: row.score,
             code: row.code.clone(),
-            found_by: row.found_by.clone(),
+            found_by: row.found_by,
             candidate,
             size_px: candidate.and_then(|i| self.result.candidates[i].size_px),
             chip: None,
@@ -287,7 +288,7 @@ impl<'a> Plan<'a> {
             covariance_px2: c.covariance_px2,
             score: c.score,
             code: c.code.clone(),
-            found_by: "scan".into(),
+            found_by: FoundBy::Scan,
             candidate: Some(candidate),
             size_px: c.size_px,
             chip: None,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::{Candidate, Code};
 use crate::gcp::Gcp;
 use crate::matching::{Effort, NamesAgree, Pattern};
+use crate::pipeline::georeference::FoundBy;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
 use autoref_solve::Solution;
@@ -141,8 +142,8 @@ pub struct MatchRow {
     pub residual_px: f64,
     pub covariance_px2: Option<[f64; 3]>,
     pub score: Option<f64>,
-    /// "scan" or "rematch": which look gave the centre; "review" when a person did.
-    pub found_by: String,
+    /// Which look gave the centre.
+    pub found_by: FoundBy,
     pub leave_one_out_m: Option<f64>,
     pub redundancy: Option<f64>,
     pub detectable_blunder_m: Option<f64>,

@@ -15,6 +15,7 @@ mod adversity;
 mod architecture;
 mod detection;
 mod doctor;
+mod examples;
 mod gcp_lists;
 mod matching;
 mod names;

@@ -2,14 +2,15 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches};
 
 mod cli;
 
 fn main() -> ExitCode {
-    let cli = cli::Cli::parse();
+    let matches = cli::Cli::command().get_matches();
+    let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::init_log(cli.verbose);
-    match cli::dispatch(cli) {
+    match cli::inputs::guard(&matches).map_err(anyhow::Error::from).and_then(|()| cli::dispatch(cli)) {
         Ok(code) => code,
         Err(error) => {
             // One line: the chain of causes, without the debug noise.

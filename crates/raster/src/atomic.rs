@@ -4,12 +4,18 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::protected::refuse_input;
 
-/// Writes `content` under a temporary name beside `path`, brings it to disk, and renames it.
+/// Writes `content` under a temporary name beside `path`, brings it to disk, and renames it. A device, FIFO or socket is
+/// written into: a rename would replace it.
 ///
 /// # Errors
-/// When the system says no; nothing is left behind then.
+/// When the system says no, or `path` is an input; nothing is left behind then.
 pub fn write(path: &Path, content: &[u8]) -> Result<()> {
+    if is_special(path) {
+        let opened = std::fs::OpenOptions::new().write(true).open(path);
+        return opened.and_then(|mut file| file.write_all(content)).map_err(|e| Error::io(path, "write", e));
+    }
     with_temporary(path, |temporary| {
         let mut file = std::fs::File::create(temporary).map_err(|e| Error::io(path, "create", e))?;
         file.write_all(content).and_then(|()| file.sync_all()).map_err(|e| Error::io(path, "write", e))
@@ -22,6 +28,9 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
 /// # Errors
 /// Those of `produce` and of the renaming; the temporary file is removed then.
 pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    refuse_input(path)?;
+    refuse_special(path)?;
+    remove_leftovers(path);
     let temporary = temporary_name(path);
     let result = produce(&temporary)
         .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e)));
@@ -30,6 +39,43 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
         let _ = std::fs::remove_file(&temporary);
     }
     result
+}
+
+/// Whether there is something at `path` that is neither file nor folder.
+fn is_special(path: &Path) -> bool {
+    std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+fn refuse_special(path: &Path) -> Result<()> {
+    if is_special(path) {
+        let what = format!(
+            "the output {} is a device, FIFO or socket, which this format cannot be written into",
+            path.display()
+        );
+        return Err(Error::usage(what, "name a file"));
+    }
+    Ok(())
+}
+
+/// Removes part files of the same output whose process has ended without a word.
+fn remove_leftovers(path: &Path) {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let Some(rest) = name.strip_prefix(&format!(".{stem}.")) else { continue };
+        let Some((number, end)) = rest.split_once('.') else { continue };
+        // A second name of what was replaced (".before") is not ours to throw away.
+        let part = (end == "part" || end.starts_with("part.")) && !end.ends_with(".before");
+        // Without /proc nobody can say whether the process lives.
+        let ended = Path::new("/proc/self").exists()
+            && number.parse::<u32>().is_ok_and(|id| !Path::new(&format!("/proc/{id}")).exists());
+        if part && ended {
+            // It may be somebody else's; then it stays.
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
 }
 
 fn temporary_name(path: &Path) -> PathBuf {
@@ -90,6 +136,16 @@ impl Transaction {
     /// # Errors
     /// Those of `produce`, and of bringing the files to disk.
     pub fn stage_all(&mut self, targets: &[PathBuf], produce: impl FnOnce(&[PathBuf]) -> Result<()>) -> Result<()> {
+        for (number, target) in targets.iter().enumerate() {
+            refuse_input(target)?;
+            refuse_special(target)?;
+            remove_leftovers(target);
+            let staged = self.staged.iter().map(|staged| &staged.target).chain(&targets[..number]);
+            if staged.into_iter().any(|other| other == target) {
+                let what = format!("two outputs of this command are {}", target.display());
+                return Err(Error::usage(what, "name them apart"));
+            }
+        }
         let temporaries: Vec<PathBuf> = targets.iter().map(|target| temporary_name(target)).collect();
         for (target, temporary) in targets.iter().zip(&temporaries) {
             let (temporary, target) = (temporary.clone(), target.clone());
@@ -211,10 +267,14 @@ fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error 
 /// Refuses, before any work, to write over what is there.
 ///
 /// # Errors
-/// [`Error::Usage`] naming the first file that exists when `overwrite` is false, or that is a directory; [`Error::Io`]
-/// when a folder does not exist.
+/// [`Error::Usage`] naming the first file that exists when `overwrite` is false, or that is a directory or an input of the
+/// command; [`Error::Io`] when a folder does not exist.
 pub fn check_outputs(paths: &[&Path], overwrite: bool) -> Result<()> {
     for path in paths {
+        refuse_input(path)?;
+        if is_special(path) {
+            continue; // written into, not replaced
+        }
         if path.is_dir() {
             return Err(Error::usage(format!("the output {} is a directory", path.display()), "name a file"));
         }
@@ -284,6 +344,32 @@ mod tests {
         dropped.stage_bytes(&folder.path().join("c"), b"x").expect("writable");
         drop(dropped);
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 2);
+    }
+
+    #[test]
+    fn parts_of_runs_that_died_are_removed() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        // No process has this number: it is above the largest.
+        let names = [".a.4999999.part.json", ".a.4999999.part.json.before", ".b.4999999.part.json"];
+        names.iter().for_each(|name| std::fs::write(at(name), "half").expect("writable"));
+        write(&at("a.json"), b"whole").expect("writable");
+        assert_eq!(names.map(|name| at(name).exists()), [false, true, true]);
+    }
+
+    #[test]
+    fn a_device_is_written_into() {
+        write(Path::new("/dev/null"), b"gone").expect("writable");
+        assert!(is_special(Path::new("/dev/null")), "it was replaced");
+        assert!(with_temporary(Path::new("/dev/null"), |_| Ok(())).is_err());
+    }
+
+    #[test]
+    fn two_outputs_of_one_name_are_refused() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut transaction = Transaction::new();
+        transaction.stage_bytes(&folder.path().join("a"), b"1").expect("writable");
+        assert!(transaction.stage_bytes(&folder.path().join("a"), b"2").is_err());
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once, PoisonError};
 
+use gdal::errors::CplErrType;
 use gdal::raster::{ColorInterpretation, GdalDataType, GdalType, RasterBand};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
@@ -26,6 +27,9 @@ pub fn initialise_gdal(cache_bytes: u64) {
     ONCE.call_once(|| {
         gdal::config::set_error_handler(|kind, number, message| {
             tracing::debug!(target: "gdal", ?kind, number, "{message}");
+            if matches!(kind, CplErrType::Failure | CplErrType::Fatal) {
+                super::written::note_failure(message);
+            }
         });
         // Below 100000 GDAL would read the number as megabytes. Blocks are cached by us: GDAL needs only what one read of
         // several bands meets again.

@@ -36,11 +36,13 @@ pub mod mosaic;
 mod open;
 mod patch;
 mod pool;
+pub mod protected;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;
 mod white;
 pub mod window;
+mod written;
 
 pub use elevation::ElevationModel;
 pub use error::{Error, Result};
@@ -49,6 +51,7 @@ pub use open::{open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};
 pub use pool::BufferPool;
 pub use white::with_white;
+pub use written::{Written, failed_to_write};
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -64,6 +67,17 @@ pub enum ReaderChoice {
     Auto,
     Native,
     Gdal,
+}
+
+impl ReaderChoice {
+    /// As the command line and the JSON write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            ReaderChoice::Auto => "auto",
+            ReaderChoice::Native => "native",
+            ReaderChoice::Gdal => "gdal",
+        }
+    }
 }
 
 /// How samples are stored once decoded. Wider or other types (float, complex) are not images to us: elevation models go

@@ -1,5 +1,6 @@
 //! Streaming a scene into a GeoTIFF through GDAL, in windows that follow the file's blocks.
 
+use autoref_raster::Written;
 use std::path::{Path, PathBuf};
 
 use gdal::DriverManager;
@@ -206,6 +207,7 @@ fn stream<T: Sample + GdalType + 'static>(
     std::thread::scope(|scope| {
         let (sender, receiver) = crossbeam_channel::bounded::<Vec<(Window, Vec<Buffer<T>>)>>(1);
         let writer = scope.spawn(move || -> Result<()> {
+            let written = Written::watch(path);
             let mut done = 0;
             for pieces in receiver {
                 for (window, planes) in pieces {
@@ -221,7 +223,7 @@ fn stream<T: Sample + GdalType + 'static>(
             }
             // Closing flushes what is left; a full disk shows here.
             dataset.flush_cache().map_err(gdal)?;
-            dataset.close().map_err(gdal)
+            written.close(dataset)
         });
         let mut drawn = Ok(());
         for first in (0..grid.len()).step_by(batch as usize) {

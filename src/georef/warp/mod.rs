@@ -6,6 +6,7 @@
 mod create_copy;
 mod vrt;
 
+use autoref_raster::failed_to_write;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
@@ -387,7 +388,7 @@ pub fn write(
 /// First a plain tiled copy, then the COG of it: the COG driver reads every pixel several times, for overviews band by band,
 /// and each time the image would be warped again.
 fn copy(xml: &str, image: &Path, out: &Path, options: &WarpOptions, progress: &dyn Fn(f64) -> bool) -> Result<()> {
-    let failed = |what| Error::gdal(out, what);
+    let failed = |what: String| failed_to_write(out, &what);
     let mut plain = out.as_os_str().to_owned();
     plain.push(".warp.tmp");
     let plain = Path::new(&plain);

@@ -28,6 +28,18 @@ pub enum Banding {
     Both,
 }
 
+impl Banding {
+    /// As the command line and the description of a frame write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Banding::Off => "off",
+            Banding::Rows => "rows",
+            Banding::Columns => "columns",
+            Banding::Both => "both",
+        }
+    }
+}
+
 /// Lines beside the axis that say what the ground would have there.
 const NEIGHBOURS: usize = 6;
 /// Half waves over the image below which nothing is taken for a band.

@@ -7,6 +7,7 @@ mod fft;
 pub mod kernel;
 pub mod lighting;
 
+use autoref_raster::Written;
 use std::path::{Path, PathBuf};
 
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
@@ -57,7 +58,7 @@ pub fn description(camera: &Camera, inner: &InnerOrientation, options: &Resample
         "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")), "camera": camera.name,
         "pixel_mm": options.pixel_mm, "kernel": options.kernel.name(), "mask_radius_mm": options.mask_radius_mm,
         "boxes_mm": boxes,
-        "banding": format!("{:?}", options.banding).to_lowercase(), "lighting": light,
+        "banding": options.banding.name(), "lighting": light,
         "film_of_first_pixel_mm": camera.film_box().0, "pixel_to_mm": inner.pixel_to_mm,
     })
     .to_string()
@@ -278,6 +279,7 @@ impl<'a> Grid<'a> {
         store: fn(f32) -> T,
     ) -> Result<()> {
         let failed = |e: gdal::errors::GdalError| Error::gdal(image, e);
+        let (written, written_mask) = (Written::watch(image), Written::watch(mask));
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
         let options = RasterCreationOptions::from_iter(["TILED=YES", "COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"]);
         let [width, height] = self.size;
@@ -308,7 +310,7 @@ impl<'a> Grid<'a> {
             band.write(at, (w, h), &mut Buffer::new((w, h), pixels)).map_err(failed)?;
             mask_band.write(at, (w, h), &mut Buffer::new((w, h), valid)).map_err(failed)?;
         }
-        out.close().map_err(failed)?;
-        out_mask.close().map_err(failed)
+        written.close(out)?;
+        written_mask.close(out_mask)
     }
 }

@@ -172,6 +172,16 @@ pub enum ReaderArg {
     Gdal,
 }
 
+impl ReaderArg {
+    pub fn choice(self) -> ReaderChoice {
+        match self {
+            ReaderArg::Auto => ReaderChoice::Auto,
+            ReaderArg::Native => ReaderChoice::Native,
+            ReaderArg::Gdal => ReaderChoice::Gdal,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PriorArg {
     /// Use what the image has; when nothing fits, try again without.
@@ -292,11 +302,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
     // Fails only when a pool exists already, which then serves.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let cache_bytes = autoref_raster::memory_plan::cache_share_bytes(read.memory.0);
-    let choice = match read.reader {
-        ReaderArg::Auto => ReaderChoice::Auto,
-        ReaderArg::Native => ReaderChoice::Native,
-        ReaderArg::Gdal => ReaderChoice::Gdal,
-    };
+    let choice = read.reader.choice();
     let profile = profile(marks)?;
     // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for more.
     let (source, colours) = std::thread::scope(|scope| {

@@ -1,9 +1,11 @@
 //! `autoref-stream distance`: the distance of every pixel's colour from the paint, to see what the detector sees.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
+use autoref_raster::error::Error;
 use autoref_raster::window::Window;
+use autoref_raster::{RasterSource, Written, atomic};
 use autoref_stream::profile::Profile;
 use autoref_stream::segment::classify::Classifier;
 use gdal::DriverManager;
@@ -36,29 +38,37 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    if args.output.exists() && !args.overwrite {
-        bail!("{} exists; give --overwrite to replace it", args.output.display());
-    }
+    atomic::check_outputs(&[&args.output], args.overwrite)?;
     let profile = Profile::load(&args.profile)?;
     let source = args.samples.open(&args.image, 128 << 20)?;
     let info = source.info();
     let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
     let unit = if args.normalised { 1.0 / profile.colour.limit } else { 1.0 };
 
-    let failed = || format!("{}: GDAL cannot write it", args.output.display());
-    let driver = DriverManager::get_driver_by_name("GTiff").with_context(failed)?;
+    atomic::with_temporary(&args.output, |partial| write(partial, source.as_ref(), &classifier, unit))?;
+    if args.json {
+        let document = serde_json::json!({"files_written": [args.output.display().to_string()]});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+    }
+    Ok(())
+}
+
+/// Streams the distances into a GeoTIFF at `path`.
+fn write(path: &Path, source: &dyn RasterSource, classifier: &Classifier, unit: f64) -> autoref_raster::Result<()> {
+    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let info = source.info();
+    let written = Written::watch(path);
+    let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
     let options = RasterCreationOptions::from_iter(["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER", "TILED=YES"]);
-    // Whole or not at all: written beside the output, renamed at the end.
-    let partial = args.output.with_extension("tif.part");
     let (width, height) = (info.width, info.height);
     let mut file = driver
-        .create_with_band_type_with_options::<f32, _>(&partial, width as usize, height as usize, 1, &options)
-        .with_context(failed)?;
+        .create_with_band_type_with_options::<f32, _>(path, width as usize, height as usize, 1, &options)
+        .map_err(failed)?;
     if let Some(transform) = info.geotransform {
-        file.set_geo_transform(&transform.0).with_context(failed)?;
+        file.set_geo_transform(&transform.0).map_err(failed)?;
     }
-    let mut band = file.rasterband(1).with_context(failed)?;
-    band.set_no_data_value(Some(f64::NAN)).with_context(failed)?;
+    let mut band = file.rasterband(1).map_err(failed)?;
+    band.set_no_data_value(Some(f64::NAN)).map_err(failed)?;
     // Bands of rows that a bounded amount of memory holds, in multiples of the output's tiles.
     let columns = width.min(8192);
     let rows = 256u64;
@@ -72,14 +82,8 @@ pub fn run(args: &Args) -> Result<()> {
             };
             let size = (window.width as usize, window.height as usize);
             let mut values = Buffer::new(size, (0..patch.rgb.len()).map(distance).collect());
-            band.write((x as isize, y as isize), size, &mut values).with_context(failed)?;
+            band.write((x as isize, y as isize), size, &mut values).map_err(failed)?;
         }
     }
-    file.close().with_context(failed)?;
-    std::fs::rename(&partial, &args.output).with_context(failed)?;
-    if args.json {
-        let document = serde_json::json!({"files_written": [args.output.display().to_string()]});
-        println!("{}", serde_json::to_string_pretty(&document)?);
-    }
-    Ok(())
+    written.close(file)
 }

@@ -15,6 +15,7 @@ pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;
 pub mod frame;
+pub mod inputs;
 pub mod plan;
 pub mod positions;
 pub mod replay;

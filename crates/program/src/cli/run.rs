@@ -15,7 +15,7 @@ use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::pipeline::georeference::{FoundBy, FoundMark, Job, Orientation, Outcome, Run, georeference};
+use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::second_pass::second_pass;
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
@@ -139,7 +139,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "tile": args.read.tile,
         "threads": args.read.threads,
         "memory_budget_bytes": args.read.memory.0,
-        "reader": format!("{:?}", args.read.reader).to_lowercase(),
+        "reader": args.read.reader.choice().name(),
         "page": args.read.page,
         "white": job.source.info().white,
         "halo_px": job.detector.halo_px(),
@@ -412,11 +412,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,
         covariance_px2: found.mark.covariance_px2,
         score: found.mark.score,
-        found_by: match found.found_by {
-            FoundBy::Scan => "scan".into(),
-            FoundBy::Rematch => "rematch".into(),
-            FoundBy::Review => "review".into(),
-        },
+        found_by: found.found_by,
         leave_one_out_m: None,
         redundancy: None,
         detectable_blunder_m: None,

@@ -52,6 +52,19 @@ pub enum SolverArg {
     Kraus,
 }
 
+impl SolverArg {
+    /// As the JSON of a result writes it.
+    fn json_name(self) -> &'static str {
+        match self {
+            SolverArg::Horn => "Horn",
+            SolverArg::HornHilden => "HornHilden",
+            SolverArg::Umeyama => "Umeyama",
+            SolverArg::UmeyamaHornScale => "UmeyamaHornScale",
+            SolverArg::Kraus => "Kraus",
+        }
+    }
+}
+
 /// What is known of the image's size and place.
 pub struct ImagePlace {
     pub size_px: Option<(f64, f64)>,
@@ -229,7 +242,7 @@ impl SolvingArgs {
         let rows: Vec<Vec<f64>> = space.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
         serde_json::json!({
             "model": "7-parameter",
-            "solver": format!("{:?}", self.solver),
+            "solver": self.solver.json_name(),
             "from": "similarity's easting and northing of the marks, elevation of the model; metres",
             "scale": space.scale,
             "rotation": rows,

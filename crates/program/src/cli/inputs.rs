@@ -1,0 +1,126 @@
+//! Which arguments name files that are read, and which name files that are written: no output is ever an input.
+//!
+//! Every argument that takes a path is in one of two lists (a test holds the command line to that). Before a command does
+//! anything, what its inputs name is protected ([`autoref_raster::protected`]) and what its outputs name is checked: against
+//! the inputs, against the files that lie beside an input and belong to it, and against each other.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use autoref_raster::Error;
+use autoref_raster::protected::{is_input, protect, same_file};
+use clap::ArgMatches;
+
+/// Arguments whose value is a file or folder that the command writes.
+const OUTPUTS: &[&str] = &["output", "out", "write_dem", "write_gcps"];
+
+/// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
+const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
+const REPLACED: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
+
+/// Protects what the command reads and refuses outputs that would harm it.
+///
+/// # Errors
+/// [`Error::Usage`] naming the output and what it collides with.
+pub fn guard(matches: &ArgMatches) -> Result<(), Error> {
+    let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
+    gather(matches, &mut inputs, &mut outputs);
+    inputs.iter().for_each(|input| protect(input));
+    for (number, output) in outputs.iter().enumerate() {
+        if output.is_dir() || output.as_os_str() == "-" {
+            continue;
+        }
+        if let Some(input) = inputs.iter().find(|input| input.is_file() && same_file(output, input)) {
+            return Err(is_input(output, input));
+        }
+        if let Some(input) = inputs.iter().find(|input| companions(input).iter().any(|c| same_file(output, c))) {
+            let what = format!("the output {} belongs to the input {}", output.display(), input.display());
+            return Err(Error::usage(what, "name another output"));
+        }
+        if outputs[..number].iter().any(|other| same_file(output, other) && other.as_os_str() != "-") {
+            return Err(Error::usage(format!("two outputs are {}", output.display()), "name them apart"));
+        }
+    }
+    Ok(())
+}
+
+/// Values of the command and its subcommands that name something that is there, and values of outputs.
+fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<PathBuf>) {
+    for id in matches.ids() {
+        let Ok(Some(values)) = matches.try_get_raw(id.as_str()) else { continue };
+        for value in values {
+            let named = named(value);
+            if OUTPUTS.contains(&id.as_str()) {
+                outputs.push(named);
+            } else if named.is_file() {
+                inputs.push(named);
+            }
+        }
+    }
+    if let Some((_, inner)) = matches.subcommand() {
+        gather(inner, inputs, outputs);
+    }
+}
+
+/// The path in a value; `CLASS=…@FILE` and `FILE=FILE` name theirs at the end.
+fn named(value: &OsStr) -> PathBuf {
+    let whole = PathBuf::from(value);
+    if whole.exists() {
+        return whole;
+    }
+    let text = value.to_string_lossy();
+    let end = text.rsplit(['@', '=']).next().unwrap_or_default();
+    if Path::new(end).is_file() { PathBuf::from(end) } else { whole }
+}
+
+fn companions(input: &Path) -> Vec<PathBuf> {
+    let appended = APPENDED.iter().map(|end| {
+        let mut name = input.as_os_str().to_owned();
+        name.push(end);
+        PathBuf::from(name)
+    });
+    appended.chain(REPLACED.iter().map(|end| input.with_extension(end))).filter(|c| c.as_path() != input).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// Arguments whose value is a file that the command reads (or, with `files`, restores).
+    const INPUTS: &[&str] = &[
+        "accuracy",
+        "as_is",
+        "candidates",
+        "dem",
+        "files",
+        "frames",
+        "gcps",
+        "image",
+        "patch",
+        "photos",
+        "result",
+        "to",
+    ];
+
+    fn paths(command: &clap::Command, found: &mut Vec<String>) {
+        let path = std::any::TypeId::of::<PathBuf>();
+        let takes = |arg: &&clap::Arg| arg.get_value_parser().type_id() == path;
+        found.extend(command.get_arguments().filter(takes).map(|arg| arg.get_id().to_string()));
+        command.get_subcommands().for_each(|inner| paths(inner, found));
+    }
+
+    #[test]
+    fn every_path_is_known_as_input_or_output() {
+        let mut found = Vec::new();
+        paths(&super::super::Cli::command(), &mut found);
+        assert!(found.len() > 20, "{found:?}");
+        for id in &found {
+            let lists = (INPUTS.contains(&id.as_str()), OUTPUTS.contains(&id.as_str()));
+            assert!(
+                lists == (true, false) || lists == (false, true),
+                "--{id} is in no list of cli/inputs.rs, or in both"
+            );
+        }
+    }
+}

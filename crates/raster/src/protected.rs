@@ -1,0 +1,89 @@
+//! The files that a run reads, which no output of it may replace.
+//!
+//! The program names its inputs once, before it does anything ([`protect`]); every writer of [`crate::atomic`] asks
+//! [`refuse_input`] for the file that it is about to put in place. Files are told apart by device and inode, links followed, so
+//! that no second name hides one.
+
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use crate::error::{Error, Result};
+
+/// What an input is known by, and how the user named it.
+struct Input {
+    device: u64,
+    inode: u64,
+    path: PathBuf,
+}
+
+static INPUTS: Mutex<Vec<Input>> = Mutex::new(Vec::new());
+
+/// From now on no output replaces the regular file at `path`. What is no regular file, or not there, needs no protection.
+pub fn protect(path: &Path) {
+    let Ok(found) = std::fs::metadata(path) else { return };
+    if found.is_file() {
+        let input = Input { device: found.dev(), inode: found.ino(), path: path.to_owned() };
+        INPUTS.lock().unwrap_or_else(PoisonError::into_inner).push(input);
+    }
+}
+
+/// Whether two names are of one file, links followed. Names of files that are not there are compared by their folder.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    if let (Ok(x), Ok(y)) = (std::fs::metadata(a), std::fs::metadata(b)) {
+        return (x.dev(), x.ino()) == (y.dev(), y.ino());
+    }
+    let place = |path: &Path| {
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        Some((folder.canonicalize().ok()?, path.file_name()?.to_owned()))
+    };
+    place(a).is_some_and(|a| place(b) == Some(a))
+}
+
+/// Refuses an output that is a protected input under whatever name.
+///
+/// # Errors
+/// [`Error::Usage`] naming both.
+pub fn refuse_input(output: &Path) -> Result<()> {
+    let Ok(found) = std::fs::metadata(output) else { return Ok(()) };
+    let inputs = INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
+    match inputs.iter().find(|input| (input.device, input.inode) == (found.dev(), found.ino())) {
+        None => Ok(()),
+        Some(input) => Err(is_input(output, &input.path)),
+    }
+}
+
+/// The refusal, in words.
+pub fn is_input(output: &Path, input: &Path) -> Error {
+    let what = if output == input {
+        format!("the output {} is an input of this command", output.display())
+    } else {
+        format!("the output {} is the input {}", output.display(), input.display())
+    };
+    Error::usage(what, "name another output; an input is never written over, --overwrite or not")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_hides_an_input() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("list.csv"), "a").expect("writable");
+        std::fs::hard_link(at("list.csv"), at("hard.csv")).expect("links");
+        std::os::unix::fs::symlink(at("list.csv"), at("soft.csv")).expect("links");
+        std::fs::write(at("other.csv"), "a").expect("writable");
+        protect(&at("list.csv"));
+        for name in ["list.csv", "hard.csv", "soft.csv"] {
+            assert!(refuse_input(&at(name)).is_err(), "{name}");
+            assert!(crate::atomic::write(&at(name), b"lost").is_err(), "{name}");
+            assert!(crate::atomic::check_outputs(&[&at(name)], true).is_err(), "{name}");
+        }
+        assert!(refuse_input(&at("other.csv")).is_ok() && refuse_input(&at("new.csv")).is_ok());
+        assert_eq!(std::fs::read_to_string(at("list.csv")).expect("there"), "a");
+        assert!(same_file(&at("new.csv"), &folder.path().join("./new.csv")));
+        assert!(!same_file(&at("new.csv"), &at("newer.csv")));
+    }
+}
