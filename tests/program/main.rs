@@ -22,6 +22,7 @@ mod film;
 mod film_outputs;
 mod film_rolls;
 mod heights;
+mod inputs;
 mod main_job;
 mod outputs;
 mod photographs;

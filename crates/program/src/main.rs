@@ -2,27 +2,50 @@
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches};
+use clap::{ArgMatches, CommandFactory, FromArgMatches};
 
+#[macro_use]
+mod out;
 mod cli;
 
 fn main() -> ExitCode {
     let matches = cli::Cli::command().get_matches();
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::init_log(cli.verbose);
-    match cli::inputs::guard(&matches).map_err(anyhow::Error::from).and_then(|()| cli::dispatch(cli)) {
-        Ok(code) => code,
-        Err(error) => {
-            // One line: the chain of causes, without the debug noise.
-            let mut words: Vec<String> = Vec::new();
-            for cause in error.chain().map(ToString::to_string) {
-                // Ours name the system's reason already.
-                if !words.iter().any(|said| said.contains(&cause)) {
-                    words.push(cause);
-                }
-            }
-            eprintln!("autoref-stream: {}", words.join(": ").replace('\n', " "));
+    let result = cli::inputs::guard(&matches).map_err(anyhow::Error::from).and_then(|()| cli::dispatch(cli));
+    let code = result.unwrap_or_else(|error| {
+        let line = one_line(&error);
+        eprintln!("autoref-stream: {line}");
+        if asks_for_json(&matches) {
+            let document = cli::errors::document(&error, &line);
+            println!("{}", serde_json::to_string_pretty(&document).expect("plain data"));
+        }
+        ExitCode::from(2)
+    });
+    match out::fault() {
+        None => code,
+        Some(fault) => {
+            eprintln!("autoref-stream: standard output: cannot write: {fault}");
             ExitCode::from(2)
         }
     }
+}
+
+/// The chain of causes in one line, without the debug noise and without control characters.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut words: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        // Ours name the system's reason already.
+        if !words.iter().any(|said| said.contains(&cause)) {
+            words.push(cause);
+        }
+    }
+    let line = words.join(": ").replace('\n', " ");
+    line.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+}
+
+/// Whether the command that was given has `--json` on.
+fn asks_for_json(matches: &ArgMatches) -> bool {
+    let here = matches.try_get_one::<bool>("json").ok().flatten().copied().unwrap_or(false);
+    here || matches.subcommand().is_some_and(|(_, inner)| asks_for_json(inner))
 }

@@ -511,7 +511,8 @@ impl Drop for Busy {
 pub fn write_text(path: &Path, text: &[u8], overwrite: bool) -> anyhow::Result<()> {
     use std::io::Write;
     if path.as_os_str() == "-" {
-        return std::io::stdout().write_all(text).context("cannot write to standard output");
+        crate::out::keep(std::io::stdout().write_all(text));
+        return Ok(());
     }
     autoref_raster::atomic::check_outputs(&[path], overwrite)?;
     Ok(autoref_raster::atomic::write(path, text)?)

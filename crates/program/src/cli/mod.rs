@@ -11,6 +11,7 @@ pub mod common;
 pub mod detect;
 pub mod distance;
 pub mod doctor;
+pub mod errors;
 pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;

@@ -17,7 +17,8 @@ pub struct CompletionsArgs {
 pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "autoref-stream", &mut script);
-    std::io::stdout().write_all(&script).context("cannot write to standard output")
+    crate::out::keep(std::io::stdout().write_all(&script));
+    Ok(())
 }
 
 /// Print the manual page (troff) of the program or of one command.
@@ -42,5 +43,6 @@ pub fn man(args: &ManArgs) -> anyhow::Result<()> {
     };
     let mut text = Vec::new();
     clap_mangen::Man::new(page).title(title).render(&mut text).context("cannot make the page")?;
-    std::io::stdout().write_all(&text).context("cannot write to standard output")
+    crate::out::keep(std::io::stdout().write_all(&text));
+    Ok(())
 }

@@ -1,0 +1,48 @@
+//! Standard output and standard error, which may be closed or full: a reader that has seen enough ends nothing, a full device
+//! is an error in the end, and neither is a panic. The macros stand before those of the standard library.
+
+use std::io::{ErrorKind, Write};
+use std::sync::{Mutex, PoisonError};
+
+/// Why standard output could not be written, when that is a fault.
+static FAULT: Mutex<Option<String>> = Mutex::new(None);
+
+/// Writes to standard output; see [`fault`].
+pub fn write(text: std::fmt::Arguments<'_>) {
+    keep(std::io::stdout().write_fmt(text));
+}
+
+/// Writes to standard error; when that is gone there is nobody to tell.
+pub fn write_err(text: std::fmt::Arguments<'_>) {
+    let _ = std::io::stderr().write_fmt(text);
+}
+
+/// Keeps a fault of standard output for the end.
+pub fn keep(result: std::io::Result<()>) {
+    if let Err(error) = result
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        FAULT.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error.to_string());
+    }
+}
+
+/// Brings out what is left and says whether anything was lost.
+pub fn fault() -> Option<String> {
+    keep(std::io::stdout().flush());
+    FAULT.lock().unwrap_or_else(PoisonError::into_inner).take()
+}
+
+macro_rules! println {
+    () => { $crate::out::write(format_args!("\n")) };
+    ($($words:tt)*) => { $crate::out::write(format_args!("{}\n", format_args!($($words)*))) };
+}
+macro_rules! print {
+    ($($words:tt)*) => { $crate::out::write(format_args!($($words)*)) };
+}
+macro_rules! eprintln {
+    () => { $crate::out::write_err(format_args!("\n")) };
+    ($($words:tt)*) => { $crate::out::write_err(format_args!("{}\n", format_args!($($words)*))) };
+}
+macro_rules! eprint {
+    ($($words:tt)*) => { $crate::out::write_err(format_args!($($words)*)) };
+}

@@ -1,0 +1,136 @@
+//! No command writes over what it reads, under whatever name and with whatever flags.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use autoref_synth::{SynthSpec, random_gcps};
+
+fn program(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .expect("the program starts")
+}
+
+/// A small image with its list, candidates, profile and accuracy file.
+fn workplace() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = SynthSpec { gcps: random_gcps(6, 12.0, 9.0, 4), size_px: Some((480, 360)), ..SynthSpec::default() };
+    autoref_synth::write(&spec, &folder.path().join("a.tif")).expect("a sample");
+    autoref_synth::write_gcp_geojson(&folder.path().join("a.geojson"), &spec.gcps, Some(32632)).expect("a list");
+    let detect = program(folder.path(), &["detect", "a.tif", "-o", "c.csv"]);
+    assert!(detect.status.success(), "{}", String::from_utf8_lossy(&detect.stderr));
+    let profile = std::fs::read(crate::common::root().join("src/profile/builtin/orange.toml")).expect("shipped");
+    std::fs::write(folder.path().join("p.toml"), profile).expect("writable");
+    folder
+}
+
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files: Vec<_> = std::fs::read_dir(folder)
+        .expect("readable")
+        .map(|entry| entry.expect("readable").path())
+        .filter(|path| path.is_file())
+        .map(|path| (path.clone(), std::fs::read(&path).expect("readable")))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn no_output_of_any_command_is_an_input() {
+    let folder = workplace();
+    let dir = folder.path();
+    std::os::unix::fs::symlink("a.tif", dir.join("link.tif")).expect("links");
+    std::fs::hard_link(dir.join("c.csv"), dir.join("hard.csv")).expect("links");
+    std::fs::write(dir.join("a.tif.aux.xml"), "<PAMDataset/>").expect("writable");
+    let commands: &[&[&str]] = &[
+        &["detect", "a.tif", "--profile", "p.toml", "-o", "OUT"],
+        &["distance", "a.tif", "--profile", "p.toml", "-o", "OUT"],
+        &["sample", "a.tif", "--at", "100,100", "-o", "OUT"],
+        &["solve", "c.csv", "--gcps", "a.geojson", "-o", "OUT"],
+        &["solve", "hard.csv", "--gcps", "a.geojson", "-o", "OUT"],
+        &["synth", "OUT", "--as-is", "a.tif", "--size", "64,64"],
+        &["synth", "new.tif", "--gcps", "c.csv", "--write-gcps", "OUT"],
+    ];
+    let before = contents(dir);
+    let mut pairs = 0;
+    for command in commands {
+        let inputs = ["a.tif", "link.tif", "c.csv", "hard.csv", "a.geojson", "p.toml"].into_iter().filter(|name| {
+            let read = |file: &str| command.contains(&file);
+            match *name {
+                "link.tif" => read("a.tif"),
+                "c.csv" | "hard.csv" => read("c.csv") || read("hard.csv"),
+                name => read(name),
+            }
+        });
+        let sidecar = command.contains(&"a.tif").then_some("a.tif.aux.xml");
+        for target in inputs.chain(sidecar) {
+            let mut arguments: Vec<&str> =
+                command.iter().map(|word| if *word == "OUT" { target } else { word }).collect();
+            if command[0] != "sample" {
+                arguments.push("--overwrite");
+            }
+            let out = program(dir, &arguments);
+            let said = String::from_utf8_lossy(&out.stderr);
+            assert_eq!(out.status.code(), Some(2), "{arguments:?}: {said}");
+            assert!(said.contains("input") && said.trim_end().lines().count() == 1, "{arguments:?}: {said}");
+            assert!(contents(dir) == before, "{arguments:?} changed a file");
+            pairs += 1;
+        }
+    }
+    assert!(pairs >= 20, "{pairs} pairs were tried");
+}
+
+#[test]
+fn a_list_that_the_job_would_write_is_not_replaced() {
+    let folder = workplace();
+    let dir = folder.path();
+    let convert = "name,easting,northing\n".to_owned();
+    let list = std::fs::read_to_string(dir.join("a.geojson")).expect("readable");
+    let list: serde_json::Value = serde_json::from_str(&list).expect("JSON");
+    let rows = list["features"].as_array().expect("features").iter().map(|f| {
+        let at = &f["geometry"]["coordinates"];
+        format!("{},{},{}\n", f["properties"]["name"].as_str().expect("a name"), at[0], at[1])
+    });
+    std::fs::write(dir.join("a.csv"), convert + &rows.collect::<String>()).expect("writable");
+    let before = contents(dir);
+    let out = program(dir, &["a.tif", "--gcps", "a.csv", "--crs", "EPSG:32632", "--write", "csv", "--overwrite"]);
+    let list_name = PathBuf::from("a.csv");
+    assert_eq!(std::fs::read(dir.join(&list_name)).expect("there"), before_of(&before, &list_name));
+    // Either the tie points have another name, or the job is refused; the list stays.
+    assert!(matches!(out.status.code(), Some(0 | 2)), "{}", String::from_utf8_lossy(&out.stderr));
+}
+
+fn before_of(files: &[(PathBuf, Vec<u8>)], name: &Path) -> Vec<u8> {
+    files.iter().find(|(path, _)| path.ends_with(name)).expect("was there").1.clone()
+}
+
+#[test]
+fn devices_stay_devices() {
+    let folder = workplace();
+    let out = program(folder.path(), &["detect", "a.tif", "-o", "/dev/null", "--overwrite"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(!std::fs::metadata("/dev/null").expect("there").is_file(), "/dev/null was replaced");
+    let full = program(folder.path(), &["detect", "a.tif", "-o", "/dev/full", "--overwrite"]);
+    assert_eq!(full.status.code(), Some(2), "{}", String::from_utf8_lossy(&full.stderr));
+    assert!(!std::fs::metadata("/dev/full").expect("there").is_file(), "/dev/full was replaced");
+}
+
+/// Runs through a shell, so that standard output is a full device or a closed pipe.
+#[test]
+fn a_full_or_closed_standard_output_is_no_panic() {
+    let folder = workplace();
+    let binary = env!("CARGO_BIN_EXE_autoref-stream");
+    let shell = |line: String| {
+        Command::new("bash").arg("-c").arg(line).current_dir(folder.path()).output().expect("bash starts")
+    };
+    let job = format!("{binary} a.tif --gcps a.geojson --out r --overwrite --json --no-report");
+    std::fs::create_dir(folder.path().join("r")).expect("a folder");
+    let closed = shell(format!("set -o pipefail; {job} | true; exit ${{PIPESTATUS[0]}}"));
+    let said = String::from_utf8_lossy(&closed.stderr).into_owned();
+    assert!(!said.contains("panicked") && closed.status.code() == Some(0), "{:?} {said}", closed.status);
+    let full = shell(format!("{job} > /dev/full"));
+    let said = String::from_utf8_lossy(&full.stderr).into_owned();
+    assert!(!said.contains("panicked") && full.status.code() == Some(2), "{:?} {said}", full.status);
+}
