@@ -635,6 +635,22 @@ mod tests {
     }
 
     #[test]
+    fn the_reference_colour_of_2016_is_paint() {
+        // Means of Table 4.2 as the table's own two halves give them: the RGB means, and the L*a*b* means back in sRGB.
+        let from_lab = colour::srgb_from_lab([80.1143, 14.0786, 9.8678]);
+        for name in ["lerkendal-2016", "autoref-2016"] {
+            let profile = Profile::builtin(name).expect("shipped");
+            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            for colour in [[232.0 / 255.0, 189.0 / 255.0, 181.0 / 255.0], [0.9080, 0.7426, 0.7113], from_lab] {
+                assert!(test.nearest2(colour).sqrt() < profile.colour.limit, "{name}: {colour:?}");
+                assert!(test.is_paint(colour.map(|v| (v * 255.0).round() as u8)), "{name}: {colour:?}");
+            }
+            // The colour that the corrupt Table 4.3 would give.
+            assert!(!test.is_paint([180, 179, 204]), "{name}");
+        }
+    }
+
+    #[test]
     fn bad_profiles_name_place_and_reason() {
         let good = Profile::builtin("orange").expect("shipped");
         type Spoil = fn(&mut Profile);
