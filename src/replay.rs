@@ -81,6 +81,7 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
             size_px: None,
             elevation_m: None,
             code: row.code.clone(),
+            paint: None,
         });
         let found_by = match row.found_by.as_str() {
             "rematch" => FoundBy::Rematch,
@@ -130,6 +131,7 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
                 size_px: None,
                 elevation_m: place.as_ref().and_then(|held| held.mark.elevation_m),
                 code: None,
+                paint: None,
             };
             *place = Some(Held { mark, found_by: FoundBy::Review, used: true });
         }

@@ -100,8 +100,30 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
 }
 
+/// Orients by a match that is believed already; points that the job's second look does not see are looked for with `taught` too.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub(super) fn orient_again(
+    job: &Job<'_>,
+    candidates: &[Candidate],
+    evidence: Solved,
+    taught: &dyn Detector,
+) -> Result<Outcome> {
+    orient(job.gcps, candidates, evidence, |expected| {
+        let mut answers = rematch(job.source, job.second_look, candidates, expected)?;
+        let missing: Vec<usize> =
+            (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
+        let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
+        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], &asked)?) {
+            answers[i] = answer;
+        }
+        Ok(answers)
+    })
+}
+
 /// Tries the priors in order. The limit on accidents holds for all tries together.
-fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
+pub(super) fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
     let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0].with_mark_sizes(candidates));
     for priors in &job.priors[1..] {
         if matches!(outcome, MatchOutcome::Solved(_)) {

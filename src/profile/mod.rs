@@ -12,6 +12,7 @@
 pub mod colour;
 mod family;
 pub mod mixing;
+mod paint;
 
 use std::path::Path;
 
@@ -411,12 +412,12 @@ builtins!(
 impl Profile {
     /// Names of the shipped profiles, the default first.
     pub fn names() -> Vec<&'static str> {
-        BUILTIN.iter().map(|(name, _)| *name).collect()
+        BUILTIN.iter().map(|(name, _)| *name).chain(paint::names()).collect()
     }
 
     /// A shipped profile.
     pub fn builtin(name: &str) -> Option<Profile> {
-        let (_, text) = BUILTIN.iter().find(|(n, _)| *n == name)?;
+        let Some((_, text)) = BUILTIN.iter().find(|(n, _)| *n == name) else { return paint::by_name(name) };
         Some(toml::from_str(text).expect("a test parses every shipped profile"))
     }
 
@@ -425,7 +426,7 @@ impl Profile {
     /// # Errors
     /// [`Error::Usage`] when it is neither, [`Error::Format`] when the file is not a profile.
     pub fn load(name_or_path: &str) -> Result<Profile> {
-        if let Some(profile) = Profile::builtin(name_or_path) {
+        if let Some(profile) = Profile::builtin(name_or_path).or_else(|| Profile::of_hex(name_or_path)) {
             return Ok(profile);
         }
         let path = Path::new(name_or_path);
@@ -599,6 +600,9 @@ impl Profile {
         let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
         if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
             return *paint;
+        }
+        if let Some(paint) = paint::fresh(&self.name) {
+            return paint;
         }
         match (&self.learned, self.colour.clouds.first(), self.colour.space) {
             (Some(learned), _, _) => byte(learned.mean_srgb),

@@ -7,7 +7,7 @@ use clap::Parser;
 mod cli;
 
 fn main() -> ExitCode {
-    let cli = cli::Cli::parse();
+    let cli = cli::Cli::parse_from(cli::joined(std::env::args_os()));
     cli::init_log(cli.verbose);
     match cli::dispatch(cli) {
         Ok(code) => code,
