@@ -73,6 +73,8 @@ pub struct Evidence {
     /// Contrast and fit are those of the third look, against local ground.
     pub local: bool,
     pub area_px: f64,
+    /// Sides of the outline, of four, that no edge in the picture supports.
+    pub unsupported: f64,
     /// Colour of the mark where it is least mixed, sRGB.
     pub paint: [u8; 3],
     pub centre: (f64, f64),
@@ -156,7 +158,9 @@ impl Looks<'_> {
             Whole::Endless => {
                 // What goes on beyond the patch: the centre is that of what colour found of it.
                 let open = 0.04 * first.area_px;
-                widen(first, [open, 0.0, open])
+                let mut first = widen(first, [open, 0.0, open]);
+                first.unsupported = first.unsupported.max(1.0);
+                first
             }
             Whole::Grown(own) => {
                 let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
@@ -184,7 +188,9 @@ impl Looks<'_> {
             };
             let scene = Scene::of_pixels(&even, own.clone(), &own.or(&scene.other));
             // The blocks of a JPEG hold the uneven light: without them.
-            let evidence = self.measured(&scene, None);
+            // How far the line may be off moves the centre by as much as a tenth of a pixel.
+            const LINE_PX2: f64 = 0.01;
+            let evidence = widen(self.measured(&scene, None), [LINE_PX2, 0.0, LINE_PX2]);
             if self.score(&evidence) > self.score(&best).max(self.profile.examine.min_score) || better_fit(&evidence, &best) {
                 best = evidence;
             }
@@ -380,6 +386,7 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
         hopeless: false,
         local: false,
         area_px,
+        unsupported: 0.0,
         paint: byte.map(|v| (v * 255.0).round() as u8),
         centre: centroid(region),
         covariance_px2: [loose, 0.0, loose],
@@ -418,7 +425,8 @@ fn fit_shape(
             }
         }
         evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
-        let open = whole::unsupported(scene, &shares, &best);
+        let (open, sides) = whole::unsupported(scene, &shares, &best);
+        evidence.unsupported = sides;
         evidence.covariance_px2 = std::array::from_fn(|k| place.covariance_px2[k] + open[k]);
         evidence.fit = Some(best);
     }
@@ -542,7 +550,9 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     {
         return f64::from(-50);
     }
-    Populations::of(evidence.local).likelihood_ratio(evidence.contrast, fit.rms)
+    // A side without an edge is worth as much as most of what a mark gains by its contrast.
+    const PER_SIDE: f64 = 4.0;
+    Populations::of(evidence.local).likelihood_ratio(evidence.contrast, fit.rms) - PER_SIDE * evidence.unsupported
 }
 
 /// From better than any fit to as bad as none, rising.

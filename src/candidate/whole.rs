@@ -103,7 +103,8 @@ fn ground_around(scene: &Scene<'_>, own: &PixelSet) -> Option<Ground> {
 
 /// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the picture shows no
 /// step from paint to ground across a side, the mark may go on there, or end before.
-pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> [f64; 3] {
+/// The second answer is how many of four sides those are.
+pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64; 3], f64) {
     /// Steps of less than this share of the paint's contrast are doubtful.
     const STEP: f64 = 0.6;
     let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
@@ -135,7 +136,7 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> [f64;
             sums[k][at + 1] += 1.0;
         }
     });
-    let mut open = [0.0; 3];
+    let (mut open, mut sides) = ([0.0; 3], 0.0);
     for (k, [inside, n, outside, m]) in sums.into_iter().enumerate() {
         if n < 1.0 || m < 1.0 {
             continue;
@@ -145,6 +146,7 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> [f64;
         if missing == 0.0 {
             continue;
         }
+        sides += missing * 4.0 / turns as f64;
         let angle = fit.angle_rad + k as f64 * std::f64::consts::TAU / turns as f64;
         let variance = (0.25 * side * missing).powi(2);
         let (s, c) = angle.sin_cos();
@@ -152,7 +154,7 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> [f64;
         open[1] += variance * c * s;
         open[2] += variance * s * s;
     }
-    open
+    (open, sides)
 }
 
 /// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted by a line. The
@@ -163,8 +165,8 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Patch> {
     const LEAST_RATIO: f64 = 1.25;
     /// Least share of the region on either side.
     const LEAST_SHARE: f64 = 0.08;
-    let core = scene.own.shrunk(1);
-    let core = if core.count() >= 16 { core } else { return None };
+    // Pixels that the border is mixed into have a brightness of their own.
+    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| core.count() >= 20)?;
     let mut seen: Vec<Seen> = Vec::with_capacity(core.count());
     core.for_each(|i| {
         let colour = scene.colour(i);
@@ -192,7 +194,7 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Patch> {
     // A band that the paint hardly has tells nothing of the light in it.
     let ratio = pairs.map(|(lit, dark)| if lit > 60.0 { (dark / lit).clamp(0.7 * all, 1.4 * all) } else { all });
     // Even light must explain most of what differs: a mark of two paints is not made one.
-    if line.left_over > 0.2 {
+    if line.left_over > 0.35 {
         return None;
     }
     let mut patch = scene.patch.clone();

@@ -187,7 +187,7 @@ fn orient(
     };
     let expected: Vec<Expected> = (0..gcps.len())
         .filter(|gcp| !first.iter().any(|mark| mark.gcp == *gcp))
-        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern))
+        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern, density(candidates)))
         .collect();
     let answers = look(&expected)?;
     // Where names were heeded, a mark with another GCP's name is not this one, whatever its place.
@@ -285,11 +285,26 @@ fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
 }
 
 /// Where a GCP must be, and how far off it may be: what the match's noise and the fit's uncertainty there allow.
-fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern) -> Expected {
+fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, density: f64) -> Expected {
+    /// Where the fit is less sure than a mark, a candidate that chance puts there more often than this is no mark of the point.
+    const CHANCE: f64 = 0.0002;
     let position = solution.similarity.invert(point.position());
     let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;
-    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).clamp(2.0, 64.0);
+    let by_chance_px = (CHANCE / (std::f64::consts::PI * density)).sqrt();
+    let sure_px = 3.8 * pattern.noise_px * std::f64::consts::SQRT_2;
+    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
     Expected { gcp, position, radius_px }
+}
+
+/// Candidates per square pixel of the rectangle that holds them.
+fn density(candidates: &[Candidate]) -> f64 {
+    let span = |of: fn(&Candidate) -> f64| {
+        let ends = candidates.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+            (low.min(v), high.max(v))
+        });
+        (ends.1 - ends.0).max(1.0)
+    };
+    candidates.len() as f64 / (span(|c| c.centre.x) * span(|c| c.centre.y))
 }
 
 fn degenerate(evidence: Solved) -> Evidence {
