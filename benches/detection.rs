@@ -172,6 +172,7 @@ fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
             size_px: None,
             elevation_m: None,
             code: None,
+            paint: None,
         });
     }
     Some(lists)

@@ -81,6 +81,7 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
             size_px: None,
             elevation_m: None,
             code: row.code.clone(),
+            paint: None,
         });
         held[gcp] = Some(Held { mark, found_by: row.found_by, used: true });
     }
@@ -125,6 +126,7 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
                 size_px: None,
                 elevation_m: place.as_ref().and_then(|held| held.mark.elevation_m),
                 code: None,
+                paint: None,
             };
             *place = Some(Held { mark, found_by: FoundBy::Review, used: true });
         }

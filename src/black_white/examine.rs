@@ -54,6 +54,7 @@ pub fn examine(detector: &TargetDetector, region: &Region, patch: &Patch) -> Opt
         size_px: Some([seen.side_px; 2]),
         elevation_m: None,
         code: None,
+        paint: None,
     })
 }
 

@@ -15,7 +15,9 @@ use super::jpeg_fit::{Refined, refine};
 use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local};
 use super::patch::{Ground, Scene};
+use super::pixel_set::PixelSet;
 use super::uncertainty::Place;
+use super::whole::{self, Whole};
 use crate::profile::{CentreMode, Filters, Profile, Shape};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
@@ -71,6 +73,10 @@ pub struct Evidence {
     /// Contrast and fit are those of the third look, against local ground.
     pub local: bool,
     pub area_px: f64,
+    /// Sides of the outline, of four, that no edge in the picture supports.
+    pub unsupported: f64,
+    /// Colour of the mark where it is least mixed, sRGB.
+    pub paint: [u8; 3],
     pub centre: (f64, f64),
     pub covariance_px2: [f64; 3],
 }
@@ -101,12 +107,132 @@ pub(super) fn examine_whole(
     if !super::prototype_options::passes(scene, profile) {
         return None;
     }
+    let evidence = measure_whole(scene, pixels, region, classifier, profile, gates)?;
+    candidate(evidence, scene, region, classifier, profile, gates)
+}
+
+/// Measures a region, and what it is a part of where it is one. `None` when another region stands for the mark.
+fn measure_whole(
+    scene: &Scene<'_>,
+    pixels: &dyn Pixels,
+    region: &Region,
+    classifier: &Classifier,
+    profile: &Profile,
+    gates: &Gates,
+) -> Option<Evidence> {
     let around = Some(Around { pixels, classifier });
     let mut evidence = measure_scene(scene, around, region, classifier, profile);
+    let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
+    let wide = (fits && evidence.contrast >= LEAST_CONTRAST).then(|| pixels.whole());
     if worth_another_look(&evidence, profile, gates) {
-        evidence = look_again(scene, around, region, classifier, profile)?;
+        evidence = match look_again(scene, around, region, classifier, profile) {
+            Some(evidence) => evidence,
+            None => return None,
+        };
     }
-    candidate(evidence, scene, region, classifier, profile, gates)
+    let Some(wide) = wide else { return Some(evidence) };
+    let Some(seen) = Scene::new(region, &wide, classifier, true) else { return Some(evidence) };
+    let looks = Looks { region, classifier, profile, gates };
+    looks.widened(evidence, &seen, around)
+}
+
+/// What every look at a region asks for.
+struct Looks<'a> {
+    region: &'a Region,
+    classifier: &'a Classifier,
+    profile: &'a Profile,
+    gates: &'a Gates,
+}
+
+impl Looks<'_> {
+    fn score(&self, evidence: &Evidence) -> f64 {
+        if evidence.hopeless { f64::NEG_INFINITY } else { score(evidence, self.profile, self.gates) }
+    }
+
+    /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it leaves open.
+    fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
+        let grown = whole::whole(seen, plateau(seen));
+        let mut best = match &grown {
+            Whole::Is => first,
+            Whole::Beaten => return None,
+            Whole::Endless => {
+                // What goes on beyond the patch: the centre is that of what colour found of it.
+                let open = 0.04 * first.area_px;
+                let mut first = widen(first, [open, 0.0, open]);
+                first.unsupported = first.unsupported.max(1.0);
+                first
+            }
+            Whole::Grown(own) => {
+                let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
+                let evidence = self.measured(&scene, around);
+                if self.score(&evidence) >= self.score(&first).min(self.profile.examine.min_score) {
+                    evidence
+                } else {
+                    let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(own, seen.width));
+                    let (dx, dy) = (ax - bx, ay - by);
+                    widen(first, [dx * dx, dx * dy, dy * dy])
+                }
+            }
+        };
+        let own = match &grown {
+            Whole::Grown(own) => own.clone(),
+            _ => seen.own.clone(),
+        };
+        let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
+        if let Some(even) = whole::relit(&mark) {
+            let paint = PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), seen.width, seen.height).and(&seen.valid);
+            let scene = Scene::of_pixels(&even, mark.own.clone(), &paint.or(&mark.own));
+            let own = match whole::whole(&scene, plateau(&scene)) {
+                Whole::Grown(own) => own,
+                _ => scene.own.clone(),
+            };
+            let scene = Scene::of_pixels(&even, own.clone(), &own.or(&scene.other));
+            // The blocks of a JPEG hold the uneven light: without them.
+            // How far the line may be off moves the centre by as much as a tenth of a pixel.
+            const LINE_PX2: f64 = 0.01;
+            let evidence = widen(self.measured(&scene, None), [LINE_PX2, 0.0, LINE_PX2]);
+            if self.score(&evidence) > self.score(&best).max(self.profile.examine.min_score) || better_fit(&evidence, &best) {
+                best = evidence;
+            }
+        }
+        Some(best)
+    }
+
+    fn measured(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
+        let mut evidence = measure_scene(scene, around, self.region, self.classifier, self.profile);
+        if worth_another_look(&evidence, self.profile, self.gates) {
+            let again = look_again(scene, around, self.region, self.classifier, self.profile);
+            evidence = again.unwrap_or(evidence);
+        }
+        evidence.area_px = scene.own.count() as f64;
+        evidence
+    }
+}
+
+/// Less is left over.
+fn better_fit(one: &Evidence, other: &Evidence) -> bool {
+    match (&one.fit, &other.fit) {
+        (Some(one), Some(other)) => one.rms < other.rms,
+        (one, other) => one.is_some() && other.is_none(),
+    }
+}
+
+fn widen(mut evidence: Evidence, open_px2: [f64; 3]) -> Evidence {
+    for (own, open) in evidence.covariance_px2.iter_mut().zip(open_px2) {
+        *own += open;
+    }
+    evidence
+}
+
+/// Mean of a set's pixels.
+fn middle(set: &PixelSet, width: usize) -> (f64, f64) {
+    let (mut n, mut x, mut y) = (0.0, 0.0, 0.0);
+    set.for_each(|i| {
+        n += 1.0;
+        x += (i % width) as f64;
+        y += (i / width) as f64;
+    });
+    (x / n, y / n)
 }
 
 /// The same for a part of a region, whose neighbours are other marks: it is neither grown nor looked at again.
@@ -151,6 +277,7 @@ fn candidate(
         size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
         elevation_m: None,
         code: None,
+        paint: Some(evidence.paint),
     })
 }
 
@@ -163,20 +290,16 @@ pub fn measure(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Evidence> {
-    let around = Some(Around { pixels, classifier });
     let patch = near(pixels, region);
     let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
-    let evidence = measure_scene(&scene, around, region, classifier, profile);
-    if worth_another_look(&evidence, profile, gates) {
-        return look_again(&scene, around, region, classifier, profile);
-    }
-    Some(evidence)
+    measure_whole(&scene, pixels, region, classifier, profile, gates)
 }
+
+/// 98 % of the marks that the look at the ring misses stand out more, and 85 % of what has a mark's colour but is none less.
+const LEAST_CONTRAST: f64 = 4.0;
 
 /// Turned down, though it stands out a little.
 fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> bool {
-    // 98 % of the marks that the look at the ring misses stand out more, and 85 % of what has a mark's colour but is none less.
-    const LEAST_CONTRAST: f64 = 4.0;
     let failed = evidence.hopeless || score(evidence, profile, gates) < profile.examine.min_score;
     failed
         && evidence.contrast >= LEAST_CONTRAST
@@ -263,6 +386,8 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
         hopeless: false,
         local: false,
         area_px,
+        unsupported: 0.0,
+        paint: byte.map(|v| (v * 255.0).round() as u8),
         centre: centroid(region),
         covariance_px2: [loose, 0.0, loose],
     }
@@ -283,7 +408,8 @@ fn fit_shape(
         return;
     }
     let rms_limit = SLACK * populations.largest_rms(contrast, min_score);
-    if let Some(best) = best_fit(scene, &shares(), profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
+    let shares = shares();
+    if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
         let window = &scene.patch.window;
         let mut place = Place::of(&best);
         if let Some(around) = around.filter(|_| best.rms <= rms_limit / SLACK) {
@@ -299,7 +425,9 @@ fn fit_shape(
             }
         }
         evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
-        evidence.covariance_px2 = place.covariance_px2;
+        let (open, sides) = whole::unsupported(scene, &shares, &best);
+        evidence.unsupported = sides;
+        evidence.covariance_px2 = std::array::from_fn(|k| place.covariance_px2[k] + open[k]);
         evidence.fit = Some(best);
     }
 }
@@ -422,7 +550,9 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     {
         return f64::from(-50);
     }
-    Populations::of(evidence.local).likelihood_ratio(evidence.contrast, fit.rms)
+    // A side without an edge is worth as much as most of what a mark gains by its contrast.
+    const PER_SIDE: f64 = 4.0;
+    Populations::of(evidence.local).likelihood_ratio(evidence.contrast, fit.rms) - PER_SIDE * evidence.unsupported
 }
 
 /// From better than any fit to as bad as none, rising.

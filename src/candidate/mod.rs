@@ -24,6 +24,7 @@ pub(crate) mod pixel_set;
 pub mod prototype_options;
 pub mod split;
 mod uncertainty;
+mod whole;
 
 use serde::{Deserialize, Serialize};
 
@@ -52,4 +53,7 @@ pub struct Candidate {
     /// What a coded target (ArUco, AprilTag) says of itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub code: Option<Code>,
+    /// Colour of the paint where it is least mixed, sRGB 0..=255; `None` of what is not paint or came from a list.
+    #[serde(skip)]
+    pub paint: Option<[u8; 3]>,
 }

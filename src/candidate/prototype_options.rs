@@ -214,6 +214,7 @@ mod tests {
             size_px: Some([10.0, 10.0]),
             elevation_m: None,
             code: None,
+            paint: None,
         }
     }
 

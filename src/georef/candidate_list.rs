@@ -125,6 +125,7 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
             size_px: width.zip(height).map(|(w, h)| [w, h]),
             elevation_m,
             code,
+            paint: None,
         });
     }
     Ok(candidates)
@@ -153,6 +154,7 @@ mod tests {
             size_px: None,
             elevation_m: None,
             code: None,
+            paint: None,
         }
     }
 

@@ -159,6 +159,7 @@ mod tests {
             size_px: Some([side, side / 2.0]),
             elevation_m: None,
             code: None,
+            paint: None,
         };
         let marks = [mark(10.0), mark(20.0), mark(500.0)];
         let bounded = Priors::default().with_mark_sizes(&marks);

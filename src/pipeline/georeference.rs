@@ -104,8 +104,30 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
 }
 
+/// Orients by a match that is believed already; points that the job's second look does not see are looked for with `taught` too.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub(super) fn orient_again(
+    job: &Job<'_>,
+    candidates: &[Candidate],
+    evidence: Solved,
+    taught: &dyn Detector,
+) -> Result<Outcome> {
+    orient(job.gcps, candidates, evidence, |expected| {
+        let mut answers = rematch(job.source, job.second_look, candidates, expected)?;
+        let missing: Vec<usize> =
+            (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
+        let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
+        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], &asked)?) {
+            answers[i] = answer;
+        }
+        Ok(answers)
+    })
+}
+
 /// Tries the priors in order. The limit on accidents holds for all tries together.
-fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
+pub(super) fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
     let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0].with_mark_sizes(candidates));
     for priors in &job.priors[1..] {
         if matches!(outcome, MatchOutcome::Solved(_)) {
@@ -169,7 +191,7 @@ fn orient(
     };
     let expected: Vec<Expected> = (0..gcps.len())
         .filter(|gcp| !first.iter().any(|mark| mark.gcp == *gcp))
-        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern))
+        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern, density(candidates)))
         .collect();
     let answers = look(&expected)?;
     // Where names were heeded, a mark with another GCP's name is not this one, whatever its place.
@@ -267,11 +289,26 @@ fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
 }
 
 /// Where a GCP must be, and how far off it may be: what the match's noise and the fit's uncertainty there allow.
-fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern) -> Expected {
+fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, density: f64) -> Expected {
+    /// Where the fit is less sure than a mark, a candidate that chance puts there more often than this is no mark of the point.
+    const CHANCE: f64 = 0.0002;
     let position = solution.similarity.invert(point.position());
     let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;
-    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).clamp(2.0, 64.0);
+    let by_chance_px = (CHANCE / (std::f64::consts::PI * density)).sqrt();
+    let sure_px = 3.8 * pattern.noise_px * std::f64::consts::SQRT_2;
+    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
     Expected { gcp, position, radius_px }
+}
+
+/// Candidates per square pixel of the rectangle that holds them.
+fn density(candidates: &[Candidate]) -> f64 {
+    let span = |of: fn(&Candidate) -> f64| {
+        let ends = candidates.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+            (low.min(v), high.max(v))
+        });
+        (ends.1 - ends.0).max(1.0)
+    };
+    candidates.len() as f64 / (span(|c| c.centre.x) * span(|c| c.centre.y))
 }
 
 fn degenerate(evidence: Solved) -> Evidence {

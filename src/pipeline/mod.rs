@@ -35,6 +35,8 @@ mod pace;
 pub mod paint;
 pub mod scan;
 mod seams;
+pub mod colour_search;
+pub mod reasons;
 pub mod second_pass;
 
 pub use marks::MarkDetector;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::learn::{DEFAULT_REACH_PX, learn};
 use crate::pipeline::MarkDetector;
-use crate::pipeline::georeference::{Job, Outcome, Run, georeference};
+use crate::pipeline::georeference::{Job, Outcome, Run, georeference, orient_again};
 use crate::profile::Profile;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
@@ -31,6 +31,20 @@ pub struct SecondPass {
     pub matched_after: usize,
     /// Whether the result is that of the second pass.
     pub adopted: bool,
+    /// Where was looked again.
+    #[serde(default)]
+    pub looked: Looked,
+}
+
+/// Where the second pass looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Looked {
+    /// In the windows where unmatched points must be.
+    Windows,
+    /// In the whole image.
+    #[default]
+    Image,
 }
 
 impl SecondPass {
@@ -38,11 +52,15 @@ impl SecondPass {
     pub fn line(&self) -> String {
         let [r, g, b] = self.mean_srgb.map(|v| (v * 255.0).round());
         format!(
-            "profile from {} {}: colour {r} {g} {b}, {:.1} to {:.1} px; candidates {} → {}, matched {} → {}; {}",
+            "profile from {} {}: colour {r} {g} {b}, {:.1} to {:.1} px; {} again: candidates {} → {}, matched {} → {}; {}",
             self.marks,
             self.taught_by,
             self.side_px[0],
             self.side_px[1],
+            match self.looked {
+                Looked::Windows => "windows",
+                Looked::Image => "image",
+            },
             self.candidates_before,
             self.candidates_after,
             self.matched_before,
@@ -79,8 +97,49 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
         matched_before: before,
         matched_after: after,
         adopted,
+        looked: Looked::Image,
     };
     Ok((if adopted { second } else { first }, Some(report)))
+}
+
+/// Patterns that are as likely an accident as this, or likelier (log₁₀), are weak.
+const WEAK_LOG10: f64 = -5.0;
+
+/// Looks again where it can help: in the windows of points that must be in the image and are not matched, with a profile taught by
+/// those that are; and by a whole second pass where the pattern is weak. `None` with the run as it was where nothing is missing.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>)> {
+    let Outcome::Solved(orientation) = &first.outcome else { return Ok((first, None)) };
+    if orientation.evidence.pattern.log10_false_alarms > WEAK_LOG10 {
+        return second_pass(job, first);
+    }
+    if orientation.not_found.is_empty() {
+        return Ok((first, None));
+    }
+    let (taught_by, positions) = teachers(&first);
+    let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
+    let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
+    let relaxed = detector.relaxed();
+    let outcome = orient_again(job, &first.scan.candidates, orientation.evidence.clone(), &relaxed)?;
+    let before = matched(&first);
+    let second = Run { outcome, ..first.clone() };
+    let after = matched(&second);
+    let learned = profile.learned.as_ref();
+    let report = SecondPass {
+        taught_by: taught_by.to_owned(),
+        marks: learned.map_or(0, |l| l.marks),
+        mean_srgb: learned.map_or([0.0; 3], |l| l.mean_srgb),
+        side_px: [profile.size.min_px.unwrap_or(0.0), profile.size.max_px.unwrap_or(0.0)],
+        candidates_before: first.scan.candidates.len(),
+        candidates_after: first.scan.candidates.len(),
+        matched_before: before,
+        matched_after: after,
+        adopted: after > before,
+        looked: Looked::Windows,
+    };
+    Ok((if after > before { second } else { first }, Some(report)))
 }
 
 fn matched(run: &Run) -> usize {
@@ -104,7 +163,7 @@ fn teachers(run: &Run) -> (&'static str, Vec<PixelPoint>) {
     }
 }
 
-fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<PixelPoint> {
+pub(super) fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<PixelPoint> {
     let mut marks: Vec<&Candidate> = marks.collect();
     let score = |c: &Candidate| c.score.unwrap_or(f64::NEG_INFINITY);
     marks.sort_by(|a, b| score(b).total_cmp(&score(a)));
@@ -112,7 +171,7 @@ fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<PixelPoint> 
 }
 
 /// A profile of those positions that stand out enough to teach; `None` when none does.
-fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
+pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
     let bounds = source.info().bounds();
     let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();
     for &at in positions {

@@ -12,6 +12,7 @@
 pub mod colour;
 mod family;
 pub mod mixing;
+mod paint;
 
 use std::path::Path;
 
@@ -411,12 +412,12 @@ builtins!(
 impl Profile {
     /// Names of the shipped profiles, the default first.
     pub fn names() -> Vec<&'static str> {
-        BUILTIN.iter().map(|(name, _)| *name).collect()
+        BUILTIN.iter().map(|(name, _)| *name).chain(paint::names()).collect()
     }
 
     /// A shipped profile.
     pub fn builtin(name: &str) -> Option<Profile> {
-        let (_, text) = BUILTIN.iter().find(|(n, _)| *n == name)?;
+        let Some((_, text)) = BUILTIN.iter().find(|(n, _)| *n == name) else { return paint::by_name(name) };
         Some(toml::from_str(text).expect("a test parses every shipped profile"))
     }
 
@@ -425,7 +426,7 @@ impl Profile {
     /// # Errors
     /// [`Error::Usage`] when it is neither, [`Error::Format`] when the file is not a profile.
     pub fn load(name_or_path: &str) -> Result<Profile> {
-        if let Some(profile) = Profile::builtin(name_or_path) {
+        if let Some(profile) = Profile::builtin(name_or_path).or_else(|| Profile::of_hex(name_or_path)) {
             return Ok(profile);
         }
         let path = Path::new(name_or_path);
@@ -600,6 +601,9 @@ impl Profile {
         if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
             return *paint;
         }
+        if let Some(paint) = paint::fresh(&self.name) {
+            return paint;
+        }
         match (&self.learned, self.colour.clouds.first(), self.colour.space) {
             (Some(learned), _, _) => byte(learned.mean_srgb),
             (None, Some(cloud), Space::Rgb) => byte(cloud.mean),
@@ -631,6 +635,22 @@ mod tests {
             let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
             let distance = test.nearest2(profile.fresh_paint().map(|v| f64::from(v) / 255.0)).sqrt();
             assert!(distance <= profile.colour.limit, "{name}: {:?} at {distance:.2}", profile.fresh_paint());
+        }
+    }
+
+    #[test]
+    fn the_reference_colour_of_2016_is_paint() {
+        // Means of Table 4.2 as the table's own two halves give them: the RGB means, and the L*a*b* means back in sRGB.
+        let from_lab = colour::srgb_from_lab([80.1143, 14.0786, 9.8678]);
+        for name in ["lerkendal-2016", "autoref-2016"] {
+            let profile = Profile::builtin(name).expect("shipped");
+            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            for colour in [[232.0 / 255.0, 189.0 / 255.0, 181.0 / 255.0], [0.9080, 0.7426, 0.7113], from_lab] {
+                assert!(test.nearest2(colour).sqrt() < profile.colour.limit, "{name}: {colour:?}");
+                assert!(test.is_paint(colour.map(|v| (v * 255.0).round() as u8)), "{name}: {colour:?}");
+            }
+            // The colour that the corrupt Table 4.3 would give.
+            assert!(!test.is_paint([180, 179, 204]), "{name}");
         }
     }
 

@@ -74,7 +74,7 @@ pub struct RunResult {
     pub expected_errors: Vec<autoref_solve::accuracy::CornerError>,
     /// GCPs inside the image of which no mark was found.
     #[serde(default)]
-    pub not_found: Vec<String>,
+    pub not_found: Vec<crate::pipeline::reasons::NotFound>,
     /// GCPs that lie outside the image.
     #[serde(default)]
     pub outside: Vec<String>,
@@ -108,6 +108,9 @@ pub struct RunResult {
     /// What the self-taught second pass did, when there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
+    /// Objects that look like marks in any colour, when nothing was solved by the profile's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub colour_search: Option<crate::pipeline::colour_search::ColourSearch>,
     pub memory_plan: Option<autoref_raster::memory_plan::ScanPlan>,
     #[serde(default)]
     pub timings: Timings,

@@ -140,6 +140,7 @@ mod tests {
             size_px: None,
             elevation_m: None,
             code: None,
+            paint: None,
         }
     }
 

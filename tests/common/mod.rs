@@ -82,6 +82,7 @@ pub fn bare_candidate(x: f64, y: f64) -> Candidate {
         size_px: None,
         elevation_m: None,
         code: None,
+        paint: None,
     }
 }
 

@@ -58,6 +58,7 @@ impl Detector for RedPaint {
             size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
             elevation_m: None,
             code: None,
+            paint: None,
         })
     }
 }

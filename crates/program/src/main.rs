@@ -9,7 +9,7 @@ mod out;
 mod cli;
 
 fn main() -> ExitCode {
-    let matches = cli::Cli::command().get_matches();
+    let matches = cli::Cli::command().get_matches_from(cli::joined(std::env::args_os()));
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     cli::init_log(cli.verbose);
     let result = cli::inputs::guard(&matches).map_err(anyhow::Error::from).and_then(|()| cli::dispatch(cli));

@@ -67,13 +67,37 @@ impl SampleArgs {
 /// What the marks look like.
 #[derive(Args, Debug)]
 pub struct MarkArgs {
-    /// Mark profile: a built-in name, or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
+    /// Mark profile: a built-in name, a RAL number (`ral-2007`), or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
     /// `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with `--features coded`.
     #[arg(long, value_name = "NAME|FILE", default_value = "orange", help_heading = "Marks")]
     pub profile: String,
     /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.
     #[arg(long, value_name = "SIZE", help_heading = "Marks")]
     pub mark_size: Option<MarkSize>,
+}
+
+/// A paint by its colour, instead of a profile.
+#[derive(Args, Debug)]
+pub struct PaintArg {
+    /// Colour of the paint in full sun, as #RRGGBB: makes a profile on the spot.
+    #[arg(long, value_name = "#RRGGBB", value_parser = paint, conflicts_with = "profile", help_heading = "Marks")]
+    pub paint: Option<String>,
+}
+
+impl PaintArg {
+    /// The marks with this paint in place of the profile.
+    pub fn of(&self, marks: &MarkArgs) -> MarkArgs {
+        let profile = self.paint.clone().unwrap_or_else(|| marks.profile.clone());
+        MarkArgs { profile, mark_size: marks.mark_size }
+    }
+}
+
+fn paint(text: &str) -> Result<String, String> {
+    let with_mark = if text.starts_with('#') { text.to_owned() } else { format!("#{text}") };
+    match Profile::of_hex(&with_mark) {
+        Some(profile) => Ok(profile.name),
+        None => Err("a colour is #RRGGBB, such as #FFA421".into()),
+    }
 }
 
 /// What is known before matching.

@@ -7,7 +7,7 @@ use autoref_stream::georef::candidate_list;
 use autoref_stream::pipeline::scan;
 use clap::Args;
 
-use crate::cli::common::{self, Bar, Gsd, MarkArgs, ReadArgs};
+use crate::cli::common::{self, Bar, Gsd, MarkArgs, PaintArg, ReadArgs};
 
 /// Find the marks in an image and write the candidates as CSV or GeoJSON.
 #[derive(Args, Debug)]
@@ -32,6 +32,8 @@ pub struct DetectArgs {
     #[command(flatten)]
     pub marks: MarkArgs,
     #[command(flatten)]
+    pub paint: PaintArg,
+    #[command(flatten)]
     pub read: ReadArgs,
 }
 
@@ -39,7 +41,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     if args.output.as_os_str() != "-" {
         autoref_raster::atomic::check_outputs(&[&args.output], args.overwrite)?;
     }
-    let prepared = common::prepare(&args.image, &args.read, &args.marks, args.gsd)?;
+    let prepared = common::prepare(&args.image, &args.read, &args.paint.of(&args.marks), args.gsd)?;
     let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
     let found = scan(prepared.source.as_ref(), &prepared.plan, &prepared.detector, &bar)?;
     bar.finish();

@@ -16,14 +16,16 @@ use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::second_pass::second_pass;
+use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
+use autoref_stream::pipeline::reasons::{NotFound, Reason, reasons};
+use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
     ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
 };
 use clap::Args;
 
-use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, Prepared, ReadArgs};
+use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
 use crate::cli::frame;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
@@ -42,6 +44,8 @@ pub struct RunArgs {
     #[command(flatten)]
     pub marks: MarkArgs,
     #[command(flatten)]
+    pub paint: PaintArg,
+    #[command(flatten)]
     pub matching: MatchArgs,
     #[command(flatten)]
     pub solving: SolvingArgs,
@@ -52,9 +56,11 @@ pub struct RunArgs {
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
-    /// Learn the marks from what was found and scan again; done in any case when nothing is solved.
-    #[arg(long, help_heading = "Marks")]
-    pub second_pass: bool,
+    /// Learn the marks from what was found and look again: never; when points stay unmatched or nothing is solved; or always, by
+    /// a second scan. Without a word it is `always`.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
+        require_equals = true, help_heading = "Marks")]
+    pub second_pass: SecondPassArg,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -62,12 +68,21 @@ pub struct RunArgs {
     pub read: ReadArgs,
 }
 
+/// When the second pass is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum SecondPassArg {
+    Never,
+    Auto,
+    Always,
+}
+
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();
     autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
-    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &args.marks, args.matching.gsd)?;
+    let marks = args.paint.of(&args.marks);
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
@@ -79,9 +94,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
-    // Colours can be learned from the image for a second pass, which is another chance for an accident.
-    let learns = matches!(detector, MarkDetector::Paint(_));
+    // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident. The first
+    // look has half of what is allowed, the second a quarter, all clusters of colour together the last.
+    let learns = matches!(detector, MarkDetector::Paint(_)) && args.second_pass != SecondPassArg::Never;
     let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 })?;
+    let learned_matcher = common::matcher(&args.matching, priors.len() * 4)?;
+    let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
@@ -97,16 +115,34 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     let mut run = georeference(&job)?;
     let mut second = None;
-    let refused = matches!(run.outcome, Outcome::Refused(_));
-    if learns && (refused || args.second_pass) {
-        (run, second) = second_pass(&job, run)?;
+    let mut colours = None;
+    if learns {
+        let learned = Job { matcher: learned_matcher.as_ref(), ..job };
+        let refused = matches!(run.outcome, Outcome::Refused(_));
+        if refused || args.second_pass == SecondPassArg::Always {
+            (run, second) = second_pass(&learned, run)?;
+        } else {
+            (run, second) = look_closer(&learned, run)?;
+        }
+        if matches!(run.outcome, Outcome::Refused(_)) {
+            (run, colours) = colour_search(&Job { matcher: cluster_matcher.as_ref(), ..job }, run)?;
+        }
     }
     let known = doctor::known_place(info, &list);
     doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
+    if let Outcome::Solved(orientation) = &run.outcome {
+        document.result.not_found =
+            reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
+    }
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
+    if let Some(search) = &colours {
+        document.result.advice.extend(search.advice());
+        document.result.warnings.extend(search.note());
+    }
+    document.result.colour_search = colours;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -132,7 +168,8 @@ fn json_path(request: &WriteRequest) -> PathBuf {
 
 fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     serde_json::json!({
-        "profile": args.marks.profile,
+        "profile": args.paint.of(&args.marks).profile,
+        "second_pass": format!("{:?}", args.second_pass).to_lowercase(),
         "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
         "priors": job.priors,
         "max_false_alarms": args.matching.max_false_alarms,
@@ -239,6 +276,7 @@ impl Document {
             files_written: Vec::new(),
             reading: None,
             second_pass: None,
+            colour_search: None,
             memory_plan: None,
             timings: Timings::default(),
             peak_memory_bytes: None,
@@ -354,7 +392,7 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
         .collect();
     result.check_points = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
     let name = |&i: &usize| list.gcps[i].name.clone();
-    result.not_found = orientation.not_found.iter().map(name).collect();
+    result.not_found = reasons(None, orientation, &list.gcps, &result.candidates).unwrap_or_default();
     result.outside = orientation.outside.iter().map(name).collect();
     result.gcps_in_image = Some(orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len());
     result.warnings.extend(solution.warnings.iter().cloned());
@@ -448,7 +486,11 @@ fn summary(result: &RunResult) -> String {
             format!("{}{visible}, {} listed", result.matches.len() + result.check_points.len(), result.gcps_listed),
         );
         if !result.not_found.is_empty() {
-            line("  not found", result.not_found.join(", "));
+            let inside: Vec<String> =
+                result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line).collect();
+            if !inside.is_empty() {
+                line("  not found", inside.join(", "));
+            }
         }
         if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
             line("Scale", format!("{scale:.7} m per pixel"));

@@ -1,0 +1,157 @@
+//! When nothing fits, the picture is asked: compact objects of any saturated colour that stand out from their ground, sorted by
+//! colour; each cluster is tried against the list. The limit on accidents holds for all clusters together, because the matcher
+//! that is given counts [`MOST_CLUSTERS`] of them, tried or not.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use crate::candidate::Candidate;
+use crate::matching::MatchOutcome;
+use crate::pipeline::georeference::{Job, Outcome, Run, find, orient_again};
+use crate::pipeline::second_pass::{strongest, taught};
+use crate::pipeline::{MarkDetector, ScanOutcome, scan};
+use crate::profile::Profile;
+use crate::profile::colour::lab_from_srgb;
+use autoref_raster::error::Result;
+
+/// So many clusters are tried at most, the largest first.
+pub const MOST_CLUSTERS: usize = 8;
+/// Fewer objects are no cluster.
+const LEAST_OBJECTS: usize = 4;
+/// Colours of one paint lie so near to each other: in a\*, b\* and half of the lightness.
+const NEAR: f64 = 20.0;
+
+/// What the search saw.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ColourSearch {
+    /// Objects of any colour.
+    pub objects: usize,
+    /// The clusters tried, the largest first.
+    pub clusters: Vec<ColourCluster>,
+    /// Seconds, scan and matching.
+    pub elapsed_s: f64,
+}
+
+/// Objects of one colour.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ColourCluster {
+    /// Their median, as #RRGGBB.
+    pub colour: String,
+    pub objects: usize,
+    /// Points of the list that they match; 0 when refused.
+    pub matched: usize,
+    pub adopted: bool,
+}
+
+impl ColourSearch {
+    /// What to try next, of clusters that look like marks.
+    pub fn advice(&self) -> Vec<String> {
+        if self.clusters.iter().any(|cluster| cluster.adopted) {
+            return Vec::new();
+        }
+        let line = |c: &ColourCluster| {
+            format!("these {} objects of colour {} look like marks: --paint \"{}\"", c.objects, c.colour, c.colour)
+        };
+        self.clusters.iter().take(3).map(line).collect()
+    }
+
+    /// That the marks are of another paint.
+    pub fn note(&self) -> Option<String> {
+        let found = self.clusters.iter().find(|cluster| cluster.adopted)?;
+        Some(format!(
+            "the marks are of colour {}, not the profile's: next time name it, --paint \"{}\"",
+            found.colour, found.colour
+        ))
+    }
+}
+
+/// Looks for marks of any colour and tries each cluster; the run that solves comes back, else the first.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSearch>)> {
+    let started = std::time::Instant::now();
+    let Ok(detector) = MarkDetector::new(Profile::any_paint(), job.source.info(), None) else { return Ok((first, None)) };
+    job.progress.pass("looking for marks of any colour");
+    let seen = scan(job.source, job.plan, &detector, job.progress)?;
+    let mut search = ColourSearch { objects: seen.candidates.len(), clusters: Vec::new(), elapsed_s: 0.0 };
+    let mut solved = None;
+    for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
+        let candidates: Vec<Candidate> = members.iter().map(|&i| seen.candidates[i].clone()).collect();
+        let colour = median_colour(&candidates);
+        let [r, g, b] = colour;
+        let outcome = oriented(job, &candidates, colour)?;
+        let matched = match &outcome {
+            Some(Outcome::Solved(orientation)) => orientation.marks.len() + orientation.check_marks.len(),
+            _ => 0,
+        };
+        let (objects, adopted) = (candidates.len(), matched > 0);
+        search.clusters.push(ColourCluster { colour: format!("#{r:02X}{g:02X}{b:02X}"), objects, matched, adopted });
+        if let Some(outcome) = outcome.filter(|_| adopted) {
+            solved = Some(Run {
+                scan: ScanOutcome { candidates, ..seen.clone() },
+                outcome,
+                match_s: first.match_s,
+                rematch_s: first.rematch_s,
+            });
+            break;
+        }
+    }
+    search.elapsed_s = started.elapsed().as_secs_f64();
+    Ok((solved.unwrap_or(first), Some(search)))
+}
+
+/// The orientation by a cluster, its missing points looked for with what it teaches; `None` when refused.
+fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<Option<Outcome>> {
+    let MatchOutcome::Solved(solved) = find(job, candidates) else { return Ok(None) };
+    let teachers = strongest(solved.pattern.pairs.iter().map(|pair| &candidates[pair.0]));
+    let profile = taught(job.source, &teachers)?.unwrap_or_else(|| Profile::of_paint(colour));
+    let Ok(detector) = MarkDetector::new(profile, job.source.info(), None) else { return Ok(None) };
+    let second_look = detector.relaxed();
+    let job = Job { second_look: &second_look, ..*job };
+    let outcome = orient_again(&job, candidates, *solved, &second_look)?;
+    Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
+}
+
+fn place(rgb: [u8; 3]) -> Vector3<f64> {
+    let lab = lab_from_srgb(rgb.map(|v| f64::from(v) / 255.0));
+    Vector3::new(lab[0] / 2.0, lab[1], lab[2])
+}
+
+/// Indices of the candidates of each cluster, the largest first: the candidate with the most neighbours in colour takes them all,
+/// and so on with what is left.
+fn clusters(candidates: &[Candidate]) -> Vec<Vec<usize>> {
+    // Neighbours are counted in cells of colour: candidates may be tens of thousands.
+    let mut cells: std::collections::BTreeMap<[i32; 3], Vec<usize>> = std::collections::BTreeMap::new();
+    for (i, candidate) in candidates.iter().enumerate() {
+        if let Some(paint) = candidate.paint {
+            let at = place(paint);
+            cells.entry([0, 1, 2].map(|k| (at[k] / (NEAR / 4.0)).floor() as i32)).or_default().push(i);
+        }
+    }
+    let mut found = Vec::new();
+    while found.len() < MOST_CLUSTERS {
+        let near = |a: &[i32; 3], b: &[i32; 3]| (0..3).map(|k| (a[k] - b[k]).pow(2)).sum::<i32>() <= 16;
+        let size = |at: &[i32; 3]| cells.iter().filter(|(b, _)| near(at, b)).map(|(_, m)| m.len()).sum::<usize>();
+        let Some((most, at)) = cells.keys().map(|at| (size(at), *at)).max_by_key(|(n, at)| (*n, std::cmp::Reverse(*at)))
+        else {
+            break;
+        };
+        if most < LEAST_OBJECTS {
+            break;
+        }
+        let keys: Vec<[i32; 3]> = cells.keys().filter(|b| near(&at, b)).copied().collect();
+        let mut members: Vec<usize> = keys.iter().filter_map(|key| cells.remove(key)).flatten().collect();
+        members.sort_unstable();
+        found.push(members);
+    }
+    found
+}
+
+fn median_colour(candidates: &[Candidate]) -> [u8; 3] {
+    std::array::from_fn(|c| {
+        let mut values: Vec<u8> = candidates.iter().filter_map(|candidate| candidate.paint.map(|p| p[c])).collect();
+        values.sort_unstable();
+        values.get(values.len() / 2).copied().unwrap_or(0)
+    })
+}

@@ -1,0 +1,248 @@
+//! Why a point of the list has no mark: what the picture shows where its mark must be.
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::candidate::Candidate;
+use crate::candidate::patch::{Ground, sample_ground};
+use crate::gcp::Gcp;
+use crate::pipeline::georeference::Orientation;
+use crate::profile::colour::lab_from_srgb;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{Patch, RasterSource, read_patch};
+
+/// Why a point was not found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// The image does not reach there.
+    Outside,
+    /// Ground, or something that covers the mark.
+    Hidden,
+    /// A trace of the paint, too weak to be believed.
+    Faint,
+    /// Something stands out, of another colour than the marks.
+    OtherColour,
+    /// A mark that may be another point's.
+    Ambiguous,
+}
+
+/// A point without a mark.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Written")]
+pub struct NotFound {
+    pub name: String,
+    pub reason: Reason,
+    /// The same for people: how faint, which colour, between which.
+    pub detail: String,
+    /// Where the mark must be, pixels.
+    pub x: f64,
+    pub y: f64,
+    /// Contrast of what is there with the ground beside it, in deviations of the ground.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contrast: Option<f64>,
+    /// Colour of what is there, #RRGGBB.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub colour: Option<String>,
+    /// The points that a mark there may be.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub between: Vec<String>,
+}
+
+/// As files hold it; before there were reasons it was the name alone.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Name(String),
+    Whole {
+        name: String,
+        reason: Reason,
+        #[serde(default)]
+        detail: String,
+        #[serde(default)]
+        x: f64,
+        #[serde(default)]
+        y: f64,
+        contrast: Option<f64>,
+        colour: Option<String>,
+        #[serde(default)]
+        between: Vec<String>,
+    },
+}
+
+impl From<Written> for NotFound {
+    fn from(written: Written) -> NotFound {
+        match written {
+            Written::Name(name) => NotFound::new(name, Reason::Hidden, PixelPoint { x: 0.0, y: 0.0 }, String::new()),
+            Written::Whole { name, reason, detail, x, y, contrast, colour, between } => {
+                NotFound { name, reason, detail, x, y, contrast, colour, between }
+            }
+        }
+    }
+}
+
+impl NotFound {
+    fn new(name: String, reason: Reason, at: PixelPoint, detail: String) -> NotFound {
+        NotFound { name, reason, detail, x: at.x, y: at.y, contrast: None, colour: None, between: Vec::new() }
+    }
+
+    /// A name with its reason.
+    pub fn line(&self) -> String {
+        let word = match self.reason {
+            Reason::Outside => "outside",
+            Reason::Hidden => "hidden",
+            Reason::Faint => "faint",
+            Reason::OtherColour => "other colour",
+            Reason::Ambiguous => "ambiguous",
+        };
+        if self.detail.is_empty() { format!("{} ({word})", self.name) } else { format!("{} ({word}: {})", self.name, self.detail) }
+    }
+}
+
+/// Why each point without a mark has none, in the order of the list: those inside the image, then those outside. Without a source
+/// (a list of candidates alone) nothing can be looked at, and points inside are hidden.
+///
+/// # Errors
+/// When a window cannot be read.
+pub fn reasons(
+    source: Option<&dyn RasterSource>,
+    orientation: &Orientation,
+    gcps: &[Gcp],
+    candidates: &[Candidate],
+) -> Result<Vec<NotFound>> {
+    let expected = |gcp: usize| orientation.solution.similarity.invert(gcps[gcp].position());
+    let marks = || orientation.marks.iter().chain(&orientation.check_marks);
+    let mut paints: Vec<[u8; 3]> = marks().filter_map(|found| found.mark.paint).collect();
+    paints.sort_unstable();
+    let paint = paints.get(paints.len() / 2).copied();
+    let mut sides: Vec<f64> = marks().filter_map(|found| found.mark.area_px.map(f64::sqrt)).collect();
+    sides.sort_by(f64::total_cmp);
+    let side_px = sides.get(sides.len() / 2).copied().unwrap_or(10.0).clamp(4.0, 100.0);
+    let mut all = Vec::new();
+    for &gcp in &orientation.not_found {
+        let (name, at) = (gcps[gcp].name.clone(), expected(gcp));
+        let near = |p: PixelPoint, reach: f64| (p.x - at.x).hypot(p.y - at.y) <= reach;
+        // A mark is there, but it is another point's.
+        let rivals: Vec<String> = marks()
+            .filter(|found| near(found.mark.centre, side_px))
+            .map(|found| gcps[found.gcp].name.clone())
+            .collect();
+        let around = candidates.iter().filter(|c| near(c.centre, 2.5 * side_px)).count();
+        if !rivals.is_empty() || around > 1 {
+            let detail = match rivals.first() {
+                Some(rival) => format!("the mark there is taken for {rival}"),
+                None => format!("{around} marks lie beside the place"),
+            };
+            let mut between = rivals;
+            between.push(name.clone());
+            all.push(NotFound { between, ..NotFound::new(name, Reason::Ambiguous, at, detail) });
+            continue;
+        }
+        let seen = match source {
+            Some(source) => {
+                let bounds = source.info().bounds();
+                let pixel = Window::new(at.x.max(0.0) as u64, at.y.max(0.0) as u64, 1, 1);
+                let window = pixel.grown((2.0 * side_px).ceil() as u64 + 8, &bounds);
+                Some(read_patch(source, window)?)
+            }
+            None => None,
+        };
+        all.push(match seen {
+            Some(patch) => look(name, at, &patch, side_px, paint),
+            None => NotFound::new(name, Reason::Hidden, at, "no image to look at".into()),
+        });
+    }
+    for &gcp in &orientation.outside {
+        let name = gcps[gcp].name.clone();
+        all.push(NotFound::new(name, Reason::Outside, expected(gcp), "the image does not reach there".into()));
+    }
+    Ok(all)
+}
+
+/// What the window shows about its place.
+fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option<[u8; 3]>) -> NotFound {
+    /// What stands out less is ground; as in the second look.
+    const LEAST_CONTRAST: f64 = 4.0;
+    /// A trace of paint is at least this share of it.
+    const TRACE: f64 = 0.08;
+    /// Hues that lie further apart are other paints, radians.
+    const HUES: f64 = 0.45;
+    let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
+    let distance = |i: usize| ((i % width) as f64 + 0.5 + x0 - at.x).hypot((i / width) as f64 + 0.5 + y0 - at.y);
+    let ring: Vec<[u16; 3]> = (0..patch.rgb.len())
+        .filter(|&i| patch.valid[i] && distance(i) > 1.1 * side_px && distance(i) <= 2.0 * side_px + 6.0)
+        .map(|i| patch.rgb[i])
+        .collect();
+    let Some(ground) = sample_ground(&ring, patch.white) else {
+        return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
+    };
+    let scale = 255.0 / f64::from(patch.white);
+    // The mark's middle may be a little beside its place: of nine the one that stands out most.
+    let reach = (side_px / 3.0).max(1.0);
+    let step = side_px / 3.0;
+    let places = (-1..=1).flat_map(|v| (-1..=1).map(move |u| (f64::from(u) * step, f64::from(v) * step)));
+    let inverse = (ground.covariance + Matrix3::identity() * 9.0).cholesky().map(|c| c.inverse());
+    let contrast_of = |colour: &Vector3<f64>| {
+        let step = colour - ground.mean;
+        inverse.map_or(0.0, |inverse| step.dot(&(inverse * step)).max(0.0).sqrt())
+    };
+    let mean_about = |(dx, dy): (f64, f64)| {
+        let (mut sum, mut n) = (Vector3::zeros(), 0.0);
+        for i in 0..patch.rgb.len() {
+            let (x, y) = ((i % width) as f64 + 0.5 + x0 - at.x - dx, (i / width) as f64 + 0.5 + y0 - at.y - dy);
+            if patch.valid[i] && x.hypot(y) <= reach {
+                sum += Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale));
+                n += 1.0;
+            }
+        }
+        (n > 0.0).then(|| sum / n)
+    };
+    let best = places.filter_map(mean_about).max_by(|a, b| contrast_of(a).total_cmp(&contrast_of(b)));
+    let Some(colour) = best else {
+        return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
+    };
+    let contrast = contrast_of(&colour);
+    let hex = hex(&colour);
+    let share = paint.map_or(0.0, |paint| share_of(&ground, &colour, paint));
+    let apart = paint.map_or(0.0, |paint| hues_apart(&colour, paint));
+    let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && share < 0.6 {
+        (Reason::OtherColour, format!("what stands out there is {hex}"))
+    } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
+        (Reason::Faint, format!("{:.0} % of the paint's contrast, {contrast:.1} deviations of the ground", 100.0 * share))
+    } else {
+        let what = format!("ground or cover of {hex}, {contrast:.1} deviations from what lies around");
+        (Reason::Hidden, what)
+    };
+    NotFound { contrast: Some(contrast), colour: Some(hex), ..NotFound::new(name, reason, at, detail) }
+}
+
+/// Share of paint that the colour is, from the ground.
+fn share_of(ground: &Ground, colour: &Vector3<f64>, paint: [u8; 3]) -> f64 {
+    let whole = Vector3::from(paint.map(f64::from)) - ground.mean;
+    ((colour - ground.mean).dot(&whole) / whole.norm_squared().max(1.0)).clamp(0.0, 1.0)
+}
+
+/// Angle between the hues of two colours, radians; of colours without hue none.
+fn hues_apart(colour: &Vector3<f64>, paint: [u8; 3]) -> f64 {
+    const GREY: f64 = 8.0;
+    let ab = |rgb: [f64; 3]| {
+        let lab = lab_from_srgb(rgb.map(|v| v / 255.0));
+        (lab[1], lab[2])
+    };
+    let (a, b) = (ab([colour[0], colour[1], colour[2]]), ab(paint.map(f64::from)));
+    match (a.0.hypot(a.1) < GREY, b.0.hypot(b.1) < GREY) {
+        (true, true) => 0.0,
+        (false, false) => {
+            let turn = (a.1.atan2(a.0) - b.1.atan2(b.0)).abs();
+            turn.min(std::f64::consts::TAU - turn)
+        }
+        _ => std::f64::consts::PI,
+    }
+}
+
+fn hex(colour: &Vector3<f64>) -> String {
+    let [r, g, b] = [0, 1, 2].map(|c| colour[c].round().clamp(0.0, 255.0) as u8);
+    format!("#{r:02X}{g:02X}{b:02X}")
+}

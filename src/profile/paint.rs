@@ -1,0 +1,145 @@
+//! Profiles of paints by their colour: RAL Classic and a few others by name, any other from its sRGB value.
+//!
+//! The clouds are those of the mixing model ([`super::mixing`]) for the paint itself, fresh and worn. sRGB values of RAL colours differ
+//! from table to table; both that are in wide use are taken.
+
+use super::mixing::{Mixing, cloud, population};
+use super::{CloudSpec, ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
+
+/// A name, what it is, and its sRGB values.
+struct Paint {
+    name: &'static str,
+    called: &'static str,
+    srgb: &'static [[u8; 3]],
+}
+
+const PAINTS: [Paint; 12] = [
+    Paint { name: "ral-1003", called: "signal yellow", srgb: &[[249, 168, 0], [229, 190, 1]] },
+    Paint { name: "ral-1016", called: "sulphur yellow", srgb: &[[237, 255, 33], [241, 221, 56]] },
+    Paint { name: "ral-1026", called: "luminous yellow", srgb: &[[255, 255, 0], [255, 246, 0]] },
+    Paint { name: "ral-2003", called: "pastel orange", srgb: &[[255, 117, 20], [250, 132, 43]] },
+    Paint { name: "ral-2004", called: "pure orange", srgb: &[[244, 70, 17], [231, 91, 18]] },
+    Paint { name: "ral-2005", called: "luminous orange", srgb: &[[255, 35, 1], [255, 77, 8]] },
+    Paint { name: "ral-2007", called: "luminous bright orange", srgb: &[[255, 164, 32], [255, 178, 0]] },
+    Paint { name: "ral-3020", called: "traffic red", srgb: &[[204, 6, 5], [187, 30, 16]] },
+    Paint { name: "ral-3024", called: "luminous red", srgb: &[[248, 0, 0], [255, 45, 33]] },
+    Paint { name: "ral-5015", called: "sky blue", srgb: &[[34, 113, 179], [0, 124, 176]] },
+    Paint { name: "ral-6018", called: "yellow green", srgb: &[[87, 166, 57], [97, 153, 59]] },
+    Paint { name: "white", called: "white", srgb: &[[255, 255, 255], [245, 245, 245], [235, 238, 240]] },
+];
+
+/// Names of the paints, as [`by_name`] takes them.
+pub(super) fn names() -> impl Iterator<Item = &'static str> {
+    PAINTS.iter().map(|paint| paint.name)
+}
+
+/// A paint by its name; RAL numbers in any writing: `ral-2007`, `RAL 2007`, `RAL2007`, `2007`.
+pub(super) fn by_name(name: &str) -> Option<Profile> {
+    let plain: String = name.to_lowercase().chars().filter(|c| c.is_ascii_alphanumeric()).collect();
+    let wanted = plain.strip_prefix("ral").unwrap_or(&plain);
+    let paint = PAINTS.iter().find(|paint| paint.name.strip_prefix("ral-").unwrap_or(paint.name) == wanted)?;
+    let description = match paint.name.strip_prefix("ral-") {
+        Some(number) => format!("RAL {number}, {}, fresh and worn", paint.called),
+        None => format!("{} paint", paint.called),
+    };
+    Some(of(paint.name, description, paint.srgb))
+}
+
+/// The first sRGB value of a paint of that name.
+pub(super) fn fresh(name: &str) -> Option<[u8; 3]> {
+    PAINTS.iter().find(|paint| paint.name == name).map(|paint| paint.srgb[0])
+}
+
+impl Profile {
+    /// The profile of a paint of this colour in full sun, sRGB 0..=255.
+    pub fn of_paint(srgb: [u8; 3]) -> Profile {
+        let [r, g, b] = srgb;
+        let name = format!("#{r:02X}{g:02X}{b:02X}");
+        let description = format!("Paint of the colour {name}, fresh and worn");
+        of(&name, description, &[srgb])
+    }
+
+    /// The same of a colour written as `#RRGGBB`.
+    pub fn of_hex(text: &str) -> Option<Profile> {
+        let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()))?;
+        let byte = |at: usize| u8::from_str_radix(&digits[at..at + 2], 16).ok();
+        Some(Profile::of_paint([byte(0)?, byte(2)?, byte(4)?]))
+    }
+
+    /// Any paint at all: saturated colours all around the circle, and white. Only to see what might be marks when a profile finds
+    /// none; what it finds is sorted by colour.
+    pub fn any_paint() -> Profile {
+        let mut wheel: Vec<[u8; 3]> = vec![[200, 25, 30], [34, 113, 179], [0, 60, 200], [87, 166, 57], [255, 105, 180]];
+        for sixth in 0..6u8 {
+            // Four hues in each sixth of the circle.
+            for step in 0..4u8 {
+                let (rising, falling) = (step * 64, 255 - step * 64);
+                wheel.push(match sixth {
+                    0 => [255, rising, 0],
+                    1 => [falling, 255, 0],
+                    2 => [0, 255, rising],
+                    3 => [0, falling, 255],
+                    4 => [rising, 0, 255],
+                    _ => [255, 0, falling],
+                });
+            }
+        }
+        let mut profile = of("any paint", "Saturated colours of any hue, and white".into(), &[[255; 3], [240; 3]]);
+        for paint in wheel {
+            let mixing = Mixing { fading: (0.0, 0.2), max_blur_share: 0.1, min_light: 0.45 };
+            let mut spec = cloud(&population(&[paint], mixing, 1500));
+            (0..3).for_each(|k| spec.covariance[k][k] += 16.0);
+            profile.colour.clouds.push(spec);
+        }
+        profile.colour.limit = 2.7;
+        profile
+    }
+}
+
+fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
+    // Two tins of a paint differ, and so do two cameras.
+    const TINS: f64 = 10.0;
+    let shades: Vec<[u8; 3]> = srgb
+        .iter()
+        .flat_map(|paint| {
+            [[0.0; 3], [1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -1.0, -1.0]]
+                .map(|step: [f64; 3]| {
+                    std::array::from_fn(|c| (f64::from(paint[c]) + TINS * step[c]).clamp(0.0, 255.0).round() as u8)
+                })
+        })
+        .collect();
+    let (most, least) = (srgb[0].iter().max().copied().unwrap_or(0), srgb[0].iter().min().copied().unwrap_or(0));
+    // Worn paint without a hue of its own is any ground.
+    let has_hue = u32::from(most) - u32::from(least) > 80;
+    let states: &[((f64, f64), f64, f64, f64)] = if has_hue {
+        &[((0.0, 0.15), 0.15, 0.25, 1.0), ((0.1, 0.4), 0.15, 0.25, 0.36)]
+    } else {
+        &[((0.0, 0.12), 0.08, 0.7, 1.0)]
+    };
+    let clouds = states
+        .iter()
+        .map(|&(fading, max_blur_share, min_light, scale)| {
+            let spec = cloud(&population(&shades, Mixing { fading, max_blur_share, min_light }, 6000));
+            // Rounded as in a file; a little noise keeps a grey cloud from being flat.
+            let round = |v: f64| (v * 100.0).round() / 100.0;
+            let mean = spec.mean.map(round);
+            let covariance = std::array::from_fn(|r| {
+                std::array::from_fn(|c| round(scale * spec.covariance[r][c] + if r == c { 4.0 } else { 0.0 }))
+            });
+            CloudSpec { mean, covariance }
+        })
+        .collect();
+    Profile {
+        name: name.to_owned(),
+        description,
+        colour: ColourModel { limit: 3.0, clouds, ..ColourModel::default() },
+        size: Size { min_px: Some(5.0), max_px: Some(60.0), min_m: None, max_m: None },
+        shape: Shape::Any,
+        gates: GateLimits::default(),
+        filters: Filters::default(),
+        examine: Examine::default(),
+        target: Target::default(),
+        tag: None,
+        learned: None,
+    }
+}
