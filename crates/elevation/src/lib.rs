@@ -7,11 +7,11 @@
 
 pub mod align;
 pub mod compare;
+pub mod derive;
 pub mod exact;
+pub mod files;
 pub mod grid;
 pub mod histogram;
-pub mod derive;
-pub mod files;
 pub mod model;
 pub mod mosaic;
 pub mod output;
@@ -20,4 +20,4 @@ pub mod source;
 pub mod stream;
 pub mod zones;
 
-use autoref_raster::{coords, crs, error, window};
+use autoref_raster::{atomic, coords, crs, error, window};
