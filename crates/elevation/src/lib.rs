@@ -15,6 +15,7 @@ pub mod histogram;
 pub mod model;
 pub mod mosaic;
 pub mod output;
+pub mod profile;
 pub mod resample;
 pub mod source;
 pub mod stream;
