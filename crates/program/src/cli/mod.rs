@@ -8,6 +8,7 @@ pub mod accuracy;
 pub mod apply;
 pub mod chips;
 pub mod common;
+pub mod dem;
 pub mod detect;
 pub mod distance;
 pub mod doctor;
@@ -17,6 +18,7 @@ pub mod film_outputs;
 mod film_resample;
 pub mod frame;
 pub mod inputs;
+pub mod mosaic;
 pub mod plan;
 pub mod positions;
 pub mod replay;
@@ -75,6 +77,8 @@ pub enum Command {
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
     SynthFilm(synth_film::SynthFilmArgs),
+    Dem(Box<dem::DemArgs>),
+    Mosaic(Box<mosaic::MosaicArgs>),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -92,6 +96,8 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),
+        Some(Command::Dem(args)) => dem::run(&args),
+        Some(Command::Mosaic(args)) => mosaic::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         None => run::run(&cli.run),
     }

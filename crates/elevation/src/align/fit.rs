@@ -1,0 +1,437 @@
+//! One streamed pass over both models: the normal equations of shift and plane, robustly weighted.
+//!
+//! The linearised model is that of the least-squares z-difference (K. Rosenholm and K. Torlegård, *Three-dimensional
+//! absolute orientation of stereo models using digital elevation models*, 1988), of whose seven parameters the shift and
+//! the two tilts are kept. Where it differs: the estimating equations take the gradient of the template, which no
+//! interpolation has touched and whose noise has nothing in common with that of the other model, so that noise does not
+//! draw the shift; and the matrix is the mixed product of both models' gradients, which noise does not enlarge.
+
+use crate::error::Result;
+use crate::exact::ExactSum;
+use crate::grid::{Grid, GroundUnit};
+use crate::resample::{Interpolation, Resampled, Scratch};
+use crate::source::{Heights, Patch};
+use crate::stream::{self, BLOCK_PX, Means};
+use crate::window::Window;
+use crate::zones::Zones;
+
+/// East, north (in cells of the template, along its axes), height, and two tilts.
+pub const PARAMETERS: usize = 5;
+
+/// Upper limits of the slope classes, as tangents; the last has none.
+const SLOPE_LIMITS: [f64; SLOPES - 1] = [0.03, 0.07, 0.15, 0.3, 0.5, 0.8, 1.2];
+/// Number of slope classes.
+pub const SLOPES: usize = 8;
+/// The middle of each class: how much a residual there tells about the shift.
+pub const SLOPE_TANGENTS: [f64; SLOPES] = [0.015, 0.05, 0.11, 0.22, 0.4, 0.65, 1.0, 1.5];
+
+/// The two models of a fit, on grids of one CRS. `template` has the coarser cells; `other` is brought onto its grid.
+pub struct Pair<'a> {
+    pub template: &'a dyn Heights,
+    pub other: &'a dyn Heights,
+    pub unit: GroundUnit,
+    /// Where the ground is known to be stable.
+    pub stable: Option<&'a Zones>,
+    /// Middle and half size of the area over which tilts count, the same for all levels of a pyramid.
+    pub frame: Frame,
+}
+
+/// Where normalised coordinates run from −1 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    pub x: f64,
+    pub y: f64,
+    pub half_x: f64,
+    pub half_y: f64,
+}
+
+impl Frame {
+    pub fn of(grid: &Grid) -> Frame {
+        let (x, y) = grid.centre();
+        let half = |step: f64, count: u64| step.abs() * count as f64 / 2.0;
+        Frame { x, y, half_x: half(grid.step_x, grid.width), half_y: half(grid.step_y, grid.height) }
+    }
+}
+
+/// Where the other model is read, and the surface that is left between the two.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct State {
+    /// The template's X meets the other's X + shift; units of the CRS.
+    pub shift: (f64, f64),
+    /// template − other = plane[0] + plane[1]·u + plane[2]·v in the normalised coordinates of [`Frame`].
+    pub plane: [f64; 3],
+}
+
+/// How a residual is weighed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Weighing {
+    /// Beaton and Tukey's biweight, 1974, with 95 % efficiency for normal noise.
+    Biweight,
+    /// All residuals within three standard deviations alike.
+    Clip,
+}
+
+const BIWEIGHT: f64 = 4.685;
+const CLIP: f64 = 3.0;
+
+impl Weighing {
+    /// Weight and derivative of (weight · residual), both for unit scale.
+    fn at(self, z: f64) -> (f64, f64) {
+        match self {
+            Weighing::Biweight => {
+                let u2 = (z / BIWEIGHT).powi(2);
+                if u2 >= 1.0 { (0.0, 0.0) } else { ((1.0 - u2).powi(2), (1.0 - u2) * (1.0 - 5.0 * u2)) }
+            }
+            Weighing::Clip if z.abs() <= CLIP => (1.0, 1.0),
+            Weighing::Clip => (0.0, 0.0),
+        }
+    }
+}
+
+/// What a pass does beside the histograms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Gather {
+    /// Nothing.
+    Residuals,
+    /// Normal equations with the weights.
+    Normal { scales: [f64; SLOPES], weighing: Weighing },
+    /// Normal equations with the derivative of the weighed residual, and the scores block by block, for the covariance.
+    Scores { scales: [f64; SLOPES], weighing: Weighing, block_px: u64 },
+}
+
+/// Whether cells without any slope take part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flats {
+    /// Water and filled holes tell nothing about a shift.
+    LeftOut,
+    Kept,
+}
+
+/// Counts of absolute residuals, 64 buckets for each power of two.
+#[derive(Clone)]
+pub struct AbsHistogram {
+    counts: Vec<u64>,
+    pub total: u64,
+}
+
+const ABS_SHIFT: u32 = 17;
+
+impl Default for AbsHistogram {
+    fn default() -> Self {
+        AbsHistogram { counts: vec![0; 1 << (31 - ABS_SHIFT)], total: 0 }
+    }
+}
+
+impl AbsHistogram {
+    fn add(&mut self, value: f64) {
+        self.counts[((value as f32).to_bits() >> ABS_SHIFT) as usize & ((1 << (31 - ABS_SHIFT)) - 1)] += 1;
+        self.total += 1;
+    }
+
+    pub fn merge(&mut self, other: &Self) {
+        self.counts.iter_mut().zip(&other.counts).for_each(|(a, b)| *a += b);
+        self.total += other.total;
+    }
+
+    fn edge(bucket: usize) -> f64 {
+        f64::from(f32::from_bits((bucket as u32) << ABS_SHIFT))
+    }
+
+    /// The quantile of the values up to `limit`.
+    fn quantile_below(&self, share: f64, limit: f64) -> f64 {
+        let below: u64 = (0..self.counts.len()).take_while(|&i| Self::edge(i) < limit).map(|i| self.counts[i]).sum();
+        let rank = share * below as f64;
+        let mut before = 0.0;
+        for (bucket, &count) in self.counts.iter().enumerate().filter(|(_, c)| **c > 0) {
+            if before + count as f64 >= rank {
+                let (low, high) = (Self::edge(bucket), Self::edge(bucket + 1));
+                // Exact zeros are zeros.
+                return if bucket == 0 { 0.0 } else { low + (high - low) * (rank - before) / count as f64 };
+            }
+            before += count as f64;
+        }
+        0.0
+    }
+
+    pub fn median(&self) -> f64 {
+        self.quantile_below(0.5, f64::INFINITY)
+    }
+
+    /// Standard deviation of the core: 1.4826 times the median, then that of the values within three of it, again.
+    pub fn scale(&self) -> f64 {
+        let mut scale = 1.4826 * self.median();
+        for _ in 0..20 {
+            let next = self.quantile_below(0.5, CLIP * scale) / TRUNCATED_MEDIAN;
+            if !(next > 0.0 && next < scale * (1.0 - 1e-6)) {
+                break;
+            }
+            scale = next;
+        }
+        scale
+    }
+}
+
+/// Median of |z| of normal values with |z| ≤ 3.
+const TRUNCATED_MEDIAN: f64 = 0.672_0;
+
+/// What a pass gathers. Sums are exact, so that joining them in any order gives the same bits.
+#[derive(Clone)]
+pub struct Sums {
+    pub matrix: Vec<ExactSum>,
+    pub right: Vec<ExactSum>,
+    /// By slope class.
+    pub residuals: Vec<AbsHistogram>,
+    /// Cells that both models have (and that lie on stable ground, where that is given).
+    pub common: u64,
+    /// Of them, those with a slope.
+    pub sloping: u64,
+    /// Of them, those whose weight is not zero.
+    pub used: u64,
+    /// Scores by block, fixed point.
+    scores: Vec<[i128; PARAMETERS]>,
+}
+
+/// Units of a score: 2⁻⁵⁰.
+const SCORE_UNIT: f64 = (1u64 << 50) as f64;
+
+impl Sums {
+    fn new(blocks: usize) -> Self {
+        Sums {
+            matrix: vec![ExactSum::default(); PARAMETERS * PARAMETERS],
+            right: vec![ExactSum::default(); PARAMETERS],
+            residuals: vec![AbsHistogram::default(); SLOPES],
+            common: 0,
+            sloping: 0,
+            used: 0,
+            scores: vec![[0; PARAMETERS]; blocks],
+        }
+    }
+
+    pub fn merge(&mut self, other: &Sums) {
+        self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| a.merge(b));
+        self.right.iter_mut().zip(&other.right).for_each(|(a, b)| a.merge(b));
+        self.residuals.iter_mut().zip(&other.residuals).for_each(|(a, b)| a.merge(b));
+        self.common += other.common;
+        self.sloping += other.sloping;
+        self.used += other.used;
+        for (mine, theirs) in self.scores.iter_mut().zip(&other.scores) {
+            mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
+        }
+    }
+
+    /// Scores of the blocks, row by row.
+    pub fn block_scores(&self) -> Vec<[f64; PARAMETERS]> {
+        self.scores.iter().map(|s| s.map(|v| v as f64 / SCORE_UNIT)).collect()
+    }
+
+    /// Standard deviation of the residuals in each slope class; a class with few cells has that of all.
+    ///
+    /// `floor`: what a scale is at least. No class counts as more than ten times as precise as all together.
+    pub fn scales(&self, floor: f64) -> [f64; SLOPES] {
+        const ENOUGH: u64 = 200;
+        let mut all = AbsHistogram::default();
+        self.residuals.iter().for_each(|h| all.merge(h));
+        let overall = all.scale();
+        std::array::from_fn(|class| {
+            let own = &self.residuals[class];
+            let scale = if own.total >= ENOUGH { own.scale() } else { overall };
+            scale.max(overall / 10.0).max(floor)
+        })
+    }
+
+    /// How badly the models fit where they slope: scales of the classes, weighed by their tangents and counts.
+    pub fn misfit(&self) -> f64 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (histogram, tangent) in self.residuals.iter().zip(SLOPE_TANGENTS) {
+            sum += histogram.median() * tangent * histogram.total as f64;
+            weight += tangent * histogram.total as f64;
+        }
+        if weight > 0.0 { sum / weight } else { f64::INFINITY }
+    }
+}
+
+/// Buffers of a worker.
+struct Worker {
+    sums: Sums,
+    scratch: Scratch,
+    template: Vec<f64>,
+    other: Vec<f64>,
+    stable: Vec<u32>,
+}
+
+/// One pass over all cells of the template.
+///
+/// # Errors
+/// When a model cannot be read.
+pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means: Means) -> Result<Sums> {
+    let grid = pair.template.grid();
+    let blocks_across = |block_px: u64| grid.width.div_ceil(block_px);
+    let blocks = match gather {
+        Gather::Scores { block_px, .. } => (blocks_across(block_px) * grid.height.div_ceil(block_px)) as usize,
+        _ => 0,
+    };
+    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    let worker = || Worker {
+        sums: Sums::new(blocks),
+        scratch: Scratch::default(),
+        template: Vec::new(),
+        other: Vec::new(),
+        stable: Vec::new(),
+    };
+    let tiles = means.tiles(grid.width, grid.height);
+    let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+        let patch = Patch {
+            x: core.x as i64 - 1,
+            y: core.y as i64 - 1,
+            width: core.width as usize + 2,
+            height: core.height as usize + 2,
+        };
+        pair.template.read(patch, &mut worker.template)?;
+        other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
+        mark_stable(pair, &grid, core, &mut worker.stable);
+        let view = View { pair, grid: &grid, core, template: &worker.template, other: &worker.other };
+        for y in (0..core.height).step_by(BLOCK_PX as usize) {
+            for x in (0..core.width).step_by(BLOCK_PX as usize) {
+                let block = Window::new(x, y, BLOCK_PX.min(core.width - x), BLOCK_PX.min(core.height - y));
+                let partial = view.block(block, state, gather, flats, &worker.stable, &mut worker.sums);
+                let index = match gather {
+                    Gather::Scores { block_px, .. } => {
+                        Some(((core.y + y) / block_px * blocks_across(block_px) + (core.x + x) / block_px) as usize)
+                    }
+                    _ => None,
+                };
+                worker.sums.take(&partial, index);
+            }
+        }
+        Ok(())
+    })?;
+    let mut whole = Sums::new(blocks);
+    parts.iter().for_each(|part| whole.merge(&part.sums));
+    Ok(whole)
+}
+
+/// 1 where the ground counts as stable, else 0, for each cell of `core`.
+pub fn mark_stable(pair: &Pair<'_>, grid: &Grid, core: Window, out: &mut Vec<u32>) {
+    out.clear();
+    out.resize((core.width * core.height) as usize, 1);
+    if let Some(zones) = pair.stable {
+        for (row, line) in out.chunks_exact_mut(core.width as usize).enumerate() {
+            let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
+            zones.row(y, grid.x0 + (core.x as f64 + 0.5) * grid.step_x, grid.step_x, line);
+        }
+    }
+}
+
+/// Plain sums of a block, made in one fixed order.
+#[derive(Default)]
+struct Partial {
+    matrix: [[f64; PARAMETERS]; PARAMETERS],
+    right: [f64; PARAMETERS],
+}
+
+impl Sums {
+    fn take(&mut self, partial: &Partial, block: Option<usize>) {
+        for (sum, &term) in self.matrix.iter_mut().zip(partial.matrix.as_flattened()) {
+            sum.add(term);
+        }
+        for (sum, &term) in self.right.iter_mut().zip(&partial.right) {
+            sum.add(term);
+        }
+        if let Some(block) = block {
+            for (score, &term) in self.scores[block].iter_mut().zip(&partial.right) {
+                *score += (term * SCORE_UNIT) as i128;
+            }
+        }
+    }
+}
+
+/// A tile of both models with one cell around it.
+struct View<'a> {
+    pair: &'a Pair<'a>,
+    grid: &'a Grid,
+    core: Window,
+    template: &'a [f64],
+    other: &'a [f64],
+}
+
+impl View<'_> {
+    fn block(
+        &self,
+        block: Window,
+        state: &State,
+        gather: Gather,
+        flats: Flats,
+        stable: &[u32],
+        sums: &mut Sums,
+    ) -> Partial {
+        let stride = self.core.width as usize + 2;
+        let (grid, frame) = (self.grid, &self.pair.frame);
+        let mut partial = Partial::default();
+        for row in block.y..block.bottom() {
+            let y = grid.y0 + ((self.core.y + row) as f64 + 0.5) * grid.step_y;
+            let v = (y - frame.y) / frame.half_y;
+            let (mx, my) = self.pair.unit.metres_per_unit(y);
+            let (per_x, per_y) = (1.0 / (mx * grid.step_x), 1.0 / (my * grid.step_y));
+            for column in block.x..block.right() {
+                if stable[(row * self.core.width + column) as usize] == 0 {
+                    continue;
+                }
+                let at = (row as usize + 1) * stride + column as usize + 1;
+                let (t, o) = (self.template, self.other);
+                let difference = t[at] - o[at];
+                if difference.is_nan() {
+                    continue;
+                }
+                let (tx, ty) = ((t[at + 1] - t[at - 1]) / 2.0, (t[at + stride] - t[at - stride]) / 2.0);
+                let (ox, oy) = ((o[at + 1] - o[at - 1]) / 2.0, (o[at + stride] - o[at - stride]) / 2.0);
+                let complete = !(tx + ty + ox + oy).is_nan();
+                if flats == Flats::LeftOut && !complete {
+                    continue;
+                }
+                sums.common += 1;
+                let level = complete && (tx * tx + ty * ty <= LEVEL || ox * ox + oy * oy <= LEVEL);
+                if level && flats == Flats::LeftOut {
+                    continue;
+                }
+                sums.sloping += 1;
+                let x = grid.x0 + ((self.core.x + column) as f64 + 0.5) * grid.step_x;
+                let u = (x - frame.x) / frame.half_x;
+                let residual = difference - (state.plane[0] + state.plane[1] * u + state.plane[2] * v);
+                let class = if complete { slope_class((tx * per_x).powi(2) + (ty * per_y).powi(2)) } else { 0 };
+                sums.residuals[class].add(residual.abs());
+                let (scales, weighing, derivative) = match gather {
+                    Gather::Residuals => continue,
+                    Gather::Normal { scales, weighing } => (scales, weighing, false),
+                    Gather::Scores { scales, weighing, .. } => (scales, weighing, true),
+                };
+                let scale = scales[class];
+                let (weight, slope) = weighing.at(residual / scale);
+                if weight == 0.0 && slope == 0.0 {
+                    continue;
+                }
+                sums.used += 1;
+                let (weight, slope) = (weight / (scale * scale), slope / (scale * scale));
+                // Without neighbours there is a height, no gradient.
+                let (tx, ty, ox, oy) = if complete { (tx, ty, ox, oy) } else { (0.0, 0.0, 0.0, 0.0) };
+                let left = [tx, ty, 1.0, u, v];
+                let right = [ox, oy, 1.0, u, v];
+                let curvature = if derivative { slope } else { weight };
+                for (i, &l) in left.iter().enumerate() {
+                    partial.right[i] += weight * residual * l;
+                    let scaled = curvature * l;
+                    for (sum, &r) in partial.matrix[i].iter_mut().zip(&right) {
+                        *sum += scaled * r;
+                    }
+                }
+            }
+        }
+        partial
+    }
+}
+
+/// Squared height differences between neighbours that count as none.
+const LEVEL: f64 = 1e-18;
+
+fn slope_class(tangent2: f64) -> usize {
+    SLOPE_LIMITS.iter().position(|limit| tangent2 < limit * limit).unwrap_or(SLOPES - 1)
+}

@@ -1,0 +1,232 @@
+//! One elevation model brought onto another: shift, height, tilt.
+//!
+//! `auto` searches for the shift from coarse to fine and then fits shift and plane together, robustly
+//! ([`fit`]); `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets
+//! for quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
+
+mod fit;
+mod nuth_kaab;
+mod search;
+mod spread;
+
+use std::fmt;
+use std::str::FromStr;
+
+use nalgebra::{DMatrix, Matrix3};
+
+use crate::error::{Error, Result};
+use crate::grid::{Grid, GroundUnit};
+use crate::source::{Cropped, Heights, Means as Averaged};
+use crate::stream::Means;
+use crate::zones::Zones;
+
+use fit::{Flats, Frame, PARAMETERS, Pair, State};
+use search::{Fitted, Found};
+pub use spread::Spread;
+
+/// What is fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// Shift, height and, where it is there, a tilt; robust, from coarse to fine.
+    #[default]
+    Auto,
+    /// Nuth and Kääb 2011: shift from the cosine of the aspect, height from the median.
+    NuthKaab,
+    /// Least-squares z-difference: shift and height.
+    Lzd,
+    /// The height alone.
+    Bias,
+    /// Height and tilt.
+    Tilt,
+}
+
+impl Method {
+    pub const ALL: [Method; 5] = [Method::Auto, Method::NuthKaab, Method::Lzd, Method::Bias, Method::Tilt];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Auto => "auto",
+            Method::NuthKaab => "nuth-kaab",
+            Method::Lzd => "lzd",
+            Method::Bias => "bias",
+            Method::Tilt => "tilt",
+        }
+    }
+
+    fn moves(self) -> bool {
+        !matches!(self, Method::Bias | Method::Tilt)
+    }
+}
+
+impl fmt::Display for Method {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Method {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        Method::ALL
+            .into_iter()
+            .find(|m| m.name() == text)
+            .ok_or_else(|| format!("`{text}` is no method; choose from {}", Method::ALL.map(Method::name).join(", ")))
+    }
+}
+
+/// How to align.
+#[derive(Clone, Copy)]
+pub struct Options<'a> {
+    pub method: Method,
+    /// Stable ground in the map coordinates of both models.
+    pub stable: Option<&'a Zones>,
+    pub unit: GroundUnit,
+    pub means: Means,
+    /// Cells of each model that may be held at a time for the search.
+    pub memory_cells: u64,
+}
+
+impl Default for Options<'_> {
+    fn default() -> Self {
+        Options {
+            method: Method::Auto,
+            stable: None,
+            unit: GroundUnit::METRES,
+            means: Means::default(),
+            memory_cells: 1_500_000,
+        }
+    }
+}
+
+/// What was applied to A.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Alignment {
+    /// East and north in the units of the CRS.
+    pub shift: (f64, f64),
+    /// East, north, up in metres; the height is that at [`Alignment::centre`].
+    pub shift_m: [f64; 3],
+    /// Of `shift_m`, square metres: east, north, height.
+    pub covariance_m2: Matrix3<f64>,
+    /// Rise of the correction towards east and north, metres per metre, when a tilt was taken out.
+    pub tilt: Option<Tilt>,
+    /// Where the height counts: the middle of the aligned A.
+    pub centre: (f64, f64),
+    pub nmad_before_m: f64,
+    pub nmad_after_m: f64,
+    pub median_before_m: f64,
+    pub median_after_m: f64,
+    /// Share of the common cells that took part.
+    pub stable_share: f64,
+    pub common_cells: u64,
+    pub iterations: u32,
+}
+
+/// A tilt and its standard errors, metres per metre towards east and north.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tilt {
+    pub east: f64,
+    pub north: f64,
+    pub east_se: f64,
+    pub north_se: f64,
+}
+
+impl Alignment {
+    /// What is added to A's height at a map position of the aligned A.
+    pub fn height_at(&self, x: f64, y: f64, unit: &GroundUnit) -> f64 {
+        let Some(tilt) = self.tilt else { return self.shift_m[2] };
+        let (mx, my) = unit.metres_per_unit(self.centre.1);
+        self.shift_m[2] + tilt.east * (x - self.centre.0) * mx + tilt.north * (y - self.centre.1) * my
+    }
+}
+
+/// An answer, or why there is none.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    Aligned(Box<Alignment>),
+    Refused(String),
+}
+
+/// Finds what brings `a` onto `b`; both are in metres and on grids of one CRS.
+///
+/// # Errors
+/// When a model cannot be read, or the two have no ground in common.
+pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<Outcome> {
+    let (ga, gb) = (a.grid(), b.grid());
+    if ga.overlap(&gb).is_none() {
+        return Err(Error::usage("the two models have no ground in common", "look at their extents with gdalinfo"));
+    }
+    let area = |g: &Grid| (g.step_x * g.step_y).abs();
+    // The finer one is brought onto the coarser one's grid.
+    let coarse_a = area(&ga) > 1.5 * area(&gb);
+    let (template, other) = if coarse_a { (a, b) } else { (b, a) };
+    let ratio = (area(&template.grid()) / area(&other.grid())).sqrt().round().max(1.0);
+    let other = Averaged::new(other, ratio as u64);
+    // Beyond half of the smaller one's size nothing can be found.
+    let reach = |small: &Grid| {
+        let w = small.bounds();
+        let (x, y) = ((w[2] - w[0]) / 2.0, (w[3] - w[1]) / 2.0);
+        [w[0] - x, w[1] - y, w[2] + x, w[3] + y]
+    };
+    let none = || Error::usage("the two models have no ground in common", "look at their extents with gdalinfo");
+    let template = Cropped::new(template, reach(&other.grid()), 1).ok_or_else(none)?;
+    let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
+    let frame = Frame::of(&template.grid());
+    let full = Pair { template: &template, other: &other, unit: options.unit, stable: options.stable, frame };
+
+    let mut found = search::run(&full, options, Flats::LeftOut)?;
+    if matches!(found, Found::Nothing(_)) && !options.method.moves() {
+        // Without any slope, a height and a tilt can still be had.
+        found = search::run(&full, options, Flats::Kept)?;
+    }
+    let fitted = match found {
+        Found::Nothing(why) => return Ok(Outcome::Refused(why)),
+        Found::Fitted(fitted) => fitted,
+    };
+    let before = spread::of(&full, &State::default(), options.means)?;
+    let after = spread::of(&full, &fitted.state, options.means)?;
+    // The other model is read at X + shift: where it is A, A itself moves the other way.
+    let sign = if coarse_a { 1.0 } else { -1.0 };
+    Ok(Outcome::Aligned(Box::new(in_metres(&full, &fitted, sign, &ga, (before, after)))))
+}
+
+/// The fit in the words of the caller: what A goes through, in metres.
+fn in_metres(full: &Pair<'_>, fitted: &Fitted, sign: f64, a: &Grid, spreads: (Spread, Spread)) -> Alignment {
+    let (state, frame, grid) = (&fitted.state, &full.frame, full.template.grid());
+    let (mx, my) = full.unit.metres_per_unit(a.centre().1);
+    let shift = (sign * state.shift.0, sign * state.shift.1);
+    let centre = (a.centre().0 + shift.0, a.centre().1 + shift.1);
+    // Where the plane counts: in the template's own coordinates.
+    let place = if sign > 0.0 { a.centre() } else { centre };
+    let (u, v) = ((place.0 - frame.x) / frame.half_x, (place.1 - frame.y) / frame.half_y);
+    // From (cells, cells, plane) to (east, north, height at the centre).
+    let mut jacobian = DMatrix::zeros(3, PARAMETERS);
+    jacobian[(0, 0)] = sign * grid.step_x * mx;
+    jacobian[(1, 1)] = sign * grid.step_y * my;
+    for (j, value) in [1.0, u, v].into_iter().enumerate() {
+        jacobian[(2, 2 + j)] = -sign * value;
+    }
+    let covariance = &jacobian * &fitted.covariance * jacobian.transpose();
+    let (half_east, half_north) = (frame.half_x * mx, frame.half_y * my);
+    let error = |i: usize| fitted.covariance[(i, i)].max(0.0).sqrt();
+    let tilt = fitted.tilted.then(|| Tilt {
+        east: -sign * state.plane[1] / half_east,
+        north: -sign * state.plane[2] / half_north,
+        east_se: error(3) / half_east,
+        north_se: error(4) / half_north,
+    });
+    let height = -sign * (state.plane[0] + state.plane[1] * u + state.plane[2] * v);
+    Alignment {
+        shift,
+        shift_m: [shift.0 * mx, shift.1 * my, height],
+        covariance_m2: Matrix3::from_fn(|i, j| covariance[(i, j)]),
+        tilt,
+        centre,
+        nmad_before_m: spreads.0.nmad,
+        nmad_after_m: spreads.1.nmad,
+        median_before_m: sign * spreads.0.median,
+        median_after_m: sign * spreads.1.median,
+        stable_share: fitted.share,
+        common_cells: fitted.common,
+        iterations: fitted.iterations,
+    }
+}

@@ -1,0 +1,115 @@
+//! The shift from the cosine of the aspect: Nuth and Kääb 2011, equations 2 to 4.
+//!
+//! dh / tan α is a cosine of the aspect whose amplitude and phase are the shift. As there, the medians of classes of
+//! aspect are fitted, here 72 of them; the height is the median difference.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::error::Result;
+use crate::histogram::FloatHistogram;
+use crate::resample::{Interpolation, Resampled, Scratch};
+use crate::source::Patch;
+use crate::stream::{self, Means};
+
+use super::fit::{Pair, State, mark_stable};
+use super::spread;
+
+const ASPECTS: usize = 72;
+const BITS: u32 = 14;
+/// Gentler ground tells little, and its quotient is all noise.
+const LEAST_TANGENT: f64 = 0.05;
+const MOST_PASSES: u32 = 20;
+const STILL_PX: f64 = 1e-3;
+/// Fewest cells of a class of aspect.
+const FEWEST: u64 = 20;
+
+/// Iterates from `start` until the shift stands still.
+///
+/// # Errors
+/// When a model cannot be read.
+pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u32)> {
+    let grid = pair.template.grid();
+    let mut state = start;
+    for pass in 1..=MOST_PASSES {
+        state.plane = [state.plane[0], 0.0, 0.0];
+        state.plane[0] += spread::of(pair, &state, means)?.median;
+        let Some((east_m, north_m)) = step(pair, &state, means)? else { return Ok((state, pass)) };
+        let (mx, my) = pair.unit.metres_per_unit(pair.frame.y);
+        state.shift.0 += east_m / mx;
+        state.shift.1 += north_m / my;
+        let still = (east_m / mx / grid.step_x).hypot(north_m / my / grid.step_y) < STILL_PX;
+        if still || pass == MOST_PASSES {
+            state.plane[0] += spread::of(pair, &state, means)?.median;
+            return Ok((state, pass));
+        }
+    }
+    Ok((state, MOST_PASSES))
+}
+
+/// Metres towards east and north by which the other model is to be read further on.
+fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Option<(f64, f64)>> {
+    let grid = pair.template.grid();
+    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    struct Worker {
+        classes: Vec<FloatHistogram<BITS>>,
+        scratch: Scratch,
+        template: Vec<f64>,
+        other: Vec<f64>,
+        stable: Vec<u32>,
+    }
+    let worker = || Worker {
+        classes: vec![FloatHistogram::default(); ASPECTS],
+        scratch: Scratch::default(),
+        template: Vec::new(),
+        other: Vec::new(),
+        stable: Vec::new(),
+    };
+    let tiles = means.tiles(grid.width, grid.height);
+    let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+        let (width, height) = (core.width as usize, core.height as usize);
+        let stride = width + 2;
+        let patch = Patch { x: core.x as i64 - 1, y: core.y as i64 - 1, width: stride, height: height + 2 };
+        pair.template.read(patch, &mut worker.template)?;
+        other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
+        mark_stable(pair, &grid, core, &mut worker.stable);
+        let (t, o) = (&worker.template, &worker.other);
+        for row in 0..height {
+            let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
+            let (mx, my) = pair.unit.metres_per_unit(y);
+            let (per_x, per_y) = (0.5 / (mx * grid.step_x), 0.5 / (my * grid.step_y));
+            for column in 0..width {
+                let at = (row + 1) * stride + column + 1;
+                let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
+                let tangent = east.hypot(north);
+                let quotient = (t[at] - o[at] - state.plane[0]) / tangent;
+                if worker.stable[row * width + column] != 0 && tangent > LEAST_TANGENT && !quotient.is_nan() {
+                    let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;
+                    worker.classes[((turn * ASPECTS as f64) as usize).min(ASPECTS - 1)].add(quotient as f32);
+                }
+            }
+        }
+        Ok(())
+    })?;
+    let mut classes = vec![FloatHistogram::<BITS>::default(); ASPECTS];
+    for part in &parts {
+        classes.iter_mut().zip(&part.classes).for_each(|(a, b)| a.merge(b));
+    }
+    Ok(cosine(&classes))
+}
+
+/// Least squares of median = east·cos + north·sin + constant over the classes.
+fn cosine(classes: &[FloatHistogram<BITS>]) -> Option<(f64, f64)> {
+    let (mut matrix, mut right, mut filled) = (Matrix3::zeros(), Vector3::zeros(), 0);
+    for (index, class) in classes.iter().enumerate().filter(|(_, class)| class.total() >= FEWEST) {
+        let direction = ((index as f64 + 0.5) / ASPECTS as f64 - 0.5) * std::f64::consts::TAU;
+        let row = Vector3::new(direction.cos(), direction.sin(), 1.0);
+        matrix += row * row.transpose();
+        right += row * class.quantile(0.5)?;
+        filled += 1;
+    }
+    if filled < ASPECTS / 4 {
+        return None;
+    }
+    let solution = matrix.lu().solve(&right)?;
+    Some((solution[0], solution[1]))
+}

@@ -1,0 +1,496 @@
+//! From coarse to fine: where the shift may be, and the fit that ends there.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::Result;
+use crate::grid::Grid;
+use crate::resample::{Interpolation, Resampled};
+use crate::source::{Heights, Means as Averaged, MemoryHeights, Patch};
+use crate::stream::{self, BLOCK_PX, Means};
+
+use super::fit::{self, Flats, Gather, PARAMETERS, Pair, SLOPES, State, Sums, Weighing};
+use super::{Method, Options, nuth_kaab};
+
+/// Fewest common cells of a fit.
+const FEWEST_CELLS: u64 = 50;
+/// A shift less certain than this, in cells, is none.
+const WORST_SHIFT_PX: f64 = 0.5;
+/// Residuals are not taken for better than this, metres: the last place of a 32-bit height.
+const FLOOR_M: f64 = 1e-4;
+/// The search looks at so many cells across at most.
+const SEARCH_CELLS: u64 = 96;
+/// Places at which one shift is tried.
+const SEARCH_SAMPLES: usize = 800;
+/// Candidate shifts that are followed up.
+const CANDIDATES: usize = 3;
+
+/// What was fitted, in cells of the template.
+pub struct Fitted {
+    pub state: State,
+    pub covariance: DMatrix<f64>,
+    pub tilted: bool,
+    /// Share of the common cells with any weight.
+    pub share: f64,
+    pub common: u64,
+    pub iterations: u32,
+}
+
+pub enum Found {
+    Fitted(Box<Fitted>),
+    Nothing(String),
+}
+
+/// Which of the five parameters are free.
+type Free = &'static [usize];
+
+const SHIFT_AND_PLANE: Free = &[0, 1, 2, 3, 4];
+const SHIFT: Free = &[0, 1, 2];
+const HEIGHT: Free = &[2];
+const PLANE: Free = &[2, 3, 4];
+
+fn free_of(method: Method) -> Free {
+    match method {
+        Method::Auto => SHIFT_AND_PLANE,
+        Method::NuthKaab | Method::Lzd => SHIFT,
+        Method::Bias => HEIGHT,
+        Method::Tilt => PLANE,
+    }
+}
+
+/// Finds the state that brings the two models together.
+///
+/// # Errors
+/// When a model cannot be read.
+pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found> {
+    let levels = pyramid(full, options)?;
+    let finest = levels.first().map_or(1, |level| level.factor);
+    let free = free_of(options.method);
+    let weighing = if options.method == Method::Lzd { Weighing::Clip } else { Weighing::Biweight };
+    let fitter = Fitter { full, flats, weighing, means: options.means };
+    let nothing = |why: &str| Ok(Found::Nothing(why.into()));
+
+    let Some(mut state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
+        return nothing("too few cells with a slope are common to both models");
+    };
+    let precision = if finest > 1 { STREAMED } else { IN_MEMORY };
+    let mut iterations;
+    if options.method == Method::NuthKaab {
+        (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
+    } else {
+        let Some(settled) = fitter.settle(full, state, free, precision)? else { return nothing(FLAT) };
+        (state, iterations) = (settled.state, settled.iterations);
+    }
+    let Some(mut end) = fitter.finish(state, free, options.method)? else { return nothing(FLAT) };
+    if options.method == Method::Auto && !end.needs_tilt {
+        state.plane = [end.state.plane[0], 0.0, 0.0];
+        let Some(settled) = fitter.settle(full, state, SHIFT, precision)? else { return nothing(FLAT) };
+        iterations += settled.iterations;
+        let Some(again) = fitter.finish(settled.state, SHIFT, options.method)? else { return nothing(FLAT) };
+        end = again;
+    }
+    let uncertain = free.contains(&0) && (end.worst_shift_px.is_nan() || end.worst_shift_px > WORST_SHIFT_PX);
+    if uncertain {
+        return nothing(FLAT);
+    }
+    Ok(Found::Fitted(Box::new(Fitted {
+        state: end.state,
+        covariance: end.covariance,
+        tilted: options.method == Method::Tilt || (options.method == Method::Auto && end.needs_tilt),
+        share: end.sums.used as f64 / end.sums.common.max(1) as f64,
+        common: end.sums.common,
+        iterations,
+    })))
+}
+
+const FLAT: &str =
+    "the common ground is too flat, or too unlike, for a shift to be known; --method bias or tilt does without";
+
+/// Both models at one coarseness, in memory.
+struct Level {
+    factor: u64,
+    template: MemoryHeights,
+    other: MemoryHeights,
+}
+
+impl Level {
+    fn pair<'a>(&'a self, full: &'a Pair<'a>) -> Pair<'a> {
+        Pair { template: &self.template, other: &self.other, unit: full.unit, stable: full.stable, frame: full.frame }
+    }
+}
+
+/// From fine to coarse. The first holds no more cells than fit in memory.
+fn pyramid(full: &Pair<'_>, options: &Options<'_>) -> Result<Vec<Level>> {
+    let cells = |grid: Grid, factor: u64| (grid.width / factor + 1) * (grid.height / factor + 1);
+    let limit = options.memory_cells.max(4096);
+    let mut factor = 1;
+    while cells(full.template.grid(), factor) > limit || cells(full.other.grid(), factor) > 4 * limit {
+        factor *= 2;
+    }
+    let template = load(full.template, factor, options.means)?;
+    let other = load(full.other, factor, options.means)?;
+    let mut levels = vec![Level { factor, template, other }];
+    while let Some(last) = levels.last() {
+        let grid = last.template.grid();
+        if grid.width.max(grid.height) <= SEARCH_CELLS || grid.width.min(grid.height) < 32 {
+            break;
+        }
+        let template = load(&last.template, 2, options.means)?;
+        let other = load(&last.other, 2, options.means)?;
+        levels.push(Level { factor: last.factor * 2, template, other });
+    }
+    Ok(levels)
+}
+
+/// Means over blocks, in memory.
+fn load(source: &dyn Heights, factor: u64, means: Means) -> Result<MemoryHeights> {
+    let averaged = Averaged::new(source, factor);
+    let grid = averaged.grid();
+    // Tiles as large as before in cells of the source.
+    let part = |px: u64| (px / factor).max(BLOCK_PX);
+    let side = Means { tile_px: part(means.tile_px), tile_rows_px: part(means.tile_rows_px), ..means };
+    let tiles = side.tiles(grid.width, grid.height);
+    let parts = stream::gather(&tiles, means.threads, Vec::new, |parts, core| {
+        let (width, height) = (core.width as usize, core.height as usize);
+        let mut values = Vec::new();
+        averaged.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, &mut values)?;
+        parts.push((core, values));
+        Ok(())
+    })?;
+    let mut whole = vec![f64::NAN; (grid.width * grid.height) as usize];
+    for (core, values) in parts.into_iter().flatten() {
+        for (row, line) in (core.y..).zip(values.chunks_exact(core.width as usize)) {
+            let from = (row * grid.width + core.x) as usize;
+            whole[from..from + line.len()].copy_from_slice(line);
+        }
+    }
+    Ok(MemoryHeights::new(grid, whole))
+}
+
+/// Where to begin: where the files say, and where the coarsest level fits best.
+fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Vec<State>> {
+    let mut starts = vec![State::default()];
+    let Some(level) = levels.last().filter(|_| options.method.moves()) else { return Ok(starts) };
+    let grid = level.template.grid();
+    let reach = (grid.width.min(grid.height) / 2).clamp(2, SEARCH_CELLS / 2) as i64;
+    let (width, height) = (grid.width as usize, grid.height as usize);
+    let patch = Patch { x: -reach, y: -reach, width: width + 2 * reach as usize, height: height + 2 * reach as usize };
+    let mut other = Vec::new();
+    Resampled::new(&level.other, grid, (0.0, 0.0), Interpolation::Bilinear).read(patch, &mut other)?;
+    let samples = steep_cells(full, level);
+    if samples.len() < 20 {
+        return Ok(starts);
+    }
+    let side = 2 * reach + 1;
+    let mut scores = vec![f64::INFINITY; (side * side) as usize];
+    let mut differences = Vec::with_capacity(samples.len());
+    for dy in -reach..=reach {
+        for dx in -reach..=reach {
+            differences.clear();
+            for &(x, y, height) in &samples {
+                let at = (y as i64 + dy + reach) as usize * patch.width + (x as i64 + dx + reach) as usize;
+                let difference = height - other[at];
+                if !difference.is_nan() {
+                    differences.push(difference);
+                }
+            }
+            let share = differences.len() as f64 / samples.len() as f64;
+            if differences.len() >= 20 && share >= 0.25 {
+                // Little overlap fits by chance more easily.
+                scores[((dy + reach) * side + dx + reach) as usize] = spread(&mut differences) * (1.5 - 0.5 * share);
+            }
+        }
+    }
+    let mut order: Vec<usize> = (0..scores.len()).filter(|&i| scores[i].is_finite()).collect();
+    order.sort_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(a.cmp(&b)));
+    let place = |i: usize| (i as i64 % side - reach, i as i64 / side - reach);
+    let mut taken: Vec<(i64, i64)> = Vec::new();
+    for index in order {
+        let (dx, dy) = place(index);
+        if taken.iter().all(|&(x, y)| (x - dx).abs().max((y - dy).abs()) > 4) {
+            taken.push((dx, dy));
+            starts.push(State { shift: (dx as f64 * grid.step_x, dy as f64 * grid.step_y), ..State::default() });
+        }
+        if taken.len() == CANDIDATES {
+            break;
+        }
+    }
+    Ok(starts)
+}
+
+/// Cells of the template that slope more than most, and their heights.
+fn steep_cells(full: &Pair<'_>, level: &Level) -> Vec<(usize, usize, f64)> {
+    let (grid, z) = (level.template.grid(), level.template.values());
+    let (width, height) = (grid.width as usize, grid.height as usize);
+    let mut stable = vec![1u32; width];
+    let mut cells = Vec::new();
+    for y in 1..height.saturating_sub(1) {
+        if let Some(zones) = full.stable {
+            let north = grid.y0 + (y as f64 + 0.5) * grid.step_y;
+            zones.row(north, grid.x0 + 0.5 * grid.step_x, grid.step_x, &mut stable);
+        }
+        for x in (1..width.saturating_sub(1)).filter(|&x| stable[x] != 0) {
+            let at = y * width + x;
+            let gradient = (z[at + 1] - z[at - 1]).hypot(z[at + width] - z[at - width]);
+            if gradient > 0.0 && !z[at].is_nan() {
+                cells.push((gradient, x, y));
+            }
+        }
+    }
+    cells.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.2, a.1).cmp(&(b.2, b.1))));
+    cells.truncate((cells.len() * 7).div_ceil(10));
+    // Evenly over the ground, not only the steepest.
+    cells.sort_by_key(|&(_, x, y)| (y, x));
+    let step = cells.len().div_ceil(SEARCH_SAMPLES).max(1);
+    cells.iter().step_by(step).map(|&(_, x, y)| (x, y, z[y * width + x])).collect()
+}
+
+/// Median distance from the median.
+fn spread(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    let median = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
+    values.iter_mut().for_each(|v| *v = (*v - median).abs());
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Index of the smallest misfit.
+fn least(candidates: &[(State, f64)]) -> usize {
+    (0..candidates.len()).min_by(|&a, &b| candidates[a].1.total_cmp(&candidates[b].1)).unwrap_or(0)
+}
+
+/// When a fit has settled.
+#[derive(Clone, Copy)]
+struct Precision {
+    step_px: f64,
+    passes: u32,
+}
+
+const COARSE: Precision = Precision { step_px: 1e-3, passes: 30 };
+const IN_MEMORY: Precision = Precision { step_px: 1e-6, passes: 60 };
+const STREAMED: Precision = Precision { step_px: 1e-3, passes: 6 };
+
+struct Settled {
+    state: State,
+    sums: Sums,
+    iterations: u32,
+}
+
+/// The end of a fit.
+struct End {
+    state: State,
+    covariance: DMatrix<f64>,
+    needs_tilt: bool,
+    worst_shift_px: f64,
+    sums: Sums,
+}
+
+struct Fitter<'a> {
+    full: &'a Pair<'a>,
+    flats: Flats,
+    weighing: Weighing,
+    means: Means,
+}
+
+impl Fitter<'_> {
+    /// Through all levels, several candidates side by side. Those that meet go on as one; below the coarsest level only the
+    /// first start, which is where the files say the models are, and the best of the others are followed.
+    fn descend(&self, levels: &[Level], starts: Vec<State>, free: Free) -> Result<Option<State>> {
+        let mut candidates: Vec<(State, f64)> = starts.into_iter().map(|state| (state, f64::INFINITY)).collect();
+        for (index, level) in levels.iter().enumerate().rev() {
+            let pair = level.pair(self.full);
+            let grid = level.template.grid();
+            let mut settled: Vec<(State, f64)> = Vec::new();
+            for (mut state, misfit) in candidates {
+                if misfit.is_infinite() {
+                    state.plane[0] = super::spread::of(&pair, &state, self.means)?.median;
+                    if !state.plane[0].is_finite() {
+                        continue;
+                    }
+                }
+                match self.settle(&pair, state, free, COARSE)? {
+                    Some(end) => {
+                        let near = |other: &State| {
+                            let x = (other.shift.0 - end.state.shift.0) / grid.step_x;
+                            let y = (other.shift.1 - end.state.shift.1) / grid.step_y;
+                            x.hypot(y) < 0.2
+                        };
+                        if !settled.iter().any(|(other, _)| near(other)) {
+                            settled.push((end.state, end.sums.misfit()));
+                        }
+                    }
+                    // Too coarse to tell: the next level may.
+                    None if index > 0 => settled.push((state, f64::INFINITY)),
+                    None => {}
+                }
+            }
+            candidates = settled;
+            if candidates.len() > 1 {
+                let best = 1 + least(&candidates[1..]);
+                candidates = vec![candidates[0], candidates[best]];
+            }
+        }
+        // The second must be clearly better: the first is where the files say the models are.
+        let better = candidates.len() > 1 && candidates[1].1 < 0.98 * candidates[0].1;
+        Ok(candidates.get(usize::from(better)).map(|(state, _)| *state))
+    }
+
+    /// Iterates until the shift stands still. `None` where the equations have no solution.
+    fn settle(&self, pair: &Pair<'_>, start: State, free: Free, precision: Precision) -> Result<Option<Settled>> {
+        let mut state = start;
+        let mut sums = fit::pass(pair, &state, Gather::Residuals, self.flats, self.means)?;
+        if sums.sloping < FEWEST_CELLS {
+            return Ok(None);
+        }
+        for iteration in 1..=precision.passes {
+            let scales = sums.scales(FLOOR_M);
+            let gather = Gather::Normal { scales, weighing: self.weighing };
+            sums = fit::pass(pair, &state, gather, self.flats, self.means)?;
+            let Some(step) = solve(&sums, free) else { return Ok(None) };
+            let moved = apply(&mut state, &step, &pair.template.grid());
+            let scale = scales.iter().copied().fold(f64::INFINITY, f64::min);
+            let still = moved < precision.step_px && step[2].abs() < precision.step_px * scale.max(1e-2);
+            if still || iteration == precision.passes {
+                return Ok(Some(Settled { state, sums, iterations: iteration }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// A last step with the full curvature, and what it is worth.
+    fn finish(&self, start: State, free: Free, method: Method) -> Result<Option<End>> {
+        let grid = self.full.template.grid();
+        let residuals = fit::pass(self.full, &start, Gather::Residuals, self.flats, self.means)?;
+        if residuals.sloping < FEWEST_CELLS {
+            return Ok(None);
+        }
+        let block_px = score_block_px(&grid);
+        let scales: [f64; SLOPES] = residuals.scales(FLOOR_M);
+        let gather = Gather::Scores { scales, weighing: self.weighing, block_px };
+        let sums = fit::pass(self.full, &start, gather, self.flats, self.means)?;
+        let Some(covariance) = covariance(&sums, free, &grid, block_px) else { return Ok(None) };
+        let mut state = start;
+        if method != Method::NuthKaab {
+            let Some(step) = solve(&sums, free) else { return Ok(None) };
+            // Far from its end the full curvature can point anywhere.
+            if step[0].abs().max(step[1].abs()) < 0.1 {
+                apply(&mut state, &step, &grid);
+            }
+        }
+        let shift = covariance.view((0, 0), (2, 2)).symmetric_eigenvalues();
+        let worst_shift_px = shift.iter().fold(0.0, |worst: f64, v| worst.max(v.abs())).sqrt();
+        let needs_tilt = free.contains(&3) && tilt_matters(&state, &covariance, &scales, &residuals);
+        Ok(Some(End { state, covariance, needs_tilt, worst_shift_px, sums }))
+    }
+}
+
+/// Whether a tilt is there beyond chance (one in a thousand), and is worth a tenth of the residuals' own scatter.
+fn tilt_matters(state: &State, covariance: &DMatrix<f64>, scales: &[f64; SLOPES], sums: &Sums) -> bool {
+    const CHI2: f64 = 13.8;
+    let tilt = DVector::from_vec(vec![state.plane[1], state.plane[2]]);
+    let variance = covariance.view((3, 3), (2, 2)).clone_owned();
+    let Some(inverse) = variance.try_inverse() else { return tilt.norm() > FLOOR_M };
+    let counts = sums.residuals.iter().map(|h| h.total);
+    let typical = scales.iter().zip(counts).max_by_key(|(_, count)| *count).map_or(0.0, |(scale, _)| *scale);
+    // Over −1…1 the surface has this root mean square.
+    let rms = (tilt.norm_squared() / 3.0).sqrt();
+    (tilt.transpose() * inverse * &tilt)[(0, 0)] > CHI2 && rms > typical / 10.0
+}
+
+/// The step of the free parameters; those held stay zero.
+fn solve(sums: &Sums, free: Free) -> Option<[f64; PARAMETERS]> {
+    let n = free.len();
+    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix[free[i] * PARAMETERS + free[j]].value());
+    let right = DVector::from_fn(n, |i, _| sums.right[free[i]].value());
+    let scale: Vec<f64> = (0..n).map(|i| matrix[(i, i)].abs().sqrt()).collect();
+    if scale.iter().any(|s| s.is_nan() || *s <= 0.0) {
+        return None;
+    }
+    // Equal diagonals, so that the test of the pivots means the same for cells and metres.
+    let scaled = DMatrix::from_fn(n, n, |i, j| matrix[(i, j)] / (scale[i] * scale[j]));
+    let lu = scaled.lu();
+    if lu.determinant().abs() < 1e-10 {
+        return None;
+    }
+    let solution = lu.solve(&DVector::from_fn(n, |i, _| right[i] / scale[i]))?;
+    let mut step = [0.0; PARAMETERS];
+    for (i, &parameter) in free.iter().enumerate() {
+        step[parameter] = solution[i] / scale[i];
+    }
+    step.iter().all(|v| v.is_finite()).then_some(step)
+}
+
+/// Takes a step; returns how far it went, in cells. Steps of more than two cells are shortened: the gradient reaches no further.
+fn apply(state: &mut State, step: &[f64; PARAMETERS], grid: &Grid) -> f64 {
+    const LONGEST_PX: f64 = 2.0;
+    let length = step[0].hypot(step[1]);
+    let share = if length > LONGEST_PX { LONGEST_PX / length } else { 1.0 };
+    state.shift.0 += share * step[0] * grid.step_x;
+    state.shift.1 += share * step[1] * grid.step_y;
+    for (value, change) in state.plane.iter_mut().zip(&step[2..]) {
+        *value += share * change;
+    }
+    share * length
+}
+
+/// Blocks wide enough that neighbours hardly depend on each other, and not too many to hold.
+fn score_block_px(grid: &Grid) -> u64 {
+    const MOST: u64 = 1 << 16;
+    const ENOUGH: u64 = 200;
+    let blocks = |px: u64| grid.width.div_ceil(px) * grid.height.div_ceil(px);
+    let mut px = if blocks(2 * BLOCK_PX) >= ENOUGH { 2 * BLOCK_PX } else { BLOCK_PX };
+    while blocks(px) > MOST {
+        px *= 2;
+    }
+    px
+}
+
+/// The covariance of the parameters from the scatter of the blocks' scores about zero (the sandwich of P. Huber, *The
+/// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals that
+/// hang together within a block count as what they are. Blocks are doubled while that shows more than chance does.
+fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
+    const FEWEST: usize = 40;
+    let n = free.len();
+    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix[free[i] * PARAMETERS + free[j]].value());
+    let inverse = matrix.try_inverse()?;
+    let mut scores = sums.block_scores();
+    let (mut across, mut down) = (grid.width.div_ceil(block_px) as usize, grid.height.div_ceil(block_px) as usize);
+    let spread = |scores: &[[f64; PARAMETERS]]| {
+        let mut meat = DMatrix::<f64>::zeros(n, n);
+        let filled: Vec<_> = scores.iter().filter(|s| s.iter().any(|v| *v != 0.0)).collect();
+        for score in &filled {
+            let s = DVector::from_fn(n, |i, _| score[free[i]]);
+            meat += &s * s.transpose();
+        }
+        let blocks = filled.len();
+        // The fit has taken as many degrees of freedom as there are parameters.
+        let factor = blocks as f64 / blocks.saturating_sub(n).max(1) as f64;
+        (&inverse * meat * inverse.transpose() * factor, blocks)
+    };
+    let (mut best, mut blocks) = spread(&scores);
+    loop {
+        (scores, across, down) = doubled(&scores, across, down);
+        let (next, fewer) = spread(&scores);
+        let chance = 1.0 + 2.0 * (2.0 / fewer.max(1) as f64).sqrt();
+        if fewer < FEWEST || fewer >= blocks || next.trace() <= best.trace() * chance {
+            break;
+        }
+        (best, blocks) = (next, fewer);
+    }
+    let mut whole = DMatrix::zeros(PARAMETERS, PARAMETERS);
+    for (i, &a) in free.iter().enumerate() {
+        for (j, &b) in free.iter().enumerate() {
+            whole[(a, b)] = best[(i, j)];
+        }
+    }
+    Some(whole)
+}
+
+/// Four blocks to one.
+fn doubled(scores: &[[f64; PARAMETERS]], across: usize, down: usize) -> (Vec<[f64; PARAMETERS]>, usize, usize) {
+    let (wide, high) = (across.div_ceil(2), down.div_ceil(2));
+    let mut joined = vec![[0.0; PARAMETERS]; wide * high];
+    for (i, score) in scores.iter().enumerate() {
+        let target = &mut joined[i / across / 2 * wide + i % across / 2];
+        target.iter_mut().zip(score).for_each(|(sum, v)| *sum += v);
+    }
+    (joined, wide, high)
+}

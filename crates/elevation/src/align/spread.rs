@@ -1,0 +1,70 @@
+//! Median and NMAD of the differences that a state leaves, in one pass.
+
+use crate::error::Result;
+use crate::histogram::FloatHistogram;
+use crate::resample::{Interpolation, Resampled, Scratch};
+use crate::source::Patch;
+use crate::stream::{self, Means};
+
+use super::fit::{Pair, State, mark_stable};
+
+/// Of the differences template − other − plane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    pub median: f64,
+    /// 1.4826 times the median distance from the median (J. Höhle and M. Höhle, *Accuracy assessment of digital elevation
+    /// models by means of robust statistical methods*, 2009).
+    pub nmad: f64,
+    pub count: u64,
+}
+
+/// Leading bits of a difference: a resolution of a two-thousandth, and interpolation within.
+const BITS: u32 = 20;
+
+/// # Errors
+/// When a model cannot be read.
+pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
+    let grid = pair.template.grid();
+    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    struct Worker {
+        histogram: FloatHistogram<BITS>,
+        scratch: Scratch,
+        template: Vec<f64>,
+        other: Vec<f64>,
+        stable: Vec<u32>,
+    }
+    let worker = || Worker {
+        histogram: FloatHistogram::default(),
+        scratch: Scratch::default(),
+        template: Vec::new(),
+        other: Vec::new(),
+        stable: Vec::new(),
+    };
+    let tiles = means.tiles(grid.width, grid.height);
+    let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+        let (width, height) = (core.width as usize, core.height as usize);
+        let patch = Patch { x: core.x as i64, y: core.y as i64, width, height };
+        pair.template.read(patch, &mut worker.template)?;
+        other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
+        mark_stable(pair, &grid, core, &mut worker.stable);
+        let frame = &pair.frame;
+        for row in 0..height {
+            let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
+            let base = state.plane[0] + state.plane[2] * (y - frame.y) / frame.half_y;
+            for column in 0..width {
+                let at = row * width + column;
+                let x = grid.x0 + ((core.x + column as u64) as f64 + 0.5) * grid.step_x;
+                let plane = base + state.plane[1] * (x - frame.x) / frame.half_x;
+                let difference = worker.template[at] - worker.other[at] - plane;
+                if worker.stable[at] != 0 && !difference.is_nan() {
+                    worker.histogram.add(difference as f32);
+                }
+            }
+        }
+        Ok(())
+    })?;
+    let mut histogram = FloatHistogram::<BITS>::default();
+    parts.iter().for_each(|part| histogram.merge(&part.histogram));
+    let median = histogram.quantile(0.5).unwrap_or(f64::NAN);
+    Ok(Spread { median, nmad: 1.4826 * histogram.median_distance(median), count: histogram.total() })
+}

@@ -1,0 +1,187 @@
+//! Pictures and measures of one model, by GDAL's own functions, which keep a few rows in memory: hillshade, slope, aspect,
+//! roughness, TRI, TPI, colours, contours.
+#![allow(unsafe_code)]
+
+use std::ffi::{CStr, CString, c_char};
+use std::path::Path;
+
+use std::os::unix::ffi::OsStrExt;
+
+use crate::error::{Error, Result};
+
+/// What is drawn, with the options of `gdaldem`.
+#[derive(Clone, Debug)]
+pub struct Drawing<'a> {
+    /// `hillshade`, `slope`, `aspect`, `roughness`, `TRI`, `TPI` or `color-relief`.
+    pub kind: &'a str,
+    /// As `gdaldem` takes them.
+    pub options: Vec<String>,
+    /// Of `color-relief`.
+    pub colours: Option<&'a Path>,
+}
+
+/// Draws `model` into `out` as a GeoTIFF.
+///
+/// # Errors
+/// GDAL's own words, when it cannot.
+pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
+    let dataset = crate::model::open_dataset(model)?;
+    if dataset.raster_count() == 0 {
+        return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
+    }
+    let mut options = drawing.options.clone();
+    options.extend(
+        ["-of", "GTiff", "-co", "COMPRESS=DEFLATE", "-co", "TILED=YES", "-co", "BIGTIFF=IF_SAFER"].map(str::to_string),
+    );
+    let words: Vec<CString> = options.iter().map(|o| c_string(model, o.as_bytes())).collect::<Result<_>>()?;
+    let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
+    pointers.push(std::ptr::null_mut());
+    let name = c_string(out, out.as_os_str().as_bytes())?;
+    let kind = c_string(model, drawing.kind.as_bytes())?;
+    let colours = drawing.colours.map(|path| c_string(path, path.as_os_str().as_bytes())).transpose()?;
+    // SAFETY: the list of options is ended by a null pointer; all strings and the dataset outlive the calls, the options are
+    // freed once, and the dataset that is made is closed once and not used again.
+    let failed = unsafe {
+        gdal_sys::CPLErrorReset();
+        let options = gdal_sys::GDALDEMProcessingOptionsNew(pointers.as_mut_ptr(), std::ptr::null_mut());
+        if options.is_null() {
+            Some(last_error())
+        } else {
+            let mut usage = 0;
+            let made = gdal_sys::GDALDEMProcessing(
+                name.as_ptr(),
+                dataset.c_dataset(),
+                kind.as_ptr(),
+                colours.as_ref().map_or(std::ptr::null(), |c| c.as_ptr()),
+                options,
+                &mut usage,
+            );
+            gdal_sys::GDALDEMProcessingOptionsFree(options);
+            if made.is_null() {
+                Some(last_error())
+            } else {
+                gdal_sys::GDALClose(made);
+                failure()
+            }
+        }
+    };
+    match failed {
+        Some(text) => Err(Error::gdal(model, text)),
+        None => Ok(()),
+    }
+}
+
+fn c_string(path: &Path, bytes: &[u8]) -> Result<CString> {
+    CString::new(bytes).map_err(|_| Error::usage(format!("{}: a zero byte in a name", path.display()), "rename it"))
+}
+
+/// The last error of this thread when it breaks the result.
+fn failure() -> Option<String> {
+    // SAFETY: takes nothing and reads this thread's error state.
+    let kind = unsafe { gdal_sys::CPLGetLastErrorType() };
+    matches!(kind, gdal_sys::CPLErr::CE_Failure | gdal_sys::CPLErr::CE_Fatal).then(last_error)
+}
+
+fn last_error() -> String {
+    // SAFETY: GDAL returns a valid string that lives until this thread's next error; it is copied here.
+    let text = unsafe { CStr::from_ptr(gdal_sys::CPLGetLastErrorMsg()) }.to_string_lossy().into_owned();
+    if text.is_empty() { "it gives no reason".into() } else { text }
+}
+
+/// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile).
+///
+/// # Errors
+/// GDAL's own words, when it cannot.
+pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<()> {
+    use gdal::DriverManager;
+    use gdal::spatial_ref::SpatialRef;
+    use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
+    if !(interval > 0.0 && interval.is_finite()) {
+        return Err(Error::usage("--interval is no positive length", "give the height between two lines"));
+    }
+    let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
+    let source = crate::model::open_dataset(model)?;
+    let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
+    let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let driver = match extension.as_str() {
+        "gpkg" => "GPKG",
+        "json" | "geojson" => "GeoJSON",
+        "shp" => "ESRI Shapefile",
+        other => {
+            return Err(Error::usage(
+                format!("{}: no format of lines is called `{other}`", out.display()),
+                "name it .gpkg, .geojson or .shp",
+            ));
+        }
+    };
+    let driver = DriverManager::get_driver_by_name(driver).map_err(failed)?;
+    let mut dataset = driver.create_vector_only(out).map_err(failed)?;
+    let wkt = source.projection();
+    let reference = if wkt.is_empty() { None } else { Some(SpatialRef::from_wkt(&wkt).map_err(failed)?) };
+    let options =
+        LayerOptions { name: "contour", srs: reference.as_ref(), ty: OGRwkbGeometryType::wkbLineString, options: None };
+    let layer = dataset.create_layer(options).map_err(failed)?;
+    for (name, kind) in [("id", OGRFieldType::OFTInteger), ("elev", OGRFieldType::OFTReal)] {
+        FieldDefn::new(name, kind).and_then(|field| field.add_to_layer(&layer)).map_err(failed)?;
+    }
+    let mut words = vec![
+        format!("LEVEL_INTERVAL={interval}"),
+        format!("LEVEL_BASE={base}"),
+        "ID_FIELD=0".to_string(),
+        "ELEV_FIELD=1".to_string(),
+    ];
+    if let Some(nodata) = band.no_data_value() {
+        words.push(format!("NODATA={nodata}"));
+    }
+    let words: Vec<CString> = words.iter().map(|o| c_string(model, o.as_bytes())).collect::<Result<_>>()?;
+    let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
+    pointers.push(std::ptr::null_mut());
+    // SAFETY: band, layer and the list of options, ended by a null pointer, outlive the call, which keeps none of them.
+    let error = unsafe {
+        gdal_sys::CPLErrorReset();
+        let code = gdal_sys::GDALContourGenerateEx(
+            band.c_rasterband(),
+            layer.c_layer().cast(),
+            pointers.as_mut_ptr(),
+            None,
+            std::ptr::null_mut(),
+        );
+        (code != gdal_sys::CPLErr::CE_None).then(last_error)
+    };
+    if let Some(text) = error {
+        return Err(Error::gdal(model, text));
+    }
+    dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)
+}
+
+/// A virtual raster of `source` as `gdalwarp` makes it with these options.
+///
+/// # Errors
+/// GDAL's own words, when it cannot.
+pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
+    let dataset = crate::model::open_dataset(source)?;
+    let words: Vec<CString> = options.iter().map(|o| c_string(source, o.as_bytes())).collect::<Result<_>>()?;
+    let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
+    pointers.push(std::ptr::null_mut());
+    let name = c_string(out, out.as_os_str().as_bytes())?;
+    // SAFETY: the list of options is ended by a null pointer; strings and the dataset outlive the calls, the options are freed
+    // once, and the dataset that is made is closed once and not used again.
+    let failed = unsafe {
+        gdal_sys::CPLErrorReset();
+        let options = gdal_sys::GDALWarpAppOptionsNew(pointers.as_mut_ptr(), std::ptr::null_mut());
+        if options.is_null() {
+            Some(last_error())
+        } else {
+            let (mut usage, mut from) = (0, dataset.c_dataset());
+            let made = gdal_sys::GDALWarp(name.as_ptr(), std::ptr::null_mut(), 1, &mut from, options, &mut usage);
+            gdal_sys::GDALWarpAppOptionsFree(options);
+            if made.is_null() {
+                Some(last_error())
+            } else {
+                gdal_sys::GDALClose(made);
+                failure()
+            }
+        }
+    };
+    failed.map_or(Ok(()), |text| Err(Error::gdal(source, text)))
+}

@@ -1,0 +1,141 @@
+//! Histograms whose buckets follow the floating-point numbers: fine where values are small, of equal relative width elsewhere.
+
+/// An unsigned number that orders as the floating-point numbers do; NaN is not asked for.
+pub fn order_key(value: f32) -> u32 {
+    // Minus zero and zero are one value.
+    let bits = (value + 0.0).to_bits();
+    if bits >> 31 == 0 { bits | 0x8000_0000 } else { !bits }
+}
+
+/// The number that has this key.
+pub fn from_order_key(key: u32) -> f32 {
+    f32::from_bits(if key >> 31 == 1 { key & 0x7fff_ffff } else { !key })
+}
+
+/// Counts of values by the leading `BITS` bits of their order key.
+#[derive(Clone)]
+pub struct FloatHistogram<const BITS: u32> {
+    counts: Vec<u64>,
+    total: u64,
+}
+
+impl<const BITS: u32> Default for FloatHistogram<BITS> {
+    fn default() -> Self {
+        FloatHistogram { counts: vec![0; 1 << BITS], total: 0 }
+    }
+}
+
+impl<const BITS: u32> FloatHistogram<BITS> {
+    pub fn add(&mut self, value: f32) {
+        self.counts[(order_key(value) >> (32 - BITS)) as usize] += 1;
+        self.total += 1;
+    }
+
+    pub fn merge(&mut self, other: &Self) {
+        for (mine, theirs) in self.counts.iter_mut().zip(&other.counts) {
+            *mine += theirs;
+        }
+        self.total += other.total;
+    }
+
+    pub fn total(&self) -> u64 {
+        self.total
+    }
+
+    pub fn counts(&self) -> &[u64] {
+        &self.counts
+    }
+
+    /// Smallest and largest value of a bucket.
+    pub fn edges(bucket: usize) -> (f32, f32) {
+        let low = (bucket as u32) << (32 - BITS);
+        (from_order_key(low), from_order_key(low | ((1u64 << (32 - BITS)) - 1) as u32))
+    }
+
+    /// The bucket of the value of this rank (from 0), and how many values lie in buckets before it. `None` beyond the end.
+    pub fn bucket_of_rank(&self, rank: u64) -> Option<(usize, u64)> {
+        let mut before = 0;
+        for (bucket, &count) in self.counts.iter().enumerate() {
+            if rank < before + count {
+                return Some((bucket, before));
+            }
+            before += count;
+        }
+        None
+    }
+
+    /// The quantile, interpolated within its bucket: good to a part of the bucket's relative width. `None` when empty.
+    pub fn quantile(&self, share: f64) -> Option<f64> {
+        if self.total == 0 {
+            return None;
+        }
+        let rank = share.clamp(0.0, 1.0) * (self.total - 1) as f64;
+        let (bucket, before) = self.bucket_of_rank(rank as u64)?;
+        let (low, high) = Self::edges(bucket);
+        let within = (rank - before as f64 + 0.5) / self.counts[bucket] as f64;
+        let (low, high) = (f64::from(low), f64::from(high));
+        let value = low + (high - low) * within.clamp(0.0, 1.0);
+        Some(if value.abs() > 1e-30 && value.is_finite() { value } else { 0.0 })
+    }
+
+    /// The median distance from `centre`, to the resolution of the buckets.
+    pub fn median_distance(&self, centre: f64) -> f64 {
+        if self.total == 0 {
+            return f64::NAN;
+        }
+        // Walk outwards from the centre, bucket by bucket, by distance of the bucket's middle.
+        let mut distances: Vec<(f64, u64)> = self
+            .counts
+            .iter()
+            .enumerate()
+            .filter(|(_, count)| **count > 0)
+            .map(|(bucket, &count)| {
+                let (low, high) = Self::edges(bucket);
+                let middle = (f64::from(low) + f64::from(high)) / 2.0;
+                // The bucket of the exact zeros holds them and the smallest numbers there are.
+                let middle = if middle.abs() < 1e-30 { 0.0 } else { middle };
+                ((middle - centre).abs(), count)
+            })
+            .collect();
+        distances.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let half = self.total.div_ceil(2);
+        let mut before = 0;
+        for (distance, count) in distances {
+            before += count;
+            if before >= half {
+                return distance;
+            }
+        }
+        f64::NAN
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_keep_the_order_and_come_back() {
+        let values = [f32::MIN, -1.0, -1e-30, 0.0, 1e-30, 0.5, 1.0, 1e30];
+        for pair in values.windows(2) {
+            assert!(order_key(pair[0]) < order_key(pair[1]));
+        }
+        for value in values {
+            assert_eq!(from_order_key(order_key(value)), value);
+        }
+        assert_eq!(order_key(-0.0), order_key(0.0));
+    }
+
+    #[test]
+    fn quantiles_are_good_to_a_bucket() {
+        let mut histogram = FloatHistogram::<16>::default();
+        for i in 0..10_001 {
+            histogram.add((i as f32 - 5000.0) / 100.0);
+        }
+        for share in [0.1, 0.25, 0.5, 0.9] {
+            let exact = -50.0 + 100.0 * share;
+            let found = histogram.quantile(share).expect("not empty");
+            assert!((found - exact).abs() <= 0.01 + 0.01 * f64::abs(exact), "{share}: {found} for {exact}");
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! Elevation models: aligned to each other, compared, drawn; rasters joined into mosaics. Streamed, whatever their size.
+//!
+//! The algorithms see heights through [`source::Heights`], in windows, and keep sums whose value does not depend on the
+//! order of their terms ([`exact`]): the size of the tiles and the number of threads never change a result by a bit.
+
+#![deny(unsafe_code)]
+
+pub mod align;
+pub mod compare;
+pub mod derive;
+pub mod exact;
+pub mod files;
+pub mod grid;
+pub mod histogram;
+pub mod model;
+pub mod mosaic;
+pub mod output;
+pub mod profile;
+pub mod resample;
+pub mod source;
+pub mod stream;
+pub mod zones;
+
+use autoref_raster::{atomic, coords, crs, error, window};

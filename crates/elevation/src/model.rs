@@ -1,0 +1,239 @@
+//! Elevation models in files: band 1 of whatever GDAL opens, as heights in metres.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use gdal::raster::GdalDataType;
+use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
+
+use crate::coords::GeoTransform;
+use crate::crs::Crs;
+use crate::error::{Error, Result};
+use crate::grid::{Grid, GroundUnit};
+use crate::source::{Heights, Patch};
+
+/// Heights of a file. Several threads read at once, each with a dataset of its own.
+pub struct Model {
+    path: PathBuf,
+    grid: Grid,
+    crs: Option<Crs>,
+    wkt: String,
+    nodata: Option<f64>,
+    kind: GdalDataType,
+    block: (usize, usize),
+    /// What a stored value is multiplied with to be metres, and what the file calls its unit.
+    metres_per_value: f64,
+    unit_name: Option<String>,
+    pool: Mutex<Vec<Dataset>>,
+}
+
+/// Values that stand for "no height" in files that name none.
+const USUAL_NODATA: [f64; 3] = [-32_768.0, -32_767.0, -9999.0];
+/// No ground lies higher or lower, in metres or feet.
+const BEYOND_ANY_GROUND: f64 = 1e5;
+
+impl Model {
+    /// Opens band 1 of `path`.
+    ///
+    /// # Errors
+    /// When GDAL cannot open it, it has no georeference, or a rotated one.
+    pub fn open(path: &Path) -> Result<Model> {
+        autoref_raster::initialise_gdal(32 << 20);
+        if path.is_dir() {
+            return Err(Error::format(path, "path", "is a directory, not an elevation model"));
+        }
+        let dataset = open_dataset(path)?;
+        if dataset.raster_count() == 0 {
+            return Err(Error::unsupported(path, "it holds no raster", "give an elevation raster"));
+        }
+        let (width, height) = dataset.raster_size();
+        let Ok(transform) = dataset.geo_transform() else {
+            return Err(Error::unsupported(
+                path,
+                "an elevation model without a georeference",
+                "give it one with gdal_edit.py -a_ullr and -a_srs",
+            ));
+        };
+        let Some(grid) = Grid::new(&GeoTransform(transform), width as u64, height as u64) else {
+            return Err(Error::unsupported(
+                path,
+                "a rotated or singular geotransform",
+                "resample it to north up with gdalwarp",
+            ));
+        };
+        let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+        let wkt = dataset.projection();
+        let crs = if wkt.is_empty() { None } else { Some(Crs::parse(&wkt)?) };
+        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !name.is_empty());
+        let axis = crs.as_ref().and_then(Crs::height_metres_per_unit);
+        let metres_per_value = match (&unit_name, axis) {
+            (Some(name), _) => metres_of(name).ok_or_else(|| {
+                let remedy = "name it m or ft with gdal_edit.py -units";
+                Error::unsupported(path, format!("heights in `{name}`"), remedy)
+            })?,
+            (None, Some(metres)) => metres,
+            (None, None) => 1.0,
+        };
+        let unit_name = unit_name.or_else(|| axis.map(|metres| if metres == 1.0 { "m" } else { "ft" }.to_string()));
+        let (nodata, kind, block) = (band.no_data_value(), band.band_type(), band.block_size());
+        let pool = Mutex::new(vec![dataset]);
+        let path = path.to_path_buf();
+        Ok(Model { path, grid, crs, wkt, nodata, kind, block, metres_per_value, unit_name, pool })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub fn crs(&self) -> Option<&Crs> {
+        self.crs.as_ref()
+    }
+
+    /// As the file has it; empty when it has none.
+    pub fn wkt(&self) -> &str {
+        &self.wkt
+    }
+
+    pub fn nodata(&self) -> Option<f64> {
+        self.nodata
+    }
+
+    pub fn kind(&self) -> GdalDataType {
+        self.kind
+    }
+
+    /// Size of the file's blocks.
+    pub fn block(&self) -> (usize, usize) {
+        self.block
+    }
+
+    pub fn metres_per_value(&self) -> f64 {
+        self.metres_per_value
+    }
+
+    /// What the file calls its unit of height, when it says.
+    pub fn unit_name(&self) -> Option<&str> {
+        self.unit_name.as_deref()
+    }
+
+    /// What a unit of the horizontal axes is on the ground. Without a CRS a unit is a metre.
+    pub fn ground_unit(&self) -> GroundUnit {
+        match &self.crs {
+            Some(crs) if crs.is_geographic() => GroundUnit::WGS84,
+            Some(crs) => GroundUnit::Projected { metres_per_unit: crs.metres_per_unit() },
+            None => GroundUnit::METRES,
+        }
+    }
+
+    /// Runs `job` with a dataset that no other thread has.
+    ///
+    /// # Errors
+    /// Those of `job`, and when another dataset cannot be opened.
+    pub fn with_dataset<R>(&self, job: impl FnOnce(&Dataset) -> Result<R>) -> Result<R> {
+        let idle = self.pool.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let dataset = match idle {
+            Some(dataset) => dataset,
+            None => open_dataset(&self.path)?,
+        };
+        let result = job(&dataset);
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).push(dataset);
+        result
+    }
+
+    /// Stored values of a window that lies in the raster, as `T`.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub fn read_stored<T: Copy + gdal::raster::GdalType>(
+        &self,
+        (x, y): (u64, u64),
+        (width, height): (usize, usize),
+        out: &mut [T],
+    ) -> Result<()> {
+        self.with_dataset(|dataset| {
+            let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.path, e))?;
+            band.read_into_slice((x as isize, y as isize), (width, height), (width, height), out, None)
+                .map_err(|e| Error::gdal(&self.path, format!("rows {y}..{}: {e}", y + height as u64)))
+        })
+    }
+
+    /// Whether a stored value stands for "no height".
+    pub fn is_void(&self, value: f64) -> bool {
+        match self.nodata {
+            // A float32 file keeps its nodata value rounded to float32.
+            Some(nodata) => value == nodata || value == f64::from(nodata as f32) || !value.is_finite(),
+            None => !value.is_finite() || value.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value),
+        }
+    }
+}
+
+impl Heights for Model {
+    fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
+        let (width, height) = (self.grid.width as i64, self.grid.height as i64);
+        out.clear();
+        let left = patch.x.clamp(0, width);
+        let right = (patch.x + patch.width as i64).clamp(left, width);
+        let top = patch.y.clamp(0, height);
+        let bottom = (patch.y + patch.height as i64).clamp(top, height);
+        let (columns, rows) = ((right - left) as usize, (bottom - top) as usize);
+        out.resize(patch.width * patch.height, f64::NAN);
+        if columns == 0 || rows == 0 {
+            return Ok(());
+        }
+        if columns == patch.width && rows == patch.height {
+            self.read_stored((left as u64, top as u64), (columns, rows), out)?;
+        } else {
+            let mut inside = vec![0.0; columns * rows];
+            self.read_stored((left as u64, top as u64), (columns, rows), &mut inside)?;
+            for (row, line) in inside.chunks_exact(columns).enumerate() {
+                let from = ((top - patch.y) as usize + row) * patch.width + (left - patch.x) as usize;
+                out[from..from + columns].copy_from_slice(line);
+            }
+        }
+        for value in out {
+            *value = if self.is_void(*value) { f64::NAN } else { *value * self.metres_per_value };
+        }
+        Ok(())
+    }
+}
+
+/// Metres in a unit of height that a band names.
+fn metres_of(name: &str) -> Option<f64> {
+    match name.to_ascii_lowercase().as_str() {
+        "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
+        "ft" | "foot" | "feet" => Some(0.3048),
+        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(1200.0 / 3937.0),
+        "cm" | "centimetre" | "centimeter" => Some(0.01),
+        "dm" | "decimetre" | "decimeter" => Some(0.1),
+        "mm" | "millimetre" | "millimeter" => Some(0.001),
+        "km" | "kilometre" | "kilometer" => Some(1000.0),
+        _ => None,
+    }
+}
+
+/// Opens a raster for reading; GDAL's reason in one line.
+///
+/// # Errors
+/// When GDAL cannot open it.
+pub fn open_dataset(path: &Path) -> Result<Dataset> {
+    let flags = GdalOpenFlags::GDAL_OF_READONLY
+        | GdalOpenFlags::GDAL_OF_RASTER
+        | GdalOpenFlags::GDAL_OF_INTERNAL
+        | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
+    let options = DatasetOptions { open_flags: flags, ..Default::default() };
+    Dataset::open_ex(path, options).map_err(|e| {
+        use gdal::errors::GdalError;
+        let text = match &e {
+            GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => msg.clone(),
+            GdalError::NullPointer { .. } => "no driver recognises this file".into(),
+            other => other.to_string(),
+        };
+        let name = path.display().to_string();
+        let said = text.strip_prefix(&format!("{name}: ")).or(text.strip_prefix(&format!("{name}, ")));
+        Error::gdal(path, said.unwrap_or(&text))
+    })
+}

@@ -1,0 +1,445 @@
+//! Many rasters joined into one: which source wins is decided cell by cell, tile by tile.
+
+mod balance;
+mod source;
+
+pub use balance::{Balance, Overlap};
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use gdal::raster::GdalDataType;
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+use crate::files::Resources;
+use crate::grid::Grid;
+use crate::output::{self, Form};
+use crate::resample::Interpolation;
+use crate::window::Window;
+use source::{Opened, Source};
+
+/// Which source a cell is taken from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// The smallest value of a companion raster; `{stem}` in the pattern is the source's file name without extension.
+    Min(String),
+    First,
+    Last,
+    /// The latest date: of the file's metadata, else of its name, else of the file.
+    Newest,
+    /// The source whose centre is nearest.
+    Nearest,
+    /// The median of all sources, band by band.
+    Median,
+    /// The mean of all sources, weighed by the distance from their edges.
+    Feather,
+}
+
+impl FromStr for Choice {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "first" => Ok(Choice::First),
+            "last" => Ok(Choice::Last),
+            "newest" => Ok(Choice::Newest),
+            "nearest" => Ok(Choice::Nearest),
+            "median" => Ok(Choice::Median),
+            "feather" => Ok(Choice::Feather),
+            _ => match text.strip_prefix("min:") {
+                Some(pattern) if pattern.contains("{stem}") => Ok(Choice::Min(pattern.to_string())),
+                Some(pattern) => Err(format!("`{pattern}` has no {{stem}}: write min:{{stem}}_range_mean.tif")),
+                None => Err(format!(
+                    "`{text}` is no choice; write min:PATTERN, first, last, newest, nearest, median or feather"
+                )),
+            },
+        }
+    }
+}
+
+/// `mosaic`.
+pub struct MosaicJob<'a> {
+    pub inputs: &'a [PathBuf],
+    pub out: &'a Path,
+    pub choice: Choice,
+    pub resampling: Interpolation,
+    /// Side of a cell; that of the first source when `None`.
+    pub resolution: Option<f64>,
+    pub write_index: Option<&'a Path>,
+    pub use_index: Option<&'a Path>,
+    pub balance: bool,
+    pub resources: Resources,
+}
+
+/// What was made.
+#[derive(Clone, Debug, Serialize)]
+pub struct Made {
+    pub sources: Vec<MadeSource>,
+    pub width: u64,
+    pub height: u64,
+    pub geotransform: [f64; 6],
+    pub bands: usize,
+    pub filled_cells: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balance: Option<Balance>,
+}
+
+/// A source, with the number that it has in the index raster.
+#[derive(Clone, Debug, Serialize)]
+pub struct MadeSource {
+    pub number: usize,
+    pub path: String,
+    pub resampled: bool,
+    pub cells: u64,
+}
+
+/// A tile: bands after each other, and the numbers of the sources.
+struct Tile {
+    values: Vec<f64>,
+    index: Vec<u32>,
+}
+
+/// What a worker keeps.
+struct Worker {
+    opened: Opened,
+    cells: Vec<u64>,
+}
+
+impl MosaicJob<'_> {
+    /// Joins the sources.
+    ///
+    /// # Errors
+    /// When a source cannot be read, the sources do not go together, or the output cannot be written.
+    pub fn run(&self) -> Result<Made> {
+        self.resources.check()?;
+        let (sources, grid) = source::open_all(self.inputs, &self.choice, self.resolution)?;
+        let index = self.use_index.map(|path| source::open_index(path, &grid)).transpose()?;
+        let balance = if self.balance {
+            Some(balance::estimate(&sources, &grid, self.resampling, self.threads(&sources))?)
+        } else {
+            None
+        };
+        let kind = sources[0].kind;
+        let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
+        let cells = crate::atomic::with_temporary(self.out, |path| {
+            let plain = path.with_extension("plain.tif");
+            let index_part = self.write_index.map(|p| p.with_extension("part.tif"));
+            let made = match kind {
+                GdalDataType::UInt8 => {
+                    whole.write::<u8>(&plain, index_part.as_deref(), |v| v.round().clamp(0.0, 255.0) as u8)
+                }
+                GdalDataType::UInt16 => {
+                    whole.write::<u16>(&plain, index_part.as_deref(), |v| v.round().clamp(0.0, 65_535.0) as u16)
+                }
+                GdalDataType::Int16 => {
+                    whole.write::<i16>(&plain, index_part.as_deref(), |v| v.round().clamp(-32_768.0, 32_767.0) as i16)
+                }
+                GdalDataType::Float64 => whole.write::<f64>(&plain, index_part.as_deref(), |v| v),
+                _ => whole.write::<f32>(&plain, index_part.as_deref(), |v| v as f32),
+            };
+            let made = made.and_then(|cells| {
+                cloud_optimised(&plain, path, self.resources.threads)?;
+                if let (Some(part), Some(path)) = (&index_part, self.write_index) {
+                    std::fs::rename(part, path).map_err(|e| Error::io(path, "put in place", e))?;
+                }
+                Ok(cells)
+            });
+            // They are there only when something failed, or are not wanted any more.
+            let _ = std::fs::remove_file(&plain);
+            if let Some(part) = index_part {
+                let _ = std::fs::remove_file(part);
+            }
+            CELLS.with(|kept| match made {
+                Ok(cells) => {
+                    *kept.borrow_mut() = cells;
+                    Ok(())
+                }
+                Err(error) => Err(error),
+            })
+        })
+        .map(|()| CELLS.with(std::cell::RefCell::take))?;
+        Ok(Made {
+            sources: sources
+                .iter()
+                .enumerate()
+                .map(|(i, s)| MadeSource {
+                    number: i + 1,
+                    path: s.path.display().to_string(),
+                    resampled: !s.on_grid,
+                    cells: cells[i],
+                })
+                .collect(),
+            width: grid.width,
+            height: grid.height,
+            geotransform: grid.transform().0,
+            bands: sources[0].bands,
+            filled_cells: cells[sources.len()],
+            balance,
+        })
+    }
+
+    fn threads(&self, sources: &[Source]) -> usize {
+        // Tile, sources and companions, and the datasets that stay open.
+        let each = (24 << 20) + (sources[0].bands as u64) * (8 << 20);
+        let spare = self.resources.memory_budget_bytes.saturating_sub(128 << 20);
+        self.resources.threads.clamp(1, (spare / each).max(1) as usize)
+    }
+}
+
+thread_local! {
+    /// From within the closure that writes to the caller on the same thread.
+    static CELLS: std::cell::RefCell<Vec<u64>> = const { std::cell::RefCell::new(Vec::new()) };
+}
+
+/// Everything that a tile needs.
+struct Whole<'a> {
+    job: &'a MosaicJob<'a>,
+    sources: &'a [Source],
+    grid: Grid,
+    index: Option<&'a Source>,
+    balance: Option<&'a Balance>,
+}
+
+impl Whole<'_> {
+    /// Returns how many cells each source gave, and at the end how many cells hold anything.
+    fn write<T: gdal::raster::GdalType + Copy + Send + 'static>(
+        &self,
+        path: &Path,
+        index_path: Option<&Path>,
+        cast: impl Fn(f64) -> T + Sync,
+    ) -> Result<Vec<u64>> {
+        let first = &self.sources[0];
+        let threads = self.job.threads(self.sources);
+        let float = matches!(first.kind, GdalDataType::Float32 | GdalDataType::Float64);
+        let nodata = first.nodata.or(float.then_some(-9999.0));
+        let void = nodata.unwrap_or(0.0);
+        let form = Form {
+            grid: self.grid,
+            wkt: &first.wkt,
+            bands: first.bands,
+            nodata,
+            predictor: if float { 3 } else { 2 },
+            threads,
+        };
+        let dataset = output::create::<T>(path, &form)?;
+        let index_form = Form { bands: 1, nodata: Some(0.0), predictor: 2, ..form };
+        let index = index_path.map(|p| output::create::<u32>(p, &index_form).map(|d| (p, d))).transpose()?;
+        let count = self.sources.len();
+        let states = output::produce(
+            &self.grid,
+            self.job.resources.tile_px.unwrap_or(512).min(1024),
+            threads,
+            || Worker { opened: Opened::default(), cells: vec![0; count + 1] },
+            |worker, window| {
+                let Some(tile) = self.tile(worker, window)? else { return Ok(None) };
+                for (cell, &number) in tile.index.iter().enumerate() {
+                    if number > 0 {
+                        worker.cells[number as usize - 1] += 1;
+                    }
+                    worker.cells[count] += u64::from(!tile.values[cell].is_nan());
+                }
+                let values: Vec<T> = tile.values.iter().map(|&v| cast(if v.is_nan() { void } else { v })).collect();
+                Ok(Some((values, tile.index)))
+            },
+            |window, made| {
+                let Some((values, numbers)) = made else { return Ok(()) };
+                output::put(path, &dataset, window, &values)?;
+                if let Some((path, dataset)) = &index {
+                    output::put(path, dataset, window, &numbers)?;
+                }
+                Ok(())
+            },
+        )?;
+        output::finish(path, dataset)?;
+        if let Some((path, dataset)) = index {
+            output::finish(path, dataset)?;
+        }
+        let mut cells = vec![0; count + 1];
+        for state in &states {
+            cells.iter_mut().zip(&state.cells).for_each(|(a, b)| *a += b);
+        }
+        Ok(cells)
+    }
+
+    fn tile(&self, worker: &mut Worker, window: Window) -> Result<Option<Tile>> {
+        let near: Vec<usize> = (0..self.sources.len()).filter(|&i| self.sources[i].meets(&self.grid, window)).collect();
+        if near.is_empty() {
+            return Ok(None);
+        }
+        let area = window.area() as usize;
+        let bands = self.sources[0].bands;
+        let mut tile = Tile { values: vec![f64::NAN; area * bands], index: vec![0; area] };
+        if let Some(index) = self.index {
+            self.by_index(worker, index, &near, window, &mut tile)?;
+        } else {
+            match &self.job.choice {
+                Choice::Median => self.median(worker, &near, window, &mut tile)?,
+                Choice::Feather => self.feather(worker, &near, window, &mut tile)?,
+                choice => self.choose(worker, choice, &near, window, &mut tile)?,
+            }
+        }
+        Ok(Some(tile))
+    }
+
+    /// All bands of a source, balanced.
+    fn read(&self, worker: &mut Worker, number: usize, window: Window) -> Result<Vec<f64>> {
+        let source = &self.sources[number];
+        let mut values = worker.opened.read(number, source, &self.grid, window, self.job.resampling)?;
+        if let Some(balance) = self.balance {
+            let area = window.area() as usize;
+            for (band, plane) in values.chunks_exact_mut(area).enumerate() {
+                let (gain, offset) = balance.of(number, band);
+                for value in plane.iter_mut().filter(|v| !v.is_nan()) {
+                    let balanced = gain * *value + offset;
+                    // A value that happens to become "nothing" is moved by one.
+                    *value = match source.nodata {
+                        Some(nodata) if source.whole_numbers() && balanced.round().max(0.0) == nodata => nodata + 1.0,
+                        _ => balanced,
+                    };
+                }
+            }
+        }
+        Ok(values)
+    }
+
+    fn choose(
+        &self,
+        worker: &mut Worker,
+        choice: &Choice,
+        near: &[usize],
+        window: Window,
+        tile: &mut Tile,
+    ) -> Result<()> {
+        let area = window.area() as usize;
+        let mut order = near.to_vec();
+        if *choice == Choice::Newest {
+            // The sort is stable: of equals the later source wins.
+            order.sort_by(|&a, &b| self.sources[a].date.cmp(&self.sources[b].date));
+        }
+        let mut best = vec![f64::INFINITY; area];
+        for (rank, &number) in order.iter().enumerate() {
+            let rank = rank as f64;
+            let costs: Option<Vec<f64>> = match choice {
+                Choice::Min(_) => {
+                    Some(worker.opened.read_companion(number, &self.sources[number], &self.grid, window)?)
+                }
+                Choice::Nearest => Some(self.sources[number].distances(&self.grid, window)),
+                _ => None,
+            };
+            let cost = |cell: usize| match (&costs, choice) {
+                (Some(costs), _) => costs[cell],
+                (None, Choice::First) => rank,
+                _ => -rank,
+            };
+            // NaN loses every comparison; of equals the first wins.
+            if !(0..area).any(|cell| cost(cell) < best[cell]) {
+                continue;
+            }
+            let values = self.read(worker, number, window)?;
+            for cell in 0..area {
+                if cost(cell) < best[cell] && !values[cell].is_nan() {
+                    best[cell] = cost(cell);
+                    tile.index[cell] = number as u32 + 1;
+                    for band in 0..values.len() / area {
+                        tile.values[band * area + cell] = values[band * area + cell];
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn by_index(
+        &self,
+        worker: &mut Worker,
+        index: &Source,
+        near: &[usize],
+        window: Window,
+        tile: &mut Tile,
+    ) -> Result<()> {
+        let area = window.area() as usize;
+        let numbers = worker.opened.read(usize::MAX, index, &self.grid, window, Interpolation::Nearest)?;
+        for &number in near {
+            let wanted = (number + 1) as f64;
+            if !numbers.contains(&wanted) {
+                continue;
+            }
+            let values = self.read(worker, number, window)?;
+            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && !values[cell].is_nan()) {
+                tile.index[cell] = number as u32 + 1;
+                for band in 0..values.len() / area {
+                    tile.values[band * area + cell] = values[band * area + cell];
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn median(&self, worker: &mut Worker, near: &[usize], window: Window, tile: &mut Tile) -> Result<()> {
+        // A row at a time where many sources meet, so that not all of them are held whole.
+        let rows = (window.height / (near.len() as u64).div_ceil(8)).max(1);
+        let mut y = window.y;
+        while y < window.bottom() {
+            let part = Window::new(window.x, y, window.width, rows.min(window.bottom() - y));
+            let area = part.area() as usize;
+            let all: Vec<Vec<f64>> =
+                near.iter().map(|&number| self.read(worker, number, part)).collect::<Result<_>>()?;
+            let mut values = Vec::with_capacity(all.len());
+            for band in 0..tile.values.len() / window.area() as usize {
+                for cell in 0..area {
+                    values.clear();
+                    values.extend(all.iter().map(|v| v[band * area + cell]).filter(|v| !v.is_nan()));
+                    values.sort_unstable_by(f64::total_cmp);
+                    let n = values.len();
+                    if n > 0 {
+                        let target =
+                            band * window.area() as usize + (y - window.y) as usize * window.width as usize + cell;
+                        tile.values[target] = (values[(n - 1) / 2] + values[n / 2]) / 2.0;
+                    }
+                }
+            }
+            y += rows;
+        }
+        Ok(())
+    }
+
+    fn feather(&self, worker: &mut Worker, near: &[usize], window: Window, tile: &mut Tile) -> Result<()> {
+        let area = window.area() as usize;
+        let mut weights = vec![0.0; tile.values.len()];
+        let mut sums = vec![0.0; tile.values.len()];
+        for &number in near {
+            let edges = self.sources[number].edge_distances(&self.grid, window);
+            let values = self.read(worker, number, window)?;
+            for (at, value) in values.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
+                let weight = edges[at % area].max(1e-6);
+                weights[at] += weight;
+                sums[at] += weight * value;
+            }
+        }
+        for (value, (sum, weight)) in tile.values.iter_mut().zip(sums.iter().zip(&weights)) {
+            if *weight > 0.0 {
+                *value = sum / weight;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The tiled copy as a Cloud Optimized GeoTIFF with overviews.
+fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> Result<()> {
+    use gdal::DriverManager;
+    use gdal::raster::RasterCreationOptions;
+    let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
+    let source = crate::model::open_dataset(plain)?;
+    let threads = format!("NUM_THREADS={}", threads.max(1));
+    let options = RasterCreationOptions::from_iter([
+        "COMPRESS=DEFLATE",
+        "PREDICTOR=YES",
+        "BIGTIFF=IF_SAFER",
+        "SPARSE_OK=TRUE",
+        &threads,
+    ]);
+    let driver = DriverManager::get_driver_by_name("COG").map_err(failed)?;
+    let copy = source.create_copy(&driver, out, &options).map_err(failed)?;
+    output::finish(out, copy)
+}

@@ -1,0 +1,348 @@
+//! The sources of a mosaic: what is known of them, and how windows of them are read.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use gdal::raster::GdalDataType;
+use gdal::{Dataset, Metadata};
+
+use crate::coords::GeoTransform;
+use crate::error::{Error, Result};
+use crate::grid::Grid;
+use crate::model::open_dataset;
+use crate::resample::{Interpolation, Resampled};
+use crate::source::{Heights, MemoryHeights, Patch};
+use crate::window::Window;
+
+use super::Choice;
+
+/// One raster.
+pub struct Source {
+    pub path: PathBuf,
+    pub grid: Grid,
+    pub bands: usize,
+    pub kind: GdalDataType,
+    pub nodata: Option<f64>,
+    pub wkt: String,
+    /// Its cells are cells of the mosaic.
+    pub on_grid: bool,
+    /// Sorts by time.
+    pub date: String,
+    /// What its cells cost.
+    pub companion: Option<Box<Source>>,
+}
+
+/// Cells that lie this near to cells of the mosaic are taken to be them, in cells.
+const SNAP_PX: f64 = 0.01;
+
+impl Source {
+    fn open(path: &Path) -> Result<Source> {
+        if path.is_dir() {
+            return Err(Error::format(path, "path", "is a directory; name the rasters in it"));
+        }
+        let dataset = open_dataset(path)?;
+        if dataset.raster_count() == 0 {
+            return Err(Error::unsupported(path, "it holds no raster", "leave it out"));
+        }
+        let transform = dataset.geo_transform().map_err(|_| {
+            Error::unsupported(path, "a raster without a georeference", "give it one with gdal_edit.py")
+        })?;
+        let (width, height) = dataset.raster_size();
+        let grid = Grid::new(&GeoTransform(transform), width as u64, height as u64)
+            .filter(|g| g.step_x > 0.0 && g.step_y < 0.0)
+            .ok_or_else(|| {
+                Error::unsupported(path, "a rotated or mirrored geotransform", "bring it north up with gdalwarp")
+            })?;
+        let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+        let (kind, nodata) = (band.band_type(), band.no_data_value());
+        Ok(Source {
+            path: path.to_path_buf(),
+            grid,
+            bands: dataset.raster_count(),
+            kind,
+            nodata,
+            wkt: dataset.projection(),
+            on_grid: true,
+            date: date_of(path, &dataset),
+            companion: None,
+        })
+    }
+
+    pub fn whole_numbers(&self) -> bool {
+        !matches!(self.kind, GdalDataType::Float32 | GdalDataType::Float64)
+    }
+
+    /// Whether a window of the mosaic has a cell of this source.
+    pub fn meets(&self, mosaic: &Grid, window: Window) -> bool {
+        let [west, south, east, north] = self.grid.bounds();
+        let left = mosaic.x0 + window.x as f64 * mosaic.step_x;
+        let top = mosaic.y0 + window.y as f64 * mosaic.step_y;
+        let right = left + window.width as f64 * mosaic.step_x;
+        let bottom = top + window.height as f64 * mosaic.step_y;
+        west < right && east > left && south < top && north > bottom
+    }
+
+    /// The cells that a window of the mosaic needs, with neighbours.
+    fn part(&self, mosaic: &Grid, window: Window) -> Option<Window> {
+        const NEIGHBOURS: f64 = 3.0;
+        let along = |first: u64, count: u64, from: (f64, f64), own: (f64, f64), size: u64| {
+            let a = (from.0 + first as f64 * from.1 - own.0) / own.1 - NEIGHBOURS;
+            let b = (from.0 + (first + count) as f64 * from.1 - own.0) / own.1 + NEIGHBOURS;
+            let low = a.floor().clamp(0.0, size as f64) as u64;
+            let high = b.ceil().clamp(0.0, size as f64) as u64;
+            (high > low).then_some((low, high - low))
+        };
+        let g = &self.grid;
+        let (x, width) = along(window.x, window.width, (mosaic.x0, mosaic.step_x), (g.x0, g.step_x), g.width)?;
+        let (y, height) = along(window.y, window.height, (mosaic.y0, mosaic.step_y), (g.y0, g.step_y), g.height)?;
+        Some(Window::new(x, y, width, height))
+    }
+
+    fn each(&self, mosaic: &Grid, window: Window, mut see: impl FnMut(f64, f64) -> f64) -> Vec<f64> {
+        let mut out = Vec::with_capacity(window.area() as usize);
+        for row in window.y..window.bottom() {
+            let y = mosaic.y0 + (row as f64 + 0.5) * mosaic.step_y;
+            for column in window.x..window.right() {
+                out.push(see(mosaic.x0 + (column as f64 + 0.5) * mosaic.step_x, y));
+            }
+        }
+        out
+    }
+
+    /// From the source's centre, in units of the CRS.
+    pub fn distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
+        let (x0, y0) = self.grid.centre();
+        self.each(mosaic, window, |x, y| (x - x0).hypot(y - y0))
+    }
+
+    /// From the source's nearest edge.
+    pub fn edge_distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
+        let [west, south, east, north] = self.grid.bounds();
+        self.each(mosaic, window, |x, y| (x - west).min(east - x).min(y - south).min(north - y))
+    }
+
+    /// Brings the grid to the mosaic's where it is nearly there.
+    fn snap(&mut self, mosaic: &Grid) {
+        let (x, y) = ((self.grid.x0 - mosaic.x0) / mosaic.step_x, (self.grid.y0 - mosaic.y0) / mosaic.step_y);
+        let same = |a: f64, b: f64, cells: u64| (a / b - 1.0).abs() * (cells as f64) < SNAP_PX;
+        let near = |v: f64| (v - v.round()).abs() < SNAP_PX;
+        self.on_grid = near(x)
+            && near(y)
+            && same(self.grid.step_x, mosaic.step_x, self.grid.width)
+            && same(self.grid.step_y, mosaic.step_y, self.grid.height);
+        if self.on_grid {
+            self.grid.x0 = mosaic.x0 + x.round() * mosaic.step_x;
+            self.grid.y0 = mosaic.y0 + y.round() * mosaic.step_y;
+            (self.grid.step_x, self.grid.step_y) = (mosaic.step_x, mosaic.step_y);
+        }
+    }
+}
+
+/// A date that sorts: of the metadata, else eight digits of the name, else the file's own.
+fn date_of(path: &Path, dataset: &Dataset) -> String {
+    let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
+    for (key, domain) in [("TIFFTAG_DATETIME", ""), ("ACQUISITIONDATETIME", "IMAGERY"), ("ACQUISITION_DATE", "")] {
+        if let Some(value) = dataset.metadata_item(key, domain) {
+            let value = digits(&value);
+            if value.len() >= 8 {
+                return value;
+            }
+        }
+    }
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let plausible = |run: &str| {
+        let number = |range: std::ops::Range<usize>| run[range].parse::<u32>().unwrap_or(0);
+        run.len() == 8
+            && (1850..2200).contains(&number(0..4))
+            && (1..=12).contains(&number(4..6))
+            && (1..=31).contains(&number(6..8))
+    };
+    let runs = name.split(|c: char| !c.is_ascii_digit());
+    if let Some(run) = runs.filter(|run| plausible(run)).last() {
+        return run.to_string();
+    }
+    let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
+    let seconds = modified.and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok()).map_or(0, |d| d.as_secs());
+    // Days since 1970 as a date (H. Hinnant, chrono-compatible low-level date algorithms, 2013).
+    let z = (seconds / 86_400) as i64 + 719_468;
+    let era = z / 146_097;
+    let doe = z - era * 146_097;
+    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
+    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
+    let mp = (5 * doy + 2) / 153;
+    let (day, month) = (doy - (153 * mp + 2) / 5 + 1, if mp < 10 { mp + 3 } else { mp - 9 });
+    let year = yoe + era * 400 + i64::from(month <= 2);
+    format!("{year:04}{month:02}{day:02}")
+}
+
+/// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
+pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
+    if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
+        return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
+    }
+    let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
+    let Some(first) = sources.first() else { return Err(Error::usage("no raster was named", "name at least one")) };
+    let (bands, kind, wkt) = (first.bands, first.kind, first.wkt.clone());
+    let reference = crate::crs::Crs::parse(&wkt).ok();
+    for source in &sources {
+        if source.bands != bands || source.kind != kind {
+            let what = format!(
+                "{} bands of {}, while {} has {bands} of {}",
+                source.bands,
+                source.kind.name(),
+                sources[0].path.display(),
+                kind.name()
+            );
+            return Err(Error::unsupported(&source.path, what, "bring them to one form with gdal_translate"));
+        }
+        let same = source.wkt == wkt
+            || crate::crs::Crs::parse(&source.wkt).ok().map(|c| c.label())
+                == reference.as_ref().map(crate::crs::Crs::label);
+        if !same {
+            let what = format!("another CRS than that of {}", sources[0].path.display());
+            return Err(Error::unsupported(&source.path, what, "bring it there with gdalwarp -t_srs"));
+        }
+    }
+    let origin = sources[0].grid;
+    let (step_x, step_y) = resolution.map_or((origin.step_x, origin.step_y), |r| (r, -r));
+    let bounds = sources
+        .iter()
+        .map(|s| s.grid.bounds())
+        .fold(origin.bounds(), |a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])]);
+    // Whole cells from the first one's corner; a hundredth of a cell is no reason for another one.
+    let cells = |from: f64, to: f64, step: f64| ((to - from) / step.abs() - SNAP_PX).ceil().max(0.0);
+    let (left, up) = (cells(bounds[0], origin.x0, step_x), cells(origin.y0, bounds[3], step_y));
+    let grid = Grid {
+        x0: origin.x0 - left * step_x,
+        y0: origin.y0 - up * step_y,
+        step_x,
+        step_y,
+        width: (left + cells(origin.x0, bounds[2], step_x)).max(1.0) as u64,
+        height: (up + cells(bounds[1], origin.y0, step_y)).max(1.0) as u64,
+    };
+    if grid.width.max(grid.height) > i32::MAX as u64 {
+        return Err(Error::usage(
+            format!("a mosaic of {} x {} cells", grid.width, grid.height),
+            "give a larger --resolution, or look for a source far away from the others",
+        ));
+    }
+    for source in &mut sources {
+        source.snap(&grid);
+        if let Choice::Min(pattern) = choice {
+            let stem = source.path.file_stem().unwrap_or_default().to_string_lossy();
+            let name = PathBuf::from(pattern.replace("{stem}", &stem));
+            let path = if name.is_absolute() || pattern.contains('/') && name.exists() {
+                name
+            } else {
+                source.path.with_file_name("").join(name)
+            };
+            let mut companion = Source::open(&path)?;
+            companion.snap(&grid);
+            source.companion = Some(Box::new(companion));
+        }
+    }
+    Ok((sources, grid))
+}
+
+/// An index raster, which must have the mosaic's grid.
+pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
+    let mut index = Source::open(path)?;
+    index.snap(grid);
+    let same = index.on_grid && (index.grid.x0, index.grid.y0) == (grid.x0, grid.y0);
+    if !same || (index.grid.width, index.grid.height) != (grid.width, grid.height) {
+        return Err(Error::unsupported(
+            path,
+            "an index on another grid than the mosaic's",
+            "write it with --write-index",
+        ));
+    }
+    index.bands = 1;
+    Ok(index)
+}
+
+/// Datasets that a worker has open, not too many.
+#[derive(Default)]
+pub struct Opened {
+    datasets: HashMap<PathBuf, (u64, Dataset)>,
+    uses: u64,
+}
+
+const MOST_OPEN: usize = 24;
+
+impl Opened {
+    fn dataset(&mut self, path: &Path) -> Result<&Dataset> {
+        self.uses += 1;
+        if !self.datasets.contains_key(path) {
+            if self.datasets.len() >= MOST_OPEN {
+                let oldest = self.datasets.iter().min_by_key(|(_, (used, _))| *used).map(|(path, _)| path.clone());
+                oldest.and_then(|path| self.datasets.remove(&path));
+            }
+            self.datasets.insert(path.to_path_buf(), (0, open_dataset(path)?));
+        }
+        let entry = self.datasets.get_mut(path).expect("it was put there above");
+        entry.0 = self.uses;
+        Ok(&entry.1)
+    }
+
+    /// All bands of a source in a window of the mosaic; NaN where there is nothing.
+    pub fn read(
+        &mut self,
+        _number: usize,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Result<Vec<f64>> {
+        let interpolation = if source.on_grid { Interpolation::Nearest } else { interpolation };
+        let dataset = self.dataset(&source.path)?;
+        let mut all = Vec::with_capacity(window.area() as usize * source.bands);
+        let mut plane = Vec::new();
+        let patch = Patch {
+            x: window.x as i64,
+            y: window.y as i64,
+            width: window.width as usize,
+            height: window.height as usize,
+        };
+        let Some(part) = source.part(mosaic, window) else {
+            return Ok(vec![f64::NAN; window.area() as usize * source.bands]);
+        };
+        let size = (part.width as usize, part.height as usize);
+        let grid = Grid {
+            x0: source.grid.x0 + part.x as f64 * source.grid.step_x,
+            y0: source.grid.y0 + part.y as f64 * source.grid.step_y,
+            width: part.width,
+            height: part.height,
+            ..source.grid
+        };
+        for band in 1..=source.bands {
+            let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
+            let band = dataset.rasterband(band).map_err(failed)?;
+            let mut values = vec![0.0; size.0 * size.1];
+            band.read_into_slice((part.x as isize, part.y as isize), size, size, &mut values, None).map_err(failed)?;
+            for value in &mut values {
+                let void = source.nodata.is_some_and(|n| *value == n || *value == f64::from(n as f32));
+                if void || !value.is_finite() {
+                    *value = f64::NAN;
+                }
+            }
+            let memory = MemoryHeights::new(grid, values);
+            Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;
+            all.extend_from_slice(&plane);
+        }
+        Ok(all)
+    }
+
+    /// What the cells of a source cost; infinite where nobody says.
+    pub fn read_companion(
+        &mut self,
+        number: usize,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+    ) -> Result<Vec<f64>> {
+        let Some(companion) = &source.companion else { return Ok(vec![f64::INFINITY; window.area() as usize]) };
+        let mut costs = self.read(number, companion, mosaic, window, Interpolation::Bilinear)?;
+        costs.truncate(window.area() as usize);
+        Ok(costs)
+    }
+}

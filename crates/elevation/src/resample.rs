@@ -1,0 +1,242 @@
+//! Heights between the cells of a grid without rotation: rows and columns apart.
+
+use crate::error::Result;
+use crate::grid::Grid;
+use crate::source::{Heights, Patch};
+
+/// How a height is made of its neighbours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interpolation {
+    Nearest,
+    #[default]
+    Bilinear,
+    /// Keys, *Cubic convolution interpolation for digital image processing*, 1981, with a = −1/2.
+    Cubic,
+}
+
+/// Positions nearer to a cell's centre than this are that cell: grids that agree do so up to rounding.
+const SNAP_PX: f64 = 1e-6;
+
+/// Along one axis: cell `i` of the target lies at cell `offset + i·ratio` of the source, both counted from centres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisMap {
+    offset: f64,
+    ratio: f64,
+}
+
+/// Four neighbours, the first of them, and their weights; neighbours of weight zero do not count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Taps {
+    first: i64,
+    weights: [f64; 4],
+}
+
+impl AxisMap {
+    /// `shift` in source cells is added to every position.
+    fn new(target: (f64, f64), source: (f64, f64), shift: f64) -> Self {
+        let ratio = target.1 / source.1;
+        let offset = (target.0 - source.0) / source.1 + 0.5 * ratio - 0.5 + shift;
+        // A ratio that is one up to rounding must not drift over a long row.
+        let ratio = if (ratio - 1.0).abs() < 1e-9 { 1.0 } else { ratio };
+        AxisMap { offset, ratio }
+    }
+
+    fn taps(&self, index: i64, interpolation: Interpolation) -> Taps {
+        let (mut cell, mut f) = if self.ratio == 1.0 {
+            // One phase along the whole axis, to the last bit.
+            (self.offset.floor() + index as f64, self.offset - self.offset.floor())
+        } else {
+            let position = self.offset + index as f64 * self.ratio;
+            (position.floor(), position - position.floor())
+        };
+        if f > 1.0 - SNAP_PX {
+            cell += 1.0;
+            f = 0.0;
+        } else if f < SNAP_PX {
+            f = 0.0;
+        }
+        let weights = match interpolation {
+            _ if f == 0.0 => [0.0, 1.0, 0.0, 0.0],
+            Interpolation::Nearest if f < 0.5 => [0.0, 1.0, 0.0, 0.0],
+            Interpolation::Nearest => [0.0, 0.0, 1.0, 0.0],
+            Interpolation::Bilinear => [0.0, 1.0 - f, f, 0.0],
+            Interpolation::Cubic => {
+                let (f2, f3) = (f * f, f * f * f);
+                [
+                    -0.5 * f3 + f2 - 0.5 * f,
+                    1.5 * f3 - 2.5 * f2 + 1.0,
+                    -1.5 * f3 + 2.0 * f2 + 0.5 * f,
+                    0.5 * f3 - 0.5 * f2,
+                ]
+            }
+        };
+        // Far outside, where a float has no place in an index, there is nothing to read anyway.
+        Taps { first: cell.clamp(-4e15, 4e15) as i64 - 1, weights }
+    }
+}
+
+/// A source seen on another grid, moved by a shift.
+pub struct Resampled<'a, H: Heights + ?Sized> {
+    source: &'a H,
+    target: Grid,
+    x: AxisMap,
+    y: AxisMap,
+    interpolation: Interpolation,
+}
+
+impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
+    /// The cell at X of `target` gets the height of `source` at X + (`shift_x`, `shift_y`), in units of the CRS.
+    pub fn new(source: &'a H, target: Grid, shift: (f64, f64), interpolation: Interpolation) -> Self {
+        let s = source.grid();
+        let x = AxisMap::new((target.x0, target.step_x), (s.x0, s.step_x), shift.0 / s.step_x);
+        let y = AxisMap::new((target.y0, target.step_y), (s.y0, s.step_y), shift.1 / s.step_y);
+        Resampled { source, target, x, y, interpolation }
+    }
+
+    /// As [`Heights::read`], with buffers that are used again.
+    ///
+    /// # Errors
+    /// When the source cannot be read.
+    pub fn read_with(&self, patch: Patch, scratch: &mut Scratch, out: &mut Vec<f64>) -> Result<()> {
+        out.clear();
+        out.resize(patch.width * patch.height, f64::NAN);
+        if out.is_empty() {
+            return Ok(());
+        }
+        let taps = |map: &AxisMap, from: i64, count: usize, into: &mut Vec<Taps>| {
+            into.clear();
+            into.extend((0..count as i64).map(|i| map.taps(from + i, self.interpolation)));
+        };
+        taps(&self.x, patch.x, patch.width, &mut scratch.columns);
+        taps(&self.y, patch.y, patch.height, &mut scratch.rows);
+        let (left, right) = span(&scratch.columns);
+        let (top, bottom) = span(&scratch.rows);
+        let s = self.source.grid();
+        if right < 0 || bottom < 0 || left >= s.width as i64 || top >= s.height as i64 {
+            return Ok(());
+        }
+        let part = Patch { x: left, y: top, width: (right - left + 1) as usize, height: (bottom - top + 1) as usize };
+        self.source.read(part, &mut scratch.cells)?;
+        let whole = |taps: &[Taps]| taps.iter().all(|t| t.weights == [0.0, 1.0, 0.0, 0.0]);
+        if self.x.ratio == 1.0 && self.y.ratio == 1.0 && whole(&scratch.columns) && whole(&scratch.rows) {
+            let offset = (scratch.columns[0].first + 1 - left) as usize;
+            for (row, line) in out.chunks_exact_mut(patch.width).enumerate() {
+                let from = (scratch.rows[row].first + 1 - top) as usize * part.width + offset;
+                line.copy_from_slice(&scratch.cells[from..from + patch.width]);
+            }
+            return Ok(());
+        }
+        // Along the rows first, each row of the source once.
+        let (cells, columns) = (&scratch.cells, &scratch.columns);
+        let along = &mut scratch.along;
+        along.clear();
+        along.resize(part.height * patch.width, 0.0);
+        let one_phase = (self.x.ratio == 1.0).then(|| (columns[0].first - left, columns[0].weights));
+        for (line, row) in along.chunks_exact_mut(patch.width).zip(cells.chunks_exact(part.width)) {
+            if let Some((start, weights)) = one_phase {
+                for (k, &w) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+                    let from = (start + k as i64) as usize;
+                    for (value, &cell) in line.iter_mut().zip(&row[from..from + patch.width]) {
+                        *value += w * cell;
+                    }
+                }
+                continue;
+            }
+            for (value, taps) in line.iter_mut().zip(columns) {
+                let mut sum = 0.0;
+                for (k, &w) in taps.weights.iter().enumerate() {
+                    if w != 0.0 {
+                        sum += w * row[(taps.first - left + k as i64) as usize];
+                    }
+                }
+                *value = sum;
+            }
+        }
+        for (line, taps) in out.chunks_exact_mut(patch.width).zip(&scratch.rows) {
+            line.fill(0.0);
+            for (k, &w) in taps.weights.iter().enumerate() {
+                if w != 0.0 {
+                    let from = (taps.first - top + k as i64) as usize * patch.width;
+                    for (value, &a) in line.iter_mut().zip(&along[from..from + patch.width]) {
+                        *value += w * a;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<H: Heights + ?Sized> Heights for Resampled<'_, H> {
+    fn grid(&self) -> Grid {
+        self.target
+    }
+
+    fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
+        self.read_with(patch, &mut Scratch::default(), out)
+    }
+}
+
+/// Buffers of [`Resampled::read_with`].
+#[derive(Default)]
+pub struct Scratch {
+    columns: Vec<Taps>,
+    rows: Vec<Taps>,
+    cells: Vec<f64>,
+    along: Vec<f64>,
+}
+
+/// First and last cell that is needed.
+fn span(taps: &[Taps]) -> (i64, i64) {
+    let ends = taps.iter().map(|t| {
+        let used = |k: &usize| t.weights[*k] != 0.0;
+        let first = (0..4).find(used).unwrap_or(1) as i64;
+        let last = (0..4).rfind(used).unwrap_or(1) as i64;
+        (t.first + first, t.first + last)
+    });
+    ends.fold((i64::MAX, i64::MIN), |(low, high), (a, b)| (low.min(a), high.max(b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::MemoryHeights;
+
+    fn surface(width: u64, height: u64) -> MemoryHeights {
+        let grid = Grid { x0: 100.0, y0: 50.0, step_x: 2.0, step_y: -2.0, width, height };
+        // Cubic convolution is exact for planes and parabolas.
+        let values = (0..height).flat_map(|y| (0..width).map(move |x| (x * x) as f64 - 3.0 * y as f64)).collect();
+        MemoryHeights::new(grid, values)
+    }
+
+    #[test]
+    fn parabolas_are_met_between_the_cells() {
+        let source = surface(12, 10);
+        let target = Grid { x0: 100.0, y0: 50.0, step_x: 1.0, step_y: -1.0, width: 24, height: 20 };
+        let moved = Resampled::new(&source, target, (0.7, -0.3), Interpolation::Cubic);
+        let mut out = Vec::new();
+        moved.read(Patch { x: 6, y: 6, width: 8, height: 8 }, &mut out).expect("memory");
+        for (i, value) in out.iter().enumerate() {
+            let (x, y) = (6.5 + (i % 8) as f64 + 0.7, 6.5 + (i / 8) as f64 + 0.3);
+            let (x, y) = (x / 2.0 - 0.5, y / 2.0 - 0.5);
+            assert!((value - (x * x - 3.0 * y)).abs() < 1e-9, "{i}: {value}");
+        }
+    }
+
+    #[test]
+    fn the_same_grid_is_a_copy_and_windows_agree() {
+        let source = surface(9, 7);
+        let same = Resampled::new(&source, source.grid(), (0.0, 0.0), Interpolation::Cubic);
+        let mut whole = Vec::new();
+        same.read(Patch { x: 0, y: 0, width: 9, height: 7 }, &mut whole).expect("memory");
+        assert_eq!(whole, source.values());
+        let moved = Resampled::new(&source, source.grid(), (0.5, 0.25), Interpolation::Cubic);
+        moved.read(Patch { x: 0, y: 0, width: 9, height: 7 }, &mut whole).expect("memory");
+        let mut part = Vec::new();
+        moved.read(Patch { x: 3, y: 2, width: 4, height: 3 }, &mut part).expect("memory");
+        for (i, value) in part.iter().enumerate() {
+            let expected = whole[(2 + i / 4) * 9 + 3 + i % 4];
+            assert_eq!(value.to_bits(), expected.to_bits());
+        }
+    }
+}

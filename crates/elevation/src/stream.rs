@@ -1,0 +1,69 @@
+//! Tiles handed to threads; what they gather is joined at the end.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use crate::error::Result;
+use crate::window::{TileGrid, Window};
+
+/// Side of the blocks within which sums are made in one fixed order: tiles are whole multiples of it.
+pub const BLOCK_PX: u64 = 16;
+
+/// How the work is cut up. Neither number changes a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Means {
+    /// Width of the tiles, brought up to a multiple of [`BLOCK_PX`].
+    pub tile_px: u64,
+    /// Their height, likewise.
+    pub tile_rows_px: u64,
+    pub threads: usize,
+}
+
+impl Default for Means {
+    fn default() -> Self {
+        Means::square(512, 1)
+    }
+}
+
+impl Means {
+    pub fn square(tile_px: u64, threads: usize) -> Means {
+        Means { tile_px, tile_rows_px: tile_px, threads }
+    }
+
+    /// The tiles of a raster.
+    pub fn tiles(&self, width: u64, height: u64) -> TileGrid {
+        let [across, down] = [self.tile_px, self.tile_rows_px].map(|px| px.max(1).next_multiple_of(BLOCK_PX));
+        TileGrid::new(width, height, across, down, 0)
+    }
+}
+
+/// Runs `job` over all tiles, `threads` at a time, each with a state of its own, and returns the states.
+///
+/// # Errors
+/// The first error of a job; the others stop at their next tile.
+pub fn gather<S: Send>(
+    tiles: &TileGrid,
+    threads: usize,
+    state: impl Fn() -> S + Sync,
+    job: impl Fn(&mut S, Window) -> Result<()> + Sync,
+) -> Result<Vec<S>> {
+    let (next, stop) = (AtomicU64::new(0), AtomicBool::new(false));
+    let work = || -> Result<S> {
+        let mut mine = state();
+        while !stop.load(Ordering::Relaxed) {
+            let id = next.fetch_add(1, Ordering::Relaxed);
+            if id >= tiles.len() {
+                break;
+            }
+            job(&mut mine, tiles.tile(id).core).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+        }
+        Ok(mine)
+    };
+    let threads = threads.max(1).min(tiles.len().max(1) as usize);
+    if threads == 1 {
+        return Ok(vec![work()?]);
+    }
+    std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        handles.into_iter().map(|h| h.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
+}

@@ -1,0 +1,109 @@
+//! Polygons on the map, met cell centre by cell centre.
+
+/// One side of a ring.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    low: (f64, f64),
+    high: (f64, f64),
+    zone: u32,
+}
+
+/// Numbered areas. A cell belongs to an area when its centre lies inside by the even-odd rule; where areas overlap, to the
+/// last of them.
+#[derive(Clone, Debug, Default)]
+pub struct Zones {
+    edges: Vec<Edge>,
+    /// Indices of the edges that reach into each band of y.
+    bands: Vec<Vec<u32>>,
+    y_low: f64,
+    band_height: f64,
+    names: Vec<String>,
+}
+
+/// A ring of map positions: easting or longitude first; the last need not repeat the first.
+pub type Ring = Vec<(f64, f64)>;
+
+impl Zones {
+    /// Each area with its name and all its rings, holes included.
+    pub fn new(areas: impl IntoIterator<Item = (String, Vec<Ring>)>) -> Self {
+        let (mut edges, mut names) = (Vec::new(), Vec::new());
+        for (name, rings) in areas {
+            let zone = names.len() as u32;
+            names.push(name);
+            for ring in &rings {
+                for (i, &a) in ring.iter().enumerate() {
+                    let b = ring[(i + 1) % ring.len()];
+                    if a.1 != b.1 {
+                        let (low, high) = if a.1 < b.1 { (a, b) } else { (b, a) };
+                        edges.push(Edge { low, high, zone });
+                    }
+                }
+            }
+        }
+        let y_low = edges.iter().map(|e| e.low.1).fold(f64::INFINITY, f64::min);
+        let y_high = edges.iter().map(|e| e.high.1).fold(f64::NEG_INFINITY, f64::max);
+        let count = edges.len().clamp(1, 4096);
+        let band_height = ((y_high - y_low) / count as f64).max(f64::MIN_POSITIVE);
+        let mut bands = vec![Vec::new(); if edges.is_empty() { 0 } else { count }];
+        for (i, edge) in edges.iter().enumerate() {
+            let band = |y: f64| (((y - y_low) / band_height) as usize).min(count - 1);
+            for list in &mut bands[band(edge.low.1)..=band(edge.high.1)] {
+                list.push(i as u32);
+            }
+        }
+        Zones { edges, bands, y_low, band_height, names }
+    }
+
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.edges.is_empty()
+    }
+
+    /// Number + 1 of the area of each cell centre `x0 + i·step` at height `y` of the map; 0 outside all.
+    pub fn row(&self, y: f64, x0: f64, step: f64, out: &mut [u32]) {
+        out.fill(0);
+        let band = (y - self.y_low) / self.band_height;
+        if self.bands.is_empty() || !(0.0..=self.bands.len() as f64).contains(&band) {
+            return;
+        }
+        let list = &self.bands[(band as usize).min(self.bands.len() - 1)];
+        let mut crossings: Vec<(u32, f64)> = list
+            .iter()
+            .map(|&i| &self.edges[i as usize])
+            .filter(|e| e.low.1 <= y && y < e.high.1)
+            .map(|e| (e.zone, e.low.0 + (e.high.0 - e.low.0) * ((y - e.low.1) / (e.high.1 - e.low.1))))
+            .collect();
+        crossings.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        for pair in crossings.chunks_exact(2).filter(|pair| pair[0].0 == pair[1].0) {
+            let (a, b) = ((pair[0].1 - x0) / step, (pair[1].1 - x0) / step);
+            // Centres from the lower crossing on, the upper one left out.
+            let from = a.min(b).ceil().clamp(0.0, out.len() as f64) as usize;
+            let to = a.max(b).ceil().clamp(0.0, out.len() as f64) as usize;
+            out[from..to].fill(pair[0].0 + 1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn holes_and_overlaps() {
+        let square = |a: f64, b: f64| vec![(a, a), (b, a), (b, b), (a, b)];
+        let zones = Zones::new([
+            ("ring".into(), vec![square(0.0, 10.0), square(3.0, 7.0)]),
+            ("corner".into(), vec![square(8.0, 12.0)]),
+        ]);
+        let mut out = [9u32; 12];
+        zones.row(5.0, 0.5, 1.0, &mut out);
+        assert_eq!(out, [1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 0, 0]);
+        zones.row(9.0, 0.5, 1.0, &mut out);
+        assert_eq!(out, [1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2]);
+        zones.row(-1.0, 0.5, 1.0, &mut out);
+        assert_eq!(out, [0; 12]);
+    }
+}

@@ -1,0 +1,269 @@
+//! Known shifts and tilts of drawn terrain are found again, and their stated errors are right.
+
+use autoref_elevation::align::{Alignment, Method, Options, Outcome, align};
+use autoref_elevation::grid::{Grid, GroundUnit};
+use autoref_elevation::source::MemoryHeights;
+use autoref_elevation::stream::Means;
+use autoref_elevation::zones::Zones;
+
+const CELL_M: f64 = 10.0;
+
+/// Random numbers that are the same in every run.
+struct Dice(u64);
+
+impl Dice {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+/// Hills of all sizes from 120 m to some kilometres, as a formula, so that they can be read anywhere.
+struct Terrain(Vec<[f64; 4]>);
+
+impl Terrain {
+    fn new(seed: u64) -> Self {
+        let mut dice = Dice(seed);
+        let waves = (0..40).map(|i| {
+            let length_m = 120.0 * 1.1f64.powi(i);
+            let direction = dice.uniform() * std::f64::consts::TAU;
+            let k = std::f64::consts::TAU / length_m;
+            [k * direction.cos(), k * direction.sin(), dice.uniform() * 6.3, 0.012 * length_m]
+        });
+        Terrain(waves.collect())
+    }
+
+    fn at(&self, east: f64, north: f64) -> f64 {
+        500.0 + self.0.iter().map(|[kx, ky, phase, a]| a * (kx * east + ky * north + phase).sin()).sum::<f64>()
+    }
+}
+
+/// What is seen of a terrain.
+struct View {
+    width: u64,
+    height: u64,
+    /// Where the file says the ground lies, minus where it lies.
+    error: (f64, f64, f64),
+    tilt: (f64, f64),
+    noise_m: f64,
+    cell_m: f64,
+}
+
+const PLAIN: View =
+    View { width: 200, height: 160, error: (0.0, 0.0, 0.0), tilt: (0.0, 0.0), noise_m: 0.0, cell_m: CELL_M };
+
+fn draw(terrain: &Terrain, view: &View, dice: &mut Dice) -> MemoryHeights {
+    let grid = Grid {
+        x0: 500_000.0,
+        y0: 8_700_000.0,
+        step_x: view.cell_m,
+        step_y: -view.cell_m,
+        width: view.width,
+        height: view.height,
+    };
+    let mut values = Vec::new();
+    for row in 0..view.height {
+        for column in 0..view.width {
+            let east = (column as f64 + 0.5) * view.cell_m;
+            let north = -(row as f64 + 0.5) * view.cell_m;
+            let (middle_e, middle_n) = grid.centre();
+            let (from_e, from_n) = (east - (middle_e - grid.x0), north - (middle_n - grid.y0));
+            let height = terrain.at(east - view.error.0, north - view.error.1) + view.error.2;
+            values.push(height + view.tilt.0 * from_e + view.tilt.1 * from_n + view.noise_m * dice.normal());
+        }
+    }
+    MemoryHeights::new(grid, values)
+}
+
+fn aligned(a: &MemoryHeights, b: &MemoryHeights, options: &Options<'_>) -> Alignment {
+    match align(a, b, options).expect("memory cannot fail") {
+        Outcome::Aligned(alignment) => *alignment,
+        Outcome::Refused(why) => panic!("refused: {why}"),
+    }
+}
+
+#[test]
+fn a_sub_pixel_shift_is_found_to_a_thousandth_of_a_cell() {
+    let (terrain, mut dice) = (Terrain::new(1), Dice(1));
+    let b = draw(&terrain, &PLAIN, &mut dice);
+    let a = draw(&terrain, &View { error: (13.7, -22.1, 3.3), ..PLAIN }, &mut dice);
+    for method in [Method::Auto, Method::Lzd] {
+        let found = aligned(&a, &b, &Options { method, ..Options::default() });
+        let [e, n, h] = found.shift_m;
+        assert!((e + 13.7).abs() < 0.02 && (n - 22.1).abs() < 0.02 && (h + 3.3).abs() < 0.005, "{method}: {found:?}");
+        assert!(found.nmad_after_m < 0.1 && found.nmad_before_m > 1.0, "{found:?}");
+    }
+    let found = aligned(&a, &b, &Options { method: Method::NuthKaab, ..Options::default() });
+    let [e, n, h] = found.shift_m;
+    assert!((e + 13.7).abs() < 0.5 && (n - 22.1).abs() < 0.5 && (h + 3.3).abs() < 0.2, "{found:?}");
+}
+
+#[test]
+fn shift_and_tilt_are_found_together() {
+    let (terrain, mut dice) = (Terrain::new(2), Dice(2));
+    let b = draw(&terrain, &PLAIN, &mut dice);
+    let a = draw(&terrain, &View { error: (-27.4, 44.2, -7.0), tilt: (0.001, -0.0005), ..PLAIN }, &mut dice);
+    let found = aligned(&a, &b, &Options::default());
+    let tilt = found.tilt.expect("there is one");
+    assert!((found.shift_m[0] - 27.4).abs() < 0.1 && (found.shift_m[1] + 44.2).abs() < 0.1, "{found:?}");
+    assert!((tilt.east + 0.001).abs() < 2e-5 && (tilt.north - 0.0005).abs() < 2e-5, "{tilt:?}");
+    // Flat cells are no hindrance to a height and a tilt.
+    let grid = Grid { x0: 0.0, y0: 0.0, step_x: 1.0, step_y: -1.0, width: 60, height: 60 };
+    let flat = MemoryHeights::new(grid, vec![10.0; 3600]);
+    let tilted = (0..3600).map(|i| 12.0 + 0.01 * ((i % 60) as f64 - 29.5)).collect();
+    let found =
+        aligned(&MemoryHeights::new(grid, tilted), &flat, &Options { method: Method::Tilt, ..Options::default() });
+    let tilt = found.tilt.expect("asked for");
+    assert!((tilt.east + 0.01).abs() < 1e-6 && tilt.north.abs() < 1e-6, "{tilt:?}");
+    assert!((found.shift_m[2] + 2.0).abs() < 1e-6, "{found:?}");
+}
+
+#[test]
+fn hundreds_of_metres_and_a_fifth_of_the_ground_changed() {
+    let (terrain, mut dice) = (Terrain::new(3), Dice(3));
+    let b = draw(&terrain, &PLAIN, &mut dice);
+    let noisy = View { error: (412.0, -333.0, 25.0), noise_m: 0.5, ..PLAIN };
+    let a = draw(&terrain, &noisy, &mut dice);
+    // A glacier that has lost up to 150 m.
+    let values = a.values().iter().enumerate().map(|(i, &z)| {
+        let (x, y) = ((i % 200) as f64, (i / 200) as f64);
+        let inside = (60.0..110.0).contains(&x) && y < 130.0;
+        if inside { z - 150.0 + y } else { z }
+    });
+    use autoref_elevation::source::Heights;
+    let a = MemoryHeights::new(a.grid(), values.collect());
+    let found = aligned(&a, &b, &Options::default());
+    assert!((found.shift_m[0] + 412.0).abs() < 1.0 && (found.shift_m[1] - 333.0).abs() < 1.0, "{found:?}");
+    assert!((found.shift_m[2] + 25.0).abs() < 0.1, "{found:?}");
+}
+
+#[test]
+fn finer_and_coarser_models_meet() {
+    let (terrain, mut dice) = (Terrain::new(4), Dice(4));
+    let b = draw(&terrain, &PLAIN, &mut dice);
+    let fine = View { width: 760, height: 600, cell_m: 2.5, error: (7.3, 11.9, -1.0), noise_m: 0.1, ..PLAIN };
+    let a = draw(&terrain, &fine, &mut dice);
+    let found = aligned(&a, &b, &Options::default());
+    assert!((found.shift_m[0] + 7.3).abs() < 0.2 && (found.shift_m[1] + 11.9).abs() < 0.2, "{found:?}");
+    let back = aligned(&b, &a, &Options::default());
+    for i in 0..3 {
+        assert!((found.shift_m[i] + back.shift_m[i]).abs() < 0.05, "{found:?} {back:?}");
+    }
+}
+
+#[test]
+fn any_tiling_and_any_number_of_threads_gives_the_same_bits() {
+    let (terrain, mut dice) = (Terrain::new(5), Dice(5));
+    let small = View { width: 140, height: 100, ..PLAIN };
+    let b = draw(&terrain, &small, &mut dice);
+    let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), noise_m: 1.0, ..small }, &mut dice);
+    for method in [Method::Auto, Method::NuthKaab] {
+        // The second run holds a fraction in memory and streams the rest.
+        for memory_cells in [1 << 20, 4096] {
+            if method == Method::NuthKaab && memory_cells > 4096 {
+                continue;
+            }
+            let run = |tile_px: u64, threads: usize| {
+                let means = Means::square(tile_px, threads);
+                format!("{:?}", aligned(&a, &b, &Options { means, memory_cells, method, ..Options::default() }))
+            };
+            let whole = run(4096, 1);
+            for (tile_px, threads) in [(16, 2), (33, 1), (64, 3), (100, 2), (128, 4)] {
+                assert_eq!(whole, run(tile_px, threads), "{method}, tiles of {tile_px}");
+            }
+        }
+    }
+}
+
+#[test]
+fn flat_or_unlike_ground_is_refused() {
+    let (terrain, mut dice) = (Terrain::new(6), Dice(6));
+    let grid = Grid { x0: 500_000.0, y0: 8_700_000.0, step_x: 10.0, step_y: -10.0, width: 150, height: 150 };
+    let mut noise = |slope: f64| {
+        let values = (0..150 * 150).map(|i| slope * (i % 150) as f64 + 0.3 * dice.normal()).collect();
+        MemoryHeights::new(grid, values)
+    };
+    for slope in [0.0, 1.0] {
+        let (a, b) = (noise(slope), noise(slope));
+        let outcome = align(&a, &b, &Options::default()).expect("memory");
+        assert!(matches!(outcome, Outcome::Refused(_)), "slope {slope}: {outcome:?}");
+        let height = aligned(&a, &b, &Options { method: Method::Bias, ..Options::default() });
+        assert!(height.shift_m[2].abs() < 0.02, "{height:?}");
+    }
+    let constant = MemoryHeights::new(grid, vec![3.0; 150 * 150]);
+    let outcome = align(&constant, &constant.clone(), &Options::default()).expect("memory");
+    assert!(matches!(outcome, Outcome::Refused(_)), "{outcome:?}");
+    let far = draw(&terrain, &PLAIN, &mut Dice(1));
+    let error = align(&far, &MemoryHeights::new(Grid { x0: 0.0, ..grid }, vec![1.0; 150 * 150]), &Options::default());
+    assert!(error.is_err(), "no common ground");
+}
+
+#[test]
+fn stable_ground_can_be_given() {
+    let (terrain, mut dice) = (Terrain::new(7), Dice(7));
+    let b = draw(&terrain, &PLAIN, &mut dice);
+    let a = draw(&terrain, &View { error: (4.0, 3.0, 2.0), ..PLAIN }, &mut dice);
+    use autoref_elevation::source::Heights;
+    // More than half has changed: only who knows where can tell.
+    let values = a.values().iter().enumerate().map(|(i, &z)| if i % 200 < 120 { z + 40.0 } else { z }).collect();
+    let a = MemoryHeights::new(a.grid(), values);
+    let ring =
+        vec![(501_210.0, 8_690_000.0), (503_000.0, 8_690_000.0), (503_000.0, 8_701_000.0), (501_210.0, 8_701_000.0)];
+    let zones = Zones::new([("rock".to_string(), vec![ring])]);
+    let found = aligned(&a, &b, &Options { stable: Some(&zones), ..Options::default() });
+    assert!((found.shift_m[0] + 4.0).abs() < 0.05 && (found.shift_m[2] + 2.0).abs() < 0.02, "{found:?}");
+}
+
+#[test]
+fn degrees_are_metres_on_the_ground() {
+    let terrain = Terrain::new(8);
+    let step = 1.0 / 3600.0;
+    let (mx, my) = GroundUnit::WGS84.metres_per_unit(60.0);
+    let model = |shift: (f64, f64)| {
+        let grid = Grid { x0: 10.0, y0: 60.02, step_x: step, step_y: -step, width: 150, height: 144 };
+        let values = (0..144).flat_map(|row| {
+            let terrain = &terrain;
+            (0..150).map(move |column| {
+                let east = (f64::from(column) + 0.5) * step * mx - shift.0;
+                terrain.at(east, -(f64::from(row) + 0.5) * step * my - shift.1)
+            })
+        });
+        MemoryHeights::new(grid, values.collect())
+    };
+    let options = Options { unit: GroundUnit::WGS84, ..Options::default() };
+    let found = aligned(&model((20.0, -35.0)), &model((0.0, 0.0)), &options);
+    assert!((found.shift_m[0] + 20.0).abs() < 0.1 && (found.shift_m[1] - 35.0).abs() < 0.1, "{found:?}");
+    assert!((found.shift.0 * mx + 20.0).abs() < 0.1, "{found:?}");
+}
+
+/// Normalised errors of the shift over many draws of the noise: a standard deviation of one, within what chance allows.
+#[test]
+fn stated_errors_are_the_real_ones() {
+    let terrain = Terrain::new(9);
+    let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 40 };
+    let small = View { width: 128, height: 128, noise_m: 1.5, ..PLAIN };
+    let mut squares = [0.0; 3];
+    for trial in 0..trials {
+        let mut dice = Dice(1000 + trial);
+        let error = (dice.uniform() * 20.0 - 10.0, dice.uniform() * 20.0 - 10.0, 1.0);
+        let b = draw(&terrain, &small, &mut dice);
+        let a = draw(&terrain, &View { error, ..small }, &mut dice);
+        let found = aligned(&a, &b, &Options { method: Method::Lzd, ..Options::default() });
+        for (i, truth) in [-error.0, -error.1, -error.2].into_iter().enumerate() {
+            squares[i] += (found.shift_m[i] - truth).powi(2) / found.covariance_m2[(i, i)];
+        }
+    }
+    let limit = if trials >= 400 { 0.1 } else { 0.35 };
+    for (i, sum) in squares.iter().enumerate() {
+        let normalised = (sum / trials as f64).sqrt();
+        println!("normalised error {i}: {normalised:.3} over {trials} trials");
+        assert!((normalised - 1.0).abs() < limit, "parameter {i}: {normalised}");
+    }
+}

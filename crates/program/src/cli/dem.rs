@@ -1,0 +1,595 @@
+//! Elevation models: aligned, compared, drawn.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::bail;
+use autoref_elevation::align::{Alignment, Method, Outcome};
+use autoref_elevation::compare::{CompareJob, Summary};
+use autoref_elevation::derive::{self, Drawing};
+use autoref_elevation::files::{AlignJob, Resources};
+use autoref_elevation::profile;
+use autoref_elevation::resample::Interpolation;
+use autoref_raster::atomic;
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::{Map, Value, json};
+
+use crate::cli::common::Bytes;
+
+/// Align, compare and draw elevation models.
+#[derive(Args, Debug)]
+pub struct DemArgs {
+    #[command(subcommand)]
+    command: DemCommand,
+}
+
+#[derive(Subcommand, Debug)]
+enum DemCommand {
+    /// Bring one model onto another: shift, height, tilt.
+    Align(AlignArgs),
+    /// Subtract one model from another: statistics by class and zone, volumes with their errors, a page.
+    Compare(CompareArgs),
+    /// Hillshade (Horn 1981).
+    Hillshade(HillshadeArgs),
+    /// Slope, in degrees or per cent.
+    Slope(SlopeArgs),
+    /// Aspect, in degrees from north by east.
+    Aspect(GradientArgs),
+    /// Largest difference within 3 x 3 cells.
+    Roughness(DrawArgs),
+    /// Terrain ruggedness index.
+    Tri(TriArgs),
+    /// Topographic position index.
+    Tpi(DrawArgs),
+    /// Contour lines as GeoPackage, GeoJSON or Shapefile.
+    Contour(ContourArgs),
+    /// Heights along a line over several models, as CSV.
+    Profile(ProfileArgs),
+    /// The model at coarser or finer cells.
+    Resample(ResampleArgs),
+    /// Colours by height, from a table as gdaldem takes it.
+    Colour(ColourArgs),
+}
+
+/// What a command may take.
+#[derive(Args, Debug, Clone)]
+pub struct ResourceArgs {
+    /// Side of the tiles, in cells. Default: chosen from the files' layout and --memory.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000), help_heading = "Resources")]
+    tile: Option<u64>,
+    /// Number of working threads. Default: one for each core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
+    threads: Option<u64>,
+    /// Bound on the peak resident memory: bytes, or with K, M or G. At least 112M.
+    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    memory: Bytes,
+}
+
+impl ResourceArgs {
+    pub fn resources(&self) -> Resources {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Resources {
+            tile_px: self.tile,
+            threads: self.threads.map_or(cores, |n| n as usize),
+            memory_budget_bytes: self.memory.0,
+        }
+    }
+}
+
+#[derive(Args, Debug)]
+struct AlignArgs {
+    /// The model that is moved.
+    a: PathBuf,
+    /// The model that stays.
+    #[arg(long, value_name = "B")]
+    to: PathBuf,
+    /// The moved model.
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// auto, nuth-kaab, lzd, bias or tilt.
+    #[arg(long, value_name = "METHOD", default_value = "auto")]
+    method: Method,
+    /// Polygons of ground that has not changed. Default: found by robust weights.
+    #[arg(long, value_name = "FILE")]
+    stable: Option<PathBuf>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Replace the output when it exists.
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    resources: ResourceArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum ResamplingArg {
+    Nearest,
+    Bilinear,
+    Cubic,
+}
+
+impl From<ResamplingArg> for Interpolation {
+    fn from(value: ResamplingArg) -> Self {
+        match value {
+            ResamplingArg::Nearest => Interpolation::Nearest,
+            ResamplingArg::Bilinear => Interpolation::Bilinear,
+            ResamplingArg::Cubic => Interpolation::Cubic,
+        }
+    }
+}
+
+#[derive(Args, Debug)]
+struct CompareArgs {
+    /// Differences are A − B.
+    a: PathBuf,
+    /// Its grid is the common one.
+    b: PathBuf,
+    /// Folder of the results.
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Polygons with statistics and volumes of their own: glaciers, flight lines.
+    #[arg(long, value_name = "FILE")]
+    zones: Option<PathBuf>,
+    /// How A is brought onto B's grid.
+    #[arg(long, value_enum, default_value = "bilinear")]
+    resampling: ResamplingArg,
+    /// Lower limits of the slope classes, per cent.
+    #[arg(long, value_name = "P,…", value_delimiter = ',', default_value = "0,5,10,25,45")]
+    slope_classes: Vec<f64>,
+    /// Tell the share of differences within so many metres.
+    #[arg(long, value_name = "M", default_value_t = 25.0)]
+    within: f64,
+    /// Leave out differences farther from the mean than so many standard deviations.
+    #[arg(long, value_name = "K")]
+    outliers: Option<f64>,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Replace the folder when it exists.
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    resources: ResourceArgs,
+}
+
+#[derive(Args, Debug)]
+struct DrawArgs {
+    /// The model.
+    model: PathBuf,
+    /// The GeoTIFF to write.
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// Compute the cells at the border and beside cells without a height, too.
+    #[arg(long)]
+    compute_edges: bool,
+    /// Replace the output when it exists.
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    resources: ResourceArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum GradientArg {
+    Horn,
+    ZevenbergenThorne,
+}
+
+#[derive(Args, Debug)]
+struct GradientArgs {
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// How the gradient is taken.
+    #[arg(long, value_enum, default_value = "horn")]
+    alg: GradientArg,
+}
+
+#[derive(Args, Debug)]
+struct HillshadeArgs {
+    #[command(flatten)]
+    gradient: GradientArgs,
+    /// Where the light comes from, degrees from north by east.
+    #[arg(long, alias = "az", value_name = "DEG", default_value_t = 315.0)]
+    azimuth: f64,
+    /// How high it stands, degrees.
+    #[arg(long, alias = "alt", value_name = "DEG", default_value_t = 45.0)]
+    altitude: f64,
+    /// Heights are multiplied by this.
+    #[arg(long, value_name = "Z", default_value_t = 1.0)]
+    z: f64,
+    /// Light from several directions.
+    #[arg(long)]
+    multidirectional: bool,
+}
+
+#[derive(Args, Debug)]
+struct SlopeArgs {
+    #[command(flatten)]
+    gradient: GradientArgs,
+    /// Per cent instead of degrees.
+    #[arg(long)]
+    percent: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum TriArg {
+    Riley,
+    Wilson,
+}
+
+#[derive(Args, Debug)]
+struct TriArgs {
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// After Riley (terrestrial) or Wilson (bathymetric).
+    #[arg(long, value_enum, default_value = "riley")]
+    alg: TriArg,
+}
+
+#[derive(Args, Debug)]
+struct ContourArgs {
+    /// The model.
+    model: PathBuf,
+    /// The file of lines: .gpkg, .geojson or .shp.
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// Height between two lines.
+    #[arg(long, value_name = "M")]
+    interval: f64,
+    /// A height at which a line lies.
+    #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true)]
+    base: f64,
+    /// Replace the output when it exists.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+#[derive(Args, Debug)]
+struct ProfileArgs {
+    /// The models.
+    #[arg(required = true)]
+    models: Vec<PathBuf>,
+    /// Positions in the models' CRS: x,y x,y …
+    #[arg(long, value_name = "X,Y", num_args = 2.., required = true, allow_hyphen_values = true, value_parser = position)]
+    line: Vec<(f64, f64)>,
+    /// Metres between two stations. Default: a cell of the first model.
+    #[arg(long, value_name = "M")]
+    step: Option<f64>,
+    /// The table. Default: standard output.
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Replace the output when it exists.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+fn position(text: &str) -> Result<(f64, f64), String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|v| v.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some([x, y]) if x.is_finite() && y.is_finite() => Ok((*x, *y)),
+        _ => Err(format!("`{text}` is no position; write x,y")),
+    }
+}
+
+#[derive(Args, Debug)]
+struct ResampleArgs {
+    /// The model.
+    model: PathBuf,
+    /// The GeoTIFF to write; with several resolutions `{res}` in it is each of them.
+    #[arg(short, long, value_name = "FILE")]
+    out: String,
+    /// Sides of the cells, in map units.
+    #[arg(long, value_name = "R,…", value_delimiter = ',', required = true)]
+    resolution: Vec<f64>,
+    /// As gdalwarp names it.
+    #[arg(long, value_name = "NAME", default_value = "average")]
+    resampling: String,
+    /// Replace the output when it exists.
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    resources: ResourceArgs,
+}
+
+#[derive(Args, Debug)]
+struct ColourArgs {
+    #[command(flatten)]
+    draw: DrawArgs,
+    /// Table of heights and colours, as gdaldem color-relief takes it.
+    #[arg(long, value_name = "FILE")]
+    table: PathBuf,
+}
+
+pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
+    match &args.command {
+        DemCommand::Align(args) => return align(args),
+        DemCommand::Compare(args) => compare(args)?,
+        DemCommand::Hillshade(args) => hillshade(args)?,
+        DemCommand::Slope(args) => {
+            let mut options = gradient_options(&args.gradient);
+            if args.percent {
+                options.push("-p".into());
+            }
+            draw(&args.gradient.draw, "slope", options, None)?;
+        }
+        DemCommand::Aspect(args) => draw(&args.draw, "aspect", gradient_options(args), None)?,
+        DemCommand::Roughness(args) => draw(args, "roughness", Vec::new(), None)?,
+        DemCommand::Tri(args) => {
+            let alg = match args.alg {
+                TriArg::Riley => "Riley",
+                TriArg::Wilson => "Wilson",
+            };
+            draw(&args.draw, "TRI", vec!["-alg".into(), alg.into()], None)?;
+        }
+        DemCommand::Tpi(args) => draw(args, "TPI", Vec::new(), None)?,
+        DemCommand::Contour(args) => {
+            atomic::check_outputs(&[&args.out], args.overwrite)?;
+            atomic::with_temporary(&args.out, |path| derive::contour(&args.model, path, args.interval, args.base))?;
+        }
+        DemCommand::Profile(args) => line(args)?,
+        DemCommand::Resample(args) => resample(args)?,
+        DemCommand::Colour(args) => draw(&args.draw, "color-relief", Vec::new(), Some(&args.table))?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
+    atomic::check_outputs(&[&args.out], args.overwrite)?;
+    let job = AlignJob {
+        a: &args.a,
+        b: &args.to,
+        method: args.method,
+        stable: args.stable.as_deref(),
+        resources: args.resources.resources(),
+    };
+    let found = job.run()?;
+    let alignment = match &found.outcome {
+        Outcome::Refused(why) => {
+            if args.json {
+                println!("{}", json!({ "status": "refused", "reason": why }));
+            } else {
+                println!("Not aligned: {why}");
+            }
+            return Ok(ExitCode::from(1));
+        }
+        Outcome::Aligned(alignment) => alignment,
+    };
+    found.write(alignment, &args.out)?;
+    let grid = autoref_elevation::source::Heights::grid(&found.couple.a);
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&document(args, alignment, &grid, found.couple.projected))?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let [e, n, h] = alignment.shift_m;
+    let error = |i: usize| alignment.covariance_m2[(i, i)].max(0.0).sqrt();
+    println!(
+        "Shift applied to A   east {e:.4} ± {:.4} m, north {n:.4} ± {:.4} m, height {h:.4} ± {:.4} m",
+        error(0),
+        error(1),
+        error(2)
+    );
+    if let Some(tilt) = &alignment.tilt {
+        println!(
+            "Tilt applied to A    east {:.5} ± {:.5} mm/m, north {:.5} ± {:.5} mm/m",
+            1e3 * tilt.east,
+            1e3 * tilt.east_se,
+            1e3 * tilt.north,
+            1e3 * tilt.north_se
+        );
+    }
+    println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
+    println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
+    println!("Written              {}", args.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A number, or null where there is none.
+fn number(value: f64) -> Value {
+    serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
+}
+
+fn document(args: &AlignArgs, found: &Alignment, grid: &autoref_elevation::grid::Grid, projected: bool) -> Value {
+    let mut out = Map::new();
+    let mut put = |key: &str, value: Value| {
+        out.insert(key.into(), value);
+    };
+    put("status", "aligned".into());
+    put("method", args.method.name().into());
+    put("shift_e_m", number(found.shift_m[0]));
+    put("shift_n_m", number(found.shift_m[1]));
+    put("shift_h_m", number(found.shift_m[2]));
+    put("shift_x_px", number(found.shift.0 / grid.step_x));
+    put("shift_y_px", number(found.shift.1 / grid.step_y));
+    let rows: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| found.covariance_m2[(i, j)]).collect()).collect();
+    put("covariance_m2", json!(rows));
+    for (i, key) in ["shift_e_se_m", "shift_n_se_m", "shift_h_se_m"].into_iter().enumerate() {
+        put(key, number(found.covariance_m2[(i, i)].max(0.0).sqrt()));
+    }
+    put("tilted", found.tilt.is_some().into());
+    let tilt = found.tilt.as_ref();
+    put("tilt_e_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.east)));
+    put("tilt_n_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.north)));
+    put("tilt_e_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.east_se)));
+    put("tilt_n_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.north_se)));
+    put("height_counts_at", json!([found.centre.0, found.centre.1]));
+    put("nmad_before_m", number(found.nmad_before_m));
+    put("nmad_after_m", number(found.nmad_after_m));
+    put("median_before_m", number(found.median_before_m));
+    put("median_after_m", number(found.median_after_m));
+    put("stable_share", number(found.stable_share));
+    put("common_cells", found.common_cells.into());
+    put("iterations", found.iterations.into());
+    put("resampled", projected.into());
+    put("output", args.out.display().to_string().into());
+    Value::Object(out)
+}
+
+fn compare(args: &CompareArgs) -> anyhow::Result<()> {
+    let empty = || std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_none());
+    if args.out.exists() && !args.overwrite && !empty() {
+        bail!("{} exists; give --overwrite to replace it", args.out.display());
+    }
+    if args.slope_classes.iter().any(|v| !v.is_finite()) || !args.slope_classes.is_sorted() {
+        bail!("--slope-classes are no rising numbers; write them like 0,5,10,25,45");
+    }
+    let job = CompareJob {
+        a: &args.a,
+        b: &args.b,
+        zones: args.zones.as_deref(),
+        resampling: args.resampling.into(),
+        slope_limits: &args.slope_classes,
+        within_m: args.within,
+        outliers: args.outliers,
+        resources: args.resources.resources(),
+    };
+    let summary = in_new_folder(&args.out, |folder| job.run(folder))?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else {
+        print(&summary, &args.out);
+    }
+    Ok(())
+}
+
+/// Lets `make` fill a folder that appears whole or not at all.
+fn in_new_folder<R>(target: &Path, make: impl FnOnce(&Path) -> autoref_raster::Result<R>) -> anyhow::Result<R> {
+    let name = target.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    if name.is_empty() {
+        bail!("{}: is no name for a folder; give one that can be made", target.display());
+    }
+    let temporary = target.with_file_name(format!(".{name}.{}.part", std::process::id()));
+    let io = |what: &str, e: std::io::Error| anyhow::anyhow!("{}: cannot {what}: {e}", target.display());
+    std::fs::create_dir_all(&temporary).map_err(|e| io("create", e))?;
+    let made = make(&temporary);
+    let result = match made {
+        Ok(value) => {
+            let cleared = match target.is_dir() {
+                true => std::fs::remove_dir_all(target),
+                false if target.exists() => std::fs::remove_file(target),
+                false => Ok(()),
+            };
+            cleared
+                .and_then(|()| std::fs::rename(&temporary, target))
+                .map_err(|e| io("put in place", e))
+                .map(|()| value)
+        }
+        Err(error) => Err(error.into()),
+    };
+    if result.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_dir_all(&temporary);
+    }
+    result
+}
+
+fn print(summary: &Summary, folder: &Path) {
+    let figure = |value: Option<f64>| value.map_or("–".to_string(), |v| format!("{v:.4}"));
+    println!("Differences          A − B, {} cells", summary.common_cells);
+    println!(
+        "Mean                 {} ± {:.4} m ({:.0} independent cells)",
+        figure(summary.mean_m),
+        summary.mean_se_m,
+        summary.effective_n
+    );
+    println!("Median, NMAD         {} m, {} m", figure(summary.median_m), figure(summary.nmad_m));
+    println!("SD, RMSE             {} m, {} m", figure(summary.sd_m), figure(summary.rmse_m));
+    println!("Heights              {}", summary.heights);
+    for volume in &summary.volumes {
+        println!("Volume               {}: {:.0} ± {:.0} m³", volume.zone, volume.volume_m3, volume.volume_se_m3);
+    }
+    println!("Written              {}", folder.display());
+}
+
+fn gradient_options(args: &GradientArgs) -> Vec<String> {
+    let alg = match args.alg {
+        GradientArg::Horn => "Horn",
+        GradientArg::ZevenbergenThorne => "ZevenbergenThorne",
+    };
+    vec!["-alg".into(), alg.into()]
+}
+
+fn hillshade(args: &HillshadeArgs) -> anyhow::Result<()> {
+    let mut options = gradient_options(&args.gradient);
+    options.extend(["-z".to_string(), args.z.to_string(), "-alt".into(), args.altitude.to_string()]);
+    if args.multidirectional {
+        options.push("-multidirectional".into());
+    } else {
+        options.extend(["-az".to_string(), args.azimuth.to_string()]);
+    }
+    draw(&args.gradient.draw, "hillshade", options, None)
+}
+
+fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {
+    atomic::check_outputs(&[&args.out], args.overwrite)?;
+    args.resources.resources().check()?;
+    if args.compute_edges {
+        options.push("-compute_edges".into());
+    }
+    let drawing = Drawing { kind, options, colours };
+    atomic::with_temporary(&args.out, |path| derive::draw(&args.model, path, &drawing))?;
+    println!("Written              {}", args.out.display());
+    Ok(())
+}
+
+fn line(args: &ProfileArgs) -> anyhow::Result<()> {
+    if let Some(out) = &args.out {
+        atomic::check_outputs(&[out], args.overwrite)?;
+    }
+    let stations = profile::along(&args.models, &args.line, args.step)?;
+    let mut text = String::from("distance_m,x,y");
+    for model in &args.models {
+        text.push_str(&format!(",\"{}\"", model.display().to_string().replace('"', "\"\"")));
+    }
+    text.push('\n');
+    for station in stations {
+        text.push_str(&format!("{},{},{}", station.distance_m, station.x, station.y));
+        for height in station.heights_m {
+            text.push_str(&height.map_or(",".to_string(), |h| format!(",{h}")));
+        }
+        text.push('\n');
+    }
+    match &args.out {
+        Some(out) => atomic::write(out, text.as_bytes())?,
+        None => print!("{text}"),
+    }
+    Ok(())
+}
+
+fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
+    if args.resolution.len() > 1 && !args.out.contains("{res}") {
+        bail!("several resolutions and one output; write -o model_{{res}}.tif");
+    }
+    if args.resolution.iter().any(|r| !(*r > 0.0 && r.is_finite())) {
+        bail!("--resolution is no positive length; give sides of cells in map units");
+    }
+    let outs: Vec<PathBuf> =
+        args.resolution.iter().map(|r| PathBuf::from(args.out.replace("{res}", &r.to_string()))).collect();
+    atomic::check_outputs(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), args.overwrite)?;
+    args.resources.resources().check()?;
+    for (out, resolution) in outs.iter().zip(&args.resolution) {
+        let side = resolution.to_string();
+        atomic::with_temporary(out, |path| {
+            let options = [
+                "-of",
+                "GTiff",
+                "-tr",
+                &side,
+                &side,
+                "-tap",
+                "-r",
+                &args.resampling,
+                "-co",
+                "COMPRESS=DEFLATE",
+                "-co",
+                "TILED=YES",
+                "-co",
+                "BIGTIFF=IF_SAFER",
+                "-overwrite",
+            ];
+            derive::warp(&args.model, path, &options)
+        })?;
+        println!("Written              {}", out.display());
+    }
+    Ok(())
+}
