@@ -20,7 +20,8 @@ fn half_widths(radius: usize) -> Vec<usize> {
 
 /// c·log₂ c for every count that a disc can have.
 struct Table {
-    terms: Vec<i64>,
+    /// (c + 1)·log₂(c + 1) − c·log₂ c.
+    steps: Vec<i64>,
     logs: Vec<f64>,
 }
 
@@ -29,8 +30,7 @@ impl Table {
         let scale = (1u64 << FRACTION_BITS) as f64;
         let term = |c: usize| if c < 2 { 0 } else { (c as f64 * (c as f64).log2() * scale).round() as i64 };
         Table {
-            // One more at the end: differences reach up to the largest count.
-            terms: (0..=pixels + 1).map(term).collect(),
+            steps: (0..=pixels).map(|c| term(c + 1) - term(c)).collect(),
             logs: (0..=pixels).map(|n| if n == 0 { 0.0 } else { (n as f64).log2() }).collect(),
         }
     }
@@ -51,79 +51,119 @@ pub fn entropy(image: &[u8], width: usize, height: usize, radius: usize, rows: s
     assert!(rows.end <= height && radius <= 144);
     let halves = half_widths(radius);
     let pixels: usize = halves.iter().map(|half| 2 * half + 1).sum();
-    let table = Table::new(pixels);
+    let disc = Disc { table: Table::new(pixels), halves, image, width, height };
     let mut out = vec![0.0; width * rows.len()];
-    out.par_chunks_mut(width.max(1)).enumerate().for_each_init(
-        || [0u16; 256],
-        |histogram, (i, out)| slide(image, width, height, &halves, &table, rows.start + i, histogram, out),
-    );
+    // Two rows at a time: a flat row waits for its own counters, and the other fills the time.
+    out.par_chunks_mut(2 * width.max(1)).enumerate().for_each(|(i, out)| {
+        let y = rows.start + 2 * i;
+        let (first, second) = out.split_at_mut(width);
+        if second.is_empty() {
+            disc.rows([y], [first]);
+        } else {
+            disc.rows([y, y + 1], [first, second]);
+        }
+    });
     out
 }
 
-/// One row: the histogram goes from left to right.
-#[allow(clippy::too_many_arguments)] // One call, all of it plain data.
-fn slide(
-    image: &[u8],
+struct Disc<'a> {
+    table: Table,
+    halves: Vec<usize>,
+    image: &'a [u8],
     width: usize,
     height: usize,
-    halves: &[usize],
-    table: &Table,
-    y: usize,
-    histogram: &mut [u16; 256],
-    out: &mut [f32],
-) {
-    let radius = halves.len() / 2;
-    histogram.fill(0);
-    let (top, bottom) = (y.saturating_sub(radius), (y + radius + 1).min(height));
-    let lines: Vec<(&[u8], usize)> =
-        (top..bottom).map(|row| (&image[row * width..(row + 1) * width], halves[row + radius - y])).collect();
-    let terms = &table.terms[..];
-    let mut sum = 0i64;
-    let mut count = 0usize;
-    // Before the first pixel: all that lies within half a width to the right, less the column that the first step adds.
-    for (line, half) in &lines {
-        for &value in &line[..(*half).min(width)] {
-            let bin = &mut histogram[usize::from(value)];
-            sum += terms[usize::from(*bin) + 1] - terms[usize::from(*bin)];
-            *bin += 1;
-            count += 1;
+}
+
+/// The histogram of the disc about one pixel of a row.
+struct Histogram<'a> {
+    bins: [u16; 256],
+    /// The rows that the disc meets, with its half width there.
+    lines: Vec<(&'a [u8], usize)>,
+    sum: i64,
+    count: usize,
+}
+
+impl Histogram<'_> {
+    #[inline(always)]
+    fn add(&mut self, table: &Table, value: u8) {
+        let bin = &mut self.bins[usize::from(value)];
+        self.sum += table.steps[usize::from(*bin)];
+        *bin += 1;
+    }
+
+    #[inline(always)]
+    fn remove(&mut self, table: &Table, value: u8) {
+        let bin = &mut self.bins[usize::from(value)];
+        *bin -= 1;
+        self.sum -= table.steps[usize::from(*bin)];
+    }
+
+    /// Line `i` goes on to pixel `x`, away from the image's border.
+    #[inline(always)]
+    fn step(&mut self, table: &Table, i: usize, x: usize) {
+        let (line, half) = self.lines[i];
+        let (entering, leaving) = (line[x + half], line[x - half - 1]);
+        if entering != leaving {
+            self.add(table, entering);
+            self.remove(table, leaving);
         }
     }
-    let inner = radius + 1..width.saturating_sub(radius).max(radius + 1);
-    for x in 0..width {
-        if inner.contains(&x) {
-            for &(line, half) in &lines {
-                let (entering, leaving) = (line[x + half], line[x - half - 1]);
-                if entering == leaving {
-                    // Flat ground would wait for its own counter again and again.
-                    continue;
-                }
-                let bin = &mut histogram[usize::from(entering)];
-                let c = usize::from(*bin);
-                *bin += 1;
-                sum += terms[c + 1] - terms[c];
-                let bin = &mut histogram[usize::from(leaving)];
-                let c = usize::from(*bin);
-                *bin -= 1;
-                sum += terms[c - 1] - terms[c];
+
+    /// All lines go on to pixel `x`, anywhere.
+    fn step_at_border(&mut self, table: &Table, x: usize, width: usize) {
+        for i in 0..self.lines.len() {
+            let (line, half) = self.lines[i];
+            if x + half < width {
+                self.add(table, line[x + half]);
+                self.count += 1;
             }
-        } else {
-            for &(line, half) in &lines {
-                if x + half < width {
-                    let bin = &mut histogram[usize::from(line[x + half])];
-                    sum += terms[usize::from(*bin) + 1] - terms[usize::from(*bin)];
-                    *bin += 1;
-                    count += 1;
-                }
-                if x > half {
-                    let bin = &mut histogram[usize::from(line[x - half - 1])];
-                    sum += terms[usize::from(*bin) - 1] - terms[usize::from(*bin)];
-                    *bin -= 1;
-                    count -= 1;
-                }
+            if x > half {
+                self.remove(table, line[x - half - 1]);
+                self.count -= 1;
             }
         }
-        out[x] = table.entropy(sum, count);
+    }
+}
+
+impl<'a> Disc<'a> {
+    /// The histogram before the first pixel of row `y`: all that lies within half a width to the right, less the column
+    /// that the first step adds.
+    fn before(&self, y: usize) -> Histogram<'a> {
+        let radius = self.halves.len() / 2;
+        let (top, bottom) = (y.saturating_sub(radius), (y + radius + 1).min(self.height));
+        let line = |row: usize| (&self.image[row * self.width..(row + 1) * self.width], self.halves[row + radius - y]);
+        let lines: Vec<(&[u8], usize)> = (top..bottom).map(line).collect();
+        let mut histogram = Histogram { bins: [0; 256], lines: lines.clone(), sum: 0, count: 0 };
+        for (line, half) in lines {
+            for &value in &line[..half.min(self.width)] {
+                histogram.add(&self.table, value);
+                histogram.count += 1;
+            }
+        }
+        histogram
+    }
+
+    /// `N` rows at once; their histograms go from left to right.
+    fn rows<const N: usize>(&self, at: [usize; N], mut out: [&mut [f32]; N]) {
+        let radius = self.halves.len() / 2;
+        let mut histograms = at.map(|y| self.before(y));
+        let shared = histograms.iter().map(|h| h.lines.len()).min().unwrap_or(0);
+        let inner = radius + 1..self.width.saturating_sub(radius).max(radius + 1);
+        for x in 0..self.width {
+            if inner.contains(&x) {
+                for i in 0..shared {
+                    histograms.iter_mut().for_each(|h| h.step(&self.table, i, x));
+                }
+                for histogram in &mut histograms {
+                    (shared..histogram.lines.len()).for_each(|i| histogram.step(&self.table, i, x));
+                }
+            } else {
+                histograms.iter_mut().for_each(|h| h.step_at_border(&self.table, x, self.width));
+            }
+            for (histogram, out) in histograms.iter().zip(&mut out) {
+                out[x] = self.table.entropy(histogram.sum, histogram.count);
+            }
+        }
     }
 }
 
