@@ -112,6 +112,13 @@ impl Neighbours {
         2 * nearest.iter().filter(|(_, i)| self.samples[*i as usize].keep).count() > self.k
     }
 
+    /// Distance to the nearest sample.
+    pub fn distance(&self, entropy: f32, level: u8) -> f64 {
+        let (entropy, level) = (f64::from(entropy), f64::from(level) / 255.0);
+        let far = |sample: &Sample| (sample.entropy - entropy).powi(2) + (sample.intensity - level).powi(2);
+        self.samples.iter().map(far).fold(f64::INFINITY, f64::min).sqrt()
+    }
+
     pub fn samples(&self) -> &[Sample] {
         &self.samples
     }

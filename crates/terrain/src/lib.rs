@@ -5,9 +5,19 @@
 //! means keep.
 
 pub mod area;
+pub mod batch;
 pub mod bits;
+pub mod classify;
 pub mod clean;
 pub mod entropy;
+pub mod explain;
+pub mod features;
+pub mod forest;
 pub mod knn;
+pub mod model;
 pub mod morphology;
+pub mod plane;
+pub mod reduce;
+pub mod shapes;
 pub mod smooth;
+pub mod write;
