@@ -19,5 +19,6 @@ pub mod morphology;
 pub mod plane;
 pub mod reduce;
 pub mod shapes;
+pub mod sheet;
 pub mod smooth;
 pub mod write;

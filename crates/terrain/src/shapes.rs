@@ -197,7 +197,11 @@ fn from_toml(path: &Path, text: &str) -> Result<Vec<Shape>> {
             (Some(sides), None) => vec![rectangle(sides)],
             (None, Some(ring)) => vec![ring],
             _ => {
-                return Err(Error::format(path, place, "give either rectangle = [x, y, w, h] or polygon = [[x, y], …]"));
+                return Err(Error::format(
+                    path,
+                    place,
+                    "give either rectangle = [x, y, w, h] or polygon = [[x, y], …]",
+                ));
             }
         };
         let meaning = meaning(&sample.class).map_err(|what| Error::format(path, &place, what))?;
