@@ -8,7 +8,7 @@ use crate::area::flip_small;
 use crate::bits::BitMask;
 use crate::clean::{Cleaning, clean};
 use crate::entropy::{RADIUS_PX, entropy};
-use crate::features::{FEATURES, FrameScale};
+use crate::features::{FEATURES, FrameScale, Measured};
 use crate::forest::Forest;
 use crate::knn::Neighbours;
 use crate::model::{CORE_PX, frame_scale, measured};
@@ -112,8 +112,7 @@ fn votes(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>,
     if let (Classifier::Forest(forest), Some(scale)) = (classifier, scale) {
         let margin = VOTE_RADIUS_PX * VOTE_PASSES;
         let (measured, _) = measured(&reduced.grey, core, margin)?;
-        let votes: Vec<u8> =
-            (0..measured.width * measured.height).map(|i| forest.keep(&scale.apply(&measured, i))).collect();
+        let votes: Vec<u8> = (0..measured.width * measured.height).map(|i| vote(forest, scale, &measured, i)).collect();
         return Ok(smooth_votes(&votes, measured.width, measured.height));
     }
     let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
@@ -134,6 +133,11 @@ fn votes(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>,
         }
     }
     Ok(out)
+}
+
+/// A pixel's probability of keep. Where a window of 15 px shows one grey level only there is nothing to match.
+fn vote(forest: &Forest<FEATURES>, scale: &FrameScale, measured: &Measured, i: usize) -> u8 {
+    if measured.is_flat(i) { 0 } else { forest.keep(&scale.apply(measured, i)) }
 }
 
 /// Means over windows, again and again; the margin is used up. Sums are exact until the one division at the end.
@@ -159,10 +163,11 @@ mod tests {
     #[test]
     fn equal_votes_stay_and_one_vote_spreads_evenly() {
         assert_eq!(smooth_votes(&[200; 19 * 20], 19, 20), [200, 200]);
-        let mut votes = [0u8; 21 * 21];
-        votes[10 * 21 + 10] = 255;
-        let smoothed = smooth_votes(&votes, 21, 21);
-        assert_eq!(smoothed[0], smoothed[8]);
-        assert!(smoothed[4] > smoothed[0]);
+        let mut votes = [0u8; 41 * 41];
+        votes[20 * 41 + 20] = 255;
+        let smoothed = smooth_votes(&votes, 41, 41);
+        // 23 × 23: the middle and two corners.
+        assert_eq!(smoothed[0], smoothed[23 * 23 - 1]);
+        assert!(smoothed[11 * 23 + 11] > smoothed[0]);
     }
 }

@@ -50,6 +50,13 @@ pub struct Measured {
     pub height: usize,
 }
 
+impl Measured {
+    /// Do all pixels of the window of 15 px have one level?
+    pub fn is_flat(&self, i: usize) -> bool {
+        self.planes[DEVIATION + 1][i] == 0
+    }
+}
+
 /// Values on the pixels of [`Surroundings`]; only those far enough from its border mean anything.
 struct Field {
     width: usize,
@@ -301,10 +308,10 @@ mod tests {
 
     #[test]
     fn deviation_mean_and_extremes_are_their_definitions() {
-        let source = image(70, 64, texture);
+        let source = image(90, 90, texture);
         let measured = measure(&source);
-        let at = |x: usize, y: usize| f64::from(source.pixels[y * 70 + x]);
-        let (x, y, r) = (5, 3, 7);
+        let at = |x: usize, y: usize| f64::from(source.pixels[y * 90 + x]);
+        let (x, y, r) = (6, 7, 7);
         let window = || (0..15usize).flat_map(|j| (0..15usize).map(move |i| (i, j)));
         let value = |(i, j): (usize, usize)| at(x + HALO_PX + i - r, y + HALO_PX + j - r);
         let mean = window().map(value).sum::<f64>() / 225.0;
