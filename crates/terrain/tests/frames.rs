@@ -63,7 +63,8 @@ fn agreement(mask: &[u8]) -> f64 {
 fn options(method: Method) -> Options {
     Options {
         method,
-        reduce: 0,
+        // So that the tests are quick.
+        reduce: 2,
         neighbours: 3,
         threshold_bit: 4.0,
         // Discs that fit a small frame.
