@@ -19,6 +19,7 @@ mod film_resample;
 pub mod frame;
 pub mod inputs;
 pub mod mosaic;
+pub mod mask;
 pub mod plan;
 pub mod positions;
 pub mod replay;
@@ -73,6 +74,7 @@ pub enum Command {
     Undo(undo::UndoArgs),
     Completions(shell::CompletionsArgs),
     Man(shell::ManArgs),
+    Mask(Box<mask::MaskArgs>),
     Plan(plan::PlanArgs),
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
@@ -93,6 +95,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Undo(args)) => undo::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Completions(args)) => shell::completions(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Man(args)) => shell::man(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Mask(args)) => mask::run(&args),
         Some(Command::Plan(args)) => plan::run(&args),
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),

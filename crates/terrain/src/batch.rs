@@ -1,0 +1,486 @@
+//! Frames one after another: what is taught once, a mask and a report for each, and what is done already is left alone.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use autoref_raster::atomic::Transaction;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::memory_plan::cache_share_bytes;
+use autoref_raster::{RasterSource, ReaderChoice};
+use serde::Serialize;
+
+use crate::bits::BitMask;
+use crate::classify::{Classes, Classifier, Cleaner, classify};
+use crate::clean::Cleaning;
+use crate::knn::Neighbours;
+use crate::model::{self, Labels};
+use crate::reduce::{Reading, Reduced, plane_memory, reduce_frame};
+use crate::shapes::{Lesson, Meaning, Shape};
+use crate::write::{self, MaskCompression};
+
+/// How the ground is told from the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    Thesis2017,
+    Threshold,
+    Auto,
+}
+
+/// What is written beside the mask.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Extras {
+    /// `NAME_Prob.tif`, 8 bit.
+    pub probability: bool,
+    /// `NAME_Class.tif`, `NAME_Entropy.tif`, `NAME_Distance.tif`.
+    pub explain: bool,
+    /// `NAME.EXT.png`, as COLMAP names masks.
+    pub colmap: bool,
+}
+
+/// Options of a run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    pub method: Method,
+    /// Reduction; 0: 4, and for `auto` 1 below 1,500 px, 2 below 3,000 px.
+    pub reduce: usize,
+    pub neighbours: usize,
+    /// Entropy, bit, above which `threshold` keeps.
+    pub threshold_bit: f64,
+    pub cleaning: Cleaning,
+    /// Least share of the image of an area of `auto`.
+    pub auto_area_share: f64,
+    pub compression: MaskCompression,
+    pub extras: Extras,
+    pub tile_px: u64,
+    pub memory_budget_bytes: u64,
+    pub reader: ReaderChoice,
+    pub overwrite: bool,
+    pub resume: bool,
+}
+
+/// What a person gave.
+#[derive(Clone, Debug, Default)]
+pub struct Given {
+    /// What is taught, and kept whatever the classifier says.
+    pub samples: Vec<Shape>,
+    pub lessons: Vec<Lesson>,
+    /// Joined to every frame's mask: fiducials, text boxes, the film's border.
+    pub global: Vec<Shape>,
+    /// A global mask of the frames' size, 1 = use.
+    pub global_mask: Option<PathBuf>,
+    /// Corrections by hand; they have the last word.
+    pub mended: Vec<Shape>,
+}
+
+/// What became of a frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    pub frame: PathBuf,
+    pub status: &'static str,
+    pub width: u64,
+    pub height: u64,
+    pub keep_share: f64,
+    pub classes: Shares,
+    pub unsure_share: f64,
+    pub warnings: Vec<String>,
+    pub mask: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probability: Option<PathBuf>,
+    pub method: &'static str,
+    pub reduce: usize,
+    pub fingerprint: String,
+}
+
+/// Shares of the frame's pixels.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Shares {
+    pub keep: f64,
+    pub mask: f64,
+    /// Pixels that hold nothing; they are masked.
+    pub empty: f64,
+}
+
+/// A frame's result with what a picture of it needs.
+pub struct Done {
+    pub report: Report,
+    /// The frame and its mask at the reduced scale; `None` when the frame was done before.
+    pub picture: Option<(Reduced, BitMask)>,
+}
+
+impl Method {
+    pub fn name(self) -> &'static str {
+        match self {
+            Method::Thesis2017 => "thesis-2017",
+            Method::Threshold => "threshold",
+            Method::Auto => "auto",
+        }
+    }
+}
+
+impl Options {
+    fn open(&self, path: &Path) -> Result<Arc<dyn RasterSource>> {
+        let source = autoref_raster::open(path, self.reader, 0, cache_share_bytes(self.memory_budget_bytes))?;
+        if source.info().width == 0 || source.info().height == 0 {
+            return Err(Error::format(path, "header", "the frame has no pixels"));
+        }
+        Ok(source)
+    }
+
+    fn factor(&self, width: u64, height: u64) -> usize {
+        match (self.reduce, self.method, width.max(height)) {
+            (0, Method::Auto, 0..1500) => 1,
+            (0, Method::Auto, 1500..3000) => 2,
+            (0, ..) => 4,
+            (factor, ..) => factor,
+        }
+    }
+
+    fn reading(&self, source: &dyn RasterSource) -> Reading {
+        let factor = self.factor(source.info().width, source.info().height);
+        Reading {
+            factor,
+            smooth: factor > 1 || self.method != Method::Auto,
+            tile_px: self.tile_px,
+            memory_budget_bytes: self.memory_budget_bytes,
+        }
+    }
+}
+
+/// A frame that something is taught from.
+struct Taught {
+    path: PathBuf,
+    reduced: Reduced,
+    labels: Labels,
+}
+
+/// Where the frame that a shape names is: among the frames of the run, or a file.
+fn frame_of(shape: &Shape, frames: &[PathBuf]) -> Result<PathBuf> {
+    let known: Vec<&PathBuf> = frames.iter().filter(|frame| shape.is_of(frame)).collect();
+    match (&shape.frame, &known[..]) {
+        (_, [one]) => Ok((*one).clone()),
+        (None, _) => Err(Error::usage(
+            format!("the sample {} names no frame, and there are {} frames", shape.place, frames.len()),
+            "add @FRAME",
+        )),
+        (Some(name), []) if Path::new(name).is_file() => Ok(name.into()),
+        (Some(name), []) => {
+            Err(Error::usage(format!("the sample {}: there is no frame {name}", shape.place), "give its path after @"))
+        }
+        (Some(name), _) => Err(Error::usage(
+            format!("the sample {}: {} frames are called {name}", shape.place, known.len()),
+            "give its path after @",
+        )),
+    }
+}
+
+/// Reads what is taught and makes the classifier of it.
+///
+/// # Errors
+/// When a frame or mask cannot be read, a sample lies outside its frame, or a class has no samples.
+pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Classifier> {
+    let mut by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)> = Vec::new();
+    let entry = |path: &Path, list: &mut Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>| -> usize {
+        list.iter().position(|(known, ..)| known == path).unwrap_or_else(|| {
+            list.push((path.to_path_buf(), Vec::new(), None));
+            list.len() - 1
+        })
+    };
+    for shape in &given.samples {
+        let path = frame_of(shape, frames)?;
+        let at = entry(&path, &mut by_frame);
+        by_frame[at].1.push(shape);
+    }
+    for lesson in &given.lessons {
+        let at = entry(&lesson.frame, &mut by_frame);
+        if by_frame[at].2.replace(&lesson.mask).is_some() {
+            return Err(Error::usage(
+                format!("{}: two teaching masks are given", lesson.frame.display()),
+                "give one --teach a frame",
+            ));
+        }
+    }
+    if options.method == Method::Threshold {
+        return Ok(Classifier::Threshold(options.threshold_bit));
+    }
+    let mut taught = Vec::new();
+    let mut samples = Vec::new();
+    for (path, shapes, mask) in by_frame {
+        let source = options.open(&path)?;
+        let info = source.info();
+        shapes.iter().try_for_each(|shape| shape.check_inside(&path, info.width, info.height))?;
+        let reduced = reduce_frame(&source, &options.reading(source.as_ref()))?;
+        let mut labels = Labels::new(&reduced);
+        if let Some(mask) = mask {
+            labels.read_mask(mask, &reduced)?;
+        }
+        if options.method == Method::Thesis2017 {
+            samples.extend(model::thesis_samples(&reduced, &shapes)?);
+            samples.extend(model::labelled_samples(&reduced, &labels)?);
+        } else {
+            shapes.iter().for_each(|shape| labels.paint(shape, reduced.factor));
+            taught.push(Taught { path, reduced, labels });
+        }
+    }
+    if options.method == Method::Thesis2017 {
+        if samples.is_empty() {
+            samples = model::shipped_samples();
+        }
+        for (keep, name) in [(true, "keep"), (false, "mask")] {
+            if !samples.iter().any(|sample| sample.keep == keep) {
+                return Err(Error::usage(
+                    format!("no sample of a class to {name} was given"),
+                    "the nearest neighbours need both: add --sample keep=X,Y,W,H@FRAME or mask=X,Y,W,H@FRAME",
+                ));
+            }
+        }
+        let neighbours = Neighbours::new(samples, options.neighbours)
+            .map_err(|e| Error::usage(e.to_string(), "give more samples or another --k"))?;
+        return Ok(Classifier::Neighbours(neighbours));
+    }
+    for one in &taught {
+        tracing::info!("taught by {}", one.path.display());
+    }
+    let pairs: Vec<(&Reduced, &Labels)> = taught.iter().map(|one| (&one.reduced, &one.labels)).collect();
+    Ok(Classifier::Forest(model::forest(&pairs)?))
+}
+
+/// Paths of a frame's outputs.
+pub struct Names {
+    pub mask: PathBuf,
+    pub xml: PathBuf,
+    pub report: PathBuf,
+    pub probability: PathBuf,
+    pub colmap: PathBuf,
+    pub class: PathBuf,
+    pub entropy: PathBuf,
+    pub distance: PathBuf,
+}
+
+impl Names {
+    pub fn of(frame: &Path, folder: &Path) -> Names {
+        let stem = frame.file_stem().unwrap_or(frame.as_os_str()).to_string_lossy().into_owned();
+        let name = frame.file_name().unwrap_or(frame.as_os_str()).to_string_lossy().into_owned();
+        let path = |end: &str| folder.join(format!("{stem}{end}"));
+        Names {
+            mask: path("_Masq.tif"),
+            xml: path("_Masq.xml"),
+            report: path("_Masq.json"),
+            probability: path("_Prob.tif"),
+            colmap: folder.join(format!("{name}.png")),
+            class: path("_Class.tif"),
+            entropy: path("_Entropy.tif"),
+            distance: path("_Distance.tif"),
+        }
+    }
+}
+
+/// FNV-1a, for fingerprints.
+fn fnv(text: &str) -> u64 {
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+fn file_mark(path: &Path) -> String {
+    let mark = |data: std::fs::Metadata| {
+        let time = data.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+        format!("{} {:?}", data.len(), time)
+    };
+    std::fs::metadata(path).map(mark).unwrap_or_default()
+}
+
+/// Changes when the frame or anything that its mask depends on changes.
+fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
+    let lessons: Vec<String> =
+        given.lessons.iter().map(|l| format!("{} {}", file_mark(&l.frame), file_mark(&l.mask))).collect();
+    let global = given.global_mask.as_deref().map(file_mark);
+    let what = format!(
+        "{} {} {:?} {} {} {} {:?} {} {:?} {:?} {lessons:?} {global:?} {given:?}",
+        env!("CARGO_PKG_VERSION"),
+        file_mark(frame),
+        options.method,
+        options.reduce,
+        options.neighbours,
+        options.threshold_bit,
+        options.cleaning,
+        options.auto_area_share,
+        options.compression,
+        options.extras,
+    );
+    format!("{:016x}", fnv(&what))
+}
+
+/// The report of an earlier run, when its mask is there and nothing has changed.
+fn done_before(names: &Names, fingerprint: &str) -> Option<serde_json::Value> {
+    let text = std::fs::read_to_string(&names.report).ok()?;
+    let report: serde_json::Value = serde_json::from_str(&text).ok()?;
+    (report["fingerprint"] == fingerprint && names.mask.is_file()).then_some(report)
+}
+
+/// Makes the mask of one frame.
+///
+/// # Errors
+/// When the frame cannot be read or an output cannot be written; nothing is left half-written.
+pub fn mask_frame(
+    frame: &Path,
+    folder: &Path,
+    classifier: &Classifier,
+    given: &Given,
+    options: &Options,
+) -> Result<Done> {
+    let names = Names::of(frame, folder);
+    let fingerprint = fingerprint(frame, given, options);
+    if options.resume
+        && let Some(report) = done_before(&names, &fingerprint)
+    {
+        return Ok(Done { report: again(frame, &names, &report, fingerprint), picture: None });
+    }
+    // With --resume, what is there belongs to a frame that has changed, or to a run that was stopped.
+    autoref_raster::atomic::check_outputs(&[&names.mask, &names.xml], options.overwrite || options.resume)?;
+    let source = options.open(frame)?;
+    let reading = options.reading(source.as_ref());
+    let reduced = reduce_frame(&source, &reading)?;
+    let cleaner = match options.method {
+        Method::Auto => Cleaner::Areas(options.auto_area_share),
+        _ => Cleaner::Thesis(options.cleaning.clone()),
+    };
+    let memory = plane_memory(&reading);
+    let mut classes = classify(&reduced, classifier, &cleaner, options.extras.probability, memory)?;
+    by_hand(frame, &reduced, given, &mut classes)?;
+    let report = report(frame, &names, &reduced, &classes, options, fingerprint);
+    let mut transaction = Transaction::new();
+    let size = [reduced.width as usize, reduced.height as usize];
+    transaction
+        .stage(&names.mask, |path| write::mask(path, &classes.keep, size, reduced.factor, options.compression))?;
+    let mask_name = names.mask.file_name().unwrap_or_default().to_string_lossy();
+    transaction.stage_bytes(&names.xml, write::micmac_xml(&mask_name, size).as_bytes())?;
+    if let Some(plane) = &classes.probability {
+        transaction.stage(&names.probability, |path| write::grey_plane(path, size, reduced.factor, plane))?;
+    }
+    if options.extras.colmap {
+        transaction.stage(&names.colmap, |path| write::colmap(path, &classes.keep, size, reduced.factor))?;
+    }
+    if options.extras.explain {
+        crate::explain::stage(&mut transaction, &names, &reduced, classifier, memory)?;
+    }
+    let json = serde_json::to_string_pretty(&report).expect("a report is plain data");
+    transaction.stage_bytes(&names.report, json.as_bytes())?;
+    transaction.commit()?;
+    Ok(Done { report, picture: Some((reduced, classes.keep)) })
+}
+
+/// The report of a frame that is done, as it was.
+fn again(frame: &Path, names: &Names, earlier: &serde_json::Value, fingerprint: String) -> Report {
+    let number = |value: &serde_json::Value| value.as_f64().unwrap_or(0.0);
+    let classes = &earlier["classes"];
+    let words = earlier["warnings"].as_array().cloned().unwrap_or_default();
+    let methods = [Method::Thesis2017, Method::Threshold, Method::Auto].map(Method::name);
+    Report {
+        frame: frame.into(),
+        status: "unchanged",
+        width: earlier["width"].as_u64().unwrap_or(0),
+        height: earlier["height"].as_u64().unwrap_or(0),
+        keep_share: number(&earlier["keep_share"]),
+        classes: Shares {
+            keep: number(&classes["keep"]),
+            mask: number(&classes["mask"]),
+            empty: number(&classes["empty"]),
+        },
+        unsure_share: number(&earlier["unsure_share"]),
+        warnings: words.iter().filter_map(|w| w.as_str().map(String::from)).collect(),
+        mask: names.mask.clone(),
+        probability: names.probability.is_file().then(|| names.probability.clone()),
+        method: methods.into_iter().find(|name| earlier["method"] == *name).unwrap_or("auto"),
+        reduce: earlier["reduce"].as_u64().unwrap_or(4) as usize,
+        fingerprint,
+    }
+}
+
+/// Global masks, what was marked as keep, and what was mended, in this order.
+fn by_hand(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Classes) -> Result<()> {
+    let paint = |shapes: &[Shape], only: Option<Meaning>, classes: &mut Classes| {
+        let mut labels: Option<Labels> = None;
+        for shape in shapes.iter().filter(|s| s.is_of(frame) && only.is_none_or(|only| only == s.meaning)) {
+            labels.get_or_insert_with(|| Labels::new(reduced)).paint(shape, reduced.factor);
+        }
+        let Some(labels) = labels else { return };
+        for (i, &value) in labels.values.iter().enumerate().filter(|(_, value)| **value != 255) {
+            let (x, y) = (i % labels.width, i / labels.width);
+            classes.keep.set(x, y, value == 1);
+            classes.unsure.set(x, y, false);
+        }
+    };
+    // A sample that names no frame is of the only frame there is.
+    paint(&given.samples, Some(Meaning::Keep), classes);
+    for lesson in given.lessons.iter().filter(|lesson| same_file(&lesson.frame, frame)) {
+        let mut labels = Labels::new(reduced);
+        labels.read_mask(&lesson.mask, reduced)?;
+        for (i, _) in labels.values.iter().enumerate().filter(|(_, value)| **value == 1) {
+            classes.keep.set(i % labels.width, i / labels.width, true);
+        }
+    }
+    paint(&given.global, None, classes);
+    if let Some(path) = &given.global_mask {
+        let mut labels = Labels::new(reduced);
+        labels.read_mask(path, reduced)?;
+        for (i, _) in labels.values.iter().enumerate().filter(|(_, value)| **value == 0) {
+            classes.keep.set(i % labels.width, i / labels.width, false);
+        }
+    }
+    paint(&given.mended, None, classes);
+    classes.keep.and(&reduced.valid);
+    Ok(())
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+fn report(
+    frame: &Path,
+    names: &Names,
+    reduced: &Reduced,
+    classes: &Classes,
+    options: &Options,
+    fingerprint: String,
+) -> Report {
+    let (keep, unsure) = (classes.keep.share(), classes.unsure.share());
+    let empty = 1.0 - reduced.valid.share();
+    let mut warnings = Vec::new();
+    if keep < 0.02 {
+        warnings.push("almost everything is masked".to_string());
+    } else if keep > 0.995 {
+        warnings.push("almost nothing is masked".to_string());
+    }
+    if unsure > 0.15 {
+        warnings.push(format!(
+            "unsure about {:.0} % of the frame: it is unlike what was taught; teach it with --sample or --teach",
+            100.0 * unsure
+        ));
+    }
+    if let Some(row) = horizon(&classes.keep) {
+        warnings.push(format!("horizon found: nothing is kept above row {}", row * reduced.factor));
+    }
+    Report {
+        frame: frame.into(),
+        status: "done",
+        width: reduced.width,
+        height: reduced.height,
+        keep_share: keep,
+        classes: Shares { keep, mask: (1.0 - keep - empty).max(0.0), empty },
+        unsure_share: unsure,
+        warnings,
+        mask: names.mask.clone(),
+        probability: classes.probability.as_ref().map(|_| names.probability.clone()),
+        method: options.method.name(),
+        reduce: reduced.factor,
+        fingerprint,
+    }
+}
+
+/// The first row with ground, when at least a twentieth of the rows above hold none and most columns begin so.
+fn horizon(keep: &BitMask) -> Option<usize> {
+    let count = |y: usize| -> u32 { keep.row(y).iter().map(|word| word.count_ones()).sum() };
+    let first = (0..keep.height()).find(|&y| count(y) > 0)?;
+    let below: u64 = (first..keep.height()).map(|y| u64::from(count(y))).sum();
+    let ground = below as f64 / (keep.width() * (keep.height() - first)) as f64;
+    (first * 20 >= keep.height() && ground > 0.2).then_some(first)
+}

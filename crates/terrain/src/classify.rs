@@ -1,0 +1,173 @@
+//! From the reduced frame to the mask, by one of three methods.
+
+use autoref_raster::error::Result;
+use autoref_raster::window::{TileGrid, Window};
+use rayon::prelude::*;
+
+use crate::area::flip_small;
+use crate::bits::BitMask;
+use crate::clean::{Cleaning, clean};
+use crate::entropy::{RADIUS_PX, entropy};
+use crate::features::{FEATURES, FrameScale, Measured};
+use crate::forest::Forest;
+use crate::knn::Neighbours;
+use crate::model::{CORE_PX, frame_scale, measured};
+use crate::plane::Plane;
+use crate::reduce::Reduced;
+
+/// How pixels are told apart.
+pub enum Classifier {
+    /// The nearest samples by entropy and intensity.
+    Neighbours(Neighbours),
+    /// Entropy above so many bits is kept.
+    Threshold(f64),
+    Forest(Forest<FEATURES>),
+}
+
+/// What cleans the classes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cleaner {
+    Thesis(Cleaning),
+    /// Areas under this share of the image change class, background first.
+    Areas(f64),
+}
+
+/// Between these probabilities, of 255, a pixel is unsure.
+pub const UNSURE: std::ops::RangeInclusive<u8> = 77..=178;
+
+/// Radius of the windows that smooth the votes, and how often they do: together near a Gaussian of σ 3.5 px.
+const VOTE_RADIUS_PX: usize = 3;
+const VOTE_PASSES: usize = 3;
+
+/// A frame's classes at the reduced scale.
+pub struct Classes {
+    pub keep: BitMask,
+    pub unsure: BitMask,
+    /// Probability of keep, 0…255, where the method has one.
+    pub probability: Option<Plane>,
+}
+
+/// Classifies every pixel and cleans the classes.
+///
+/// # Errors
+/// When a scratch file fails.
+pub fn classify(
+    reduced: &Reduced,
+    classifier: &Classifier,
+    cleaner: &Cleaner,
+    want_probability: bool,
+    memory_bytes: u64,
+) -> Result<Classes> {
+    let (width, height) = (reduced.grey.width(), reduced.grey.height());
+    let (mut keep, mut unsure) = (BitMask::new(width, height), BitMask::new(width, height));
+    let scale = match classifier {
+        Classifier::Forest(_) => Some(frame_scale(reduced)?),
+        _ => None,
+    };
+    let mut probability = match (&scale, want_probability) {
+        (Some(_), true) => Some(Plane::new(width, height, memory_bytes)?),
+        _ => None,
+    };
+    let grid = TileGrid::new(width as u64, height as u64, CORE_PX, CORE_PX, 0);
+    let threads = rayon::current_num_threads() as u64;
+    for first in (0..grid.len()).step_by(threads as usize) {
+        let ids: Vec<u64> = (first..(first + threads).min(grid.len())).collect();
+        let done: Vec<Result<(Window, Vec<u8>)>> = ids
+            .into_par_iter()
+            .map(|id| {
+                let core = grid.tile(id).core;
+                Ok((core, votes(reduced, classifier, scale.as_ref(), &core)?))
+            })
+            .collect();
+        for one in done {
+            let (core, votes) = one?;
+            for (i, &vote) in votes.iter().enumerate() {
+                let x = core.x as usize + i % core.width as usize;
+                let y = core.y as usize + i / core.width as usize;
+                keep.set(x, y, vote > 127);
+                unsure.set(x, y, UNSURE.contains(&vote));
+            }
+            if let Some(plane) = &mut probability {
+                plane.write(&core, &votes)?;
+            }
+        }
+    }
+    // What holds nothing is no ground; it must not be closed over either.
+    keep.and(&reduced.valid);
+    unsure.and(&reduced.valid);
+    keep = match cleaner {
+        Cleaner::Thesis(cleaning) => clean(keep, cleaning),
+        Cleaner::Areas(share) => {
+            flip_small(&mut keep, false, *share);
+            flip_small(&mut keep, true, *share);
+            keep
+        }
+    };
+    keep.and(&reduced.valid);
+    Ok(Classes { keep, unsure, probability })
+}
+
+/// Probability of keep, 0…255, of the pixels of `core`.
+fn votes(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, core: &Window) -> Result<Vec<u8>> {
+    if let (Classifier::Forest(forest), Some(scale)) = (classifier, scale) {
+        let margin = VOTE_RADIUS_PX * VOTE_PASSES;
+        let (measured, _) = measured(&reduced.grey, core, margin)?;
+        let votes: Vec<u8> = (0..measured.width * measured.height).map(|i| vote(forest, scale, &measured, i)).collect();
+        return Ok(smooth_votes(&votes, measured.width, measured.height));
+    }
+    let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
+    let read = core.grown(RADIUS_PX as u64, &bounds);
+    let pixels = reduced.grey.read(&read)?;
+    let (w, h) = (read.width as usize, read.height as usize);
+    let (left, top) = ((core.x - read.x) as usize, (core.y - read.y) as usize);
+    let bits = entropy(&pixels, w, h, RADIUS_PX, top..top + core.height as usize);
+    let mut out = Vec::with_capacity(core.area() as usize);
+    for (y, row) in bits.chunks_exact(w).enumerate() {
+        for x in left..left + core.width as usize {
+            let kept = match classifier {
+                Classifier::Neighbours(neighbours) => neighbours.keep(row[x], pixels[(top + y) * w + x]),
+                Classifier::Threshold(limit) => f64::from(row[x]) > *limit,
+                Classifier::Forest(_) => unreachable!("forests have a scale"),
+            };
+            out.push(if kept { 255 } else { 0 });
+        }
+    }
+    Ok(out)
+}
+
+/// A pixel's probability of keep. Where a window of 15 px shows one grey level only there is nothing to match.
+fn vote(forest: &Forest<FEATURES>, scale: &FrameScale, measured: &Measured, i: usize) -> u8 {
+    if measured.is_flat(i) { 0 } else { forest.keep(&scale.apply(measured, i)) }
+}
+
+/// Means over windows, again and again; the margin is used up. Sums are exact until the one division at the end.
+fn smooth_votes(votes: &[u8], width: usize, height: usize) -> Vec<u8> {
+    let r = VOTE_RADIUS_PX;
+    let (mut w, mut h) = (width, height);
+    let mut sums: Vec<u32> = votes.iter().map(|&v| u32::from(v)).collect();
+    for _ in 0..VOTE_PASSES {
+        let across: Vec<u32> =
+            sums.chunks_exact(w).flat_map(|row| row.windows(2 * r + 1).map(|window| window.iter().sum())).collect();
+        w -= 2 * r;
+        h -= 2 * r;
+        sums = (0..h * w).map(|i| (0..=2 * r).map(|dy| across[i + dy * w]).sum()).collect();
+    }
+    let whole = ((2 * r + 1) as u32).pow(2 * VOTE_PASSES as u32);
+    sums.iter().map(|sum| ((sum + whole / 2) / whole) as u8).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_votes_stay_and_one_vote_spreads_evenly() {
+        assert_eq!(smooth_votes(&[200; 19 * 20], 19, 20), [200, 200]);
+        let mut votes = [0u8; 41 * 41];
+        votes[20 * 41 + 20] = 255;
+        let smoothed = smooth_votes(&votes, 41, 41);
+        // 23 × 23: the middle and two corners.
+        assert_eq!(smoothed[0], smoothed[23 * 23 - 1]);
+        assert!(smoothed[11 * 23 + 11] > smoothed[0]);
+    }
+}

@@ -1,0 +1,231 @@
+//! A random forest of small trees on features of one byte.
+//!
+//! Source: L. Breiman, Random Forests, 2001, with the split chosen among a few features by Gini impurity. Where we differ:
+//! samples carry whole-number weights, and all draws come from one fixed generator, so that a forest taught twice with
+//! the same samples is the same. Counts are integers; nothing depends on the number of threads.
+
+use rayon::prelude::*;
+
+/// A taught pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Example<const N: usize> {
+    pub features: [u8; N],
+    pub keep: bool,
+    pub weight: u32,
+}
+
+/// Size of a forest.
+#[derive(Clone, Copy, Debug)]
+pub struct Growth {
+    pub trees: usize,
+    pub depth: usize,
+    /// Features that each split chooses among.
+    pub tried: usize,
+    /// Least number of examples in a leaf.
+    pub leaf: usize,
+}
+
+impl Default for Growth {
+    fn default() -> Self {
+        Growth { trees: 40, depth: 11, tried: 7, leaf: 4 }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Node {
+    feature: u16,
+    /// At most this goes left.
+    limit: u8,
+    leaf: bool,
+    /// The left child, the right one follows it; of a leaf the probability of keep in 65,535ths.
+    next: u32,
+}
+
+struct Tree(Vec<Node>);
+
+/// Trees that vote.
+pub struct Forest<const N: usize> {
+    trees: Vec<Tree>,
+}
+
+/// SplitMix64 (Steele, Lea and Flood, 2014).
+pub(crate) struct Draws(pub u64);
+
+impl Draws {
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    pub(crate) fn below(&mut self, n: usize) -> usize {
+        ((u128::from(self.next()) * n as u128) >> 64) as usize
+    }
+}
+
+impl<const N: usize> Forest<N> {
+    /// Grows a forest; `None` when a class has no example.
+    pub fn grow(examples: &[Example<N>], growth: Growth) -> Option<Self> {
+        let keeps = examples.iter().filter(|example| example.keep).count();
+        if keeps == 0 || keeps == examples.len() {
+            return None;
+        }
+        let tree = |seed: usize| {
+            let mut draws = Draws(seed as u64 + 1);
+            // Each example as often as it is drawn, times its weight.
+            let mut drawn = vec![0u32; examples.len()];
+            for _ in 0..examples.len() {
+                drawn[draws.below(examples.len())] += 1;
+            }
+            let mut rows: Vec<(u32, u32)> = drawn
+                .iter()
+                .enumerate()
+                .filter(|(_, times)| **times > 0)
+                .map(|(i, times)| (i as u32, times * examples[i].weight))
+                .collect();
+            let mut nodes = vec![Node { feature: 0, limit: 0, leaf: true, next: 0 }];
+            split(examples, &mut rows, 0, growth.depth, growth, &mut draws, &mut nodes);
+            Tree(nodes)
+        };
+        Some(Forest { trees: (0..growth.trees).into_par_iter().map(tree).collect() })
+    }
+
+    /// Probability of keep, 0…255.
+    pub fn keep(&self, features: &[u8; N]) -> u8 {
+        let votes: u32 = self.trees.iter().map(|tree| tree.vote(features)).sum();
+        let whole = 65_535 * self.trees.len() as u32;
+        ((u64::from(votes) * 255 + u64::from(whole) / 2) / u64::from(whole)) as u8
+    }
+}
+
+impl Tree {
+    fn vote(&self, features: &[u8]) -> u32 {
+        let mut node = &self.0[0];
+        while !node.leaf {
+            let right = usize::from(features[usize::from(node.feature)] > node.limit);
+            node = &self.0[node.next as usize + right];
+        }
+        node.next
+    }
+}
+
+fn split<const N: usize>(
+    examples: &[Example<N>],
+    rows: &mut [(u32, u32)],
+    at: usize,
+    depth: usize,
+    growth: Growth,
+    draws: &mut Draws,
+    nodes: &mut Vec<Node>,
+) {
+    let weight = |rows: &[(u32, u32)]| {
+        rows.iter().fold([0u64; 2], |mut sums, &(i, w)| {
+            sums[usize::from(examples[i as usize].keep)] += u64::from(w);
+            sums
+        })
+    };
+    let all = weight(rows);
+    let total = all[0] + all[1];
+    let best = if depth == 0 || all[0] == 0 || all[1] == 0 || rows.len() < 2 * growth.leaf {
+        None
+    } else {
+        best_split(examples, rows, all, growth, draws)
+    };
+    let Some((feature, limit)) = best else {
+        nodes[at] = Node { feature: 0, limit: 0, leaf: true, next: (all[1] * 65_535 / total.max(1)) as u32 };
+        return;
+    };
+    let left = partition(rows, |&(i, _)| examples[i as usize].features[feature] <= limit);
+    let next = nodes.len();
+    nodes[at] = Node { feature: feature as u16, limit, leaf: false, next: next as u32 };
+    let empty = Node { feature: 0, limit: 0, leaf: true, next: 0 };
+    nodes.extend([empty, empty]);
+    let (low, high) = rows.split_at_mut(left);
+    split(examples, low, next, depth - 1, growth, draws, nodes);
+    split(examples, high, next + 1, depth - 1, growth, draws, nodes);
+}
+
+/// Those that `goes_left` come first, in their order; how many they are.
+fn partition<T: Copy>(rows: &mut [T], goes_left: impl Fn(&T) -> bool) -> usize {
+    let (left, right): (Vec<T>, Vec<T>) = rows.iter().partition(|row| goes_left(row));
+    rows[..left.len()].copy_from_slice(&left);
+    rows[left.len()..].copy_from_slice(&right);
+    left.len()
+}
+
+fn best_split<const N: usize>(
+    examples: &[Example<N>],
+    rows: &[(u32, u32)],
+    all: [u64; 2],
+    growth: Growth,
+    draws: &mut Draws,
+) -> Option<(usize, u8)> {
+    let mut order: [usize; N] = std::array::from_fn(|i| i);
+    let mut best: Option<(f64, usize, u8)> = None;
+    for tried in 0..growth.tried.min(N) {
+        order.swap(tried, tried + draws.below(N - tried));
+        let feature = order[tried];
+        let (mut weights, mut counts) = ([[0u64; 2]; 256], [0usize; 256]);
+        for &(i, weight) in rows {
+            let example = &examples[i as usize];
+            let value = usize::from(example.features[feature]);
+            weights[value][usize::from(example.keep)] += u64::from(weight);
+            counts[value] += 1;
+        }
+        let (mut low, mut count) = ([0u64; 2], 0);
+        for limit in 0..255usize {
+            low = [low[0] + weights[limit][0], low[1] + weights[limit][1]];
+            count += counts[limit];
+            if counts[limit] == 0 || count < growth.leaf || rows.len() - count < growth.leaf {
+                continue;
+            }
+            let high = [all[0] - low[0], all[1] - low[1]];
+            let purity = |side: [u64; 2]| {
+                let [a, b] = side.map(|v| v as f64);
+                (a * a + b * b) / (a + b).max(1.0)
+            };
+            let score = purity(low) + purity(high);
+            if best.is_none_or(|(top, ..)| score > top) {
+                best = Some((score, feature, limit as u8));
+            }
+        }
+    }
+    let [a, b] = all.map(|v| v as f64);
+    let (score, feature, limit) = best?;
+    (score > (a * a + b * b) / (a + b) * (1.0 + 1e-12)).then_some((feature, limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn examples(seed: u64, n: usize) -> Vec<Example<5>> {
+        let mut draws = Draws(seed);
+        let one = |_| {
+            let features: [u8; 5] = std::array::from_fn(|_| draws.next() as u8);
+            let keep = (u32::from(features[0]) + u32::from(features[3]) > 256) ^ (features[4] < 40);
+            Example { features, keep, weight: 1 }
+        };
+        (0..n).map(one).collect()
+    }
+
+    #[test]
+    fn it_learns_what_no_single_feature_tells() {
+        let growth = Growth { tried: 3, ..Growth::default() };
+        let forest = Forest::grow(&examples(7, 4000), growth).expect("two classes");
+        let unseen = examples(8, 1000);
+        let right = unseen.iter().filter(|e| (forest.keep(&e.features) > 127) == e.keep).count();
+        assert!(right > 900, "{right} of 1000");
+        let again = Forest::grow(&examples(7, 4000), growth).expect("two classes");
+        assert!(unseen.iter().all(|e| again.keep(&e.features) == forest.keep(&e.features)));
+    }
+
+    #[test]
+    fn one_class_grows_nothing() {
+        let mut examples = examples(3, 50);
+        examples.iter_mut().for_each(|e| e.keep = true);
+        assert!(Forest::grow(&examples, Growth::default()).is_none());
+    }
+}

@@ -1,0 +1,24 @@
+//! Masks of the ground of a photograph that image matching can use: without water, clouds, sky, featureless snow, film
+//! borders and text.
+//!
+//! Pixel coordinates: x to the right, y down, (0, 0) at the outer corner of the first pixel. True in a [`bits::BitMask`]
+//! means keep.
+
+pub mod area;
+pub mod batch;
+pub mod bits;
+pub mod classify;
+pub mod clean;
+pub mod entropy;
+pub mod explain;
+pub mod features;
+pub mod forest;
+pub mod knn;
+pub mod model;
+pub mod morphology;
+pub mod plane;
+pub mod reduce;
+pub mod shapes;
+pub mod sheet;
+pub mod smooth;
+pub mod write;

@@ -1,0 +1,302 @@
+//! What is taught, and the classifiers that come of it.
+
+use std::path::Path;
+
+use autoref_raster::error::{Error, Result};
+use autoref_raster::window::{TileGrid, Window};
+use gdal::raster::ResampleAlg;
+use rayon::prelude::*;
+
+use crate::entropy::{RADIUS_PX, entropy};
+use crate::features::{FEATURES, FrameScale, HALO_PX, Measured, PLANES, Surroundings, Tally, measure};
+use crate::forest::{Example, Forest, Growth};
+use crate::knn::Sample;
+use crate::plane::Plane;
+use crate::reduce::Reduced;
+use crate::shapes::{Meaning, Shape};
+
+/// Features and class of pixels of licensed photographs (`docs/masks.md` names them): [`FEATURES`] bytes and one of 0
+/// (mask) or 1 (keep) each.
+static SHIPPED: &[u8] = include_bytes!("shipped.bin");
+
+/// The examples that come with the program.
+pub fn shipped() -> Vec<Example<FEATURES>> {
+    let example = |bytes: &[u8]| {
+        let mut features = [0; FEATURES];
+        features.copy_from_slice(&bytes[..FEATURES]);
+        Example { features, keep: bytes[FEATURES] == 1, weight: 1 }
+    };
+    SHIPPED.chunks_exact(FEATURES + 1).map(example).collect()
+}
+
+/// Entropy and intensity of the shipped examples, 250 of each class, drawn by a fixed stride.
+pub fn shipped_samples() -> Vec<Sample> {
+    let all = shipped();
+    let of = |keep: bool| {
+        let class: Vec<_> = all.iter().filter(|example| example.keep == keep).collect();
+        let stride = (class.len() / 250).max(1);
+        class
+            .into_iter()
+            .step_by(stride)
+            .take(250)
+            .map(move |example| Sample {
+                entropy: f64::from(example.features[PLANES + 2]) / 28.0,
+                intensity: f64::from(example.features[PLANES]) / 255.0,
+                keep,
+            })
+            .collect::<Vec<_>>()
+    };
+    [of(true), of(false)].concat()
+}
+
+/// Side of the windows in which features are computed, px at the reduced scale.
+pub const CORE_PX: u64 = 256;
+
+/// Features of the pixels of `window`, `margin` more on every side, mirrored at the frame's border.
+pub fn measured(plane: &Plane, window: &Window, margin: usize) -> Result<(Measured, Vec<u8>)> {
+    let around = HALO_PX + margin;
+    let (w, h) = (window.width as usize + 2 * around, window.height as usize + 2 * around);
+    let pixels = plane.mirrored(window.x as i64 - around as i64, window.y as i64 - around as i64, w, h)?;
+    let inner = (HALO_PX..h - HALO_PX).flat_map(|y| &pixels[y * w + HALO_PX..(y + 1) * w - HALO_PX]).copied().collect();
+    Ok((measure(&Surroundings { pixels, width: w, height: h }), inner))
+}
+
+/// The scale of a frame, from windows of 64 px that are spread over it, the same for every tiling.
+///
+/// # Errors
+/// When the plane cannot be read.
+pub fn frame_scale(reduced: &Reduced) -> Result<FrameScale> {
+    let (width, height) = (reduced.grey.width() as u64, reduced.grey.height() as u64);
+    let (w, h) = (width.min(64), height.min(64));
+    let places = |length: u64, side: u64| -> Vec<u64> {
+        let count = length.div_ceil(side).min(14);
+        (0..count).map(|i| if count == 1 { 0 } else { (length - side) * i / (count - 1) }).collect()
+    };
+    let rows = places(height, h);
+    let windows: Vec<Window> =
+        rows.iter().flat_map(|&y| places(width, w).into_iter().map(move |x| Window::new(x, y, w, h))).collect();
+    let mut tally = Tally::default();
+    for some in windows.chunks(2 * rayon::current_num_threads()) {
+        let done: Vec<Result<_>> = some.par_iter().map(|window| measured(&reduced.grey, window, 0)).collect();
+        for one in done {
+            let (measured, grey) = one?;
+            tally.add(&measured, &grey);
+        }
+    }
+    Ok(tally.scale())
+}
+
+/// What a person says of a frame, at the reduced scale: 1 keep, 0 mask, 255 nothing.
+pub struct Labels {
+    pub width: usize,
+    pub height: usize,
+    pub values: Vec<u8>,
+}
+
+impl Labels {
+    pub fn new(reduced: &Reduced) -> Labels {
+        let (width, height) = (reduced.grey.width(), reduced.grey.height());
+        Labels { width, height, values: vec![255; width * height] }
+    }
+
+    /// Paints the shape: pixels whose centre lies in it. Later shapes win.
+    pub fn paint(&mut self, shape: &Shape, factor: usize) {
+        let value = match shape.meaning {
+            Meaning::Keep => 1,
+            Meaning::Mask => 0,
+            Meaning::Unknown => 255,
+        };
+        let factor = factor as f64;
+        let [left, top, right, bottom] = shape.bounds().map(|v| v / factor);
+        let range = |low: f64, high: f64, length: usize| {
+            (low.floor().max(0.0) as usize).min(length)..(high.ceil().max(0.0) as usize).min(length)
+        };
+        for y in range(top, bottom, self.height) {
+            for x in range(left, right, self.width) {
+                if shape.contains([(x as f64 + 0.5) * factor, (y as f64 + 0.5) * factor]) {
+                    self.values[y * self.width + x] = value;
+                }
+            }
+        }
+    }
+
+    /// Takes over a mask of the frame's size: 1 keep, 0 mask, 255 unknown.
+    ///
+    /// # Errors
+    /// When it cannot be read, has another size or other values, or says nothing.
+    pub fn read_mask(&mut self, path: &Path, reduced: &Reduced) -> Result<()> {
+        let (_, dataset) = autoref_raster::open_dataset(path, 0)?;
+        let size = dataset.raster_size();
+        if size != (reduced.width as usize, reduced.height as usize) {
+            return Err(Error::usage(
+                format!(
+                    "{}: {} × {} px, but its frame has {} × {} px",
+                    path.display(),
+                    size.0,
+                    size.1,
+                    reduced.width,
+                    reduced.height
+                ),
+                "a teaching mask has the size of its frame",
+            ));
+        }
+        let failed = |e| Error::gdal(path, e);
+        let band = dataset.rasterband(1).map_err(failed)?;
+        let factor = reduced.factor;
+        for y in 0..self.height {
+            let from = (y * factor + factor / 2).min(size.1 - 1);
+            let row = band
+                .read_as::<f64>((0, from as isize), (size.0, 1), (size.0, 1), None::<ResampleAlg>)
+                .map_err(failed)?;
+            for x in 0..self.width {
+                let at = (x * factor + factor / 2).min(size.0 - 1);
+                self.values[y * self.width + x] = match row.data()[at] {
+                    0.0 => 0,
+                    1.0 => 1,
+                    255.0 => 255,
+                    other => {
+                        return Err(Error::format(
+                            path,
+                            format!("pixel {at}, {from}"),
+                            format!("the value {other}; a teaching mask holds 1 (keep), 0 (mask) and 255 (unknown)"),
+                        ));
+                    }
+                };
+            }
+        }
+        if self.values.iter().all(|v| *v == 255) {
+            return Err(Error::usage(
+                format!("{}: every pixel is 255, unknown", path.display()),
+                "1 means keep, 0 mask",
+            ));
+        }
+        Ok(())
+    }
+
+    /// At most `most` pixels of a class, every k-th in reading order.
+    fn drawn(&self, class: u8, most: usize) -> Vec<usize> {
+        let count = self.values.iter().filter(|v| **v == class).count();
+        let stride = count.div_ceil(most).max(1);
+        let all = self.values.iter().enumerate().filter(|(_, v)| **v == class).map(|(i, _)| i);
+        all.skip(stride / 2).step_by(stride).collect()
+    }
+}
+
+/// Taught pixels of a class and frame that take part.
+const DRAWN: usize = 3000;
+
+/// The labelled pixels of a frame as examples.
+///
+/// # Errors
+/// When the plane cannot be read.
+pub fn examples(reduced: &Reduced, labels: &Labels, most: usize, weight: u32) -> Result<Vec<Example<FEATURES>>> {
+    let scale = frame_scale(reduced)?;
+    let mut drawn: Vec<(usize, bool)> = labels.drawn(1, most).into_iter().map(|i| (i, true)).collect();
+    drawn.extend(labels.drawn(0, most).into_iter().map(|i| (i, false)));
+    drawn.retain(|(i, _)| reduced.valid.get(i % labels.width, i / labels.width));
+    let grid = TileGrid::new(labels.width as u64, labels.height as u64, CORE_PX, CORE_PX, 0);
+    let tiles: Vec<Result<Vec<Example<FEATURES>>>> = (0..grid.len())
+        .into_par_iter()
+        .map(|id| {
+            let core = grid.tile(id).core;
+            let place = |i: usize| ((i % labels.width) as u64, (i / labels.width) as u64);
+            let here: Vec<&(usize, bool)> =
+                drawn.iter().filter(|(i, _)| core.contains(place(*i).0, place(*i).1)).collect();
+            if here.is_empty() {
+                return Ok(Vec::new());
+            }
+            let (measured, _) = measured(&reduced.grey, &core, 0)?;
+            let example = |&&(i, keep): &&(usize, bool)| {
+                let (x, y) = place(i);
+                let at = (y - core.y) as usize * measured.width + (x - core.x) as usize;
+                Example { features: scale.apply(&measured, at), keep, weight }
+            };
+            Ok(here.iter().map(example).collect())
+        })
+        .collect();
+    Ok(tiles.into_iter().collect::<Result<Vec<_>>>()?.concat())
+}
+
+/// Weight of a taught pixel against one that comes with the program.
+const TAUGHT_WEIGHT: u32 = 10;
+
+/// The forest of `--method auto`: what ships and what was taught.
+///
+/// # Errors
+/// When a plane cannot be read.
+pub fn forest(taught: &[(&Reduced, &Labels)]) -> Result<Forest<FEATURES>> {
+    let mut all = shipped();
+    for (reduced, labels) in taught {
+        all.extend(examples(reduced, labels, DRAWN, TAUGHT_WEIGHT)?);
+    }
+    Forest::grow(&all, Growth::default())
+        .ok_or_else(|| Error::usage("the forest has examples of one class only", "teach keep and mask"))
+}
+
+/// The thesis's samples: each shape is laid over with 10 × 10 points, and entropy and intensity are interpolated there.
+///
+/// # Errors
+/// When the plane cannot be read.
+pub fn thesis_samples(reduced: &Reduced, shapes: &[&Shape]) -> Result<Vec<Sample>> {
+    let mut samples = Vec::new();
+    let plane = &reduced.grey;
+    let bounds = Window::whole(plane.width() as u64, plane.height() as u64);
+    for shape in shapes.iter().filter(|shape| shape.meaning != Meaning::Unknown) {
+        let [left, top, right, bottom] = shape.bounds().map(|v| v / reduced.factor as f64);
+        // The pixels around, so that the points' neighbours and their discs are there.
+        let first = [left, top].map(|v| (v - 1.0).floor().max(0.0) as u64);
+        let size = [right.ceil() as u64 + 2 - first[0], bottom.ceil() as u64 + 2 - first[1]];
+        let inner = Window::new(first[0], first[1], size[0], size[1]).intersect(&bounds);
+        let read = inner.grown(RADIUS_PX as u64, &bounds);
+        let pixels = plane.read(&read)?;
+        let (w, h) = (read.width as usize, read.height as usize);
+        let bits = entropy(&pixels, w, h, RADIUS_PX, 0..h);
+        for j in 0..10 {
+            for i in 0..10 {
+                let x = left + (f64::from(i) + 0.5) / 10.0 * (right - left);
+                let y = top + (f64::from(j) + 0.5) / 10.0 * (bottom - top);
+                let full = [x * reduced.factor as f64, y * reduced.factor as f64];
+                if !shape.contains(full) {
+                    continue;
+                }
+                let (x, y) = (x - 0.5 - read.x as f64, y - 0.5 - read.y as f64);
+                let clamp = |v: f64, n: usize| v.clamp(0.0, (n - 1) as f64);
+                let (x, y) = (clamp(x, w), clamp(y, h));
+                let (x0, y0) = (x as usize, y as usize);
+                let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
+                let (fx, fy) = (x - x0 as f64, y - y0 as f64);
+                let blend = |at: &dyn Fn(usize) -> f64| {
+                    let row = |y: usize| at(y * w + x0) * (1.0 - fx) + at(y * w + x1) * fx;
+                    row(y0) * (1.0 - fy) + row(y1) * fy
+                };
+                samples.push(Sample {
+                    entropy: blend(&|i| f64::from(bits[i])),
+                    intensity: blend(&|i| f64::from(pixels[i])) / 255.0,
+                    keep: shape.meaning == Meaning::Keep,
+                });
+            }
+        }
+    }
+    Ok(samples)
+}
+
+/// Samples of a labelled frame for the thesis's classifier: 250 pixels of each class.
+///
+/// # Errors
+/// When the plane cannot be read.
+pub fn labelled_samples(reduced: &Reduced, labels: &Labels) -> Result<Vec<Sample>> {
+    let bounds = Window::whole(labels.width as u64, labels.height as u64);
+    let mut samples = Vec::new();
+    for (class, keep) in [(1, true), (0, false)] {
+        for i in labels.drawn(class, 250) {
+            let (x, y) = ((i % labels.width) as u64, (i / labels.width) as u64);
+            let read = Window::new(x, y, 1, 1).grown(RADIUS_PX as u64, &bounds);
+            let pixels = reduced.grey.read(&read)?;
+            let (w, h) = (read.width as usize, read.height as usize);
+            let (dx, dy) = ((x - read.x) as usize, (y - read.y) as usize);
+            let bits = entropy(&pixels, w, h, RADIUS_PX, dy..dy + 1)[dx];
+            samples.push(Sample { entropy: f64::from(bits), intensity: f64::from(pixels[dy * w + dx]) / 255.0, keep });
+        }
+    }
+    Ok(samples)
+}

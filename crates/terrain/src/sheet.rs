@@ -1,0 +1,98 @@
+//! The contact sheet: every frame with its mask as a tint, shares and warnings, and a polygon to mend a mask by hand.
+
+use std::path::{Path, PathBuf};
+
+use autoref_raster::atomic;
+use autoref_raster::error::{Error, Result};
+use autoref_raster::window::Window;
+
+use crate::batch::{Done, Report};
+use crate::bits::BitMask;
+use crate::reduce::Reduced;
+
+/// Longer side of a picture, px.
+const SIDE_PX: usize = 640;
+
+/// Collects frames; [`Sheet::finish`] writes `masks.html`. The pictures are in the folder `previews`.
+pub struct Sheet {
+    folder: PathBuf,
+    entries: Vec<String>,
+}
+
+impl Sheet {
+    pub fn new(folder: &Path) -> Sheet {
+        Sheet { folder: folder.into(), entries: Vec::new() }
+    }
+
+    /// Adds a frame; its picture is written when it was made in this run.
+    ///
+    /// # Errors
+    /// When the picture cannot be written.
+    pub fn add(&mut self, done: &Done) -> Result<()> {
+        let stem = done.report.frame.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = format!("previews/{stem}.png");
+        if let Some((reduced, mask)) = &done.picture {
+            let previews = self.folder.join("previews");
+            std::fs::create_dir_all(&previews).map_err(|e| Error::io(&previews, "make the folder", e))?;
+            atomic::write(&self.folder.join(&name), &picture(reduced, mask)?)?;
+        }
+        self.entries.push(entry(&done.report, &name));
+        Ok(())
+    }
+
+    /// Writes the page.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn finish(self) -> Result<()> {
+        let page = include_str!("sheet.html").replace("<!-- frames -->", &self.entries.concat());
+        atomic::write(&self.folder.join("masks.html"), page.as_bytes())
+    }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
+}
+
+fn entry(report: &Report, picture: &str) -> String {
+    let frame = report.frame.file_name().unwrap_or_default().to_string_lossy();
+    let warnings: String = report.warnings.iter().map(|w| format!("<li>{}</li>", escaped(w))).collect();
+    format!(
+        "<figure data-frame=\"{frame}\" data-width=\"{}\" data-height=\"{}\"><div><img loading=\"lazy\" src=\"{}\" alt=\"\"><svg viewBox=\"0 0 {} {}\"></svg></div><figcaption><b>{frame}</b> \
+         {} · kept {:.1} % · masked {:.1} % · empty {:.1} % · unsure {:.1} %<ul>{warnings}</ul></figcaption></figure>\n",
+        report.width,
+        report.height,
+        escaped(picture),
+        report.width,
+        report.height,
+        report.method,
+        100.0 * report.classes.keep,
+        100.0 * report.classes.mask,
+        100.0 * report.classes.empty,
+        100.0 * report.unsure_share,
+        frame = escaped(&frame),
+    )
+}
+
+/// The frame, with what is masked in red.
+fn picture(reduced: &Reduced, mask: &BitMask) -> Result<Vec<u8>> {
+    let (width, height) = (mask.width(), mask.height());
+    let step = width.max(height).div_ceil(SIDE_PX).max(1);
+    let (w, h) = (width.div_ceil(step), height.div_ceil(step));
+    let mut pixels = Vec::with_capacity(3 * w * h);
+    for y in (0..height).step_by(step) {
+        let row = reduced.grey.read(&Window::new(0, y as u64, width as u64, 1))?;
+        for x in (0..width).step_by(step) {
+            let level = row[x];
+            let dark = level / 2;
+            pixels.extend(if mask.get(x, y) { [level; 3] } else { [dark + 127, dark, dark] });
+        }
+    }
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, w as u32, h as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    let mut writer = encoder.write_header().expect("a picture has pixels");
+    writer.write_image_data(&pixels).expect("as many as its size says");
+    writer.finish().expect("memory takes all");
+    Ok(bytes)
+}
