@@ -1,0 +1,332 @@
+//! The chain: a cloud is spooled, shared out among tiles, classified step by step, and written again in its own order.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::crop::{self, Crop};
+use crate::error::{Error, Result};
+use crate::io::{self, Header, OutPoint, Target};
+use crate::outliers::{self, NOISE, OutlierStatistics};
+use crate::schema::Batch;
+use crate::smrf;
+use crate::summary::Summary;
+use crate::tiles::{Point, Scratch, Spool, Tiles, Verdicts};
+use crate::{elm, isolated};
+
+/// Points of one read.
+const BATCH: usize = 1 << 14;
+/// What the program itself and its libraries take.
+const BASE_BYTES: u64 = 80 << 20;
+/// Tiles whose trees are kept while one is searched, itself among them.
+const TREES: u64 = 5;
+const OBJECT: u8 = 1;
+
+/// One step of the chain.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    Crop(Crop),
+    /// Statistical outliers.
+    Outliers { neighbours: usize, multiplier: f64 },
+    Radius { radius_m: f64, least: usize },
+    Low { cell_m: f64, gap_m: f64 },
+    Isolated(isolated::Options),
+    Ground(smrf::Options),
+}
+
+impl Step {
+    /// As the command line calls it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Step::Crop(Crop::Height { .. }) => "z",
+            Step::Crop(Crop::Range { .. }) => "range",
+            Step::Crop(Crop::Polygon(_)) => "crop",
+            Step::Outliers { .. } => "outliers",
+            Step::Radius { .. } => "radius",
+            Step::Low { .. } => "low",
+            Step::Isolated(_) => "isolated",
+            Step::Ground(_) => "ground",
+        }
+    }
+}
+
+/// What becomes of points whose coordinates are no finite numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Invalid {
+    Refuse,
+    LeaveOut,
+}
+
+/// How clouds are cleaned.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    pub steps: Vec<Step>,
+    pub drop_noise: bool,
+    pub drop_objects: bool,
+    /// Map coordinates less the file's; `None` takes what the file says.
+    pub shift: Option<[f64; 3]>,
+    pub invalid: Invalid,
+    pub memory_bytes: u64,
+    /// At most so many points in a tile; fewer when memory asks for it.
+    pub tile_points: Option<usize>,
+    pub scratch: PathBuf,
+    /// WKT for outputs whose source has no reference system.
+    pub crs_wkt: Option<String>,
+}
+
+/// What a step did.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepReport {
+    pub step: String,
+    pub points_in: u64,
+    /// Points to which the step gave a class that takes them from the ground: noise, or objects.
+    pub classified: u64,
+    pub dropped: u64,
+    pub seconds: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub statistics: Option<OutlierStatistics>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub greatest_range_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ground: Option<u64>,
+}
+
+/// What became of a cloud.
+#[derive(Clone, Debug, Serialize)]
+pub struct CleanReport {
+    pub input: PathBuf,
+    pub output: PathBuf,
+    pub format: String,
+    pub crs: Option<String>,
+    pub shift: [f64; 3],
+    pub points: u64,
+    /// Points whose coordinates are no finite numbers.
+    pub invalid: u64,
+    pub points_kept: u64,
+    pub tiles: usize,
+    pub seconds: f64,
+    pub steps: Vec<StepReport>,
+    pub summary: Summary,
+}
+
+impl Plan {
+    fn working_bytes(&self) -> u64 {
+        self.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20)
+    }
+
+    fn most_tile_points(&self) -> usize {
+        let neighbours = self.steps.iter().map(|step| match step {
+            Step::Outliers { neighbours, .. } => *neighbours,
+            Step::Radius { least, .. } => *least,
+            Step::Isolated(options) => options.neighbours(),
+            _ => 0,
+        });
+        let bytes = TREES * 44 + 8 * neighbours.max().unwrap_or(0) as u64 + 64;
+        let fits = (self.working_bytes() / bytes).clamp(1, 2 << 20) as usize;
+        self.tile_points.map_or(fits, |points| points.min(fits))
+    }
+}
+
+/// Cleans one cloud: reads `input`, writes `output` in the format that the name `named` asks for.
+///
+/// # Errors
+/// Bad input, a budget that does not suffice, a full disk. The output may then be left half-written: it should be a
+/// temporary name.
+pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<CleanReport> {
+    let began = Instant::now();
+    let (header, mut tiles, invalid) = spool(input, plan)?;
+    let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);
+    let mut steps = Vec::new();
+    let mut active = tiles.points;
+    for (index, step) in plan.steps.iter().enumerate() {
+        let report = run_step(&mut tiles, step, (index + 1) as u8, active, shift, plan)?;
+        tracing::info!(step = report.step, points_in = report.points_in, classified = report.classified, "step");
+        active -= if matches!(step, Step::Ground(_)) { report.dropped } else { report.classified };
+        steps.push(report);
+    }
+    let dropped: u64 = steps.iter().map(|step| step.dropped).sum();
+    let points = tiles.indices.max(tiles.points + invalid);
+    let kept = tiles.points - dropped;
+    let camera = plan.steps.iter().rev().find_map(|step| match step {
+        Step::Crop(Crop::Range { camera, .. }) => Some(*camera),
+        _ => None,
+    });
+    let target = Target {
+        source: &header,
+        shift,
+        points: kept,
+        with_range: camera.is_some(),
+        min: tiles.bounds.min,
+        max: tiles.bounds.max,
+        crs_wkt: plan.crs_wkt.as_deref(),
+    };
+    let summary = write(input, output, named, &target, &mut tiles, plan, camera)?;
+    Ok(CleanReport {
+        input: input.to_path_buf(),
+        output: named.to_path_buf(),
+        format: header.description,
+        crs: header.crs,
+        shift,
+        points,
+        invalid,
+        points_kept: kept,
+        tiles: tiles.tiles.len(),
+        seconds: began.elapsed().as_secs_f64(),
+        steps,
+        summary,
+    })
+}
+
+/// Reads all points and shares them out.
+fn spool(input: &Path, plan: &Plan) -> Result<(Header, Tiles, u64)> {
+    let (header, mut reader) = io::open(input)?;
+    let mut scratch = Scratch::new(&plan.scratch)?;
+    let mut spool = Spool::new(&mut scratch)?;
+    let mut batch = Batch::default();
+    let (mut index, mut invalid) = (0u64, 0);
+    loop {
+        reader.read(&mut batch, BATCH)?;
+        if batch.is_empty() {
+            break;
+        }
+        for &xyz in &batch.xyz {
+            if xyz.iter().all(|value| value.is_finite()) {
+                spool.push(&scratch, &Point::new(xyz, index))?;
+            } else if plan.invalid == Invalid::Refuse {
+                let [x, y, z] = xyz;
+                let what = format!("the coordinates ({x}, {y}, {z}) are not finite; leave such points out with --skip-invalid");
+                return Err(Error::format(input, format!("point {}", index + 1), what));
+            } else {
+                invalid += 1;
+            }
+            index += 1;
+        }
+    }
+    if spool.points == 0 {
+        return Err(Error::format(input, "points", "there are none"));
+    }
+    if spool.points > 1 && spool.bounds.min == spool.bounds.max {
+        let [x, y, z] = spool.bounds.min;
+        return Err(Error::format(input, "points", format!("all {} lie at one place, ({x}, {y}, {z})", spool.points)));
+    }
+    spool.indices = index;
+    Ok((header, Tiles::new(scratch, spool, plan.most_tile_points())?, invalid))
+}
+
+fn run_step(
+    tiles: &mut Tiles,
+    step: &Step,
+    number: u8,
+    active: u64,
+    shift: [f64; 3],
+    plan: &Plan,
+) -> Result<StepReport> {
+    let began = Instant::now();
+    let kept = TREES as usize * plan.most_tile_points();
+    let mut statistics = None;
+    let classified = match step {
+        Step::Crop(crop) => {
+            let mut gone = 0;
+            tiles.update(|_, points| {
+                let here = points.par_iter_mut().filter(|point| point.is_active()).map(|point| {
+                    let out = !crop.keeps(to_map(point.xyz, shift));
+                    if out {
+                        point.classify(NOISE, number, true);
+                    }
+                    u64::from(out)
+                });
+                let here: u64 = here.sum();
+                gone += here;
+                Ok(here > 0)
+            })?;
+            gone
+        }
+        Step::Outliers { neighbours, multiplier } => {
+            let (noise, measured) = outliers::statistical(tiles, *neighbours, *multiplier, kept, number)?;
+            statistics = Some(measured);
+            noise
+        }
+        Step::Radius { radius_m, least } => outliers::radius(tiles, *radius_m, *least, kept, number)?,
+        Step::Low { cell_m, gap_m } => elm::low_points(tiles, *cell_m, *gap_m, plan.working_bytes(), number)?,
+        Step::Isolated(options) => isolated::find(tiles, options, kept, number)?,
+        Step::Ground(options) => smrf::ground(tiles, options, plan.working_bytes(), number, plan.drop_objects)?,
+    };
+    let is_ground = matches!(step, Step::Ground(_));
+    let drops = if is_ground { plan.drop_objects } else { plan.drop_noise };
+    Ok(StepReport {
+        step: step.name().into(),
+        points_in: active,
+        classified,
+        dropped: if drops { classified } else { 0 },
+        seconds: began.elapsed().as_secs_f64(),
+        statistics,
+        greatest_range_m: match step {
+            Step::Crop(crop) => crop.greatest_range_m(),
+            _ => None,
+        },
+        ground: is_ground.then(|| active - classified),
+    })
+}
+
+fn to_map(xyz: [f64; 3], shift: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| xyz[axis] + shift[axis])
+}
+
+/// Reads the cloud once more and writes it with its classes.
+fn write(
+    input: &Path,
+    output: &Path,
+    named: &Path,
+    target: &Target<'_>,
+    tiles: &mut Tiles,
+    plan: &Plan,
+    camera: Option<[f64; 3]>,
+) -> Result<Summary> {
+    let part_points = (plan.working_bytes() / 8).clamp(1, 1 << 31);
+    let mut verdicts = Verdicts::new(tiles, part_points)?;
+    let (header, mut reader) = io::open(input)?;
+    let mut writer = io::create(output, named, target)?;
+    let mut summary = Summary::new(plan.steps.iter().map(Step::name), tiles.bounds.min, tiles.bounds.max, target.shift);
+    // Noise is what this run found: labels of an earlier run would hide it.
+    let seeks_noise = plan.steps.iter().any(|step| !matches!(step, Step::Ground(_)));
+    let class_field = header.schema.field("classification").cloned();
+    let mut batch = Batch::default();
+    let mut index = 0;
+    loop {
+        reader.read(&mut batch, BATCH)?;
+        if batch.is_empty() {
+            break;
+        }
+        let mut points = Vec::with_capacity(batch.len());
+        for (at, &xyz) in batch.xyz.iter().enumerate() {
+            let verdict = verdicts.get(&tiles.scratch, index)?;
+            index += 1;
+            let Some((class, step)) = verdict else { continue };
+            let step = step & 0x7f;
+            let dropped = (class == NOISE && plan.drop_noise) || (class == OBJECT && plan.drop_objects);
+            summary.add(xyz, class, step, dropped);
+            if dropped {
+                continue;
+            }
+            let raw = batch.record(&header.schema, at);
+            let came = || class_field.as_ref().map_or(0, |field| field.value(raw) as u8);
+            let class = match class {
+                0 if seeks_noise && matches!(came(), 7 | 18) => Some(OBJECT),
+                0 if class_field.is_none() => Some(OBJECT),
+                0 => None,
+                class => Some(class),
+            };
+            let range = camera.map(|camera| crop::distance(to_map(xyz, target.shift), camera));
+            points.push(OutPoint { xyz, raw, class, range });
+        }
+        writer.write(&points)?;
+    }
+    let written = writer.finish()?;
+    if written != target.points {
+        let what = format!("{written} points are kept, {} were counted: the file changed meanwhile", target.points);
+        return Err(Error::format(input, "points", what));
+    }
+    Ok(summary)
+}

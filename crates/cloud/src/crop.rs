@@ -1,0 +1,116 @@
+//! Crops: by height, by distance from a camera, by polygon.
+
+use crate::error::{Error, Result};
+
+/// What lies outside becomes noise; all coordinates are the map's.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Crop {
+    /// Kept when min ≤ z ≤ max.
+    Height { min_m: f64, max_m: f64 },
+    /// Kept when nearer to the camera than its height over z = 0 divided by the sine of the angle.
+    Range { camera: [f64; 3], elevation_angle_deg: f64 },
+    /// Kept when inside.
+    Polygon(Polygon),
+}
+
+impl Crop {
+    /// A crop by range.
+    ///
+    /// # Errors
+    /// When the camera is not above z = 0, or the angle not between 0 and 90 degrees.
+    pub fn range(camera: [f64; 3], elevation_angle_deg: f64) -> Result<Crop> {
+        if !(elevation_angle_deg > 0.0 && elevation_angle_deg <= 90.0) {
+            let what = format!("--elevation-angle is {elevation_angle_deg}");
+            return Err(Error::usage(what, "give degrees above 0, at most 90"));
+        }
+        if camera[2] <= 0.0 {
+            let what = format!("the camera's height of --range-from is {} m", camera[2]);
+            return Err(Error::usage(what, "give a height above z = 0"));
+        }
+        Ok(Crop::Range { camera, elevation_angle_deg })
+    }
+
+    /// The largest distance from the camera that is kept.
+    pub fn greatest_range_m(&self) -> Option<f64> {
+        match self {
+            Crop::Range { camera, elevation_angle_deg } => Some(camera[2] / elevation_angle_deg.to_radians().sin()),
+            _ => None,
+        }
+    }
+
+    /// Whether a point of the map is kept.
+    pub fn keeps(&self, map: [f64; 3]) -> bool {
+        match self {
+            Crop::Height { min_m, max_m } => (*min_m..=*max_m).contains(&map[2]),
+            Crop::Range { camera, .. } => {
+                let far = self.greatest_range_m().expect("this is a crop by range");
+                distance(map, *camera) <= far
+            }
+            Crop::Polygon(polygon) => polygon.contains([map[0], map[1]]),
+        }
+    }
+}
+
+/// The distance of two places.
+pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    crate::kdtree::distance2(a, b).sqrt()
+}
+
+/// Rings, counted by the even-odd rule: holes are rings inside others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Polygon {
+    rings: Vec<Vec<[f64; 2]>>,
+    min: [f64; 2],
+    max: [f64; 2],
+}
+
+impl Polygon {
+    pub fn new(rings: Vec<Vec<[f64; 2]>>) -> Polygon {
+        let mut polygon = Polygon { rings, min: [f64::INFINITY; 2], max: [f64::NEG_INFINITY; 2] };
+        for corner in polygon.rings.iter().flatten() {
+            for axis in 0..2 {
+                polygon.min[axis] = polygon.min[axis].min(corner[axis]);
+                polygon.max[axis] = polygon.max[axis].max(corner[axis]);
+            }
+        }
+        polygon
+    }
+
+    /// Whether a ray towards the east crosses the rings an odd number of times.
+    pub fn contains(&self, place: [f64; 2]) -> bool {
+        let [x, y] = place;
+        if x < self.min[0] || x > self.max[0] || y < self.min[1] || y > self.max[1] {
+            return false;
+        }
+        let mut inside = false;
+        for ring in &self.rings {
+            let ends = ring.iter().zip(ring.iter().cycle().skip(1)).take(ring.len());
+            for (a, b) in ends {
+                if (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0] {
+                    inside = !inside;
+                }
+            }
+        }
+        inside
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_thesis_range() {
+        let crop = Crop::range([0.0, 0.0, 3000.0], 10.0).expect("a camera");
+        assert!((crop.greatest_range_m().expect("range") - 17_276.3).abs() < 0.1);
+        assert!(crop.keeps([17_000.0, 0.0, 0.0]) && !crop.keeps([17_100.0, 0.0, 0.0]));
+        assert!(Crop::range([0.0; 3], 10.0).is_err() && Crop::range([0.0, 0.0, 1.0], 0.0).is_err());
+    }
+
+    #[test]
+    fn holes_are_outside() {
+        let square = |low: f64, high: f64| vec![[low, low], [high, low], [high, high], [low, high]];
+        let polygon = Polygon::new(vec![square(0.0, 10.0), square(4.0, 6.0)]);
+        assert!(polygon.contains([1.0, 5.0]) && !polygon.contains([5.0, 5.0]) && !polygon.contains([11.0, 5.0]));
+    }
+}

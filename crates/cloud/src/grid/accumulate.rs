@@ -1,0 +1,180 @@
+//! What the cells of a strip of rows gather, in whole numbers so that no order of points matters.
+
+use std::ops::Range;
+
+use super::plane::Plane;
+use super::{Frame, Options, Stat};
+
+/// Steps of one unit in sums of values.
+const STEPS: f64 = (1u64 << 32) as f64;
+/// Steps of one unit in sums of squares: coarser, so that squares of billions fit.
+const SQUARE_STEPS: f64 = (1u64 << 20) as f64;
+
+fn fixed(value: f64) -> i128 {
+    (value * STEPS).round() as i128
+}
+
+/// Cells of some rows of the grid, for one dimension.
+pub(super) struct Strip {
+    frame: Frame,
+    rows: Range<usize>,
+    power: f64,
+    count: Vec<u32>,
+    sum: Vec<i128>,
+    squares: Vec<[i128; 2]>,
+    weighted: Vec<[i128; 2]>,
+    /// Points at the very centre: their sum and number.
+    centred: Vec<(i128, u32)>,
+    min: Vec<f64>,
+    max: Vec<f64>,
+    /// Cells and values, for medians.
+    values: Option<Vec<(u32, f64)>>,
+    most_values: usize,
+}
+
+fn wants(stats: &[(String, Stat)], stat: Stat) -> bool {
+    stats.iter().any(|(_, wanted)| *wanted == stat)
+}
+
+impl Strip {
+    /// Memory of a cell, its results included.
+    pub fn cell_bytes(stats: &[(String, Stat)]) -> u64 {
+        let each = |(_, stat): &(String, Stat)| match stat {
+            Stat::Mean => 16,
+            Stat::Deviation => 32,
+            Stat::Idw => 64,
+            Stat::Min | Stat::Max => 8,
+            Stat::Median | Stat::Count => 0,
+        };
+        4 + stats.iter().map(each).sum::<u64>()
+    }
+
+    pub fn new(frame: Frame, rows: Range<usize>, options: &Options, most_values: usize) -> Strip {
+        let cells = rows.len() * frame.columns;
+        let stats = &options.stats;
+        let sized = |wanted: bool| if wanted { cells } else { 0 };
+        Strip {
+            frame,
+            rows,
+            power: options.power,
+            count: vec![0; cells],
+            sum: vec![0; sized(wants(stats, Stat::Mean))],
+            squares: vec![[0; 2]; sized(wants(stats, Stat::Deviation))],
+            weighted: vec![[0; 2]; sized(wants(stats, Stat::Idw))],
+            centred: vec![(0, 0); sized(wants(stats, Stat::Idw))],
+            min: vec![f64::INFINITY; sized(wants(stats, Stat::Min))],
+            max: vec![f64::NEG_INFINITY; sized(wants(stats, Stat::Max))],
+            values: wants(stats, Stat::Median).then(Vec::new),
+            most_values,
+        }
+    }
+
+    /// Gives a point to the cells whose centre is nearer than `radius`. The error is the memory that medians would need.
+    pub fn add(&mut self, place: [f64; 2], value: f64, radius: f64) -> Result<(), u64> {
+        let rows = self.frame.rows_near(place[1], radius);
+        let columns = self.frame.columns_near(place[0], radius);
+        for row in rows.start.max(self.rows.start)..rows.end.min(self.rows.end) {
+            let dy = self.frame.y(row) - place[1];
+            for column in columns.clone() {
+                let dx = self.frame.x(column) - place[0];
+                let distance = (dx * dx + dy * dy).sqrt();
+                if distance < radius {
+                    self.take((row - self.rows.start) * self.frame.columns + column, value, distance)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, cell: usize, value: f64, distance: f64) -> Result<(), u64> {
+        self.count[cell] = self.count[cell].saturating_add(1);
+        if let Some(sum) = self.sum.get_mut(cell) {
+            *sum = sum.saturating_add(fixed(value));
+        }
+        if let Some([sum, squares]) = self.squares.get_mut(cell) {
+            let steps = (value * SQUARE_STEPS).round() as i128;
+            *sum = sum.saturating_add(steps);
+            *squares = squares.saturating_add(steps.saturating_mul(steps));
+        }
+        if let Some([values, weights]) = self.weighted.get_mut(cell) {
+            if distance > 0.0 {
+                let weight = distance.powf(-self.power);
+                *values = values.saturating_add(fixed(value * weight));
+                *weights = weights.saturating_add(fixed(weight));
+            } else {
+                let (sum, count) = &mut self.centred[cell];
+                *sum = sum.saturating_add(fixed(value));
+                *count += 1;
+            }
+        }
+        if let Some(min) = self.min.get_mut(cell) {
+            *min = min.min(value);
+        }
+        if let Some(max) = self.max.get_mut(cell) {
+            *max = max.max(value);
+        }
+        if let Some(values) = &mut self.values {
+            if values.len() == self.most_values {
+                return Err(values.len() as u64 * 32);
+            }
+            values.push((cell as u32, value));
+        }
+        Ok(())
+    }
+
+    /// Appends the counts, then each statistic, to the planes; NaN where no point is.
+    pub fn finish(mut self, stats: &[(String, Stat)], planes: &mut [Plane]) -> std::io::Result<()> {
+        let cells = self.count.len();
+        let of = |cell: usize, value: f64| if self.count[cell] == 0 { f64::NAN } else { value };
+        let counts: Vec<f64> = self.count.iter().map(|&count| f64::from(count)).collect();
+        planes[0].append(&counts)?;
+        for ((_, stat), plane) in stats.iter().zip(&mut planes[1..]) {
+            let result: Vec<f64> = match stat {
+                Stat::Count => counts.clone(),
+                Stat::Mean => (0..cells).map(|i| of(i, self.sum[i] as f64 / STEPS / counts[i])).collect(),
+                Stat::Min => (0..cells).map(|i| of(i, self.min[i])).collect(),
+                Stat::Max => (0..cells).map(|i| of(i, self.max[i])).collect(),
+                Stat::Deviation => (0..cells).map(|i| of(i, deviation(self.squares[i], self.count[i]))).collect(),
+                Stat::Idw => (0..cells)
+                    .map(|i| {
+                        let ([values, weights], (sum, count)) = (self.weighted[i], self.centred[i]);
+                        let value = if count > 0 {
+                            sum as f64 / STEPS / f64::from(count)
+                        } else {
+                            values as f64 / weights as f64
+                        };
+                        of(i, value)
+                    })
+                    .collect(),
+                Stat::Median => {
+                    let mut medians = vec![f64::NAN; cells];
+                    let values = self.values.as_mut().map(std::mem::take).unwrap_or_default();
+                    fill_medians(values, &mut medians);
+                    self.values = None;
+                    medians
+                }
+            };
+            plane.append(&result)?;
+        }
+        Ok(())
+    }
+}
+
+/// √(n Σv² − (Σv)²) / n, in whole numbers as long as they fit.
+fn deviation([sum, squares]: [i128; 2], count: u32) -> f64 {
+    let n = i128::from(count);
+    let spread = match (squares.checked_mul(n), sum.checked_mul(sum)) {
+        (Some(all), Some(mean)) => (all - mean) as f64,
+        _ => squares as f64 * n as f64 - sum as f64 * sum as f64,
+    };
+    spread.max(0.0).sqrt() / n as f64 / SQUARE_STEPS
+}
+
+fn fill_medians(mut values: Vec<(u32, f64)>, medians: &mut [f64]) {
+    values.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    for run in values.chunk_by(|a, b| a.0 == b.0) {
+        let middle = run.len() / 2;
+        let median = if run.len() % 2 == 1 { run[middle].1 } else { (run[middle - 1].1 + run[middle].1) / 2.0 };
+        medians[run[0].0 as usize] = median;
+    }
+}

@@ -1,0 +1,379 @@
+//! Grids of what points carry: every cell takes the points nearer to its centre than a radius, as PDAL's `writers.gdal`
+//! does; holes are filled by inverse distance (Shepard, *A two-dimensional interpolation function for irregularly-spaced
+//! data*, 1968).
+//!
+//! Sums are whole numbers of fixed steps, so that the order of points changes nothing. Rows are worked on in strips that fit
+//! the memory; points near the border of strips go to both.
+
+mod accumulate;
+mod plane;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::crop;
+use crate::error::{Error, Result};
+use crate::io::{self, Header};
+use crate::schema::{Batch, Field};
+use crate::tiles::Scratch;
+
+use accumulate::Strip;
+use plane::{Plane, PointFile};
+pub use write::output_paths;
+
+const BATCH: usize = 1 << 14;
+const BASE_BYTES: u64 = 80 << 20;
+
+/// What is made of the points of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stat {
+    Mean,
+    Median,
+    Min,
+    Max,
+    Count,
+    /// With divisor n.
+    Deviation,
+    /// Weighted by the inverse distance to the centre.
+    Idw,
+}
+
+impl Stat {
+    /// # Errors
+    /// When no statistic has that name.
+    pub fn read(name: &str) -> Result<Stat> {
+        Ok(match name.trim().to_ascii_lowercase().as_str() {
+            "mean" => Stat::Mean,
+            "median" => Stat::Median,
+            "min" => Stat::Min,
+            "max" => Stat::Max,
+            "count" => Stat::Count,
+            "stdev" | "std" | "stddev" => Stat::Deviation,
+            "idw" => Stat::Idw,
+            other => {
+                let remedy = "choose among mean, median, min, max, count, stdev and idw";
+                return Err(Error::usage(format!("--stat: `{other}` is no statistic"), remedy));
+            }
+        })
+    }
+}
+
+/// A value of the points to be gridded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dimension {
+    pub name: String,
+    pub radius_m: f64,
+}
+
+/// Where cells begin, and how holes are weighed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Manner {
+    /// Edges on multiples of the cell; Euclidean distances.
+    Snapped,
+    /// Edges from the cloud's least x and y; the larger of both differences of cells.
+    Pdal,
+}
+
+/// Which points count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noise {
+    /// Classes 7 and 18 are left out.
+    LeaveOut,
+    Keep,
+}
+
+/// How clouds are gridded.
+#[derive(Clone, Debug)]
+pub struct Options {
+    pub cell_m: f64,
+    /// With the names that files get.
+    pub stats: Vec<(String, Stat)>,
+    pub dimensions: Vec<Dimension>,
+    /// Cells to each side of a hole that fill it; 0 fills none.
+    pub fill_cells: usize,
+    /// Exponent of the inverse distance.
+    pub power: f64,
+    pub manner: Manner,
+    pub noise: Noise,
+    /// Map coordinates less the file's; `None` takes what the file says.
+    pub shift: Option<[f64; 3]>,
+    /// For the dimension `range` when the cloud has none.
+    pub camera: Option<[f64; 3]>,
+    pub memory_bytes: u64,
+    pub scratch: PathBuf,
+    /// WKT for clouds that have no reference system.
+    pub crs_wkt: Option<String>,
+}
+
+/// Where the cells lie.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Frame {
+    pub columns: usize,
+    pub rows: usize,
+    pub west: f64,
+    pub north: f64,
+    pub cell_m: f64,
+}
+
+impl Frame {
+    fn new(min: [f64; 2], max: [f64; 2], cell: f64, manner: Manner) -> Option<Frame> {
+        let (west, south) = match manner {
+            Manner::Snapped => ((min[0] / cell).floor() * cell, (min[1] / cell).floor() * cell),
+            Manner::Pdal => (min[0], min[1]),
+        };
+        let count = |extent: f64| {
+            let cells = (extent / cell).floor() + 1.0;
+            (cells < f64::from(i32::MAX)).then_some(cells as usize)
+        };
+        let (columns, rows) = (count(max[0] - west)?, count(max[1] - south)?);
+        Some(Frame { columns, rows, west, north: south + rows as f64 * cell, cell_m: cell })
+    }
+
+    /// Centre of a column, or of a row.
+    fn x(&self, column: usize) -> f64 {
+        self.west + (column as f64 + 0.5) * self.cell_m
+    }
+    fn y(&self, row: usize) -> f64 {
+        // From the south, so that edges on multiples of the cell stay there to the last bit.
+        let south = self.north - self.rows as f64 * self.cell_m;
+        south + ((self.rows - 1 - row) as f64 + 0.5) * self.cell_m
+    }
+    /// Rows whose centre may lie within `radius` of `y`.
+    fn rows_near(&self, y: f64, radius: f64) -> std::ops::Range<usize> {
+        near((self.north - y) / self.cell_m, radius / self.cell_m, self.rows)
+    }
+    fn columns_near(&self, x: f64, radius: f64) -> std::ops::Range<usize> {
+        near((x - self.west) / self.cell_m, radius / self.cell_m, self.columns)
+    }
+}
+
+/// One cell more than needed on both sides: the distance has the last word.
+fn near(at: f64, reach: f64, count: usize) -> std::ops::Range<usize> {
+    let low = (at - reach - 1.5).max(0.0) as usize;
+    let high = ((at + reach + 1.5).max(0.0) as usize).min(count);
+    low.min(high)..high
+}
+
+/// Where a dimension's value comes from.
+enum Source {
+    X,
+    Y,
+    Z,
+    Range([f64; 3]),
+    Field(Field),
+    Grey([Field; 3]),
+}
+
+impl Source {
+    fn find(path: &Path, name: &str, header: &Header, options: &Options) -> Result<Source> {
+        let schema = &header.schema;
+        let any = |names: &[&str]| names.iter().find_map(|name| schema.field(name)).cloned();
+        let found = match name {
+            "x" => Some(Source::X),
+            "y" => Some(Source::Y),
+            "z" => Some(Source::Z),
+            "range" if options.camera.is_some() => options.camera.map(Source::Range),
+            "intensity" => any(&["intensity", "scalar_intensity", "grey", "gray"]).map(Source::Field).or_else(|| {
+                match (any(&["red", "r"]), any(&["green", "g"]), any(&["blue", "b"])) {
+                    (Some(red), Some(green), Some(blue)) => Some(Source::Grey([red, green, blue])),
+                    _ => None,
+                }
+            }),
+            name => any(&[name, &format!("scalar_{name}")]).map(Source::Field),
+        };
+        found.ok_or_else(|| {
+            let mut names: Vec<&str> = vec!["x", "y", "z"];
+            names.extend(schema.fields.iter().map(|field| field.name.as_str()));
+            names.dedup();
+            let remedy = match name {
+                "range" => "give --range-from E,N,H".to_string(),
+                _ => format!("it has {}", names.join(", ")),
+            };
+            Error::usage(format!("{}: --dimension: it carries no `{name}`", path.display()), remedy)
+        })
+    }
+
+    fn value(&self, map: [f64; 3], raw: &[u8]) -> f64 {
+        match self {
+            Source::X => map[0],
+            Source::Y => map[1],
+            Source::Z => map[2],
+            Source::Range(camera) => crop::distance(map, *camera),
+            Source::Field(field) => field.value(raw),
+            Source::Grey(fields) => fields.iter().map(|field| field.value(raw)).sum::<f64>() / 3.0,
+        }
+    }
+}
+
+/// What was written for a cloud.
+#[derive(Clone, Debug, Serialize)]
+pub struct GridReport {
+    pub input: PathBuf,
+    pub points: u64,
+    /// Noise and values that are no numbers.
+    pub points_left_out: u64,
+    pub frame: Frame,
+    pub crs: Option<String>,
+    pub strips: usize,
+    pub cells_with_points: Vec<u64>,
+    pub files_written: Vec<PathBuf>,
+    pub seconds: f64,
+}
+
+/// Reads all points of a cloud in map coordinates; answers how many were left out.
+fn each_point(
+    path: &Path,
+    options: &Options,
+    mut each: impl FnMut([f64; 3], &[u8]) -> Result<()>,
+) -> Result<(u64, u64)> {
+    let (header, mut reader) = io::open(path)?;
+    let shift = options.shift.or(header.shift).unwrap_or([0.0; 3]);
+    let class = header.schema.field("classification").filter(|_| options.noise == Noise::LeaveOut);
+    let mut batch = Batch::default();
+    let (mut points, mut left_out) = (0, 0);
+    loop {
+        reader.read(&mut batch, BATCH)?;
+        if batch.is_empty() {
+            return Ok((points, left_out));
+        }
+        for (index, xyz) in batch.xyz.iter().enumerate() {
+            points += 1;
+            let raw = batch.record(&header.schema, index);
+            if !xyz.iter().all(|value| value.is_finite()) {
+                let [x, y, z] = xyz;
+                let what = format!("the coordinates ({x}, {y}, {z}) are not finite");
+                return Err(Error::format(path, format!("point {points}"), what));
+            }
+            if class.is_some_and(|field| matches!(field.value(raw) as u8, 7 | 18)) {
+                left_out += 1;
+                continue;
+            }
+            each([0, 1, 2].map(|axis| xyz[axis] + shift[axis]), raw)?;
+        }
+    }
+}
+
+/// Grids one cloud into `folder`; files appear whole or not at all.
+///
+/// # Errors
+/// Bad input, dimensions that the cloud does not carry, a grid without bounds, a full disk.
+pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport> {
+    let began = std::time::Instant::now();
+    let (header, _) = io::open(path)?;
+    let sources: Vec<Source> = options
+        .dimensions
+        .iter()
+        .map(|dimension| Source::find(path, &dimension.name, &header, options))
+        .collect::<Result<_>>()?;
+    let mut min = [f64::INFINITY; 2];
+    let mut max = [f64::NEG_INFINITY; 2];
+    let (points, mut left_out) = each_point(path, options, |map, _| {
+        for axis in 0..2 {
+            min[axis] = min[axis].min(map[axis]);
+            max[axis] = max[axis].max(map[axis]);
+        }
+        Ok(())
+    })?;
+    if min[0] > max[0] {
+        let what = if points == 0 { "there are none" } else { "all of them are noise; take them in with --keep-noise" };
+        return Err(Error::format(path, "points", what));
+    }
+    let too_wide = |needed: u64| Error::Limit {
+        what: format!("{}: a grid of {:.0} × {:.0} m", path.display(), max[0] - min[0], max[1] - min[1]),
+        needed,
+        allowed: options.memory_bytes,
+        remedy: "raise --cell or --memory, or clean the cloud first".into(),
+    };
+    let frame = Frame::new(min, max, options.cell_m, options.manner).ok_or_else(|| too_wide(u64::MAX))?;
+    let budget = options.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20);
+    let cell_bytes = Strip::cell_bytes(&options.stats) * sources.len() as u64;
+    let row_bytes = frame.columns as u64 * cell_bytes;
+    let strip_rows = (budget / 2 / row_bytes.max(1)).min(frame.rows as u64) as usize;
+    if strip_rows == 0 {
+        return Err(too_wide(row_bytes * 2));
+    }
+    let strips = frame.rows.div_ceil(strip_rows);
+    let median_entries = (budget / 4 / 16) as usize;
+
+    let mut scratch = Scratch::new(&options.scratch)?;
+    let mut planes: Vec<Vec<Plane>> = Vec::new();
+    for _ in &sources {
+        let row: Result<Vec<Plane>> =
+            (0..=options.stats.len()).map(|_| Plane::new(&mut scratch, frame.columns)).collect();
+        planes.push(row?);
+    }
+    let new_strip = |number: usize| {
+        let begin = number * strip_rows;
+        let rows = begin..(begin + strip_rows).min(frame.rows);
+        sources.iter().map(|_| Strip::new(frame, rows.clone(), options, median_entries)).collect::<Vec<_>>()
+    };
+    let take = |strip: &mut [Strip], map: [f64; 3], values: &[f64]| -> Result<()> {
+        for ((strip, &value), dimension) in strip.iter_mut().zip(values).zip(&options.dimensions) {
+            strip.add([map[0], map[1]], value, dimension.radius_m).map_err(|needed| Error::Limit {
+                what: format!("{}: the median of so many points a cell", path.display()),
+                needed,
+                allowed: median_entries as u64 * 16,
+                remedy: "raise --memory, or leave median out".into(),
+            })?;
+        }
+        Ok(())
+    };
+    let mut values = vec![0.0; sources.len()];
+    let mut invalid = 0;
+    let finish = |strip: Vec<Strip>, planes: &mut Vec<Vec<Plane>>| -> Result<()> {
+        for (strip, planes) in strip.into_iter().zip(planes) {
+            strip.finish(&options.stats, planes).map_err(|e| scratch.error("write scratch data to", e))?;
+        }
+        Ok(())
+    };
+    if strips == 1 {
+        let mut strip = new_strip(0);
+        each_point(path, options, |map, raw| {
+            values.iter_mut().zip(&sources).for_each(|(value, source)| *value = source.value(map, raw));
+            if values.iter().all(|value| value.is_finite()) {
+                take(&mut strip, map, &values)
+            } else {
+                invalid += 1;
+                Ok(())
+            }
+        })?;
+        finish(strip, &mut planes)?;
+    } else {
+        let reach = options.dimensions.iter().map(|dimension| dimension.radius_m).fold(0.0, f64::max);
+        let mut files: Vec<PointFile> =
+            (0..strips).map(|_| PointFile::new(&options.scratch, 2 + sources.len())).collect::<Result<_>>()?;
+        each_point(path, options, |map, raw| {
+            values.iter_mut().zip(&sources).for_each(|(value, source)| *value = source.value(map, raw));
+            if !values.iter().all(|value| value.is_finite()) {
+                invalid += 1;
+                return Ok(());
+            }
+            let rows = frame.rows_near(map[1], reach);
+            for strip in rows.start / strip_rows..rows.end.div_ceil(strip_rows).min(strips) {
+                files[strip].push(&[map[0], map[1]], &values)?;
+            }
+            Ok(())
+        })?;
+        for (number, file) in files.into_iter().enumerate() {
+            let mut strip = new_strip(number);
+            file.each(|record| take(&mut strip, [record[0], record[1], 0.0], &record[2..]))?;
+            finish(strip, &mut planes)?;
+        }
+    }
+    left_out += invalid;
+    let crs = header.crs.clone().or_else(|| options.crs_wkt.clone());
+    let (files_written, cells_with_points) = write::write(path, folder, &frame, &mut planes, options, crs.as_deref())?;
+    Ok(GridReport {
+        input: path.to_path_buf(),
+        points,
+        points_left_out: left_out,
+        frame,
+        crs: header.crs,
+        strips,
+        cells_with_points,
+        files_written,
+        seconds: began.elapsed().as_secs_f64(),
+    })
+}

@@ -1,0 +1,77 @@
+//! Rows and points on the scratch disk.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+
+use crate::error::{Error, Result};
+use crate::schema::array;
+use crate::tiles::Scratch;
+
+/// Rows of numbers, appended once and read at will.
+pub(super) struct Plane {
+    file: File,
+    columns: usize,
+    rows: u64,
+}
+
+impl Plane {
+    pub fn new(scratch: &mut Scratch, columns: usize) -> Result<Plane> {
+        Ok(Plane { file: scratch.file()?, columns, rows: 0 })
+    }
+
+    /// Whole rows.
+    pub fn append(&mut self, values: &[f64]) -> std::io::Result<()> {
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        self.file.write_all_at(&bytes, self.rows * self.columns as u64 * 8)?;
+        self.rows += (values.len() / self.columns) as u64;
+        Ok(())
+    }
+
+    pub fn read(&self, row: usize, rows: usize) -> std::io::Result<Vec<f64>> {
+        let mut bytes = vec![0; rows * self.columns * 8];
+        self.file.read_exact_at(&mut bytes, row as u64 * self.columns as u64 * 8)?;
+        Ok(bytes.chunks_exact(8).map(|bytes| f64::from_le_bytes(array(bytes))).collect())
+    }
+}
+
+/// Records of numbers, written once and read once.
+pub(super) struct PointFile {
+    file: BufWriter<File>,
+    numbers: usize,
+}
+
+impl PointFile {
+    pub fn new(parent: &Path, numbers: usize) -> Result<PointFile> {
+        let file = tempfile::tempfile_in(parent).map_err(|e| Error::io(parent, "make a scratch file in", e))?;
+        Ok(PointFile { file: BufWriter::with_capacity(1 << 16, file), numbers })
+    }
+
+    pub fn push(&mut self, place: &[f64; 2], values: &[f64]) -> Result<()> {
+        for value in place.iter().chain(values) {
+            self.file
+                .write_all(&value.to_le_bytes())
+                .map_err(|e| Error::usage(format!("the scratch disk cannot be written: {e}"), "choose another --scratch"))?;
+        }
+        Ok(())
+    }
+
+    pub fn each(self, mut each: impl FnMut(&[f64]) -> Result<()>) -> Result<()> {
+        let failed = |e: std::io::Error| {
+            Error::usage(format!("the scratch disk cannot be read: {e}"), "choose another --scratch")
+        };
+        let mut file = self.file.into_inner().map_err(|e| failed(e.into_error()))?;
+        let bytes = file.stream_position().map_err(failed)?;
+        file.seek(SeekFrom::Start(0)).map_err(failed)?;
+        let mut reader = BufReader::with_capacity(1 << 20, file);
+        let mut record = vec![0; 8 * self.numbers];
+        let mut values = vec![0.0; self.numbers];
+        for _ in 0..bytes / record.len() as u64 {
+            reader.read_exact(&mut record).map_err(failed)?;
+            values.iter_mut().zip(record.chunks_exact(8)).for_each(|(value, bytes)| *value = f64::from_le_bytes(array(bytes)));
+            each(&values)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,223 @@
+//! Planes as Cloud Optimized GeoTIFFs, with holes filled.
+
+use std::path::{Path, PathBuf};
+
+use autoref_raster::atomic::Transaction;
+use autoref_raster::crs::Crs;
+use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::{Dataset, DriverManager, Metadata};
+
+use super::plane::Plane;
+use super::{Frame, Manner, Options, Stat};
+use crate::error::{Error, Result};
+
+/// Rows written at a time: whole tiles of a GeoTIFF.
+const ROWS: usize = 256;
+/// What GDAL and PDAL take for elevation models.
+const NODATA: f64 = -9999.0;
+
+/// What is in a band.
+enum Content {
+    /// A statistic as measured.
+    Plane(usize),
+    /// A statistic with its holes filled.
+    Filled(usize),
+    /// 0 a measured cell, 1 a filled one, 2 an empty one.
+    Flag,
+    Count,
+}
+
+/// The files that a cloud's grids get: `STEM_DIMENSION_STAT.tif`, and `STEM_DIMENSION_filled.tif`.
+pub fn output_paths(cloud: &Path, folder: &Path, options: &Options) -> Vec<PathBuf> {
+    let stem = stem(cloud);
+    let mut paths = Vec::new();
+    for dimension in &options.dimensions {
+        for (name, _) in &options.stats {
+            paths.push(folder.join(format!("{stem}_{}_{name}.tif", dimension.name)));
+        }
+        if fills(options) {
+            paths.push(folder.join(format!("{stem}_{}_filled.tif", dimension.name)));
+        }
+    }
+    paths
+}
+
+fn fills(options: &Options) -> bool {
+    options.fill_cells > 0 && options.stats.iter().any(|(_, stat)| *stat != Stat::Count)
+}
+
+fn stem(cloud: &Path) -> String {
+    let name = cloud.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = name.strip_suffix(".copc.laz").map(String::from).unwrap_or(name);
+    Path::new(&name).file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Writes all grids of a cloud, all of them or none.
+pub(super) fn write(
+    cloud: &Path,
+    folder: &Path,
+    frame: &Frame,
+    planes: &mut [Vec<Plane>],
+    options: &Options,
+    crs: Option<&str>,
+) -> Result<(Vec<PathBuf>, Vec<u64>)> {
+    let wkt = crs.map(|text| Crs::parse(text).map(|crs| crs.wkt().to_string())).transpose()?;
+    let stem = stem(cloud);
+    let mut files = Transaction::new();
+    let mut with_points = Vec::new();
+    for (dimension, planes) in options.dimensions.iter().zip(planes) {
+        with_points.push(count_cells(frame, &planes[0]).map_err(|e| scratch(options, e))?);
+        let target = |name: &str| folder.join(format!("{stem}_{}_{name}.tif", dimension.name));
+        let grid = Grid { frame, planes, options, wkt: wkt.as_deref(), dimension: &dimension.name };
+        for (index, (name, stat)) in options.stats.iter().enumerate() {
+            let content = if *stat == Stat::Count { Content::Count } else { Content::Plane(index + 1) };
+            files.stage(&target(name), |path| grid.write(path, &[(content, name.clone())]))?;
+        }
+        if fills(options) {
+            let mut bands = Vec::new();
+            let valued = options.stats.iter().enumerate().filter(|(_, (_, stat))| *stat != Stat::Count);
+            for (index, (name, _)) in valued {
+                bands.push((Content::Filled(index + 1), format!("{name}, holes filled")));
+            }
+            bands.insert(1, (Content::Flag, "0 measured, 1 filled, 2 empty".into()));
+            bands.insert(2, (Content::Count, "count".into()));
+            files.stage(&target("filled"), |path| grid.write(path, &bands))?;
+        }
+    }
+    let paths = output_paths(cloud, folder, options);
+    files.commit()?;
+    Ok((paths, with_points))
+}
+
+fn scratch(options: &Options, error: std::io::Error) -> Error {
+    Error::io(&options.scratch, "read scratch data from", error)
+}
+
+fn count_cells(frame: &Frame, counts: &Plane) -> std::io::Result<u64> {
+    let mut cells = 0;
+    for row in (0..frame.rows).step_by(ROWS) {
+        let rows = ROWS.min(frame.rows - row);
+        cells += counts.read(row, rows)?.iter().filter(|&&count| count > 0.0).count() as u64;
+    }
+    Ok(cells)
+}
+
+struct Grid<'a> {
+    frame: &'a Frame,
+    planes: &'a [Plane],
+    options: &'a Options,
+    wkt: Option<&'a str>,
+    dimension: &'a str,
+}
+
+impl Grid<'_> {
+    fn write(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
+        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let plain = path.with_extension("plain.tif");
+        let made = self.write_plain(&plain, bands).and_then(|()| {
+            let cog = DriverManager::get_driver_by_name("COG").map_err(failed)?;
+            let source = Dataset::open(&plain).map_err(failed)?;
+            let settings = RasterCreationOptions::from_iter([
+                "COMPRESS=DEFLATE",
+                "BIGTIFF=IF_SAFER",
+                "NUM_THREADS=1",
+                "RESAMPLING=NEAREST",
+            ]);
+            let copy = source.create_copy(&cog, path, &settings).map_err(failed)?;
+            copy.close().map_err(failed)
+        });
+        let _ = std::fs::remove_file(&plain);
+        made
+    }
+
+    fn write_plain(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
+        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
+        let settings = RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
+        let (columns, rows) = (self.frame.columns, self.frame.rows);
+        let mut file = driver
+            .create_with_band_type_with_options::<f32, _>(path, columns, rows, bands.len(), &settings)
+            .map_err(failed)?;
+        let cell = self.frame.cell_m;
+        file.set_geo_transform(&[self.frame.west, cell, 0.0, self.frame.north, 0.0, -cell]).map_err(failed)?;
+        if let Some(wkt) = self.wkt {
+            file.set_projection(wkt).map_err(failed)?;
+        }
+        file.set_metadata_item("DIMENSION", self.dimension, "").map_err(failed)?;
+        for (index, (content, name)) in bands.iter().enumerate() {
+            let mut band = file.rasterband(index + 1).map_err(failed)?;
+            band.set_description(name).map_err(failed)?;
+            // All bands of a GeoTIFF share one value for nothing; counts and flags never take it.
+            band.set_no_data_value(Some(NODATA)).map_err(failed)?;
+            for begin in (0..rows).step_by(ROWS) {
+                let count = ROWS.min(rows - begin);
+                let values = self.rows(content, begin, count).map_err(|e| scratch(self.options, e))?;
+                let values: Vec<f32> =
+                    values.into_iter().map(|value| if value.is_nan() { NODATA as f32 } else { value as f32 }).collect();
+                let mut buffer = Buffer::new((columns, count), values);
+                band.write((0, begin as isize), (columns, count), &mut buffer).map_err(failed)?;
+            }
+        }
+        file.close().map_err(failed)
+    }
+
+    fn rows(&self, content: &Content, begin: usize, count: usize) -> std::io::Result<Vec<f64>> {
+        match content {
+            Content::Plane(plane) => self.planes[*plane].read(begin, count),
+            Content::Count => self.planes[0].read(begin, count),
+            Content::Filled(plane) => self.filled(&self.planes[*plane], begin, count),
+            Content::Flag => {
+                let counts = self.planes[0].read(begin, count)?;
+                // Which statistic is filled makes no difference to where.
+                let first = 1 + self.options.stats.iter().position(|(_, stat)| *stat != Stat::Count).unwrap_or(0);
+                let filled = self.filled(&self.planes[first], begin, count)?;
+                let flag = |(count, value): (&f64, &f64)| match (*count > 0.0, value.is_nan()) {
+                    (true, _) => 0.0,
+                    (false, false) => 1.0,
+                    (false, true) => 2.0,
+                };
+                Ok(counts.iter().zip(&filled).map(flag).collect())
+            }
+        }
+    }
+
+    /// Cells without a value get the mean of their neighbours in the window, weighed by inverse distance.
+    fn filled(&self, plane: &Plane, begin: usize, count: usize) -> std::io::Result<Vec<f64>> {
+        let reach = self.options.fill_cells;
+        let first = begin.saturating_sub(reach);
+        let last = (begin + count + reach).min(self.frame.rows);
+        let values = plane.read(first, last - first)?;
+        let columns = self.frame.columns;
+        let mut out = values[(begin - first) * columns..(begin - first + count) * columns].to_vec();
+        for row in 0..count {
+            for column in 0..columns {
+                if !out[row * columns + column].is_nan() {
+                    continue;
+                }
+                let centre = row + begin - first;
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for y in centre.saturating_sub(reach)..(centre + reach + 1).min(last - first) {
+                    for x in column.saturating_sub(reach)..(column + reach + 1).min(columns) {
+                        let value = values[y * columns + x];
+                        if !value.is_nan() {
+                            let weight = self.weight(x.abs_diff(column), y.abs_diff(centre));
+                            sum += weight * value;
+                            weights += weight;
+                        }
+                    }
+                }
+                if weights > 0.0 {
+                    out[row * columns + column] = sum / weights;
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    fn weight(&self, columns: usize, rows: usize) -> f64 {
+        match self.options.manner {
+            Manner::Snapped => ((columns * columns + rows * rows) as f64).sqrt().powf(-self.options.power),
+            Manner::Pdal => 1.0 / columns.max(rows) as f64,
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! LAS and LAZ, read record by record; records are kept as they are.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use laz::{LasZipDecompressor, LazVlr};
+
+use super::las_header::LasHeader;
+use super::{Format, Header, PointReader, Precision};
+use crate::error::{Error, Result};
+use crate::schema::{Batch, array};
+
+enum Source {
+    Plain(BufReader<File>),
+    Packed(Box<LasZipDecompressor<'static, BufReader<File>>>),
+}
+
+struct LasReader {
+    path: PathBuf,
+    source: Source,
+    scale: [f64; 3],
+    offset: [f64; 3],
+    record_bytes: usize,
+    points: u64,
+    read: u64,
+}
+
+pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let file_bytes = file.metadata().map_err(|e| Error::io(path, "open", e))?.len();
+    let mut reader = BufReader::with_capacity(1 << 20, file);
+    let header = LasHeader::read(path, &mut reader, file_bytes)?;
+    reader.seek(SeekFrom::Start(header.points_offset)).map_err(|e| Error::io(path, "seek", e))?;
+    let source = if header.compressed {
+        unpack(path, &header, reader, file_bytes)?
+    } else {
+        let there = (file_bytes - header.points_offset) / header.record_bytes as u64;
+        if there < header.points {
+            let what = format!("the header counts {} points, the file holds {there}: it is truncated", header.points);
+            return Err(Error::format(path, "points", what));
+        }
+        Source::Plain(reader)
+    };
+    let format = if header.compressed { Format::Laz } else { Format::Las };
+    let copc = header.vlr("copc", 1).map_or("", |_| ", COPC");
+    let described = Header {
+        format,
+        points: Some(header.points),
+        schema: header.schema(),
+        precision: Precision::Steps(header.scale),
+        crs: header.crs(),
+        shift: None,
+        description: format!("{} 1.{}, point format {}{copc}", format.name(), header.minor, header.point_format),
+        las: Some(header.clone()),
+    };
+    let reader = LasReader {
+        path: path.to_path_buf(),
+        source,
+        scale: header.scale,
+        offset: header.offset,
+        record_bytes: header.record_bytes,
+        points: header.points,
+        read: 0,
+    };
+    Ok((described, Box::new(reader)))
+}
+
+fn unpack(path: &Path, header: &LasHeader, mut reader: BufReader<File>, file_bytes: u64) -> Result<Source> {
+    let bad = |what: String| Error::format(path, "LASzip record", what);
+    let vlr = header.vlr("laszip encoded", 22_204).ok_or_else(|| bad("points are packed but it is missing".into()))?;
+    let vlr = LazVlr::from_buffer(&vlr.content).map_err(|e| bad(e.to_string()))?;
+    if vlr.items_size() != header.record_bytes as u64 {
+        let what = format!("it packs {} bytes a point, the header says {}", vlr.items_size(), header.record_bytes);
+        return Err(bad(what));
+    }
+    check_chunk_table(path, header, &mut reader, file_bytes)?;
+    let unpacker = guarded(|| LasZipDecompressor::new(reader, vlr).map_err(|e| e.to_string())).map_err(bad)?;
+    Ok(Source::Packed(Box::new(unpacker)))
+}
+
+/// An untrusted count of chunks must not decide how much memory is taken.
+fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<File>, file_bytes: u64) -> Result<()> {
+    let io = |e| Error::io(path, "read the chunk table", e);
+    let mut word = [0; 8];
+    if header.points == 0 || reader.read_exact(&mut word).is_err() {
+        reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
+        return Ok(());
+    }
+    let mut at = i64::from_le_bytes(word);
+    if at == -1 && reader.seek(SeekFrom::End(-8)).is_ok() && reader.read_exact(&mut word).is_ok() {
+        at = i64::from_le_bytes(word);
+    }
+    let inside = u64::try_from(at).ok().filter(|&at| at >= header.points_offset && at.saturating_add(8) <= file_bytes);
+    if let Some(at) = inside {
+        reader.seek(SeekFrom::Start(at)).map_err(io)?;
+        reader.read_exact(&mut word).map_err(io)?;
+        let chunks = u32::from_le_bytes(array(&word[4..]));
+        if u64::from(chunks) > header.points.max(file_bytes) {
+            return Err(Error::format(path, format!("chunk table at byte {at}"), format!("{chunks} chunks")));
+        }
+    }
+    reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
+    Ok(())
+}
+
+/// The unpacker gives up by a panic on some corrupt data: that becomes an error like any other.
+fn guarded<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    crate::quiet::quietly(|| catch_unwind(AssertUnwindSafe(work)))
+        .unwrap_or_else(|_| Err("the packed data are corrupt".into()))
+}
+
+impl PointReader for LasReader {
+    fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()> {
+        batch.clear();
+        let count = (self.points - self.read).min(limit as u64) as usize;
+        if count == 0 {
+            return Ok(());
+        }
+        batch.raw.resize(count * self.record_bytes, 0);
+        let first = self.read + 1;
+        let last = self.read + count as u64;
+        let raw = &mut batch.raw[..];
+        match &mut self.source {
+            Source::Plain(reader) => reader.read_exact(raw).map_err(|e| e.to_string()),
+            Source::Packed(unpacker) => guarded(|| unpacker.decompress_many(raw).map_err(|e| e.to_string())),
+        }
+        .map_err(|what| {
+            let what = what.replace("failed to fill whole buffer", "the file ends before: it is truncated");
+            Error::format(&self.path, format!("points {first} to {last} of {}", self.points), what)
+        })?;
+        self.read = last;
+        let (scale, offset) = (self.scale, self.offset);
+        batch.xyz.extend(batch.raw.chunks_exact(self.record_bytes).map(|record| {
+            let step = |axis: usize| f64::from(i32::from_le_bytes(array(&record[4 * axis..])));
+            [0, 1, 2].map(|axis| step(axis) * scale[axis] + offset[axis])
+        }));
+        Ok(())
+    }
+}

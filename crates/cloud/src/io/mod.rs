@@ -1,0 +1,169 @@
+//! Clouds in files, read and written point by point.
+
+mod las;
+mod las_header;
+mod las_write;
+mod ply;
+mod ply_write;
+mod text;
+
+use std::path::Path;
+
+pub use las_header::LasHeader;
+
+use crate::error::{Error, Result};
+use crate::schema::{Batch, Schema};
+
+/// What a file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    Las,
+    Laz,
+    Ply,
+    Text,
+}
+
+impl Format {
+    pub fn name(self) -> &'static str {
+        match self {
+            Format::Las => "LAS",
+            Format::Laz => "LAZ",
+            Format::Ply => "PLY",
+            Format::Text => "text",
+        }
+    }
+}
+
+/// How finely a file stores its coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Precision {
+    Single,
+    Double,
+    /// Whole multiples of these steps.
+    Steps([f64; 3]),
+}
+
+/// What is known of a cloud before its points are read.
+#[derive(Clone, Debug)]
+pub struct Header {
+    pub format: Format,
+    /// As the file states it; text files do not.
+    pub points: Option<u64>,
+    pub schema: Schema,
+    pub precision: Precision,
+    /// WKT or `EPSG:n`.
+    pub crs: Option<String>,
+    /// Map coordinates less the file's, when the file says so.
+    pub shift: Option<[f64; 3]>,
+    /// What a LAS file says of itself.
+    pub las: Option<LasHeader>,
+    /// `LAS 1.4, point format 6` and the like.
+    pub description: String,
+}
+
+/// Reads points in the file's order.
+pub trait PointReader: Send {
+    /// Replaces the content of `batch` by the next points, at most `limit`; an empty batch is the end.
+    ///
+    /// # Errors
+    /// Truncated or corrupt files; the message names the point.
+    fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()>;
+}
+
+/// Opens a cloud: LAS, LAZ (also COPC) and PLY by their first bytes, everything else as a table of text.
+///
+/// # Errors
+/// When the file cannot be opened, or its header breaks the format's rules.
+pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
+    use std::io::Read;
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let metadata = file.metadata().map_err(|e| Error::io(path, "open", e))?;
+    if metadata.is_dir() {
+        return Err(Error::usage(format!("{}: is a folder", path.display()), "name its clouds one by one"));
+    }
+    let mut magic = Vec::new();
+    file.by_ref().take(8).read_to_end(&mut magic).map_err(|e| Error::io(path, "read", e))?;
+    drop(file);
+    if magic.is_empty() {
+        return Err(Error::format(path, "begin", "the file is empty"));
+    }
+    if magic.starts_with(b"LASF") {
+        las::open(path)
+    } else if magic.starts_with(b"ply\n") || magic.starts_with(b"ply\r") {
+        ply::open(path)
+    } else if magic.starts_with(b"ASTM-E57") {
+        Err(Error::unsupported(path, "E57", "convert it to LAZ or PLY first"))
+    } else {
+        text::open(path)
+    }
+}
+
+/// A cloud on its way to disk.
+pub trait PointWriter: Send {
+    /// Appends points: coordinates as in the source, its raw records, and the class and further values of each.
+    ///
+    /// # Errors
+    /// When the disk is full, or a coordinate does not fit the format.
+    fn write(&mut self, points: &[OutPoint<'_>]) -> Result<()>;
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// When the disk is full.
+    fn finish(self: Box<Self>) -> Result<u64>;
+}
+
+/// A point to write.
+pub struct OutPoint<'a> {
+    /// In the source's coordinates.
+    pub xyz: [f64; 3],
+    /// The source's record.
+    pub raw: &'a [u8],
+    /// `None` leaves the class as it came.
+    pub class: Option<u8>,
+    /// Distance from the camera.
+    pub range: Option<f64>,
+}
+
+/// What a writer has to know.
+pub struct Target<'a> {
+    pub source: &'a Header,
+    /// Map coordinates less the source's.
+    pub shift: [f64; 3],
+    /// Points that will be written.
+    pub points: u64,
+    /// Whether points carry a range.
+    pub with_range: bool,
+    /// In the source's coordinates.
+    pub min: [f64; 3],
+    pub max: [f64; 3],
+    /// WKT of the output when the source has none.
+    pub crs_wkt: Option<&'a str>,
+}
+
+/// Creates `path` in the format of `named`'s extension.
+///
+/// # Errors
+/// An extension that is not written, a file that cannot be created, coordinates that the format cannot hold.
+pub fn create(path: &Path, named: &Path, target: &Target<'_>) -> Result<Box<dyn PointWriter>> {
+    match format_of(named)? {
+        Format::Ply => ply_write::create(path, target),
+        format => las_write::create(path, target, format),
+    }
+}
+
+/// The format that an output's name asks for.
+///
+/// # Errors
+/// When it asks for none that is written.
+pub fn format_of(path: &Path) -> Result<Format> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if name.ends_with(".copc.laz") {
+        return Err(Error::unsupported(path, "writing COPC", "name the output .laz and index it with another program"));
+    }
+    match name.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("las") => Ok(Format::Las),
+        Some("laz") => Ok(Format::Laz),
+        Some("ply") => Ok(Format::Ply),
+        _ => Err(Error::unsupported(path, "this extension for a cloud", "name the output .laz, .las or .ply")),
+    }
+}

@@ -1,0 +1,141 @@
+//! Tables of text: x, y, z and further columns, separated by blanks, tabs, commas or semicolons.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use super::{Format, Header, PointReader, Precision};
+use crate::error::{Error, Result};
+use crate::schema::{Batch, Kind, Schema};
+
+const MOST_LINE_BYTES: u64 = 1 << 16;
+const MOST_COLUMNS: usize = 256;
+
+struct TextReader {
+    path: PathBuf,
+    file: BufReader<File>,
+    /// Of x, y and z among the columns.
+    axes: [usize; 3],
+    columns: usize,
+    line: u64,
+}
+
+fn words(line: &str) -> Vec<&str> {
+    if line.contains(',') || line.contains(';') {
+        line.split([',', ';']).map(|word| word.trim().trim_matches('"')).collect()
+    } else {
+        line.split_whitespace().map(|word| word.trim_matches('"')).collect()
+    }
+}
+
+fn is_remark(line: &str) -> bool {
+    let line = line.trim();
+    line.is_empty() || line.starts_with("//")
+}
+
+/// The next line with content.
+fn next_line(path: &Path, file: &mut BufReader<File>, line: &mut u64) -> Result<Option<String>> {
+    loop {
+        let mut bytes = Vec::new();
+        let read = file.take(MOST_LINE_BYTES).read_until(b'\n', &mut bytes).map_err(|e| Error::io(path, "read", e))?;
+        if read == 0 {
+            return Ok(None);
+        }
+        *line += 1;
+        if read as u64 == MOST_LINE_BYTES || bytes.contains(&0) {
+            let what = "this is neither LAS, LAZ, PLY nor a table of text";
+            return Err(Error::format(path, format!("line {line}"), what));
+        }
+        let text = String::from_utf8_lossy(&bytes);
+        let text = text.trim_start_matches('\u{feff}').trim();
+        if !is_remark(text) {
+            return Ok(Some(text.to_string()));
+        }
+    }
+}
+
+pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
+    let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+    let mut file = BufReader::with_capacity(1 << 20, file);
+    let mut line = 0;
+    let mut names: Option<Vec<String>> = None;
+    let columns = loop {
+        let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, line);
+        let Some(text) = next_line(path, &mut file, &mut line)? else { break names.as_ref().map_or(3, Vec::len) };
+        let text = text.trim_start_matches('#').trim();
+        let row = words(text);
+        if row.iter().all(|word| word.parse::<f64>().is_ok()) {
+            // PTS files begin with the number of points.
+            if row.len() == 1 && names.is_none() && row[0].parse::<u64>().is_ok() {
+                continue;
+            }
+            file.seek(std::io::SeekFrom::Start(before.0)).map_err(|e| Error::io(path, "seek", e))?;
+            line = before.1;
+            break row.len();
+        }
+        if names.is_some() || row.len() < 3 || row.iter().any(|word| word.parse::<f64>().is_ok()) {
+            let what = format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z");
+            return Err(Error::format(path, format!("line {line}"), what));
+        }
+        names = Some(row.iter().map(|word| word.to_ascii_lowercase()).collect());
+    };
+    if !(3..=MOST_COLUMNS).contains(&columns) {
+        return Err(Error::format(path, format!("line {}", line + 1), format!("{columns} columns; x, y, z are needed")));
+    }
+    let names = names.unwrap_or_else(|| {
+        let axes = ["x", "y", "z"].map(String::from);
+        axes.into_iter().chain((4..=columns).map(|number| format!("column_{number}"))).collect()
+    });
+    if names.len() != columns {
+        let what = format!("{columns} numbers below a head of {} columns", names.len());
+        return Err(Error::format(path, format!("line {}", line + 1), what));
+    }
+    let mut axes = [0; 3];
+    let known: [&[&str]; 3] =
+        [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
+    for (place, words) in axes.iter_mut().zip(known) {
+        *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
+            Error::format(path, "head", format!("no column `{}` among {}", words[0].to_uppercase(), names.join(", ")))
+        })?;
+    }
+    let mut schema = Schema::default();
+    for (index, name) in names.iter().enumerate() {
+        let axis = axes.iter().position(|&axis| axis == index);
+        schema.push(axis.map_or(name.as_str(), |axis| ["x", "y", "z"][axis]), Kind::F64);
+    }
+    let header = Header {
+        format: Format::Text,
+        points: None,
+        schema,
+        precision: Precision::Double,
+        crs: None,
+        shift: None,
+        las: None,
+        description: format!("text, {columns} columns"),
+    };
+    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line })))
+}
+
+impl PointReader for TextReader {
+    fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()> {
+        batch.clear();
+        while batch.len() < limit {
+            let Some(text) = next_line(&self.path, &mut self.file, &mut self.line)? else { break };
+            if text.starts_with('#') {
+                continue;
+            }
+            let row = words(&text);
+            let bad = |what: String| Error::format(&self.path, format!("line {}", self.line), what);
+            if row.len() != self.columns {
+                return Err(bad(format!("{} values, the lines before have {}", row.len(), self.columns)));
+            }
+            let begin = batch.raw.len();
+            for word in &row {
+                let value: f64 = word.parse().map_err(|_| bad(format!("`{word}` is no number")))?;
+                batch.raw.extend_from_slice(&value.to_le_bytes());
+            }
+            batch.xyz.push(self.axes.map(|axis| Kind::F64.read(&batch.raw[begin + 8 * axis..])));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,22 @@
+//! Point clouds, cleaned and gridded in streams: whatever their size, in bounded memory, with the same answer as if all
+//! points were in memory.
+
+pub mod clean;
+pub mod crop;
+pub mod elm;
+pub use autoref_raster::error;
+pub mod io;
+pub mod grid;
+pub mod isolated;
+pub mod kdtree;
+pub mod neighbours;
+pub mod outliers;
+pub mod params;
+mod quiet;
+pub mod schema;
+pub mod smrf;
+pub mod sum;
+pub mod summary;
+pub mod tiles;
+
+pub use error::{Error, Result};

@@ -1,0 +1,95 @@
+//! Against what PDAL, SciPy and Pingel's program say of the same files.
+
+mod common;
+
+use autoref_cloud::clean::Step;
+use autoref_cloud::smrf::{Options, };
+use common::{plan, run, shared};
+
+fn noise(file: &str, step: Step) -> Option<u64> {
+    let (report, _, classes) = run(&shared(file)?, &plan(vec![step]), "laz");
+    let flagged = classes.iter().filter(|&&class| class == 7).count() as u64;
+    println!("{file} {:?}", report.steps);
+    assert_eq!(report.steps[0].classified, flagged, "{file}");
+    Some(flagged)
+}
+
+#[test]
+fn outliers_of_pdal_and_scipy() {
+    let statistical = |neighbours, multiplier| Step::Outliers { neighbours, multiplier };
+    let radius = |radius_m, least| Step::Radius { radius_m, least };
+    let low = || Step::Low { cell_m: 10.0, gap_m: 1.0 };
+    for (file, step, expected) in [
+        ("pdal/autzen-point-format-3.las", statistical(2, 1.5), 106 - 96),
+        ("pdal/autzen-point-format-3.las", statistical(5, 0.0), 106 - 63),
+        ("pdal/autzen-point-format-3.las", radius(200.0, 1), 106 - 60),
+        ("pdal/autzen-point-format-3.las", radius(100.0, 2), 106 - 3),
+        ("pdal/autzen_trim.laz", statistical(8, 2.0), 4133),
+        ("pdal/warsaw_small.las", statistical(8, 2.0), 137),
+        ("coromandel/points_test.laz", statistical(8, 2.0), 382),
+        ("pdal/elm1.txt", low(), 2),
+        ("pdal/elm2.txt", low(), 7),
+    ] {
+        if let Some(found) = noise(file, step.clone()) {
+            assert_eq!(found, expected, "{file} {step:?}");
+        }
+    }
+}
+
+#[test]
+fn ground_of_pdal_without_return_numbers() {
+    let Some(path) = shared("pdal/utm17_1.txt") else { return };
+    let (report, _, classes) = run(&path, &plan(vec![Step::Ground(Options::default())]), "las");
+    assert_eq!(report.steps[0].ground, Some(10));
+    assert!(classes.iter().all(|&class| class == 2));
+}
+
+/// Total error and Cohen's kappa of classes against the labels in the file's fourth column, and the ground found.
+fn agreement(name: &str, options: Options) -> Option<(f64, f64, u64)> {
+    let path = shared(&format!("isprs/{name}.txt"))?;
+    let labels: Vec<bool> = std::fs::read_to_string(&path)
+        .expect("text")
+        .lines()
+        .filter(|line| !line.trim().is_empty())
+        .map(|line| line.split_whitespace().nth(3) == Some("0"))
+        .collect();
+    let (report, _, classes) = run(&path, &plan(vec![Step::Ground(options)]), "las");
+    let n = labels.len() as f64;
+    let count = |a: bool, b: bool| labels.iter().zip(&classes).filter(|(l, c)| **l == a && (**c == 2) == b).count() as f64;
+    let (gg, go, og, oo) = (count(true, true), count(true, false), count(false, true), count(false, false));
+    let agree = (gg + oo) / n;
+    let chance = ((gg + go) * (gg + og) + (og + oo) * (go + oo)) / (n * n);
+    Some((1.0 - agree, (agree - chance) / (1.0 - chance), report.steps[0].ground.expect("a ground step")))
+}
+
+#[test]
+fn ground_of_the_isprs_samples() {
+    // Slope, window, threshold, scaling; total error and kappa of the author's program, optimised and with one set for all.
+    let samples = [
+        ("samp11", [0.2, 16.0, 0.45, 1.2], (0.091897, 0.8123), (0.094949, 0.8065)),
+        ("samp12", [0.18, 12.0, 0.30, 0.95], (0.030296, 0.9394), (0.031984, 0.9360)),
+        ("samp22", [0.16, 18.0, 0.35, 1.3], (0.034856, 0.9189), (0.035253, 0.9178)),
+        ("samp31", [0.08, 15.0, 0.25, 1.5], (0.011780, 0.9763), (0.026124, 0.9472)),
+        ("samp42", [0.06, 49.0, 1.05, 0.0], (0.020438, 0.9516), (0.028420, 0.9330)),
+        ("samp53", [0.45, 3.0, 0.1, 3.8], (0.024056, 0.6822), (0.072285, 0.4792)),
+        ("samp54", [0.05, 11.0, 0.15, 2.3], (0.023931, 0.9519), (0.040428, 0.9191)),
+        ("samp61", [0.28, 5.0, 0.5, 1.45], (0.008813, 0.8697), (0.016999, 0.7840)),
+    ];
+    let mut kappas = [0.0, 0.0];
+    for (name, [slope, window_m, threshold_m, scaling], optimised, single) in samples {
+        let base = Options { cell_m: 1.0, low_slope: 500.0, net_m: 0.0, slope, window_m, threshold_m, scaling };
+        let one = Options { slope: 0.15, window_m: 18.0, threshold_m: 0.5, scaling: 1.25, ..base };
+        for (index, (options, expected)) in [(base, optimised), (one, single)].into_iter().enumerate() {
+            let Some((te, kappa, ground)) = agreement(name, options) else { return };
+            println!("{name} {index}: te {te:.6} (author {:.6}), kappa {kappa:.4} ({:.4}), ground {ground}", expected.0, expected.1);
+            assert!((te - expected.0).abs() < 1.5e-3 && (kappa - expected.1).abs() < 4e-3, "{name} {index}");
+            kappas[index] += kappa / samples.len() as f64;
+        }
+    }
+    println!("mean kappa {:.5} optimised, {:.5} single", kappas[0], kappas[1]);
+    assert!(kappas[0] >= 0.887 && kappas[1] >= 0.840, "{kappas:?}");
+    let (te, _, ground) = agreement("samp53", Options { low_slope: 500.0, ..Options::default() }).expect("it was there");
+    println!("samp53, thesis: te {te:.6}, ground {ground}");
+    let (te, _, ground) = agreement("samp11", Options::default()).expect("it was there");
+    println!("samp11, thesis: te {te:.6}, ground {ground}");
+}
