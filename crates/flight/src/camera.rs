@@ -70,7 +70,7 @@ impl Parameter {
     }
 }
 
-/// A polynomial that follows the lens, in pixels about a centre: MicMac's `eModelePolyDegN`.
+/// A polynomial that goes before the lens's other terms, in pixels about a centre: MicMac's `eModelePolyDegN`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PixelPolynomial {
     pub degree: usize,
@@ -245,6 +245,10 @@ fn project<T: Real>(
             (x, y) = (point[0] * per, point[1] * per);
         }
     }
+    if let Some(polynomial) = polynomial {
+        let [u, v] = polynomial.apply(get(Cx) + get(F) * x, get(Cy) + get(F) * get(Aspect) * y);
+        (x, y) = ((u - get(Cx)) / get(F), (v - get(Cy)) / (get(F) * get(Aspect)));
+    }
     x = x - get(Dx);
     y = y - get(Dy);
     let r2 = x * x + y * y;
@@ -261,10 +265,7 @@ fn project<T: Real>(
     let yd = y * l + get(P1) * (r2 + two * y * y) + get(P2) * xy;
     let u = get(Cx) + get(F) * (xd + get(Dx));
     let v = get(Cy) + get(F) * get(Aspect) * (yd + get(Dy));
-    match polynomial {
-        Some(polynomial) => polynomial.apply(u, v),
-        None => [u, v],
-    }
+    [u, v]
 }
 
 impl PixelPolynomial {

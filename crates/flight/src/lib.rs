@@ -1,5 +1,6 @@
 //! From photographs to cameras that know where they stood.
 
+pub mod adjust;
 pub mod bundle;
 pub mod camera;
 pub mod dual;
@@ -7,6 +8,8 @@ pub mod error;
 pub mod pose;
 pub mod read;
 pub mod resect;
+pub mod statistics;
+pub mod world;
 mod xml;
 
 pub use camera::{Camera, Parameter, Projection};

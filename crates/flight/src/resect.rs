@@ -59,7 +59,7 @@ pub struct Resection {
     pub residuals_px: Vec<Option<[f64; 2]>>,
     /// Indices of points that were taken out as blunders.
     pub blunders: Vec<usize>,
-    /// Of the points kept: √(mean of squared distances).
+    /// Of the points kept: √(mean of the squares of the residuals in x and in y).
     pub rms_px: f64,
     /// √(v'Pv / redundancy) with the σ that were stated; `None` without redundancy.
     pub sigma0: Option<f64>,
@@ -312,7 +312,7 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         blunders.sort_unstable();
         return Ok(Resection {
             covariance: factored.map(|f| f.frame(0)),
-            rms_px: (sum / kept.len() as f64).sqrt(),
+            rms_px: (sum / (2 * kept.len()) as f64).sqrt(),
             camera,
             pose,
             residuals_px,

@@ -42,7 +42,7 @@ fn every_pair_of_verif_is_met() {
         let (count, worst) = worst_of(&root.join(orientation), &root.join(camera));
         eprintln!("{orientation}: {count} pairs, worst {worst:.3e} px");
         assert_eq!(count, 10);
-        assert!(worst < 1e-9 * 1e3, "{orientation}: {worst} px");
+        assert!(worst < 1e-9, "{orientation}: {worst} px");
     }
 }
 

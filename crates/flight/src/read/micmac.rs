@@ -236,6 +236,7 @@ fn v1_distortion(path: &Path, camera: &mut Camera, model: &Element, index: usize
     match model.name.as_str() {
         "ModNoDist" => Ok(()),
         "ModRad" | "ModPhgrStd" => {
+            // The last of the list is applied first: a polynomial after the lens is read, the other way round is not.
             if index > 0 || camera.polynomial.is_some() {
                 return refuse("a radial model after another one is not supported");
             }
