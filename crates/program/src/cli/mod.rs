@@ -14,6 +14,7 @@ pub mod doctor;
 pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;
+pub mod flight;
 pub mod frame;
 pub mod plan;
 pub mod positions;
@@ -73,6 +74,7 @@ pub enum Command {
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
     SynthFilm(synth_film::SynthFilmArgs),
+    Flight(Box<flight::FlightArgs>),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -91,6 +93,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Flight(args)) => flight::run(&args),
         None => run::run(&cli.run),
     }
 }
