@@ -13,6 +13,7 @@ const CRATES: [(&str, &[&str]); 8] = [
     ("crates/synth", &["autoref-raster"]),
     ("crates/elevation", &["autoref-raster"]),
     ("crates/film", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
+    ("crates/flight", &[]),
     (".", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
     (
         "crates/program",
@@ -25,6 +26,7 @@ const CRATES: [(&str, &[&str]); 8] = [
             "autoref-stream",
             "autoref-synth",
         ],
+        &["autoref-film", "autoref-flight", "autoref-raster", "autoref-review", "autoref-solve", "autoref-stream", "autoref-synth"],
     ),
 ];
 

@@ -16,6 +16,7 @@ pub mod errors;
 pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;
+pub mod flight;
 pub mod frame;
 pub mod inputs;
 pub mod mosaic;
@@ -81,6 +82,7 @@ pub enum Command {
     SynthFilm(synth_film::SynthFilmArgs),
     Dem(Box<dem::DemArgs>),
     Mosaic(Box<mosaic::MosaicArgs>),
+    Flight(Box<flight::FlightArgs>),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -102,6 +104,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Dem(args)) => dem::run(&args),
         Some(Command::Mosaic(args)) => mosaic::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Flight(args)) => flight::run(&args),
         None => run::run(&cli.run),
     }
 }

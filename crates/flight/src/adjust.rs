@@ -1,0 +1,579 @@
+//! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs as weighted
+//! observations, blunders named, check points compared.
+
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
+
+use crate::bundle::{
+    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, factor, solve,
+};
+use crate::camera::{Camera, Parameter};
+use crate::error::{Error, Result};
+use crate::pose::{Pose, Similarity};
+use crate::read::Reconstruction;
+
+/// Whether a point takes part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    Control,
+    Check,
+}
+
+/// A surveyed point in the world's frame, with where it was seen.
+#[derive(Clone, Debug)]
+pub struct GroundPoint {
+    pub name: String,
+    pub xyz: Vector3<f64>,
+    /// 1σ, metres.
+    pub sigma: Vector3<f64>,
+    pub role: Role,
+    /// Photograph and pixel.
+    pub seen: Vec<(usize, [f64; 2])>,
+}
+
+/// What becomes of the interior orientation, by parameter; what is not named is held.
+#[derive(Clone, Debug)]
+pub struct AdjustOptions {
+    /// 1σ of GCPs in the image.
+    pub sigma_image_px: f64,
+    /// 1σ of ties in the image; `None` takes it from their residuals.
+    pub sigma_tie_px: Option<f64>,
+    /// Parameters, with a standard deviation about the value given, or free.
+    pub interior: Vec<(Parameter, Option<f64>)>,
+    /// Known poses in the world's frame: position with σ (metres), and direction with σ (radians).
+    pub rough: Vec<Option<RoughPose>>,
+    /// Normalised residuals beyond this name a blunder.
+    pub critical: f64,
+}
+
+/// A pose known roughly.
+#[derive(Clone, Copy, Debug)]
+pub struct RoughPose {
+    pub pose: Pose,
+    pub sigma_m: Vector3<f64>,
+    pub sigma_rad: f64,
+}
+
+impl Default for AdjustOptions {
+    fn default() -> Self {
+        AdjustOptions {
+            sigma_image_px: 1.0,
+            sigma_tie_px: None,
+            interior: vec![(Parameter::F, None), (Parameter::K1, None)],
+            rough: Vec::new(),
+            critical: 4.0,
+        }
+    }
+}
+
+/// A gross error: the point, the photograph when it is of one image, and by how much.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Blunder {
+    pub gcp: String,
+    /// Photograph, or `None` when the point on the ground is wrong.
+    pub photograph: Option<usize>,
+    /// Estimated error: pixels (x, y) or metres (x, y, z).
+    pub by: Vec<f64>,
+    /// Its size in units of its own standard deviation.
+    pub test: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct AdjustedPoint {
+    pub name: String,
+    pub role: Role,
+    pub xyz: Vector3<f64>,
+    /// Adjusted (or, of check points, intersected) − surveyed.
+    pub residual: Option<Vector3<f64>>,
+    pub covariance: Option<Matrix3<f64>>,
+    /// Photograph, residual in pixels (predicted − measured).
+    pub image: Vec<(usize, [f64; 2])>,
+}
+
+#[derive(Clone, Debug)]
+pub struct AdjustedCamera {
+    pub photograph: usize,
+    pub pose: Pose,
+    pub covariance: Option<SMatrix<f64, 6, 6>>,
+    /// Of its ties, √(mean of squared distances).
+    pub rms_px: f64,
+    pub ties: usize,
+}
+
+/// The result.
+#[derive(Clone, Debug)]
+pub struct Adjustment {
+    pub cameras: Vec<Camera>,
+    pub interior_sigmas: Vec<Vec<(Parameter, f64)>>,
+    pub photographs: Vec<AdjustedCamera>,
+    pub points: Vec<AdjustedPoint>,
+    pub blunders: Vec<Blunder>,
+    pub tie_rms_px: f64,
+    pub tie_mean_px: f64,
+    pub sigma_tie_px: f64,
+    pub ties: usize,
+    pub dropped_ties: usize,
+    pub summary: Summary,
+    /// The adjusted ties in the world's frame.
+    pub model: Reconstruction,
+    pub notes: Vec<String>,
+}
+
+/// The point nearest to the rays; `None` when they are (nearly) parallel or it lies behind a camera.
+pub fn intersect(cameras: &[Camera], poses: &[(usize, Pose)], pixels: &[[f64; 2]]) -> Option<Vector3<f64>> {
+    let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    for ((camera, pose), pixel) in poses.iter().zip(pixels) {
+        let d = pose.rotation.transpose() * Vector3::from(cameras[*camera].ray(*pixel)?);
+        let m = Matrix3::identity() - d * d.transpose();
+        a += m;
+        b += m * pose.centre;
+    }
+    let values = a.symmetric_eigenvalues();
+    if poses.len() < 2 || values.min() < 1e-7 * values.max() {
+        return None;
+    }
+    let mut x = a.try_inverse()? * b;
+    // Least squares in the images.
+    for _ in 0..5 {
+        let (mut n, mut g) = (Matrix3::zeros(), Vector3::zeros());
+        for ((camera, pose), pixel) in poses.iter().zip(pixels) {
+            let p = pose.to_camera(&x);
+            if p.z <= 0.0 {
+                return None;
+            }
+            let (at, j) = cameras[*camera].project_with_jacobian(p.into());
+            let j = nalgebra::Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
+            let r = Vector2::new(at[0] - pixel[0], at[1] - pixel[1]);
+            n += j.transpose() * j;
+            g -= j.transpose() * r;
+        }
+        x += n.try_inverse()? * g;
+    }
+    poses.iter().all(|(_, p)| p.to_camera(&x).z > 0.0).then_some(x)
+}
+
+fn intersect_seen(model: &Reconstruction, seen: &[(usize, [f64; 2])]) -> Option<Vector3<f64>> {
+    let poses: Vec<(usize, Pose)> =
+        seen.iter().map(|(i, _)| (model.photographs[*i].camera, model.photographs[*i].pose)).collect();
+    let pixels: Vec<[f64; 2]> = seen.iter().map(|s| s.1).collect();
+    intersect(&model.cameras, &poses, &pixels)
+}
+
+/// The similarity that most GCPs agree with: least median over triples, then the agreeing ones by least squares.
+pub fn datum(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
+    let n = from.len();
+    let mut best: Option<(f64, Similarity)> = None;
+    let mut tried = 0;
+    'all: for i in 0..n {
+        for j in i + 1..n {
+            for k in j + 1..n {
+                let pick = |p: &[Vector3<f64>]| [p[i], p[j], p[k]];
+                if let Some(s) = Similarity::fit(&pick(from), &pick(to), &[1.0; 3]) {
+                    let mut d: Vec<f64> = from.iter().zip(to).map(|(a, b)| (s.apply(a) - b).norm()).collect();
+                    d.sort_by(f64::total_cmp);
+                    let score = d[(n / 2 + 1).min(n - 1)];
+                    if best.as_ref().is_none_or(|b| score < b.0) {
+                        best = Some((score, s));
+                    }
+                }
+                tried += 1;
+                if tried > 20_000 {
+                    break 'all;
+                }
+            }
+        }
+    }
+    let (score, mut s) = best?;
+    for _ in 0..3 {
+        let weights: Vec<f64> = from
+            .iter()
+            .zip(to)
+            .map(|(a, b)| f64::from(u8::from((s.apply(a) - b).norm() <= 2.5 * score.max(1e-9) || n <= 4)))
+            .collect();
+        s = Similarity::fit(from, to, &weights).unwrap_or(s);
+    }
+    Some(s)
+}
+
+/// Adjusts.
+///
+/// # Errors
+/// When the datum is not fixed: fewer than three GCPs seen in two photographs each and no rough poses.
+pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
+    let mut notes = model.notes.clone();
+    let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
+    let (mut from, mut to) = (Vec::new(), Vec::new());
+    for p in control.iter().filter(|p| p.seen.len() >= 2) {
+        if let Some(x) = intersect_seen(model, &p.seen) {
+            from.push(x);
+            to.push(p.xyz);
+        }
+    }
+    let mut move_by = if from.len() >= 3 { datum(&from, &to) } else { None };
+    if move_by.is_none() {
+        move_by = by_rough_poses(model, &options.rough);
+    }
+    let move_by = move_by.ok_or_else(|| {
+        Error::no_result(
+            format!("{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block", from.len()),
+            "measure more GCPs in the images, or give rough positions and directions with --cameras",
+        )
+    })?;
+    let mut world = model.clone();
+    for p in &mut world.photographs {
+        p.pose = p.pose.moved(&move_by);
+    }
+    for t in &mut world.ties {
+        t.xyz = move_by.apply(&t.xyz);
+    }
+    let (mut problem, kept) = build(&world, &control, options);
+    let ties = kept.len();
+    let dropped_ties = world.ties.len() - ties;
+    let tie_observations = problem.observations.iter().filter(|o| o.point < ties).count();
+
+    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.
+    for o in &mut problem.observations {
+        o.trust = Trust::Robust;
+    }
+    let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8 };
+    solve(&mut problem, &robust)?;
+    let sigma_tie_px = match options.sigma_tie_px {
+        Some(s) => s,
+        None => estimate_sigma(&problem, ties, tie_observations).unwrap_or(1.0),
+    };
+    for o in &mut problem.observations {
+        if o.point < ties {
+            o.sigma_px = sigma_tie_px;
+        } else {
+            o.trust = Trust::Full;
+        }
+    }
+    let options_of = Options { loss: Loss::Huber(3.0), ..Options::default() };
+    let mut blunders = Vec::new();
+    let mut summary;
+    let mut factored;
+    loop {
+        summary = solve(&mut problem, &options_of)?;
+        factored = factor(&problem, options_of.loss);
+        let Some(f) = &factored else { break };
+        let surveyed = problem.points[ties..].iter().filter(|p| p.survey.is_some()).count();
+        if surveyed <= 3 || blunders.len() >= control.len() {
+            break;
+        }
+        let Some((blunder, what)) = worst(&problem, f, ties, &control, options) else { break };
+        blunders.push(blunder);
+        match what {
+            Worst::Survey(point) => problem.points[point].survey = None,
+            Worst::Image(index) => {
+                problem.observations.remove(index);
+            }
+        }
+        // A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
+        for i in ties..problem.points.len() {
+            let seen = problem.observations.iter().filter(|o| o.point == i).count();
+            if problem.points[i].survey.is_none() && seen < 2 {
+                let at = control[i - ties].xyz;
+                problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
+            }
+        }
+    }
+    if factored.is_none() {
+        notes.push("the normal equations are singular: something is not fixed by what was measured; no covariances".into());
+    }
+    finish(&world, points, &control, problem, &kept, factored, Parts {
+        blunders,
+        summary,
+        sigma_tie_px,
+        ties,
+        dropped_ties,
+        notes,
+    })
+}
+
+struct Parts {
+    blunders: Vec<Blunder>,
+    summary: Summary,
+    sigma_tie_px: f64,
+    ties: usize,
+    dropped_ties: usize,
+    notes: Vec<String>,
+}
+
+/// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the positions.
+fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
+    let pairs: Vec<(&Pose, &Pose)> = model
+        .photographs
+        .iter()
+        .zip(rough)
+        .filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose)))
+        .collect();
+    if pairs.len() < 2 {
+        return None;
+    }
+    // R_rough ≈ R_model Qᵀ → Q ≈ R_roughᵀ R_model.
+    let sum = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).fold(Matrix3::zeros(), |a, b| a + b);
+    let rotation = crate::pose::orthonormal(&sum);
+    let n = pairs.len() as f64;
+    let mean = |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
+    let (mm, mr) = (mean(&|p| p.0.centre), mean(&|p| p.1.centre));
+    let (mut up, mut down) = (0.0, 0.0);
+    for (m, r) in &pairs {
+        let turned = rotation * (m.centre - mm);
+        up += turned.dot(&(r.centre - mr));
+        down += turned.norm_squared();
+    }
+    let scale = up / down;
+    (scale.is_finite() && scale > 0.0).then(|| Similarity { scale, rotation, shift: mr - rotation * mm * scale })
+}
+
+fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> (Problem, Vec<usize>) {
+    let mut problem = Problem::default();
+    for camera in &world.cameras {
+        let mut bundle = BundleCamera::held(camera.clone());
+        for (p, sigma) in &options.interior {
+            let treatment = match sigma {
+                Some(sigma) => Treatment::Constrained { value: camera.get(*p), sigma: *sigma },
+                None => Treatment::Free,
+            };
+            bundle = bundle.treat(*p, treatment);
+        }
+        problem.cameras.push(bundle);
+    }
+    for (i, p) in world.photographs.iter().enumerate() {
+        let rough = options.rough.get(i).copied().flatten();
+        problem.frames.push(BundleFrame {
+            camera: p.camera,
+            pose: p.pose,
+            position: rough.map(|r| (r.pose.centre, r.sigma_m)),
+            direction: rough.filter(|r| r.sigma_rad.is_finite()).map(|r| (r.pose.rotation, r.sigma_rad)),
+        });
+    }
+    let mut kept = Vec::new();
+    let start = options.sigma_tie_px.unwrap_or(1.0);
+    for (j, tie) in world.ties.iter().enumerate() {
+        let front = tie.seen.iter().all(|(i, _)| world.photographs[*i].pose.to_camera(&tie.xyz).z > 0.0);
+        if !front || tie.seen.len() < 2 || !tie.xyz.iter().all(|v| v.is_finite()) {
+            continue;
+        }
+        let point = problem.points.len();
+        problem.points.push(BundlePoint { xyz: tie.xyz, survey: None });
+        kept.push(j);
+        for (frame, pixel) in &tie.seen {
+            problem.observations.push(Observation {
+                frame: *frame,
+                point,
+                pixel: *pixel,
+                sigma_px: start,
+                trust: Trust::Robust,
+            });
+        }
+    }
+    for p in control {
+        let point = problem.points.len();
+        problem.points.push(BundlePoint { xyz: p.xyz, survey: Some((p.xyz, p.sigma)) });
+        for (frame, pixel) in &p.seen {
+            problem.observations.push(Observation {
+                frame: *frame,
+                point,
+                pixel: *pixel,
+                sigma_px: options.sigma_image_px,
+                trust: Trust::Robust,
+            });
+        }
+    }
+    (problem, kept)
+}
+
+/// σ of a tie's coordinate from the median of the squared lengths of its residuals and the share that the unknowns take up.
+fn estimate_sigma(problem: &Problem, ties: usize, observations: usize) -> Option<f64> {
+    let mut squares: Vec<f64> = problem
+        .observations
+        .iter()
+        .filter(|o| o.point < ties)
+        .filter_map(|o| problem.residual(o))
+        .map(|r| r[0] * r[0] + r[1] * r[1])
+        .collect();
+    if squares.is_empty() {
+        return None;
+    }
+    let unknowns = 3 * ties + 6 * problem.frames.len();
+    let free = (2.0 * observations as f64 - unknowns as f64) / (2.0 * observations as f64);
+    let middle = squares.len() / 2;
+    let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
+    // χ² with two degrees of freedom has its median at 2 ln 2.
+    Some((median / (2.0 * std::f64::consts::LN_2) / free.clamp(0.1, 1.0)).sqrt().max(0.02))
+}
+
+enum Worst {
+    Survey(usize),
+    Image(usize),
+}
+
+/// The largest normalised residual among the GCPs' observations in images and on the ground (Baarda's data snooping, with
+/// groups of two and three).
+fn worst(
+    problem: &Problem,
+    factored: &crate::bundle::Factored,
+    ties: usize,
+    control: &[&GroundPoint],
+    options: &AdjustOptions,
+) -> Option<(Blunder, Worst)> {
+    let mut best: Option<(Blunder, Worst)> = None;
+    let mut offer = |blunder: Blunder, what: Worst| {
+        if blunder.test > options.critical && best.as_ref().is_none_or(|b| blunder.test > b.0.test) {
+            best = Some((blunder, what));
+        }
+    };
+    for (i, point) in problem.points.iter().enumerate().skip(ties) {
+        let Some((at, sigma)) = point.survey.filter(|s| s.1.max() < 1e5) else { continue };
+        let stated = Matrix3::from_diagonal(&sigma.component_mul(&sigma));
+        let q = stated - factored.point(i);
+        // Below a hundredth nothing checks the point.
+        if (0..3).any(|a| q[(a, a)] < 1e-2 * stated[(a, a)]) {
+            continue;
+        }
+        let v = at - point.xyz;
+        let Some(inverse) = q.try_inverse() else { continue };
+        let test = v.dot(&(inverse * v)).max(0.0);
+        // Three coordinates at once: as improbable as one normal number of this size.
+        let test = test.cbrt_normal(3);
+        let by = stated * inverse * v;
+        let name = control[i - ties].name.clone();
+        offer(Blunder { gcp: name, photograph: None, by: by.iter().copied().collect(), test }, Worst::Survey(i));
+    }
+    for (i, o) in problem.observations.iter().enumerate().filter(|(_, o)| o.point >= ties) {
+        let (Some(r), Some(predicted)) = (problem.residual(o), factored.predicted(problem, o)) else { continue };
+        let stated = Matrix2::identity() * o.sigma_px.powi(2);
+        let q = stated - predicted;
+        if (0..2).any(|a| q[(a, a)] < 1e-2 * stated[(a, a)]) {
+            continue;
+        }
+        let v = -Vector2::new(r[0], r[1]);
+        let Some(inverse) = q.try_inverse() else { continue };
+        let test = v.dot(&(inverse * v)).max(0.0).cbrt_normal(2);
+        let by = stated * inverse * v;
+        let name = control[o.point - ties].name.clone();
+        offer(Blunder { gcp: name, photograph: Some(o.frame), by: by.iter().copied().collect(), test }, Worst::Image(i));
+    }
+    best
+}
+
+trait Normalise {
+    fn cbrt_normal(self, freedom: u32) -> f64;
+}
+
+impl Normalise for f64 {
+    /// A χ² value as a number of σ: Wilson and Hilferty's cube root (1931).
+    fn cbrt_normal(self, freedom: u32) -> f64 {
+        let k = f64::from(freedom);
+        ((self / k).cbrt() - (1.0 - 2.0 / (9.0 * k))) / (2.0 / (9.0 * k)).sqrt()
+    }
+}
+
+fn finish(
+    world: &Reconstruction,
+    points: &[GroundPoint],
+    control: &[&GroundPoint],
+    problem: Problem,
+    kept: &[usize],
+    factored: Option<crate::bundle::Factored>,
+    parts: Parts,
+) -> Result<Adjustment> {
+    let ties = parts.ties;
+    let mut model = Reconstruction { cameras: problem.cameras.iter().map(|c| c.camera.clone()).collect(), ..world.clone() };
+    for (p, f) in model.photographs.iter_mut().zip(&problem.frames) {
+        p.pose = f.pose;
+    }
+    model.ties = kept
+        .iter()
+        .zip(&problem.points)
+        .map(|(j, p)| crate::read::TiePoint { xyz: p.xyz, seen: world.ties[*j].seen.clone() })
+        .collect();
+    let mut sums = vec![(0.0, 0usize); problem.frames.len()];
+    let (mut sum, mut lengths) = (0.0, 0.0);
+    let mut count = 0usize;
+    for o in problem.observations.iter().filter(|o| o.point < ties) {
+        // Ties that the robust loss has let go of are counted as what they are: capped at ten σ.
+        let Some(r) = problem.residual(o) else { continue };
+        let s = r[0] * r[0] + r[1] * r[1];
+        if s > (10.0 * o.sigma_px).powi(2) {
+            continue;
+        }
+        sums[o.frame].0 += s;
+        sums[o.frame].1 += 1;
+        (sum, lengths, count) = (sum + s, lengths + s.sqrt(), count + 1);
+    }
+    let photographs = problem
+        .frames
+        .iter()
+        .enumerate()
+        .map(|(i, f)| AdjustedCamera {
+            photograph: i,
+            pose: f.pose,
+            covariance: factored.as_ref().map(|n| n.frame(i)),
+            rms_px: if sums[i].1 > 0 { (sums[i].0 / sums[i].1 as f64).sqrt() } else { f64::NAN },
+            ties: sums[i].1,
+        })
+        .collect();
+    let image = |xyz: &Vector3<f64>, seen: &[(usize, [f64; 2])]| -> Vec<(usize, [f64; 2])> {
+        seen.iter()
+            .filter_map(|(i, pixel)| {
+                let p = &model.photographs[*i];
+                let at = model.cameras[p.camera].project(p.pose.to_camera(xyz).into())?;
+                Some((*i, [at[0] - pixel[0], at[1] - pixel[1]]))
+            })
+            .collect()
+    };
+    let mut adjusted = Vec::new();
+    for p in points {
+        match control.iter().position(|c| c.name == p.name && p.role == Role::Control) {
+            Some(k) => {
+                let b = &problem.points[ties + k];
+                adjusted.push(AdjustedPoint {
+                    name: p.name.clone(),
+                    role: p.role,
+                    xyz: b.xyz,
+                    residual: Some(b.xyz - p.xyz),
+                    covariance: factored.as_ref().map(|f| f.point(ties + k)),
+                    image: image(&b.xyz, &p.seen),
+                });
+            }
+            None if p.seen.len() >= 2 => {
+                let x = intersect_seen(&model, &p.seen);
+                adjusted.push(AdjustedPoint {
+                    name: p.name.clone(),
+                    role: p.role,
+                    xyz: x.unwrap_or(p.xyz),
+                    residual: x.map(|x| x - p.xyz),
+                    covariance: None,
+                    image: x.map(|x| image(&x, &p.seen)).unwrap_or_default(),
+                });
+            }
+            None => adjusted.push(AdjustedPoint {
+                name: p.name.clone(),
+                role: p.role,
+                xyz: p.xyz,
+                residual: None,
+                covariance: None,
+                image: image(&p.xyz, &p.seen),
+            }),
+        }
+    }
+    let interior_sigmas = (0..model.cameras.len())
+        .map(|i| factored.as_ref().map(|f| f.interior(i)).unwrap_or_default())
+        .collect();
+    Ok(Adjustment {
+        cameras: model.cameras.clone(),
+        interior_sigmas,
+        photographs,
+        points: adjusted,
+        blunders: parts.blunders,
+        tie_rms_px: if count > 0 { (sum / count as f64).sqrt() } else { f64::NAN },
+        tie_mean_px: if count > 0 { lengths / count as f64 } else { f64::NAN },
+        sigma_tie_px: parts.sigma_tie_px,
+        ties,
+        dropped_ties: parts.dropped_ties,
+        summary: parts.summary,
+        model,
+        notes: parts.notes,
+    })
+}

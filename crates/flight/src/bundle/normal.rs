@@ -1,0 +1,490 @@
+//! Normal equations, reduced to the cameras.
+
+use nalgebra::{DVector, Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
+
+use super::skyline::{Skyline, order};
+use super::{Loss, Observation, Problem, Treatment, Trust, turn};
+use crate::camera::Parameter;
+
+type Matrix2x6 = SMatrix<f64, 2, 6>;
+type Matrix6x3 = SMatrix<f64, 6, 3>;
+
+/// Interior parameters of one camera that can be adjusted at once.
+pub(super) const MOST_INTERIOR: usize = 13;
+
+/// The weighted derivatives of one observation.
+pub(super) struct Linear {
+    /// By turn and centre of the pose.
+    pub pose: Matrix2x6,
+    /// By the active interior parameters.
+    pub interior: [Vector2<f64>; MOST_INTERIOR],
+    pub point: Matrix2x3<f64>,
+    pub residual: Vector2<f64>,
+}
+
+/// Where each unknown stands in the reduced system.
+pub(super) struct Layout {
+    pub frame_at: Vec<usize>,
+    pub interior_at: Vec<usize>,
+    pub active: Vec<Vec<Parameter>>,
+    pub size: usize,
+    first: Vec<usize>,
+    /// Observations of each point.
+    pub of_point: Vec<Vec<u32>>,
+}
+
+impl Layout {
+    pub fn new(problem: &Problem) -> Self {
+        let n = problem.frames.len();
+        let mut of_point = vec![Vec::new(); problem.points.len()];
+        for (i, o) in problem.observations.iter().enumerate() {
+            of_point[o.point].push(i as u32);
+        }
+        let mut linked: Vec<std::collections::BTreeSet<usize>> = vec![Default::default(); n];
+        for list in &of_point {
+            for a in list {
+                for b in list {
+                    let (fa, fb) = (problem.observations[*a as usize].frame, problem.observations[*b as usize].frame);
+                    if fa != fb {
+                        linked[fa].insert(fb);
+                    }
+                }
+            }
+        }
+        let neighbours: Vec<Vec<usize>> = linked.into_iter().map(|s| s.into_iter().collect()).collect();
+        let order = order(&neighbours);
+        let mut frame_at = vec![0; n];
+        for (place, frame) in order.iter().enumerate() {
+            frame_at[*frame] = place * 6;
+        }
+        let active: Vec<Vec<Parameter>> = problem.cameras.iter().map(|c| c.active()).collect();
+        let mut interior_at = Vec::new();
+        let mut size = n * 6;
+        for list in &active {
+            interior_at.push(size);
+            size += list.len();
+        }
+        let mut first = vec![0; size];
+        for frame in 0..n {
+            let low = neighbours[frame].iter().map(|k| frame_at[*k]).min().unwrap_or(usize::MAX).min(frame_at[frame]);
+            for row in frame_at[frame]..frame_at[frame] + 6 {
+                first[row] = low;
+            }
+        }
+        Layout { frame_at, interior_at, active, size, first, of_point }
+    }
+}
+
+/// The derivatives of an observation, weighted by 1/σ and the robust loss; `None` behind the camera.
+pub(super) fn linear(problem: &Problem, layout: &Layout, o: &Observation, loss: Loss) -> Option<Linear> {
+    let frame = &problem.frames[o.frame];
+    let x = &problem.points[o.point].xyz;
+    let p = frame.pose.to_camera(x);
+    if p.z <= 0.0 {
+        return None;
+    }
+    let camera = &problem.cameras[frame.camera].camera;
+    let active = &layout.active[frame.camera];
+    let mut interior = [Vector2::zeros(); MOST_INTERIOR];
+    let (at, by_p) = if active.is_empty() {
+        let (at, j) = camera.project_with_jacobian(p.into());
+        (at, Matrix2x3::from_fn(|r, c| j[r][c]))
+    } else if active.len() <= 5 {
+        split::<8>(&camera.project_with_parameters::<8>(p.into(), active), active.len(), &mut interior)
+    } else {
+        split::<16>(&camera.project_with_parameters::<16>(p.into(), active), active.len(), &mut interior)
+    };
+    let residual = Vector2::new(at[0] - o.pixel[0], at[1] - o.pixel[1]) / o.sigma_px;
+    if !residual.iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    let weight = match o.trust {
+        Trust::Robust => loss.at(residual.norm_squared()).1.sqrt(),
+        Trust::Full => 1.0,
+    };
+    let scale = weight / o.sigma_px;
+    let by_p = by_p * scale;
+    let by_x = by_p * frame.pose.rotation;
+    // exp(δ) p ≈ p + δ × p.
+    let by_turn = by_p * -p.cross_matrix();
+    let mut pose = Matrix2x6::zeros();
+    pose.fixed_columns_mut::<3>(0).copy_from(&by_turn);
+    pose.fixed_columns_mut::<3>(3).copy_from(&-by_x);
+    for v in &mut interior[..active.len()] {
+        *v *= scale;
+    }
+    Some(Linear { pose, interior, point: by_x, residual: residual * weight })
+}
+
+fn split<const N: usize>(
+    at: &[crate::dual::Dual<N>; 2],
+    active: usize,
+    interior: &mut [Vector2<f64>; MOST_INTERIOR],
+) -> ([f64; 2], Matrix2x3<f64>) {
+    for (i, v) in interior[..active].iter_mut().enumerate() {
+        *v = Vector2::new(at[0].d[i + 3], at[1].d[i + 3]);
+    }
+    ([at[0].v, at[1].v], Matrix2x3::from_fn(|r, c| at[r].d[c]))
+}
+
+/// One point after elimination: V⁻¹, its right side, and Jᵀ_c J_x by observation and by camera.
+struct Eliminated {
+    inverse: Matrix3<f64>,
+    right: Vector3<f64>,
+    /// Start of the reduced unknowns and Wᵀ's three columns.
+    pose: Vec<(usize, Matrix6x3)>,
+    interior: Vec<(usize, Vector3<f64>)>,
+}
+
+/// The reduced system, damped.
+pub(super) struct Reduced {
+    matrix: Skyline,
+    right: DVector<f64>,
+    points: Vec<Eliminated>,
+    /// ‖Jᵀr‖ by the largest entry scaled with its diagonal: what is left of the slope.
+    pub slope: f64,
+    diagonal: Vec<f64>,
+    damping: f64,
+    point_diagonal: Vec<Vector3<f64>>,
+}
+
+/// A step of all unknowns.
+pub(super) struct Step {
+    pub reduced: DVector<f64>,
+    pub points: Vec<Vector3<f64>>,
+    /// What the linear model says the cost falls by.
+    pub gain: f64,
+}
+
+impl Reduced {
+    /// Builds the system at the present values with a damping of λ times the diagonal.
+    pub fn new(problem: &Problem, layout: &Layout, loss: Loss, damping: f64) -> Self {
+        let mut matrix = Skyline::new(layout.first.clone());
+        let mut right = DVector::zeros(layout.size);
+        let mut points = Vec::with_capacity(problem.points.len());
+        let mut point_diagonal = Vec::with_capacity(problem.points.len());
+        let mut slope = 0.0f64;
+        let mut done: Vec<(usize, Linear)> = Vec::new();
+        for (j, list) in layout.of_point.iter().enumerate() {
+            done.clear();
+            for i in list {
+                let o = &problem.observations[*i as usize];
+                if let Some(l) = linear(problem, layout, o, loss) {
+                    done.push((o.frame, l));
+                }
+            }
+            let (mut v, mut g) = (Matrix3::zeros(), Vector3::zeros());
+            for (_, l) in &done {
+                v += l.point.transpose() * l.point;
+                g -= l.point.transpose() * l.residual;
+            }
+            if let Some((at, sigma)) = &problem.points[j].survey {
+                for a in 0..3 {
+                    let w = 1.0 / (sigma[a] * sigma[a]);
+                    v[(a, a)] += w;
+                    g[a] -= w * (problem.points[j].xyz[a] - at[a]);
+                }
+            }
+            for a in 0..3 {
+                if v[(a, a)] > 0.0 {
+                    slope = slope.max(g[a].abs() / v[(a, a)].sqrt());
+                }
+            }
+            let diagonal = v.diagonal().map(|d| d.max(1e-12));
+            point_diagonal.push(diagonal);
+            let damped = v + Matrix3::from_diagonal(&(diagonal * damping));
+            // A point without depth (parallel rays) stays where it is.
+            let inverse = damped.cholesky().map_or_else(Matrix3::zeros, |c| c.inverse());
+            points.push(eliminate(problem, layout, &done, inverse, g, &mut matrix, &mut right));
+        }
+        priors(problem, layout, &mut matrix, &mut right);
+        // The diagonal before elimination is what Marquardt scales with.
+        let mut diagonal = vec![0.0; layout.size];
+        let mut gradient = vec![0.0; layout.size];
+        for i in 0..layout.size {
+            diagonal[i] = matrix.diagonal(i);
+            gradient[i] = right[i];
+        }
+        for e in &points {
+            let vg = e.inverse * e.right;
+            for (at, w) in &e.pose {
+                for a in 0..6 {
+                    let row = w.row(a);
+                    let change = (row * e.inverse * row.transpose())[0];
+                    diagonal[at + a] += change;
+                    gradient[at + a] += (row * vg)[0];
+                }
+            }
+            for (at, w) in &e.interior {
+                diagonal[*at] += w.dot(&(e.inverse * w));
+                gradient[*at] += w.dot(&vg);
+            }
+        }
+        for i in 0..layout.size {
+            if diagonal[i] > 0.0 {
+                slope = slope.max(gradient[i].abs() / diagonal[i].sqrt());
+            }
+            let d = diagonal[i].max(1e-12);
+            diagonal[i] = d;
+            if damping > 0.0 {
+                matrix.add(i, i, damping * d);
+            }
+        }
+        Reduced { matrix, right, points, slope, diagonal, damping, point_diagonal }
+    }
+
+    /// Solves; `None` when the matrix is not positive definite.
+    pub fn step(self) -> Option<Step> {
+        let factor = self.matrix.cholesky(1e-15).ok()?;
+        let mut reduced = self.right.clone();
+        factor.solve(reduced.as_mut_slice());
+        let mut gain = 0.0;
+        // Model: ½ Σ δ (λ D δ + g); g of the full system, by parts.
+        for i in 0..reduced.len() {
+            gain += self.damping * self.diagonal[i] * reduced[i] * reduced[i] + reduced[i] * self.right[i];
+        }
+        let mut points = Vec::with_capacity(self.points.len());
+        for (e, d) in self.points.iter().zip(&self.point_diagonal) {
+            let step = e.back(&reduced);
+            // δx·g_x and the part that elimination took from the right side.
+            let mut through = 0.0;
+            let vg = e.inverse * e.right;
+            for (at, w) in &e.pose {
+                through += (reduced.fixed_rows::<6>(*at).transpose() * w * vg)[0];
+            }
+            for (at, w) in &e.interior {
+                through += reduced[*at] * w.dot(&vg);
+            }
+            gain += step.dot(&e.right) + through + self.damping * step.component_mul(d).dot(&step);
+            points.push(step);
+        }
+        reduced.iter().all(|v| v.is_finite()).then_some(Step { reduced, points, gain: 0.5 * gain })
+    }
+
+    /// Keeps what covariances need; `None` when the datum is not fixed.
+    pub fn factored(self, layout: Layout) -> Option<Factored> {
+        let factor = self.matrix.cholesky(1e-11).ok()?;
+        Some(Factored { factor, points: self.points, layout })
+    }
+}
+
+impl Eliminated {
+    fn back(&self, reduced: &DVector<f64>) -> Vector3<f64> {
+        let mut g = self.right;
+        for (at, w) in &self.pose {
+            g -= w.transpose() * reduced.fixed_rows::<6>(*at);
+        }
+        for (at, w) in &self.interior {
+            g -= w * reduced[*at];
+        }
+        self.inverse * g
+    }
+}
+
+fn eliminate(
+    problem: &Problem,
+    layout: &Layout,
+    done: &[(usize, Linear)],
+    inverse: Matrix3<f64>,
+    g: Vector3<f64>,
+    matrix: &mut Skyline,
+    right: &mut DVector<f64>,
+) -> Eliminated {
+    let mut pose: Vec<(usize, Matrix6x3)> = Vec::with_capacity(done.len());
+    let mut interior: Vec<(usize, Vector3<f64>)> = Vec::new();
+    for (frame, l) in done {
+        let at = layout.frame_at[*frame];
+        let camera = problem.frames[*frame].camera;
+        let (start, count) = (layout.interior_at[camera], layout.active[camera].len());
+        let square = l.pose.transpose() * l.pose;
+        for r in 0..6 {
+            for c in 0..=r {
+                matrix.add(at + r, at + c, square[(r, c)]);
+            }
+        }
+        let slope = l.pose.transpose() * l.residual;
+        for r in 0..6 {
+            right[at + r] -= slope[r];
+        }
+        let w = l.pose.transpose() * l.point;
+        match pose.iter_mut().find(|p| p.0 == at) {
+            Some(known) => known.1 += w,
+            None => pose.push((at, w)),
+        }
+        for i in 0..count {
+            right[start + i] -= l.interior[i].dot(&l.residual);
+            let by_pose = l.pose.transpose() * l.interior[i];
+            for c in 0..6 {
+                matrix.add(start + i, at + c, by_pose[c]);
+            }
+            for k in 0..=i {
+                matrix.add(start + i, start + k, l.interior[i].dot(&l.interior[k]));
+            }
+            let w = l.point.transpose() * l.interior[i];
+            match interior.iter_mut().find(|p| p.0 == start + i) {
+                Some(known) => known.1 += w,
+                None => interior.push((start + i, w)),
+            }
+        }
+    }
+    let vg = inverse * g;
+    for (k, (a, wa)) in pose.iter().enumerate() {
+        let t = wa * inverse;
+        for r in 0..6 {
+            right[a + r] -= wa.row(r).transpose().dot(&vg);
+        }
+        for (b, wb) in &pose[..=k] {
+            let s = t * wb.transpose();
+            for r in 0..6 {
+                for c in 0..6 {
+                    if a != b || c <= r {
+                        matrix.add(a + r, b + c, -s[(r, c)]);
+                    }
+                }
+            }
+        }
+    }
+    for (k, (a, wa)) in interior.iter().enumerate() {
+        let t = inverse * wa;
+        right[*a] -= wa.dot(&vg);
+        for (b, wb) in &pose {
+            let s = wb * t;
+            for c in 0..6 {
+                matrix.add(*a, b + c, -s[c]);
+            }
+        }
+        for (b, wb) in &interior[..=k] {
+            matrix.add(*a, *b, -t.dot(wb));
+        }
+    }
+    Eliminated { inverse, right: g, pose, interior }
+}
+
+fn priors(problem: &Problem, layout: &Layout, matrix: &mut Skyline, right: &mut DVector<f64>) {
+    for (i, frame) in problem.frames.iter().enumerate() {
+        let at = layout.frame_at[i];
+        if let Some((place, sigma)) = &frame.position {
+            for a in 0..3 {
+                let w = 1.0 / (sigma[a] * sigma[a]);
+                matrix.add(at + 3 + a, at + 3 + a, w);
+                right[at + 3 + a] -= w * (frame.pose.centre[a] - place[a]);
+            }
+        }
+        if let Some((rotation, sigma)) = &frame.direction {
+            let (w, r) = (1.0 / (sigma * sigma), turn(&frame.pose.rotation, rotation));
+            for a in 0..3 {
+                matrix.add(at + a, at + a, w);
+                right[at + a] -= w * r[a];
+            }
+        }
+    }
+    for (i, camera) in problem.cameras.iter().enumerate() {
+        for (k, p) in layout.active[i].iter().enumerate() {
+            if let Treatment::Constrained { value, sigma } = camera.treatment[*p as usize] {
+                let (at, w) = (layout.interior_at[i] + k, 1.0 / (sigma * sigma));
+                matrix.add(at, at, w);
+                right[at] -= w * (camera.camera.get(*p) - value);
+            }
+        }
+    }
+}
+
+/// The factored normal equations at the solution: covariances of everything.
+pub struct Factored {
+    factor: Skyline,
+    points: Vec<Eliminated>,
+    pub(super) layout: Layout,
+}
+
+impl Factored {
+    fn columns(&self, start: usize, count: usize) -> Vec<DVector<f64>> {
+        (0..count)
+            .map(|i| {
+                let mut b = DVector::zeros(self.layout.size);
+                b[start + i] = 1.0;
+                self.factor.solve(b.as_mut_slice());
+                b
+            })
+            .collect()
+    }
+
+    /// Covariance of a frame's turn (radians, R ← exp(δ) R) and centre.
+    pub fn frame(&self, frame: usize) -> SMatrix<f64, 6, 6> {
+        let at = self.layout.frame_at[frame];
+        let columns = self.columns(at, 6);
+        SMatrix::from_fn(|r, c| columns[c][at + r])
+    }
+
+    /// Standard deviations of a camera's active parameters.
+    pub fn interior(&self, camera: usize) -> Vec<(Parameter, f64)> {
+        let at = self.layout.interior_at[camera];
+        let active = &self.layout.active[camera];
+        let columns = self.columns(at, active.len());
+        active.iter().enumerate().map(|(i, p)| (*p, columns[i][at + i].max(0.0).sqrt())).collect()
+    }
+
+    /// Covariance of a point.
+    pub fn point(&self, point: usize) -> Matrix3<f64> {
+        let e = &self.points[point];
+        // Columns of W V⁻¹ in the reduced system.
+        let mut columns = vec![DVector::zeros(self.layout.size); 3];
+        for (c, column) in columns.iter_mut().enumerate() {
+            let v = e.inverse.column(c).into_owned();
+            self.scatter(e, &v, column);
+        }
+        let solved: Vec<DVector<f64>> = columns
+            .iter()
+            .map(|c| {
+                let mut b = c.clone();
+                self.factor.solve(b.as_mut_slice());
+                b
+            })
+            .collect();
+        e.inverse + Matrix3::from_fn(|r, c| columns[r].dot(&solved[c]))
+    }
+
+    fn scatter(&self, e: &Eliminated, v: &Vector3<f64>, into: &mut DVector<f64>) {
+        for (at, w) in &e.pose {
+            let part = w * v;
+            for r in 0..6 {
+                into[at + r] += part[r];
+            }
+        }
+        for (at, w) in &e.interior {
+            into[*at] += w.dot(v);
+        }
+    }
+
+    /// Covariance (px²) of what the solution predicts for an observation: J N⁻¹ Jᵀ; `None` behind the camera.
+    pub fn predicted(&self, problem: &Problem, o: &Observation) -> Option<Matrix2<f64>> {
+        let whole = Observation { trust: Trust::Full, ..*o };
+        let l = linear(problem, &self.layout, &whole, Loss::Squared)?;
+        let e = &self.points[o.point];
+        let (at, camera) = (self.layout.frame_at[o.frame], problem.frames[o.frame].camera);
+        let mut rows = Vec::new();
+        for axis in 0..2 {
+            let mut a = DVector::zeros(self.layout.size);
+            let x = l.point.row(axis).transpose();
+            let through = -(e.inverse * x);
+            self.scatter(e, &through, &mut a);
+            for r in 0..6 {
+                a[at + r] += l.pose[(axis, r)];
+            }
+            for i in 0..self.layout.active[camera].len() {
+                a[self.layout.interior_at[camera] + i] += l.interior[i][axis];
+            }
+            rows.push(a);
+        }
+        let direct = l.point * e.inverse * l.point.transpose();
+        let solved: Vec<DVector<f64>> = rows
+            .iter()
+            .map(|a| {
+                let mut b = a.clone();
+                self.factor.solve(b.as_mut_slice());
+                b
+            })
+            .collect();
+        let c = Matrix2::from_fn(|r, c| rows[r].dot(&solved[c])) + direct;
+        Some(c * (o.sigma_px * o.sigma_px))
+    }
+}

@@ -1,0 +1,44 @@
+//! The error type of the crate. What is an answer (no datum, too few points) is data of the result where it can be.
+
+use std::path::{Path, PathBuf};
+
+/// What went wrong. Every message is one line that names the file or the point, and the remedy.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The file breaks the rules of its format.
+    #[error("{}: {place}: {what}", path.display())]
+    Format { path: PathBuf, place: String, what: String },
+    /// The caller asked for something that cannot be.
+    #[error("{what}; {remedy}")]
+    Usage { what: String, remedy: String },
+    /// The operating system said no.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io { path: PathBuf, action: String, source: std::io::Error },
+    /// It ran, and the data carry no result.
+    #[error("{what}; {remedy}")]
+    NoResult { what: String, remedy: String },
+}
+
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    pub fn format(path: impl Into<PathBuf>, place: impl Into<String>, what: impl Into<String>) -> Self {
+        Error::Format { path: path.into(), place: place.into(), what: what.into() }
+    }
+    pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Error::Usage { what: what.into(), remedy: remedy.into() }
+    }
+    pub fn io(path: impl Into<PathBuf>, action: impl Into<String>, source: std::io::Error) -> Self {
+        Error::Io { path: path.into(), action: action.into(), source }
+    }
+    pub fn no_result(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Error::NoResult { what: what.into(), remedy: remedy.into() }
+    }
+}
+
+/// A text file whole.
+pub(crate) fn read_text(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    Ok(String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().iter().map(|b| char::from(*b)).collect()))
+}

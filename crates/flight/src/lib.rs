@@ -1,0 +1,17 @@
+//! From photographs to cameras that know where they stood.
+
+pub mod adjust;
+pub mod bundle;
+pub mod camera;
+pub mod dual;
+pub mod error;
+pub mod pose;
+pub mod read;
+pub mod resect;
+pub mod statistics;
+pub mod world;
+mod xml;
+
+pub use camera::{Camera, Parameter, Projection};
+pub use error::{Error, Result};
+pub use pose::{Pose, Similarity, YawPitchRoll};

@@ -1,0 +1,105 @@
+//! Reading what other programs wrote: cameras, poses, tie points and points measured in images.
+
+pub mod colmap;
+pub mod micmac;
+pub mod opensfm;
+pub mod tables;
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+
+use crate::camera::Camera;
+use crate::error::{Error, Result};
+use crate::pose::Pose;
+
+/// A photograph of a reconstruction.
+#[derive(Clone, Debug)]
+pub struct Photograph {
+    pub name: String,
+    /// Index into [`Reconstruction::cameras`].
+    pub camera: usize,
+    pub pose: Pose,
+}
+
+/// A point seen in several photographs.
+#[derive(Clone, Debug)]
+pub struct TiePoint {
+    pub xyz: Vector3<f64>,
+    /// Photograph and pixel.
+    pub seen: Vec<(usize, [f64; 2])>,
+}
+
+/// Cameras and ties that were solved together, in a datum of their own.
+#[derive(Clone, Debug, Default)]
+pub struct Reconstruction {
+    pub cameras: Vec<Camera>,
+    pub photographs: Vec<Photograph>,
+    pub ties: Vec<TiePoint>,
+    /// Longitude, latitude, height of the origin when the world is east, north, up there (OpenSfM).
+    pub reference_lla: Option<[f64; 3]>,
+    pub notes: Vec<String>,
+}
+
+impl Reconstruction {
+    /// A photograph by its name, with or without folder and extension.
+    pub fn find(&self, name: &str) -> Option<usize> {
+        same_image(name, self.photographs.iter().map(|p| p.name.as_str()))
+    }
+}
+
+/// The index of an image by name: whole, else without folders, else without extension when that is unique.
+pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) -> Option<usize> {
+    let base = |n: &str| n.rsplit(['/', '\\']).next().unwrap_or(n).to_string();
+    let stem = |n: &str| {
+        let b = base(n);
+        let cut = b.rsplit_once('.').map(|(s, _)| s.to_string());
+        cut.filter(|s| !s.is_empty()).unwrap_or(b).to_lowercase()
+    };
+    if let Some(i) = names.clone().position(|n| n == name) {
+        return Some(i);
+    }
+    let only = |same: &dyn Fn(&str) -> bool| {
+        let mut found = names.clone().enumerate().filter(|(_, n)| same(n)).map(|(i, _)| i);
+        found.next().filter(|_| found.next().is_none())
+    };
+    let wanted = base(name);
+    only(&|n| base(n) == wanted).or_else(|| {
+        let wanted = stem(name);
+        only(&|n| stem(n) == wanted)
+    })
+}
+
+/// Reads a reconstruction, whatever program made it: a folder with COLMAP's model (text or binary), a folder with MicMac's
+/// orientations (`Ori-…`, v1 or MMVII), OpenSfM's `reconstruction.json`, or a `cameras.json` of this program.
+///
+/// # Errors
+/// When nothing that is known lies there, or it is broken.
+pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
+    if path.is_dir() {
+        if let Some(folder) = colmap::model_folder(path) {
+            return colmap::read(&folder);
+        }
+        for name in ["reconstruction.json", "opensfm/reconstruction.json", "cameras.json"] {
+            if path.join(name).is_file() {
+                return reconstruction(&path.join(name));
+            }
+        }
+        if micmac::is_orientation_folder(path) {
+            return micmac::read_orientations(path);
+        }
+        return Err(Error::format(
+            path,
+            "the folder",
+            "holds neither COLMAP's model (cameras, images, points3D as .bin or .txt), nor MicMac's orientations \
+             (Orientation-*.xml, Ori-*.xml), nor OpenSfM's reconstruction.json",
+        ));
+    }
+    match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
+        Some("json") => opensfm::read(path),
+        Some("xml") => micmac::read_orientations(path.parent().unwrap_or(Path::new("."))),
+        Some("bin" | "txt") => colmap::read(path.parent().unwrap_or(Path::new("."))),
+        _ if !path.exists() => Err(Error::io(path, "open", std::io::Error::from(std::io::ErrorKind::NotFound))),
+        _ => Err(Error::format(path, "the name", "is of no known reconstruction; give the folder of COLMAP's model, of MicMac's orientations, or reconstruction.json")),
+    }
+}

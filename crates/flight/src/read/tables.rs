@@ -1,0 +1,294 @@
+//! Tables as text: rough positions with angles, and points measured in images.
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+
+use crate::error::{Error, Result, read_text};
+use crate::pose::{Pose, YawPitchRoll};
+
+/// A row of a camera table. Angles are degrees; what the table lacks is `None`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CameraRow {
+    pub name: String,
+    /// As the table has them: easting, northing, height, or longitude, latitude, height.
+    pub xyz: [f64; 3],
+    pub yaw_deg: Option<f64>,
+    pub pitch_deg: Option<f64>,
+    pub roll_deg: Option<f64>,
+    pub omega_phi_kappa_deg: Option<[f64; 3]>,
+    pub line: Option<String>,
+}
+
+impl CameraRow {
+    /// The pose that the row states; `None` when it has no direction. `pitch_deg` stands in for a pitch that is not there.
+    pub fn pose(&self, pitch_deg: Option<f64>) -> Option<Pose> {
+        let centre = Vector3::from(self.xyz);
+        if let Some(opk) = self.omega_phi_kappa_deg {
+            return Some(Pose::from_omega_phi_kappa(centre, opk));
+        }
+        let angles = YawPitchRoll {
+            yaw_deg: self.yaw_deg?,
+            pitch_deg: self.pitch_deg.or(pitch_deg)?,
+            roll_deg: self.roll_deg.unwrap_or(0.0),
+        };
+        Some(Pose::looking(centre, angles))
+    }
+}
+
+fn separator(line: &str) -> Option<char> {
+    [';', '\t', ','].into_iter().find(|c| line.contains(*c))
+}
+
+/// Cuts a row at its separator, else at blanks; quotes of either kind hold a field together.
+fn fields(line: &str, cut: Option<char>) -> Vec<String> {
+    let mut all = Vec::new();
+    let mut field = String::new();
+    let mut quote = None;
+    let mut any = false;
+    for c in line.chars() {
+        match (quote, c) {
+            (Some(q), c) if c == q => quote = None,
+            (Some(_), c) => field.push(c),
+            (None, '"' | '\'') if field.trim().is_empty() => (quote, any) = (Some(c), true),
+            (None, c) if cut.map_or(c.is_whitespace(), |s| c == s) => {
+                if cut.is_some() || any || !field.is_empty() {
+                    all.push(std::mem::take(&mut field).trim().to_string());
+                }
+                any = false;
+            }
+            (None, c) => field.push(c),
+        }
+    }
+    if cut.is_some() || any || !field.trim().is_empty() {
+        all.push(field.trim().to_string());
+    }
+    all
+}
+
+const NAMES: [&str; 9] = ["name", "filename", "file", "image", "frame", "photo", "label", "id", "img"];
+const COLUMNS: [(&str, &[&str]); 10] = [
+    ("x", &["x", "e", "easting", "east", "lon", "longitude", "x/longitude", "x_m", "øst", "ost"]),
+    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y_m", "nord"]),
+    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "z_m", "høyde", "hoyde"]),
+    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yaw_deg", "direction"]),
+    ("pitch", &["pitch", "pitch_deg", "elevation_angle"]),
+    ("roll", &["roll", "roll_deg"]),
+    ("omega", &["omega", "omega_deg"]),
+    ("phi", &["phi", "phi_deg"]),
+    ("kappa", &["kappa", "kappa_deg"]),
+    ("line", &["line", "strip", "flight_line", "run"]),
+];
+
+/// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or without one
+/// rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
+///
+/// # Errors
+/// When a row has no name or a coordinate is no number.
+pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
+    let text = read_text(path)?;
+    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
+    let mut lines = lines.by_ref().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')).peekable();
+    let Some((_, first)) = lines.peek().copied() else {
+        return Err(Error::format(path, "the table", "is empty"));
+    };
+    let cut = separator(first);
+    let heads: Vec<String> = fields(first, cut).iter().map(|h| h.to_lowercase()).collect();
+    let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
+    let column = |name: &str| COLUMNS.iter().find(|c| c.0 == name).and_then(|c| place(c.1));
+    let headed = column("x").is_some() && column("y").is_some();
+    let (name_at, at): (usize, Vec<Option<usize>>) = if headed {
+        lines.next();
+        let name = place(&NAMES).ok_or_else(|| {
+            Error::format(path, "the heading", format!("no column names the frames; call one of them `{}`", NAMES[0]))
+        })?;
+        (name, COLUMNS.iter().map(|c| column(c.0)).collect())
+    } else {
+        let n = heads.len();
+        let opk = n >= 7;
+        let known = [Some(1), Some(2), (n > 3).then_some(3), (n > 4 && !opk).then_some(4), None, None];
+        let tail = [opk.then_some(4), opk.then_some(5), opk.then_some(6), None];
+        (0, known.into_iter().chain(tail).collect())
+    };
+    let mut rows = Vec::new();
+    for (row, line) in lines {
+        let f = fields(line, cut);
+        let value = |i: usize| -> Result<Option<f64>> {
+            let Some(text) = at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
+            let number = text.parse::<f64>().or_else(|_| text.replace(',', ".").parse());
+            number.ok().filter(|v: &f64| v.is_finite()).map(Some).ok_or_else(|| {
+                Error::format(path, format!("row {row}"), format!("`{text}` is no number for {}", COLUMNS[i].0))
+            })
+        };
+        let name = f.get(name_at).filter(|n| !n.is_empty());
+        let name = name.ok_or_else(|| Error::format(path, format!("row {row}"), "the frame has no name"))?.clone();
+        let (Some(x), Some(y)) = (value(0)?, value(1)?) else {
+            return Err(Error::format(path, format!("row {row}"), "x or y is missing"));
+        };
+        let opk = match (value(6)?, value(7)?, value(8)?) {
+            (Some(o), Some(p), Some(k)) => Some([o, p, k]),
+            _ => None,
+        };
+        rows.push(CameraRow {
+            name,
+            xyz: [x, y, value(2)?.unwrap_or(0.0)],
+            yaw_deg: value(3)?,
+            pitch_deg: value(4)?,
+            roll_deg: value(5)?,
+            omega_phi_kappa_deg: opk,
+            line: at[9].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
+        });
+    }
+    if rows.is_empty() {
+        return Err(Error::format(path, "the table", "has no rows"));
+    }
+    Ok(rows)
+}
+
+/// A point measured in an image, with its place on the ground when the list has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImagePoint {
+    /// Empty when the list belongs to one image.
+    pub image: String,
+    pub name: String,
+    pub xyz: Option<[f64; 3]>,
+    pub pixel: [f64; 2],
+}
+
+/// Reads points measured in images from text: OpenDroneMap's `gcp_list.txt` (a CRS, then `x y z px py image [name]`), rows of
+/// `x y z px py` for one image with or without a heading, or a table with the columns `name`, `image`, `px`, `py`
+/// (`u`, `v`). Returns the CRS line when there is one.
+///
+/// # Errors
+/// When a row is no point; the message names it.
+pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
+    let text = read_text(path)?;
+    let lines: Vec<(usize, &str)> = text
+        .trim_start_matches('\u{feff}')
+        .lines()
+        .enumerate()
+        .map(|(i, l)| (i + 1, l.trim()))
+        .filter(|(_, l)| !l.is_empty() && !l.starts_with('#'))
+        .collect();
+    let Some((_, first)) = lines.first() else { return Err(Error::format(path, "the list", "is empty")) };
+    let head_cut = separator(first);
+    let heads: Vec<String> = fields(first, head_cut).iter().map(|h| h.to_lowercase()).collect();
+    let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
+    let px = place(&["px", "u", "im_x", "pixel_x", "image_x", "col", "column"]);
+    let py = place(&["py", "v", "im_y", "pixel_y", "image_y", "row", "line"]);
+    let image = place(&["image", "frame", "photo", "img", "image_name", "filename"]);
+    let mut points: Vec<ImagePoint> = Vec::new();
+    if let (Some(px), Some(py)) = (px, py) {
+        let name = place(&["name", "gcp", "point", "label", "id", "gcp_name"]);
+        let ground = (column_at(&heads, 0), column_at(&heads, 1), column_at(&heads, 2));
+        for (row, line) in &lines[1..] {
+            let f = fields(line, head_cut);
+            let value = |c: usize| number(path, *row, &f, c);
+            let xyz = match ground {
+                (Some(x), Some(y), Some(z)) => Some([value(x)?, value(y)?, value(z)?]),
+                _ => None,
+            };
+            let word = |c: Option<usize>| c.and_then(|c| f.get(c)).cloned().unwrap_or_default();
+            let name = match word(name) {
+                n if n.is_empty() => named(&points, xyz),
+                n => n,
+            };
+            points.push(ImagePoint { image: word(image), name, xyz, pixel: [value(px)?, value(py)?] });
+        }
+        return Ok((None, points));
+    }
+    let numeric = |line: &str| {
+        let f = split(line);
+        f.len() >= 5 && f[..5].iter().all(|w| w.parse::<f64>().is_ok())
+    };
+    let crs = (!numeric(first)).then(|| first.to_string());
+    for (row, line) in &lines[usize::from(crs.is_some())..] {
+        let f = split(line);
+        if f.len() < 5 {
+            return Err(Error::format(path, format!("row {row}"), "`x y z px py [image [name]]` is expected"));
+        }
+        let v: Vec<f64> = (0..5).map(|c| number(path, *row, &f, c)).collect::<Result<_>>()?;
+        let xyz = Some([v[0], v[1], v[2]]);
+        let name = f.get(6).cloned().unwrap_or_else(|| named(&points, xyz));
+        points.push(ImagePoint { image: f.get(5).cloned().unwrap_or_default(), name, xyz, pixel: [v[3], v[4]] });
+    }
+    if points.is_empty() {
+        return Err(Error::format(path, "the list", "has no rows"));
+    }
+    let heading = crs.as_deref().is_some_and(|l| split(l).len() >= 5 && !l.contains('+') && !l.contains('['));
+    Ok((crs.filter(|_| !heading), points))
+}
+
+fn split(line: &str) -> Vec<String> {
+    let at_tabs = fields(line, Some('\t'));
+    if at_tabs.len() >= 5 {
+        return at_tabs;
+    }
+    let blank = fields(line, None);
+    if blank.len() >= 5 { blank } else { fields(line, separator(line)) }
+}
+
+fn column_at(heads: &[String], i: usize) -> Option<usize> {
+    heads.iter().position(|h| COLUMNS[i].1.contains(&h.as_str()))
+}
+
+fn number(path: &Path, row: usize, f: &[String], c: usize) -> Result<f64> {
+    let text = f.get(c).map_or("", String::as_str);
+    text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+        Error::format(path, format!("row {row}"), format!("`{text}` in column {} is no number", c + 1))
+    })
+}
+
+/// Unnamed rows of one place are one point; a place not seen yet gets the next number.
+fn named(points: &[ImagePoint], xyz: Option<[f64; 3]>) -> String {
+    if let Some(known) = points.iter().find(|p| xyz.is_some() && p.xyz == xyz) {
+        return known.name.clone();
+    }
+    let mut places: Vec<&str> = points.iter().map(|p| p.name.as_str()).collect();
+    places.sort_unstable();
+    places.dedup();
+    (places.len() + 1).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(text: &str) -> (std::path::PathBuf, impl Drop) {
+        struct Gone(std::path::PathBuf);
+        impl Drop for Gone {
+            fn drop(&mut self) {
+                let _ = std::fs::remove_file(&self.0);
+            }
+        }
+        static NEXT: std::sync::atomic::AtomicUsize = std::sync::atomic::AtomicUsize::new(0);
+        let n = NEXT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("autoref-flight-table-{}-{n}", std::process::id()));
+        std::fs::write(&path, text).expect("writable");
+        (path.clone(), Gone(path))
+    }
+
+    #[test]
+    fn tables_of_cameras() {
+        let (path, _gone) = file("name,x,y,z,yaw\nS36 1.png,100,200,3000,12.5\n");
+        let rows = cameras(&path).expect("a table");
+        assert_eq!((rows[0].name.as_str(), rows[0].xyz, rows[0].yaw_deg), ("S36 1.png", [100.0, 200.0, 3000.0], Some(12.5)));
+        let (path, _gone) = file("'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa' 'camera'\n'a b' 1 2 3 4 5 6 'dji x'\n");
+        let rows = cameras(&path).expect("a table");
+        assert_eq!((rows[0].name.as_str(), rows[0].omega_phi_kappa_deg), ("a b", Some([4.0, 5.0, 6.0])));
+        let (path, _gone) = file("3324 -55094.5 -3727407.0 5258.3 -0.35 0.29 -179.08\n");
+        assert_eq!(cameras(&path).expect("a table")[0].omega_phi_kappa_deg, Some([-0.35, 0.29, -179.08]));
+        let (path, _gone) = file("name,x,y\na,1,north\n");
+        assert!(cameras(&path).expect_err("no number").to_string().contains("row 2: `north` is no number for y"));
+    }
+
+    #[test]
+    fn lists_of_image_points() {
+        let (path, _gone) = file("EPSG:25833\n1 2 3 10.5 20.5 a.jpg P1\n1 2 3 11 21 b.jpg P1\n");
+        let (crs, points) = image_points(&path).expect("a list");
+        assert_eq!((crs.as_deref(), points.len(), points[1].image.as_str()), (Some("EPSG:25833"), 2, "b.jpg"));
+        let (path, _gone) = file("x\ty\tz\tx\ty\n1\t2\t3\t4\t5\n1\t2\t4\t4\t6\n");
+        let (crs, points) = image_points(&path).expect("a list");
+        assert_eq!((crs, points[1].name.as_str(), points[1].pixel), (None, "2", [4.0, 6.0]));
+    }
+}

@@ -1,0 +1,351 @@
+//! Space resection: the pose of one photograph from points of known place.
+//!
+//! Three points give up to four poses (Grunert 1841, as in Haralick et al. 1994, *Review and Analysis of Solutions of the Three
+//! Point Perspective Pose Estimation Problem*, eq. 9); the pose that most points agree with is refined by least squares.
+
+use nalgebra::{Matrix2, Matrix4, SMatrix, Vector2, Vector3};
+
+use crate::bundle::{
+    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Treatment, Trust, factor, solve,
+};
+use crate::camera::{Camera, Parameter};
+use crate::error::{Error, Result};
+use crate::pose::{Pose, Similarity};
+
+/// A point with its pixel.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    pub name: String,
+    pub xyz: Vector3<f64>,
+    pub pixel: [f64; 2],
+}
+
+/// What is known besides the points.
+#[derive(Clone, Debug)]
+pub struct ResectOptions {
+    /// 1σ of the points in the image.
+    pub sigma_px: f64,
+    /// 1σ of the points on the ground, metres.
+    pub sigma_ground_m: f64,
+    /// Known position with standard deviations.
+    pub position: Option<(Vector3<f64>, Vector3<f64>)>,
+    /// Whether the focal length is sought too.
+    pub focal: Focal,
+    /// Residuals beyond this many of their own standard deviations name a blunder.
+    pub critical: f64,
+}
+
+/// Whether the focal length is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Focal {
+    Known,
+    Sought,
+}
+
+impl Default for ResectOptions {
+    fn default() -> Self {
+        ResectOptions { sigma_px: 1.0, sigma_ground_m: 0.0, position: None, focal: Focal::Known, critical: 4.0 }
+    }
+}
+
+/// The pose with its accuracy.
+#[derive(Clone, Debug)]
+pub struct Resection {
+    pub camera: Camera,
+    pub pose: Pose,
+    /// Turn (radians) and centre; `None` without redundancy and prior knowledge.
+    pub covariance: Option<SMatrix<f64, 6, 6>>,
+    /// Predicted − measured, pixels, of every point in order; `None` behind the camera.
+    pub residuals_px: Vec<Option<[f64; 2]>>,
+    /// Indices of points that were taken out as blunders.
+    pub blunders: Vec<usize>,
+    /// Of the points kept: √(mean of the squares of the residuals in x and in y).
+    pub rms_px: f64,
+    /// √(v'Pv / redundancy) with the σ that were stated; `None` without redundancy.
+    pub sigma0: Option<f64>,
+    /// Other poses that three points allow.
+    pub alternatives: usize,
+}
+
+/// The poses that see three points along three unit vectors.
+pub fn three_points(world: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<Pose> {
+    let square = |a: &Vector3<f64>, b: &Vector3<f64>| (a - b).norm_squared();
+    let (a, b, c) = (square(&world[1], &world[2]), square(&world[0], &world[2]), square(&world[0], &world[1]));
+    let (ca, cb, cg) = (rays[1].dot(&rays[2]), rays[0].dot(&rays[2]), rays[0].dot(&rays[1]));
+    if b <= 0.0 || a <= 0.0 || c <= 0.0 {
+        return Vec::new();
+    }
+    let (q, s, ab, cbq) = ((a - c) / b, (a + c) / b, a / b, c / b);
+    let a4 = (q - 1.0).powi(2) - 4.0 * cbq * ca * ca;
+    let a3 = 4.0 * (q * (1.0 - q) * cb - (1.0 - s) * ca * cg + 2.0 * cbq * ca * ca * cb);
+    let a2 = 2.0
+        * (q * q - 1.0 + 2.0 * q * q * cb * cb + 2.0 * (1.0 - cbq) * ca * ca - 4.0 * s * ca * cb * cg
+            + 2.0 * (1.0 - ab) * cg * cg);
+    let a1 = 4.0 * (-q * (1.0 + q) * cb + 2.0 * ab * cg * cg * cb - (1.0 - s) * ca * cg);
+    let a0 = (1.0 + q).powi(2) - 4.0 * ab * cg * cg;
+    let mut poses = Vec::new();
+    for v in quartic([a0, a1, a2, a3, a4]) {
+        if v <= 0.0 {
+            continue;
+        }
+        let below = 2.0 * (cg - v * ca);
+        if below.abs() < 1e-12 {
+            continue;
+        }
+        let u = ((q - 1.0) * v * v - 2.0 * q * cb * v + 1.0 + q) / below;
+        let length = b / (1.0 + v * v - 2.0 * v * cb);
+        if u <= 0.0 || length <= 0.0 {
+            continue;
+        }
+        let s1 = length.sqrt();
+        let camera = [rays[0] * s1, rays[1] * (u * s1), rays[2] * (v * s1)];
+        if let Some(fit) = Similarity::fit(world, &camera, &[1.0; 3]) {
+            let mean = |p: &[Vector3<f64>; 3]| (p[0] + p[1] + p[2]) / 3.0;
+            let centre = mean(world) - fit.rotation.transpose() * mean(&camera);
+            poses.push(Pose { rotation: fit.rotation, centre });
+        }
+    }
+    poses
+}
+
+/// Real roots, by the eigenvalues of the companion matrix and two steps of Newton.
+fn quartic(c: [f64; 5]) -> Vec<f64> {
+    let largest = c.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    if c[4].abs() < 1e-13 * largest || largest == 0.0 || !largest.is_finite() {
+        return Vec::new();
+    }
+    let mut m = Matrix4::zeros();
+    for i in 0..4 {
+        m[(i, 3)] = -c[i] / c[4];
+        if i > 0 {
+            m[(i, i - 1)] = 1.0;
+        }
+    }
+    let Some(schur) = nalgebra::linalg::Schur::try_new(m, 1e-14, 500) else { return Vec::new() };
+    let mut roots = Vec::new();
+    for z in schur.complex_eigenvalues().iter() {
+        if z.im.abs() > 1e-4 * (1.0 + z.re.abs()) {
+            continue;
+        }
+        let mut x = z.re;
+        for _ in 0..3 {
+            let f = (((c[4] * x + c[3]) * x + c[2]) * x + c[1]) * x + c[0];
+            let d = ((4.0 * c[4] * x + 3.0 * c[3]) * x + 2.0 * c[2]) * x + c[1];
+            if d != 0.0 && (f / d).abs() < 0.1 * (1.0 + x.abs()) {
+                x -= f / d;
+            }
+        }
+        roots.push(x);
+    }
+    roots
+}
+
+/// Finds the pose; wrong points are named.
+///
+/// # Errors
+/// With fewer than three points (four when the focal length is sought), or when no pose sees them.
+pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result<Resection> {
+    let least = if options.focal == Focal::Sought { 4 } else { 3 };
+    if seen.len() < least {
+        return Err(Error::no_result(
+            format!("{} points are seen in the frame, {least} are needed", seen.len()),
+            "measure more points, or state the focal length",
+        ));
+    }
+    let cameras: Vec<Camera> = match options.focal {
+        Focal::Known => vec![camera.clone()],
+        Focal::Sought => {
+            let side = camera.size_px[0].max(camera.size_px[1]);
+            (0..48).map(|i| camera.clone().with(Parameter::F, side * 0.35 * 1.09f64.powi(i))).collect()
+        }
+    };
+    let mut best: Vec<(f64, Camera, Pose)> = Vec::new();
+    for camera in &cameras {
+        for pose in starts(camera, seen, options) {
+            let score = disagreement(camera, &pose, seen, options);
+            best.push((score, camera.clone(), pose));
+        }
+    }
+    best.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let alternatives = if seen.len() == 3 { best.len().saturating_sub(1) } else { 0 };
+    best.truncate(12);
+    let mut result: Option<(f64, Resection)> = None;
+    for (_, camera, pose) in best {
+        let Ok(found) = refine(&camera, &pose, seen, options) else { continue };
+        let score = disagreement(&found.camera, &found.pose, seen, options);
+        if result.as_ref().is_none_or(|r| score < r.0) {
+            result = Some((score, found));
+        }
+    }
+    let (_, mut found) = result.ok_or_else(|| {
+        Error::no_result(
+            "no pose sees the points where they were measured",
+            "check the focal length, the order of the coordinates and whether pixels count from the upper left corner",
+        )
+    })?;
+    found.alternatives = alternatives;
+    Ok(found)
+}
+
+/// Poses of all triples, or of 400 drawn ones.
+fn starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Vec<Pose> {
+    let rays: Vec<Option<Vector3<f64>>> = seen.iter().map(|s| camera.ray(s.pixel).map(Vector3::from)).collect();
+    let n = seen.len();
+    let mut triples = Vec::new();
+    if n <= 13 {
+        for i in 0..n {
+            for j in i + 1..n {
+                for k in j + 1..n {
+                    triples.push([i, j, k]);
+                }
+            }
+        }
+    } else {
+        let mut state = 0x9E37_79B9_7F4A_7C15u64;
+        let mut draw = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as usize % n
+        };
+        while triples.len() < 400 {
+            let t = [draw(), draw(), draw()];
+            if t[0] != t[1] && t[1] != t[2] && t[0] != t[2] {
+                triples.push(t);
+            }
+        }
+    }
+    let mut poses = Vec::new();
+    for t in triples {
+        let (Some(a), Some(b), Some(c)) = (rays[t[0]], rays[t[1]], rays[t[2]]) else { continue };
+        let world = t.map(|i| seen[i].xyz);
+        poses.extend(three_points(&world, &[a, b, c]));
+    }
+    if let Some((at, _)) = &options.position {
+        poses.sort_by(|p, q| (p.centre - at).norm().total_cmp(&(q.centre - at).norm()));
+    }
+    poses
+}
+
+/// Mean of the better part of the distances (all but a third, at least three and one more where there is one), and how far a
+/// known position is missed.
+fn disagreement(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
+    let mut d: Vec<f64> = seen
+        .iter()
+        .map(|s| {
+            camera
+                .project(pose.to_camera(&s.xyz).into())
+                .map_or(1e9, |p| ((p[0] - s.pixel[0]).powi(2) + (p[1] - s.pixel[1]).powi(2)).min(1e9))
+        })
+        .collect();
+    d.sort_by(f64::total_cmp);
+    let keep = (seen.len() - seen.len() / 3).max(4).min(seen.len());
+    let mut score = d[..keep].iter().sum::<f64>() / keep as f64;
+    if let Some((at, sigma)) = &options.position {
+        score += (pose.centre - at).component_div(sigma).norm_squared() * options.sigma_px.powi(2) / keep as f64;
+    } else if seen.len() == 3 {
+        // Three points: cameras stand above the ground more often than below it.
+        let mean = seen.iter().map(|s| s.xyz.z).sum::<f64>() / 3.0;
+        score += if pose.centre.z < mean { 1.0 } else { 0.0 };
+    }
+    score
+}
+
+fn problem(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions, trust: Trust) -> Problem {
+    let mut bundle = BundleCamera::held(camera.clone());
+    if options.focal == Focal::Sought {
+        bundle = bundle.treat(Parameter::F, Treatment::Free);
+    }
+    let spread = seen.iter().map(|s| (s.xyz - seen[0].xyz).norm()).fold(0.0, f64::max);
+    // Exact points are held by a σ that no residual notices.
+    let sigma = if options.sigma_ground_m > 0.0 { options.sigma_ground_m } else { spread * 1e-7 };
+    Problem {
+        cameras: vec![bundle],
+        frames: vec![BundleFrame { camera: 0, pose: *pose, position: options.position, direction: None }],
+        points: seen
+            .iter()
+            .map(|s| BundlePoint { xyz: s.xyz, survey: Some((s.xyz, Vector3::repeat(sigma))) })
+            .collect(),
+        observations: seen
+            .iter()
+            .enumerate()
+            .map(|(i, s)| Observation { frame: 0, point: i, pixel: s.pixel, sigma_px: options.sigma_px, trust })
+            .collect(),
+    }
+}
+
+fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Result<Resection> {
+    let robust = Options { loss: Loss::Cauchy(2.0), ..Options::default() };
+    let mut at = problem(camera, pose, seen, options, Trust::Robust);
+    if seen.len() > 3 {
+        solve(&mut at, &robust)?;
+    }
+    let (mut camera, mut pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
+    let unknowns = 6 + usize::from(options.focal == Focal::Sought);
+    let mut kept: Vec<usize> = (0..seen.len()).collect();
+    let mut blunders = Vec::new();
+    loop {
+        let subset: Vec<Seen> = kept.iter().map(|i| seen[*i].clone()).collect();
+        let mut at = problem(&camera, &pose, &subset, options, Trust::Full);
+        let plain = Options { loss: Loss::Squared, ..Options::default() };
+        let summary = solve(&mut at, &plain)?;
+        (camera, pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
+        let known = 2 * kept.len() + if options.position.is_some() { 3 } else { 0 };
+        let redundancy = known.saturating_sub(unknowns);
+        let sigma0 = (redundancy > 0).then(|| (2.0 * summary.cost / redundancy as f64).sqrt());
+        let factored = factor(&at, Loss::Squared);
+        // The worst normalised residual, as long as the rest still fixes the pose with something to spare.
+        let spare = known >= unknowns + 3 && kept.len() > 4;
+        let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options));
+        if let Some((index, _)) = worst {
+            blunders.push(kept.remove(index));
+            continue;
+        }
+        let residuals_px: Vec<Option<[f64; 2]>> = seen
+            .iter()
+            .map(|s| {
+                camera.project(pose.to_camera(&s.xyz).into()).map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]])
+            })
+            .collect();
+        if kept.iter().any(|i| residuals_px[*i].is_none()) {
+            return Err(Error::no_result("a point lies behind the camera", "check the points"));
+        }
+        let sum: f64 = kept.iter().filter_map(|i| residuals_px[*i]).map(|r| r[0] * r[0] + r[1] * r[1]).sum();
+        blunders.sort_unstable();
+        return Ok(Resection {
+            covariance: factored.map(|f| f.frame(0)),
+            rms_px: (sum / (2 * kept.len()) as f64).sqrt(),
+            camera,
+            pose,
+            residuals_px,
+            blunders,
+            sigma0,
+            alternatives: 0,
+        });
+    }
+}
+
+/// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated may be
+/// too small for the whole net: the spread of the others (their median) is the unit when it is larger.
+fn worst_point(
+    at: &Problem,
+    factored: &crate::bundle::Factored,
+    seen: &[Seen],
+    options: &ResectOptions,
+) -> Option<(usize, f64)> {
+    let mut tests = Vec::new();
+    for (i, o) in at.observations.iter().enumerate() {
+        let surveyed = Vector3::from(at.points[i].survey.map_or(seen[i].xyz, |s| s.0));
+        let p = at.cameras[0].camera.project(at.frames[0].pose.to_camera(&surveyed).into())?;
+        let v = Vector2::new(p[0] - o.pixel[0], p[1] - o.pixel[1]);
+        // Of the residual: what was stated less what the fit took up.
+        let q = Matrix2::identity() * o.sigma_px.powi(2) - factored.predicted(at, o)?;
+        let floor = Matrix2::identity() * (1e-3 * o.sigma_px.powi(2));
+        let test = v.dot(&((q + floor).try_inverse()? * v)).max(0.0).sqrt();
+        tests.push(test);
+    }
+    let mut sorted = tests.clone();
+    sorted.sort_by(f64::total_cmp);
+    // The median length of a normal 2-vector is 1.1774 σ.
+    let unit = (sorted[sorted.len() / 2] / 1.1774).max(1.0);
+    let (index, worst) = tests.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (worst > options.critical * unit).then_some((index, worst / unit))
+}

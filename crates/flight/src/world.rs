@@ -1,0 +1,137 @@
+//! From map coordinates to a Cartesian frame and back.
+//!
+//! A CRS that is `local` is metric and flat. On the Earth the adjustment works in the tangent frame of the project's centre (east,
+//! north, up on WGS84's ellipsoid), so that curvature and the map's scale are right. Heights are taken as if above the ellipsoid:
+//! a geoid that tilts within the project shows in the residuals.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::pose::{Pose, orthonormal};
+
+/// Map ↔ longitude, latitude (degrees), height.
+pub trait Geodesy {
+    fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]>;
+    fn from_geographic(&self, lon_lat_h: [f64; 3]) -> Option<[f64; 3]>;
+}
+
+const A: f64 = 6_378_137.0;
+const F: f64 = 1.0 / 298.257_223_563;
+
+/// Longitude and latitude (degrees) and height to geocentric metres (WGS84).
+pub fn geocentric(lon_lat_h: [f64; 3]) -> Vector3<f64> {
+    let e2 = F * (2.0 - F);
+    let (sl, cl) = lon_lat_h[0].to_radians().sin_cos();
+    let (sp, cp) = lon_lat_h[1].to_radians().sin_cos();
+    let n = A / (1.0 - e2 * sp * sp).sqrt();
+    Vector3::new((n + lon_lat_h[2]) * cp * cl, (n + lon_lat_h[2]) * cp * sl, (n * (1.0 - e2) + lon_lat_h[2]) * sp)
+}
+
+/// Inverse of [`geocentric`], by iteration (to 1e-12 rad within a few steps at heights of aircraft).
+pub fn geographic(x: &Vector3<f64>) -> [f64; 3] {
+    let e2 = F * (2.0 - F);
+    let p = x.x.hypot(x.y);
+    let mut latitude = x.z.atan2(p * (1.0 - e2));
+    let mut height = 0.0;
+    for _ in 0..12 {
+        let (s, c) = latitude.sin_cos();
+        let n = A / (1.0 - e2 * s * s).sqrt();
+        height = p * c + x.z * s - A * A / n;
+        latitude = x.z.atan2(p * (1.0 - e2 * n / (n + height)));
+    }
+    [x.y.atan2(x.x).to_degrees(), latitude.to_degrees(), height]
+}
+
+/// A frame tangent to the ellipsoid.
+pub struct Tangent {
+    geodesy: Box<dyn Geodesy>,
+    origin: Vector3<f64>,
+    /// Geocentric → east, north, up.
+    axes: Matrix3<f64>,
+    pub lon_lat_h: [f64; 3],
+}
+
+/// The frame that the adjustment works in.
+pub enum World {
+    Flat { origin: Vector3<f64> },
+    Curved(Tangent),
+}
+
+/// East, north, up at a place, as rows.
+pub fn tangent_axes(lon_deg: f64, lat_deg: f64) -> Matrix3<f64> {
+    let (sl, cl) = lon_deg.to_radians().sin_cos();
+    let (sp, cp) = lat_deg.to_radians().sin_cos();
+    Matrix3::new(-sl, cl, 0.0, -sp * cl, -sp * sl, cp, cp * cl, cp * sl, sp)
+}
+
+impl World {
+    /// Flat, with an origin near the points so that numbers stay small.
+    pub fn flat(centre: [f64; 3]) -> Self {
+        World::Flat { origin: Vector3::new(centre[0].round(), centre[1].round(), 0.0) }
+    }
+    /// Tangent at a place of the map; `None` when it has no longitude and latitude.
+    pub fn curved(geodesy: Box<dyn Geodesy>, centre: [f64; 3]) -> Option<Self> {
+        let [lon, lat, _] = geodesy.to_geographic([centre[0], centre[1], 0.0])?;
+        let at = [lon, lat, 0.0];
+        Some(World::Curved(Tangent { geodesy, origin: geocentric(at), axes: tangent_axes(lon, lat), lon_lat_h: at }))
+    }
+    pub fn to_world(&self, map: [f64; 3]) -> Option<Vector3<f64>> {
+        match self {
+            World::Flat { origin } => Some(Vector3::from(map) - origin),
+            World::Curved(t) => Some(t.axes * (geocentric(t.geodesy.to_geographic(map)?) - t.origin)),
+        }
+    }
+    pub fn to_map(&self, world: &Vector3<f64>) -> Option<[f64; 3]> {
+        match self {
+            World::Flat { origin } => Some((world + origin).into()),
+            World::Curved(t) => t.geodesy.from_geographic(geographic(&(t.axes.transpose() * world + t.origin))),
+        }
+    }
+    /// The map's axes (grid east, grid north, up) at a place, as columns in the world.
+    pub fn grid(&self, map: [f64; 3]) -> Option<Matrix3<f64>> {
+        if let World::Flat { .. } = self {
+            return Some(Matrix3::identity());
+        }
+        let at = self.to_world(map)?;
+        let mut m = Matrix3::zeros();
+        for i in 0..3 {
+            let mut moved = map;
+            moved[i] += 10.0;
+            m.set_column(i, &((self.to_world(moved)? - at) / 10.0));
+        }
+        Some(orthonormal(&m))
+    }
+    /// A pose of the world in the map: the centre in map coordinates, the rotation against the map's axes there.
+    pub fn pose_to_map(&self, pose: &Pose) -> Option<Pose> {
+        let centre = self.to_map(&pose.centre)?;
+        Some(Pose { rotation: pose.rotation * self.grid(centre)?, centre: Vector3::from(centre) })
+    }
+    pub fn pose_to_world(&self, pose: &Pose) -> Option<Pose> {
+        let map: [f64; 3] = pose.centre.into();
+        Some(Pose { rotation: pose.rotation * self.grid(map)?.transpose(), centre: self.to_world(map)? })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Plain;
+    impl Geodesy for Plain {
+        fn to_geographic(&self, m: [f64; 3]) -> Option<[f64; 3]> {
+            Some([m[0] * 1e-5, 60.0 + m[1] * 1e-5, m[2]])
+        }
+        fn from_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+            Some([g[0] * 1e5, (g[1] - 60.0) * 1e5, g[2]])
+        }
+    }
+
+    #[test]
+    fn there_and_back_and_the_drop_of_the_horizon() {
+        let world = World::curved(Box::new(Plain), [0.0; 3]).expect("on the Earth");
+        let far = world.to_world([0.0, 15_300.0, 0.0]).expect("on the Earth");
+        // 17 km away the ground lies 23 m below the tangent plane.
+        assert!((far.y - 17_047.0).abs() < 30.0 && (far.z + 22.8).abs() < 0.3, "{far}");
+        let map = world.to_map(&far).expect("back");
+        assert!((map[1] - 15_300.0).abs() < 1e-4 && map[2].abs() < 1e-6, "{map:?}");
+    }
+}

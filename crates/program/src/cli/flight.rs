@@ -1,0 +1,324 @@
+//! `autoref-stream flight …`: from frames to cameras that know where they stood.
+
+mod document;
+mod lists;
+mod project;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust};
+use autoref_flight::read::{self, Reconstruction};
+use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
+use autoref_flight::{Camera, Error, Parameter};
+use nalgebra::Vector3;
+use serde_json::json;
+
+/// Photographs to cameras: relative orientation, bundle adjustment with GCPs, space resection.
+#[derive(Debug, clap::Args)]
+pub struct FlightArgs {
+    #[command(subcommand)]
+    command: FlightCommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum FlightCommand {
+    Init(project::InitArgs),
+    Solve(project::SolveArgs),
+    Adjust(AdjustArgs),
+    Resect(ResectArgs),
+}
+
+/// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
+#[derive(Debug, clap::Args)]
+struct AdjustArgs {
+    /// A folder with COLMAP's model or MicMac's orientations, OpenSfM's reconstruction.json, or a cameras.json.
+    reconstruction: PathBuf,
+    #[command(flatten)]
+    points: lists::PointArgs,
+    /// Interior parameters that are adjusted: f, cx, cy, k1 … p1, p2, b1, b2; `f=20` within 20 px of what is given; `none`.
+    #[arg(long, value_delimiter = ',', default_value = "f,k1", value_name = "LIST")]
+    free: Vec<String>,
+    /// 1σ of ties in the image. Default: from their residuals.
+    #[arg(long, value_name = "PX")]
+    sigma_tie: Option<f64>,
+    /// Rough camera table whose positions (and directions) count with --sigma-position and --sigma-direction.
+    #[arg(long, value_name = "TABLE")]
+    cameras: Option<PathBuf>,
+    /// 1σ of rough positions.
+    #[arg(long, value_name = "M", default_value_t = 200.0)]
+    sigma_position: f64,
+    /// 1σ of rough directions.
+    #[arg(long, value_name = "DEG", default_value_t = 2.0)]
+    sigma_direction: f64,
+    /// Where to write cameras.json.
+    #[arg(short, long, value_name = "JSON")]
+    output: Option<PathBuf>,
+    /// Replace an existing output.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print the result as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Find where one frame was taken from, from three or more GCPs measured in it.
+#[derive(Debug, clap::Args)]
+struct ResectArgs {
+    /// The frame: an image, or only its name as the list has it.
+    frame: PathBuf,
+    #[command(flatten)]
+    points: lists::PointArgs,
+    /// The camera: MicMac's AutoCal or Calib XML, COLMAP's cameras.txt, or any reconstruction that has the frame.
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+    /// Focal length in pixels; without it and without --camera it is sought (four points or more).
+    #[arg(long, value_name = "PX")]
+    f_px: Option<f64>,
+    /// Principal point. Default: the image's centre.
+    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 2)]
+    pp_px: Option<Vec<f64>>,
+    /// Distortion, such as k1=-0.13,k2=0.39,p1=0.0008.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    distortion: Vec<String>,
+    /// Size of the image, when the image is not there.
+    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 2)]
+    size: Option<Vec<f64>>,
+    /// Known position, in the coordinates of the list.
+    #[arg(long, value_name = "E,N,H", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
+    position: Option<Vec<f64>>,
+    /// 1σ of the known position.
+    #[arg(long, value_name = "M", default_value_t = 1.0)]
+    sigma_position: f64,
+    /// Where to write the result as JSON.
+    #[arg(short, long, value_name = "JSON")]
+    output: Option<PathBuf>,
+    /// Replace an existing output.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print the result as one JSON document on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &FlightArgs) -> Result<ExitCode> {
+    let done = match &args.command {
+        FlightCommand::Init(args) => project::init(args),
+        FlightCommand::Solve(args) => project::solve(args),
+        FlightCommand::Adjust(args) => run_adjust(args),
+        FlightCommand::Resect(args) => run_resect(args),
+    };
+    match done {
+        Ok(code) => Ok(code),
+        // It ran, and the data carry no result.
+        Err(error) => match error.downcast_ref::<Error>() {
+            Some(no @ Error::NoResult { .. }) => {
+                eprintln!("autoref-stream: {no}");
+                Ok(ExitCode::from(1))
+            }
+            _ => Err(error),
+        },
+    }
+}
+
+/// `f,k1,cx=5` as parameters with their standard deviations.
+fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
+    let mut all = Vec::new();
+    for item in list.iter().filter(|i| !matches!(i.as_str(), "none" | "")) {
+        let (name, sigma) = item.split_once('=').map_or((item.as_str(), None), |(n, s)| (n, Some(s)));
+        let Some(parameter) = Parameter::by_name(name) else {
+            bail!("--free: `{name}` is no interior parameter; there are {}", Parameter::ALL.map(Parameter::name).join(", "));
+        };
+        let sigma = match sigma {
+            Some(text) => match text.parse::<f64>() {
+                Ok(s) if s > 0.0 => Some(s),
+                _ => bail!("--free: `{item}`: the standard deviation must be a positive number"),
+            },
+            None => None,
+        };
+        all.push((parameter, sigma));
+    }
+    Ok(all)
+}
+
+fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
+    check_output(args.output.as_deref(), args.overwrite)?;
+    let model = read::reconstruction(&args.reconstruction)?;
+    let control = args.points.load(Some(&model))?;
+    let world = control.world()?;
+    let points = control.in_world(&world, &model, &args.points)?;
+    let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
+    if let Some(table) = &args.cameras {
+        let sigma = (args.sigma_position, args.sigma_direction.to_radians());
+        for row in read::tables::cameras(table)? {
+            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(None)) else { continue };
+            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
+                pose,
+                sigma_m: Vector3::repeat(sigma.0),
+                sigma_rad: sigma.1,
+            });
+        }
+    } else if model.reference_lla.is_some() || control.own_datum {
+        // A block that stands on the Earth already keeps its datum, loosely.
+        for (slot, p) in rough.iter_mut().zip(&model.photographs) {
+            *slot = Some(RoughPose { pose: p.pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY });
+        }
+    }
+    let options = AdjustOptions {
+        sigma_image_px: args.points.sigma_image,
+        sigma_tie_px: args.sigma_tie,
+        interior: interior(&args.free)?,
+        rough,
+        ..AdjustOptions::default()
+    };
+    let found = adjust(&model, &points, &options)?;
+    let listed = model.photographs.len();
+    let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
+    finish(&document, args.output.as_deref(), args.json)?;
+    if !args.json {
+        document::say(&document);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
+    check_output(args.output.as_deref(), args.overwrite)?;
+    let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let (camera, known) = frame_camera(args, &name)?;
+    let stub = Reconstruction {
+        cameras: vec![camera.clone()],
+        photographs: vec![read::Photograph {
+            name: name.clone(),
+            camera: 0,
+            pose: autoref_flight::Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::zeros() },
+        }],
+        ..Reconstruction::default()
+    };
+    let control = args.points.load(Some(&stub))?;
+    let world = control.world()?;
+    let points = control.in_world(&world, &stub, &args.points)?;
+    let seen: Vec<Seen> = points
+        .iter()
+        .flat_map(|p| p.seen.iter().map(|(_, pixel)| Seen { name: p.name.clone(), xyz: p.xyz, pixel: *pixel }))
+        .collect();
+    let options = ResectOptions {
+        sigma_px: args.points.sigma_image,
+        sigma_ground_m: args.points.sigma_ground.unwrap_or(0.0),
+        position: match &args.position {
+            Some(p) => {
+                let at = world.to_world([p[0], p[1], p[2]]);
+                let Some(at) = at else { bail!("--position lies outside the CRS of the list") };
+                Some((at, Vector3::repeat(args.sigma_position)))
+            }
+            None => None,
+        },
+        focal: if known { Focal::Known } else { Focal::Sought },
+        ..ResectOptions::default()
+    };
+    let found = resect(&camera, &seen, &options)?;
+    let document = document::resection(&found, &name, &seen, &world, control.crs_label());
+    finish(&document, args.output.as_deref(), args.json)?;
+    if !args.json {
+        document::say(&document);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The camera of the frame and whether its focal length is known.
+fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
+    let beside = || {
+        let folder = args.frame.parent()?;
+        let entries = std::fs::read_dir(folder).ok()?;
+        let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
+        files.sort();
+        let calibrations: Vec<PathBuf> = files
+            .into_iter()
+            .filter(|p| {
+                let n = p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+                n.ends_with(".xml") && (n.starts_with("AutoCal") || n.starts_with("Calib-"))
+            })
+            .collect();
+        (calibrations.len() == 1).then(|| calibrations[0].clone())
+    };
+    let file = args.camera.clone().or_else(|| if args.f_px.is_none() { beside() } else { None });
+    let mut known = true;
+    let mut camera = match file {
+        Some(path) if path.extension().is_some_and(|e| e == "xml") && path.is_file() => {
+            match read::micmac::read_camera(&path) {
+                Ok(camera) => camera,
+                Err(first) => {
+                    let model = read::reconstruction(&path).map_err(|_| first)?;
+                    of_frame(&model, name, &path)?
+                }
+            }
+        }
+        Some(path) => of_frame(&read::reconstruction(&path)?, name, &path)?,
+        None => {
+            let size = match &args.size {
+                Some(s) => [s[0], s[1]],
+                None => image_size(&args.frame, args.pp_px.as_deref())?,
+            };
+            known = args.f_px.is_some();
+            let f = args.f_px.unwrap_or(size[0].max(size[1]));
+            Camera::pinhole(name, size, f, [size[0] / 2.0, size[1] / 2.0])
+        }
+    };
+    if let Some(f) = args.f_px {
+        camera.set(Parameter::F, f);
+    }
+    if let Some(pp) = &args.pp_px {
+        camera.set(Parameter::Cx, pp[0]).set(Parameter::Cy, pp[1]);
+    }
+    for term in &args.distortion {
+        let pair = term.split_once('=').and_then(|(n, v)| Some((Parameter::by_name(n.trim())?, v.trim().parse().ok()?)));
+        let Some((parameter, value)) = pair else { bail!("--distortion: `{term}` is not like k1=-0.1") };
+        camera.set(parameter, value);
+    }
+    if !(camera.f_px() > 0.0 && camera.values.iter().all(|v| v.is_finite())) {
+        bail!("the focal length must be positive and all parameters finite");
+    }
+    Ok((camera, known))
+}
+
+fn of_frame(model: &Reconstruction, name: &str, path: &Path) -> Result<Camera> {
+    match (model.find(name), model.cameras.as_slice()) {
+        (Some(i), _) => Ok(model.cameras[model.photographs[i].camera].clone()),
+        (None, [only]) => Ok(only.clone()),
+        _ => bail!("{}: has no frame `{name}` and more than one camera", path.display()),
+    }
+}
+
+fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
+    if frame.is_file() {
+        let dataset = gdal::Dataset::open(frame).map_err(|e| anyhow::anyhow!("{}: GDAL: {e}", frame.display()))?;
+        let (w, h) = dataset.raster_size();
+        return Ok([w as f64, h as f64]);
+    }
+    match pp {
+        Some(pp) => Ok([2.0 * pp[0], 2.0 * pp[1]]),
+        None => bail!("{}: is not there; give --size W,H, or --camera", frame.display()),
+    }
+}
+
+fn check_output(output: Option<&Path>, overwrite: bool) -> Result<()> {
+    match output {
+        Some(path) if path.exists() && !overwrite => {
+            bail!("{} exists; give --overwrite to replace it", path.display())
+        }
+        _ => Ok(()),
+    }
+}
+
+fn finish(document: &serde_json::Value, output: Option<&Path>, print: bool) -> Result<()> {
+    let text = serde_json::to_string_pretty(document)? + "\n";
+    if let Some(path) = output {
+        autoref_raster::atomic::write(path, text.as_bytes())?;
+    }
+    if print {
+        print!("{text}");
+    } else if let Some(path) = output {
+        println!("{}", json!({"written": path.display().to_string()}));
+    }
+    Ok(())
+}

@@ -1,0 +1,203 @@
+//! Results as JSON.
+
+use autoref_flight::adjust::{Adjustment, Role};
+use autoref_flight::bundle::Ended;
+use autoref_flight::pose::angle_sigmas;
+use autoref_flight::read::Reconstruction;
+use autoref_flight::resect::{Resection, Seen};
+use autoref_flight::statistics::Residuals;
+use autoref_flight::world::World;
+use autoref_flight::{Camera, Parameter, Pose, Projection};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+use serde_json::{Map, Value, json};
+
+fn number(v: f64) -> Value {
+    serde_json::Number::from_f64(v).map_or(Value::Null, Value::Number)
+}
+
+fn list(v: &[f64]) -> Value {
+    v.iter().map(|v| number(*v)).collect()
+}
+
+fn rows(m: &Matrix3<f64>) -> Value {
+    (0..3).map(|r| list(&[m[(r, 0)], m[(r, 1)], m[(r, 2)]])).collect()
+}
+
+fn interior(camera: &Camera) -> Map<String, Value> {
+    let mut distortion = Map::new();
+    for p in Parameter::ALL.iter().filter(|p| !matches!(p, Parameter::F | Parameter::Cx | Parameter::Cy)) {
+        let plain = if *p == Parameter::Aspect { 1.0 } else { 0.0 };
+        if camera.get(*p) != plain {
+            distortion.insert(p.name().into(), number(camera.get(*p)));
+        }
+    }
+    if camera.projection == Projection::Fisheye {
+        distortion.insert("projection".into(), "fisheye".into());
+    }
+    let mut m = Map::new();
+    m.insert("f_px".into(), number(camera.f_px()));
+    m.insert("pp_px".into(), list(&camera.pp_px()));
+    m.insert("size_px".into(), list(&camera.size_px));
+    m.insert("distortion".into(), Value::Object(distortion));
+    m
+}
+
+/// A camera in the map: position, angles, their standard deviations, the full covariance (turn in radians, then position).
+fn camera(name: &str, camera: &Camera, pose: &Pose, cov: Option<&SMatrix<f64, 6, 6>>, world: &World) -> Map<String, Value> {
+    let map = world.pose_to_map(pose).unwrap_or(*pose);
+    let grid = world.grid(map.centre.into()).unwrap_or_else(Matrix3::identity);
+    let a = map.yaw_pitch_roll();
+    let [omega, phi, kappa] = map.omega_phi_kappa();
+    let mut m = Map::new();
+    m.insert("name".into(), name.into());
+    m.insert("e".into(), number(map.centre.x));
+    m.insert("n".into(), number(map.centre.y));
+    m.insert("h".into(), number(map.centre.z));
+    m.insert("yaw_deg".into(), number(a.yaw_deg));
+    m.insert("pitch_deg".into(), number(a.pitch_deg));
+    m.insert("roll_deg".into(), number(a.roll_deg));
+    m.insert("omega_phi_kappa_deg".into(), list(&[omega, phi, kappa]));
+    if let Some(c) = cov {
+        let place = grid.transpose() * c.fixed_view::<3, 3>(3, 3).into_owned() * grid;
+        for (i, key) in ["sigma_e", "sigma_n", "sigma_h"].iter().enumerate() {
+            m.insert((*key).into(), number(place[(i, i)].max(0.0).sqrt()));
+        }
+        let s = angle_sigmas(&map.rotation, &c.fixed_view::<3, 3>(0, 0).into_owned());
+        for (value, key) in s.iter().zip(["sigma_yaw_deg", "sigma_pitch_deg", "sigma_roll_deg"]) {
+            // One radian of turn is 57.3°: the derivatives are degrees by radians.
+            m.insert(key.into(), number(*value));
+        }
+        m.insert("covariance".into(), (0..6).map(|r| list(&(0..6).map(|k| c[(r, k)]).collect::<Vec<_>>())).collect());
+    }
+    m.insert("C".into(), list(map.centre.as_slice()));
+    m.insert("R".into(), rows(&map.rotation));
+    m.extend(interior(camera));
+    m
+}
+
+fn in_map(world: &World, at: &Vector3<f64>, v: &Vector3<f64>) -> [f64; 3] {
+    let grid = world.to_map(at).and_then(|m| world.grid(m)).unwrap_or_else(Matrix3::identity);
+    (grid.transpose() * v).into()
+}
+
+pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, listed: usize, crs: String) -> Value {
+    let name = |i: usize| model.photographs[i].name.clone();
+    let cameras: Vec<Value> = found
+        .photographs
+        .iter()
+        .map(|c| {
+            let of = &found.cameras[model.photographs[c.photograph].camera];
+            let mut m = camera(&name(c.photograph), of, &c.pose, c.covariance.as_ref(), world);
+            m.insert("rms_px".into(), number(c.rms_px));
+            m.insert("ties".into(), c.ties.into());
+            Value::Object(m)
+        })
+        .collect();
+    let interiors: Vec<Value> = found
+        .cameras
+        .iter()
+        .zip(&found.interior_sigmas)
+        .map(|(c, sigmas)| {
+            let mut m = Map::new();
+            m.insert("name".into(), c.name.clone().into());
+            m.extend(interior(c));
+            let s: Map<String, Value> = sigmas.iter().map(|(p, s)| (p.name().to_string(), number(*s))).collect();
+            m.insert("sigma".into(), Value::Object(s));
+            Value::Object(m)
+        })
+        .collect();
+    let points = |role: Role| -> (Vec<Value>, Vec<[f64; 3]>) {
+        let mut residuals = Vec::new();
+        let all = found.points.iter().filter(|p| p.role == role).map(|p| {
+            let r = p.residual.map(|r| in_map(world, &p.xyz, &r));
+            residuals.extend(r);
+            let at = world.to_map(&p.xyz).unwrap_or_default();
+            let sigma = p.covariance.map(|c| list(&[c[(0, 0)].sqrt(), c[(1, 1)].sqrt(), c[(2, 2)].sqrt()]));
+            let images: Vec<Value> =
+                p.image.iter().map(|(i, r)| json!({"frame": name(*i), "residual_px": list(r)})).collect();
+            json!({"name": p.name, "e": number(at[0]), "n": number(at[1]), "h": number(at[2]),
+                   "residual_m": r.map(|r| list(&r)), "d_m": r.map(|r| number(r.iter().map(|v| v * v).sum::<f64>().sqrt())),
+                   "sigma_m": sigma, "images": images})
+        });
+        (all.collect(), residuals)
+    };
+    let (gcps, gcp_residuals) = points(Role::Control);
+    let (checks, check_residuals) = points(Role::Check);
+    let blunders: Vec<Value> = found
+        .blunders
+        .iter()
+        .map(|b| match b.photograph {
+            Some(i) => json!({"gcp": b.gcp, "frame": name(i), "by_px": list(&b.by), "test": number(b.test)}),
+            None => json!({"gcp": b.gcp, "frame": null, "by_m": list(&b.by), "test": number(b.test)}),
+        })
+        .collect();
+    let ended = match found.summary.ended {
+        Ended::Converged => "converged",
+        Ended::OutOfIterations => "out of iterations",
+        Ended::Stuck => "stuck",
+    };
+    json!({
+        "crs": crs,
+        "frames_registered": found.photographs.len(),
+        "frames_listed": listed,
+        "cameras": cameras,
+        "interior": interiors,
+        "gcps": gcps,
+        "check_points": checks,
+        "gcp_statistics": Residuals::of(&gcp_residuals),
+        "check_point_statistics": Residuals::of(&check_residuals),
+        "blunders": blunders,
+        "reprojection_rms_px": number(found.tie_rms_px),
+        "reprojection_mean_px": number(found.tie_mean_px),
+        "sigma_tie_px": number(found.sigma_tie_px),
+        "ties": found.ties,
+        "ties_left_out": found.dropped_ties,
+        "iterations": found.summary.iterations,
+        "ended": ended,
+        "notes": found.notes,
+    })
+}
+
+pub fn resection(found: &Resection, name: &str, seen: &[Seen], world: &World, crs: String) -> Value {
+    let mut m = Map::new();
+    m.insert("crs".into(), crs.into());
+    m.extend(camera(name, &found.camera, &found.pose, found.covariance.as_ref(), world));
+    m.insert("rms_px".into(), number(found.rms_px));
+    m.insert("sigma0".into(), found.sigma0.map_or(Value::Null, number));
+    m.insert("alternatives".into(), found.alternatives.into());
+    let gcps = seen.iter().zip(&found.residuals_px).enumerate().map(|(i, (s, r))| {
+        let d = r.map(|r| r[0].hypot(r[1]));
+        json!({"name": s.name, "residual_px": r.map(|r| list(&r)), "d_px": d.map(number), "blunder": found.blunders.contains(&i)})
+    });
+    m.insert("gcps".into(), gcps.collect());
+    m.insert("blunders".into(), found.blunders.iter().map(|i| Value::from(seen[*i].name.clone())).collect());
+    Value::Object(m)
+}
+
+/// The essence on standard error.
+pub fn say(document: &Value) {
+    let get = |k: &str| document.get(k).cloned().unwrap_or(Value::Null);
+    if document.get("frames_registered").is_some() {
+        let d = |k: &str| document[k]["d"]["rms"].as_f64().map_or("-".into(), |v| format!("{v:.2} m"));
+        eprintln!(
+            "{} of {} frames; ties {} px rms; GCPs {} rms; check points {} rms; blunders {}",
+            get("frames_registered"),
+            get("frames_listed"),
+            document["reprojection_rms_px"].as_f64().map_or("-".into(), |v| format!("{v:.2}")),
+            d("gcp_statistics"),
+            d("check_point_statistics"),
+            document["blunders"]
+        );
+    } else {
+        eprintln!(
+            "{}: C {} yaw {:.3} pitch {:.3} roll {:.3} rms {} px; blunders {}",
+            get("name"),
+            get("C"),
+            document["yaw_deg"].as_f64().unwrap_or(f64::NAN),
+            document["pitch_deg"].as_f64().unwrap_or(f64::NAN),
+            document["roll_deg"].as_f64().unwrap_or(f64::NAN),
+            get("rms_px"),
+            get("blunders")
+        );
+    }
+}

@@ -1,0 +1,259 @@
+//! Ground control of flights: points on the ground and where they were seen, from whatever list has them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use autoref_flight::adjust::{GroundPoint, Role};
+use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image, tables};
+use autoref_flight::world::{Geodesy, World};
+use autoref_raster::crs::{Coordinate, Crs};
+use autoref_stream::gcp::{self, GcpOptions, GcpRole};
+use nalgebra::Vector3;
+
+/// GCPs on the ground and in the images.
+#[derive(Debug, clap::Args)]
+pub struct PointArgs {
+    /// GCPs: OpenDroneMap's gcp_list.txt, rows of `x y z px py`, MicMac's XML, OpenSfM's ground_control_points.json, or any list
+    /// of points, with --observations.
+    #[arg(long, value_name = "LIST")]
+    pub gcps: PathBuf,
+    /// Where the GCPs were seen, when the list does not say: a table with name, image, px, py, or MicMac's measurements.
+    #[arg(long, value_name = "FILE")]
+    pub observations: Option<PathBuf>,
+    /// CRS of the list; `local` for metric coordinates on a plane.
+    #[arg(long, value_name = "CRS")]
+    pub crs: Option<String>,
+    /// Keep these points out of the fit and compare them afterwards.
+    #[arg(long, value_delimiter = ',', value_name = "A,B,…")]
+    pub check: Vec<String>,
+    /// 1σ of GCPs on the ground. Default: what the list says, else 25 m for `adjust`.
+    #[arg(long, value_name = "M")]
+    pub sigma_ground: Option<f64>,
+    /// 1σ of GCPs in the image.
+    #[arg(long, value_name = "PX", default_value_t = 1.0)]
+    pub sigma_image: f64,
+}
+
+/// A point as a list has it.
+#[derive(Clone, Debug)]
+pub struct ListPoint {
+    pub name: String,
+    pub xyz: [f64; 3],
+    pub sigma: Option<[f64; 3]>,
+    pub check: bool,
+    pub seen: Vec<(String, [f64; 2])>,
+}
+
+/// A list with its CRS.
+#[derive(Clone, Debug, Default)]
+pub struct Control {
+    pub points: Vec<ListPoint>,
+    pub crs: Option<Crs>,
+    /// The coordinates are those of the reconstruction's own frame on the Earth.
+    pub own_datum: bool,
+}
+
+struct Proj {
+    crs: Crs,
+    earth: Crs,
+}
+
+impl Geodesy for Proj {
+    fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]> {
+        let mut p = [Coordinate { x: map[0], y: map[1], height: None }];
+        self.crs.transform(&mut p, &self.earth, 100.0).ok()?;
+        Some([p[0].x, p[0].y, map[2]])
+    }
+    fn from_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+        let mut p = [Coordinate { x: g[0], y: g[1], height: None }];
+        self.earth.transform(&mut p, &self.crs, 100.0).ok()?;
+        Some([p[0].x, p[0].y, g[2]])
+    }
+}
+
+/// Whether the word means a plane.
+pub fn is_local(crs: &str) -> bool {
+    crs.trim().eq_ignore_ascii_case("local")
+}
+
+pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
+    match crs.filter(|c| !c.is_local()) {
+        None => Ok(World::flat(centre)),
+        Some(crs) => {
+            let proj = Proj { crs: crs.clone(), earth: Crs::from_epsg(4326)? };
+            match World::curved(Box::new(proj), centre) {
+                Some(world) => Ok(world),
+                None => bail!("{}: the points lie outside it; give --crs", crs.title()),
+            }
+        }
+    }
+}
+
+impl Control {
+    pub fn world(&self) -> Result<World> {
+        if self.own_datum {
+            return Ok(World::Flat { origin: Vector3::zeros() });
+        }
+        let n = self.points.len().max(1) as f64;
+        let mean = |a: usize| self.points.iter().map(|p| p.xyz[a]).sum::<f64>() / n;
+        world_of(self.crs.as_ref(), [mean(0), mean(1), mean(2)])
+    }
+
+    pub fn crs_label(&self) -> String {
+        self.crs.as_ref().map_or_else(|| "local".into(), Crs::label)
+    }
+
+    /// The points in the world's frame, with the photographs that saw them.
+    pub fn in_world(&self, world: &World, model: &Reconstruction, args: &PointArgs) -> Result<Vec<GroundPoint>> {
+        let names = || model.photographs.iter().map(|p| p.name.as_str());
+        let mut points = Vec::new();
+        for p in &self.points {
+            let Some(xyz) = world.to_world(p.xyz) else { bail!("GCP `{}` lies outside the CRS; give --crs", p.name) };
+            let mut seen: Vec<(usize, [f64; 2])> = Vec::new();
+            for (image, pixel) in &p.seen {
+                let index = if image.is_empty() && model.photographs.len() == 1 { Some(0) } else { same_image(image, names()) };
+                if let Some(i) = index.filter(|i| seen.iter().all(|(k, _)| k != i)) {
+                    seen.push((i, *pixel));
+                }
+            }
+            let sigma = args.sigma_ground.map(|s| [s; 3]).or(p.sigma).unwrap_or([25.0; 3]);
+            if !sigma.iter().all(|s| *s > 0.0 && s.is_finite()) {
+                bail!("GCP `{}`: its standard deviation must be positive", p.name);
+            }
+            let check = p.check || args.check.contains(&p.name);
+            let role = if check { Role::Check } else { Role::Control };
+            points.push(GroundPoint { name: p.name.clone(), xyz, sigma: Vector3::from(sigma), role, seen });
+        }
+        Ok(points)
+    }
+}
+
+impl PointArgs {
+    pub fn load(&self, model: Option<&Reconstruction>) -> Result<Control> {
+        load(&self.gcps, self.observations.as_deref(), self.crs.as_deref(), model)
+    }
+}
+
+pub fn load(list: &Path, observations: Option<&Path>, crs: Option<&str>, model: Option<&Reconstruction>) -> Result<Control> {
+    let mut control = ground(list, crs, model)?;
+    let beside = || -> Option<PathBuf> {
+        // MicMac keeps measurements in a file of their own.
+        if control.points.iter().any(|p| !p.seen.is_empty()) || list.extension().is_none_or(|e| e != "xml") {
+            return None;
+        }
+        let mut files: Vec<PathBuf> = std::fs::read_dir(list.parent()?).ok()?.flatten().map(|e| e.path()).collect();
+        files.sort();
+        let found: Vec<PathBuf> =
+            files.into_iter().filter(|p| p.extension().is_some_and(|e| e == "xml") && micmac::has_image_points(p)).collect();
+        (found.len() == 1).then(|| found[0].clone())
+    };
+    if let Some(file) = observations.map(Path::to_path_buf).or_else(beside) {
+        let measured: Vec<(String, String, [f64; 2])> = if file.extension().is_some_and(|e| e == "xml") {
+            micmac::read_image_points(&file)?
+        } else {
+            tables::image_points(&file)?.1.into_iter().map(|p| (p.image, p.name, p.pixel)).collect()
+        };
+        for (image, name, pixel) in measured {
+            if let Some(p) = control.points.iter_mut().find(|p| p.name == name) {
+                p.seen.push((image, pixel));
+            }
+        }
+    }
+    if control.points.is_empty() {
+        bail!("{}: there are no points", list.display());
+    }
+    Ok(control)
+}
+
+fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Result<Control> {
+    let stated = match crs {
+        Some(word) if !is_local(word) => Some(Crs::parse(word)?),
+        _ => None,
+    };
+    let text = std::fs::read(list).map_err(|e| autoref_raster::error::Error::io(list, "read", e))?;
+    let start = String::from_utf8_lossy(&text[..text.len().min(4096)]).into_owned();
+    if start.trim_start().starts_with('<') && (start.contains("AppuisDAF") || start.contains("DicoAppuis") || start.contains("SetGCP")) {
+        let points = micmac::read_ground_points(list)?.into_iter().map(|p| ListPoint {
+            name: p.name,
+            xyz: p.xyz,
+            sigma: p.sigma,
+            check: false,
+            seen: Vec::new(),
+        });
+        return Ok(Control { points: points.collect(), crs: stated, own_datum: false });
+    }
+    if start.trim_start().starts_with('{') && start.contains("\"points\"") && !start.contains("FeatureCollection") {
+        let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
+        return of_opensfm(list, model);
+    }
+    if let Ok((line, measured)) = tables::image_points(list)
+        && measured.iter().all(|p| p.xyz.is_some())
+    {
+        let stated = match (stated, line, crs) {
+            (Some(crs), _, _) => Some(crs),
+            (None, Some(line), None) if !is_local(&line) => Some(Crs::parse(&line)?),
+            _ => None,
+        };
+        let mut points: Vec<ListPoint> = Vec::new();
+        for p in measured {
+            let Some(xyz) = p.xyz else { continue };
+            match points.iter_mut().find(|q| q.name == p.name) {
+                Some(known) => known.seen.push((p.image, p.pixel)),
+                None => points.push(ListPoint {
+                    name: p.name,
+                    xyz,
+                    sigma: None,
+                    check: false,
+                    seen: vec![(p.image, p.pixel)],
+                }),
+            }
+        }
+        return metric(points, stated);
+    }
+    let options = GcpOptions { crs: crs.filter(|c| !is_local(c)).map(str::to_string), ..GcpOptions::default() };
+    let read = gcp::read(list, &options)?;
+    let mut points = Vec::new();
+    for g in read.gcps {
+        let Some(height) = g.height else {
+            bail!("{}: point `{}` has no height; cameras need points in three dimensions", list.display(), g.name)
+        };
+        let sigma = g.sigma_m.map(|s| [s, s, g.sigma_height_m.unwrap_or(s)]);
+        let check = g.role == GcpRole::Check;
+        points.push(ListPoint { name: g.name, xyz: [g.easting, g.northing, height], sigma, check, seen: Vec::new() });
+    }
+    let crs = if crs.is_some_and(is_local) { None } else { read.crs };
+    Ok(Control { points, crs, own_datum: false })
+}
+
+/// Longitude and latitude become UTM metres.
+fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
+    let Some(geographic) = crs.as_ref().filter(|c| c.is_geographic()).cloned() else {
+        return Ok(Control { points, crs, own_datum: false });
+    };
+    let Some(first) = points.first() else { return Ok(Control { points, crs, own_datum: false }) };
+    let utm = geographic.utm_zone(first.xyz[0], first.xyz[1])?;
+    for p in &mut points {
+        let mut at = [Coordinate { x: p.xyz[0], y: p.xyz[1], height: None }];
+        geographic.transform(&mut at, &utm, 100.0)?;
+        p.xyz = [at[0].x, at[0].y, p.xyz[2]];
+    }
+    Ok(Control { points, crs: Some(utm), own_datum: false })
+}
+
+fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {
+    let all = opensfm::ground_control(list, model)?;
+    let known: Vec<[f64; 3]> = all.iter().filter_map(|p| p.lla).collect();
+    let Some(first) = known.first() else { bail!("{}: no point has a position", list.display()) };
+    // East, north, up about the reconstruction's own origin when it says one, else about the first point.
+    let origin = model.reference_lla.unwrap_or(*first);
+    let axes = autoref_flight::world::tangent_axes(origin[0], origin[1]);
+    let zero = autoref_flight::world::geocentric(origin);
+    let points = all
+        .into_iter()
+        .filter_map(|p| {
+            let at = axes * (autoref_flight::world::geocentric(p.lla?) - zero);
+            Some(ListPoint { name: p.name, xyz: at.into(), sigma: None, check: false, seen: p.seen })
+        })
+        .collect();
+    Ok(Control { points, crs: None, own_datum: true })
+}
