@@ -180,7 +180,8 @@ impl Looks<'_> {
         };
         let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
         if let Some(even) = whole::relit(&mark) {
-            let paint = PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), seen.width, seen.height).and(&seen.valid);
+            let paint =
+                PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), seen.width, seen.height).and(&seen.valid);
             let scene = Scene::of_pixels(&even, mark.own.clone(), &paint.or(&mark.own));
             let own = match whole::whole(&scene, plateau(&scene)) {
                 Whole::Grown(own) => own,
@@ -191,7 +192,9 @@ impl Looks<'_> {
             // How far the line may be off moves the centre by as much as a tenth of a pixel.
             const LINE_PX2: f64 = 0.01;
             let evidence = widen(self.measured(&scene, None), [LINE_PX2, 0.0, LINE_PX2]);
-            if self.score(&evidence) > self.score(&best).max(self.profile.examine.min_score) || better_fit(&evidence, &best) {
+            if self.score(&evidence) > self.score(&best).max(self.profile.examine.min_score)
+                || better_fit(&evidence, &best)
+            {
                 best = evidence;
             }
         }

@@ -71,7 +71,9 @@ impl ColourSearch {
 /// When the raster cannot be read.
 pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSearch>)> {
     let started = std::time::Instant::now();
-    let Ok(detector) = MarkDetector::new(Profile::any_paint(), job.source.info(), None) else { return Ok((first, None)) };
+    let Ok(detector) = MarkDetector::new(Profile::any_paint(), job.source.info(), None) else {
+        return Ok((first, None));
+    };
     job.progress.pass("looking for marks of any colour");
     let seen = scan(job.source, job.plan, &detector, job.progress)?;
     let mut search = ColourSearch { objects: seen.candidates.len(), clusters: Vec::new(), elapsed_s: 0.0 };
@@ -133,7 +135,8 @@ fn clusters(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     while found.len() < MOST_CLUSTERS {
         let near = |a: &[i32; 3], b: &[i32; 3]| (0..3).map(|k| (a[k] - b[k]).pow(2)).sum::<i32>() <= 16;
         let size = |at: &[i32; 3]| cells.iter().filter(|(b, _)| near(at, b)).map(|(_, m)| m.len()).sum::<usize>();
-        let Some((most, at)) = cells.keys().map(|at| (size(at), *at)).max_by_key(|(n, at)| (*n, std::cmp::Reverse(*at)))
+        let Some((most, at)) =
+            cells.keys().map(|at| (size(at), *at)).max_by_key(|(n, at)| (*n, std::cmp::Reverse(*at)))
         else {
             break;
         };

@@ -116,8 +116,7 @@ pub(super) fn orient_again(
 ) -> Result<Outcome> {
     orient(job.gcps, candidates, evidence, |expected| {
         let mut answers = rematch(job.source, job.second_look, candidates, expected)?;
-        let missing: Vec<usize> =
-            (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
+        let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
         for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], &asked)?) {
             answers[i] = answer;
@@ -303,9 +302,10 @@ fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, densi
 /// Candidates per square pixel of the rectangle that holds them.
 fn density(candidates: &[Candidate]) -> f64 {
     let span = |of: fn(&Candidate) -> f64| {
-        let ends = candidates.iter().map(of).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            (low.min(v), high.max(v))
-        });
+        let ends = candidates
+            .iter()
+            .map(of)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
         (ends.1 - ends.0).max(1.0)
     };
     candidates.len() as f64 / (span(|c| c.centre.x) * span(|c| c.centre.y))

@@ -28,15 +28,15 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+pub mod colour_search;
 pub mod georeference;
 pub mod heights;
 pub mod marks;
 mod pace;
 pub mod paint;
+pub mod reasons;
 pub mod scan;
 mod seams;
-pub mod colour_search;
-pub mod reasons;
 pub mod second_pass;
 
 pub use marks::MarkDetector;

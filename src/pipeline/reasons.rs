@@ -97,7 +97,11 @@ impl NotFound {
             Reason::OtherColour => "other colour",
             Reason::Ambiguous => "ambiguous",
         };
-        if self.detail.is_empty() { format!("{} ({word})", self.name) } else { format!("{} ({word}: {})", self.name, self.detail) }
+        if self.detail.is_empty() {
+            format!("{} ({word})", self.name)
+        } else {
+            format!("{} ({word}: {})", self.name, self.detail)
+        }
     }
 }
 
@@ -210,7 +214,10 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && share < 0.6 {
         (Reason::OtherColour, format!("what stands out there is {hex}"))
     } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
-        (Reason::Faint, format!("{:.0} % of the paint's contrast, {contrast:.1} deviations of the ground", 100.0 * share))
+        (
+            Reason::Faint,
+            format!("{:.0} % of the paint's contrast, {contrast:.1} deviations of the ground", 100.0 * share),
+        )
     } else {
         let what = format!("ground or cover of {hex}, {contrast:.1} deviations from what lies around");
         (Reason::Hidden, what)

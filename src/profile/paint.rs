@@ -102,10 +102,9 @@ fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
     let shades: Vec<[u8; 3]> = srgb
         .iter()
         .flat_map(|paint| {
-            [[0.0; 3], [1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -1.0, -1.0]]
-                .map(|step: [f64; 3]| {
-                    std::array::from_fn(|c| (f64::from(paint[c]) + TINS * step[c]).clamp(0.0, 255.0).round() as u8)
-                })
+            [[0.0; 3], [1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, -1.0, -1.0]].map(|step: [f64; 3]| {
+                std::array::from_fn(|c| (f64::from(paint[c]) + TINS * step[c]).clamp(0.0, 255.0).round() as u8)
+            })
         })
         .collect();
     let (most, least) = (srgb[0].iter().max().copied().unwrap_or(0), srgb[0].iter().min().copied().unwrap_or(0));

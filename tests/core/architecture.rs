@@ -6,27 +6,31 @@ use std::path::Path;
 type Imports = BTreeMap<String, BTreeSet<String>>;
 
 /// Crates of the workspace and what each may import of the others: the list of `docs/architecture.md`.
-const CRATES: [(&str, &[&str]); 8] = [
+const CRATES: &[(&str, &[&str])] = &[
     ("crates/raster", &[]),
     ("crates/solve", &["autoref-raster"]),
     ("crates/review", &["autoref-raster"]),
     ("crates/synth", &["autoref-raster"]),
     ("crates/elevation", &["autoref-raster"]),
     ("crates/film", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
-    ("crates/flight", &[]),
+    ("crates/terrain", &["autoref-raster"]),
+    ("crates/cloud", &["autoref-raster"]),
+    ("crates/flight", &["autoref-raster", "autoref-solve"]),
     (".", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
     (
         "crates/program",
         &[
+            "autoref-cloud",
             "autoref-elevation",
             "autoref-film",
+            "autoref-flight",
             "autoref-raster",
             "autoref-review",
             "autoref-solve",
             "autoref-stream",
             "autoref-synth",
+            "autoref-terrain",
         ],
-        &["autoref-film", "autoref-flight", "autoref-raster", "autoref-review", "autoref-solve", "autoref-stream", "autoref-synth"],
     ),
 ];
 

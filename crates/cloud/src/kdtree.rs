@@ -61,7 +61,8 @@ impl Bounds {
 
     /// Squared distance of two boxes; 0 when they touch.
     pub fn gap2(&self, other: &Bounds) -> f64 {
-        let off = [0, 1, 2].map(|axis| (self.min[axis] - other.max[axis]).max(other.min[axis] - self.max[axis]).max(0.0));
+        let off =
+            [0, 1, 2].map(|axis| (self.min[axis] - other.max[axis]).max(other.min[axis] - self.max[axis]).max(0.0));
         square(off)
     }
 }

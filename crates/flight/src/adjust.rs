@@ -4,7 +4,8 @@
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, factor, solve,
+    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, factor,
+    solve,
 };
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
@@ -214,7 +215,10 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     }
     let move_by = move_by.ok_or_else(|| {
         Error::no_result(
-            format!("{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block", from.len()),
+            format!(
+                "{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block",
+                from.len()
+            ),
             "measure more GCPs in the images, or give rough positions and directions with --cameras",
         )
     })?;
@@ -277,16 +281,19 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
         }
     }
     if factored.is_none() {
-        notes.push("the normal equations are singular: something is not fixed by what was measured; no covariances".into());
+        notes.push(
+            "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),
+        );
     }
-    finish(&world, points, &control, problem, &kept, factored, Parts {
-        blunders,
-        summary,
-        sigma_tie_px,
-        ties,
-        dropped_ties,
-        notes,
-    })
+    finish(
+        &world,
+        points,
+        &control,
+        problem,
+        &kept,
+        factored,
+        Parts { blunders, summary, sigma_tie_px, ties, dropped_ties, notes },
+    )
 }
 
 struct Parts {
@@ -300,12 +307,8 @@ struct Parts {
 
 /// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the positions.
 fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
-    let pairs: Vec<(&Pose, &Pose)> = model
-        .photographs
-        .iter()
-        .zip(rough)
-        .filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose)))
-        .collect();
+    let pairs: Vec<(&Pose, &Pose)> =
+        model.photographs.iter().zip(rough).filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose))).collect();
     if pairs.len() < 2 {
         return None;
     }
@@ -313,7 +316,8 @@ fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option
     let sum = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).fold(Matrix3::zeros(), |a, b| a + b);
     let rotation = crate::pose::orthonormal(&sum);
     let n = pairs.len() as f64;
-    let mean = |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
+    let mean =
+        |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
     let (mm, mr) = (mean(&|p| p.0.centre), mean(&|p| p.1.centre));
     let (mut up, mut down) = (0.0, 0.0);
     for (m, r) in &pairs {
@@ -452,7 +456,10 @@ fn worst(
         let test = v.dot(&(inverse * v)).max(0.0).cbrt_normal(2);
         let by = stated * inverse * v;
         let name = control[o.point - ties].name.clone();
-        offer(Blunder { gcp: name, photograph: Some(o.frame), by: by.iter().copied().collect(), test }, Worst::Image(i));
+        offer(
+            Blunder { gcp: name, photograph: Some(o.frame), by: by.iter().copied().collect(), test },
+            Worst::Image(i),
+        );
     }
     best
 }
@@ -479,7 +486,8 @@ fn finish(
     parts: Parts,
 ) -> Result<Adjustment> {
     let ties = parts.ties;
-    let mut model = Reconstruction { cameras: problem.cameras.iter().map(|c| c.camera.clone()).collect(), ..world.clone() };
+    let mut model =
+        Reconstruction { cameras: problem.cameras.iter().map(|c| c.camera.clone()).collect(), ..world.clone() };
     for (p, f) in model.photographs.iter_mut().zip(&problem.frames) {
         p.pose = f.pose;
     }
@@ -558,9 +566,8 @@ fn finish(
             }),
         }
     }
-    let interior_sigmas = (0..model.cameras.len())
-        .map(|i| factored.as_ref().map(|f| f.interior(i)).unwrap_or_default())
-        .collect();
+    let interior_sigmas =
+        (0..model.cameras.len()).map(|i| factored.as_ref().map(|f| f.interior(i)).unwrap_or_default()).collect();
     Ok(Adjustment {
         cameras: model.cameras.clone(),
         interior_sigmas,

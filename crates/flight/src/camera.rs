@@ -149,8 +149,7 @@ impl Camera {
     /// Unit vector, in the camera's axes, that a pixel looks along; `None` when no direction gives that pixel.
     pub fn ray(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
         let (f, aspect) = (self.f_px(), self.get(Parameter::Aspect));
-        let start =
-            [(pixel[0] - self.get(Parameter::Cx)) / f, (pixel[1] - self.get(Parameter::Cy)) / (f * aspect)];
+        let start = [(pixel[0] - self.get(Parameter::Cx)) / f, (pixel[1] - self.get(Parameter::Cy)) / (f * aspect)];
         let r = start[0].hypot(start[1]);
         let (mut x, mut y) = match self.projection {
             Projection::Perspective => (start[0], start[1]),

@@ -132,9 +132,8 @@ impl Similarity {
         if from.len() < 3 || !sum.is_finite() || sum <= 0.0 {
             return None;
         }
-        let mean = |p: &[Vector3<f64>]| {
-            p.iter().zip(weights).map(|(p, w)| p * *w).fold(Vector3::zeros(), |a, b| a + b) / sum
-        };
+        let mean =
+            |p: &[Vector3<f64>]| p.iter().zip(weights).map(|(p, w)| p * *w).fold(Vector3::zeros(), |a, b| a + b) / sum;
         let (mf, mt) = (mean(from), mean(to));
         let mut cross = Matrix3::zeros();
         let mut spread = 0.0;

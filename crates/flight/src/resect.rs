@@ -301,9 +301,7 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         }
         let residuals_px: Vec<Option<[f64; 2]>> = seen
             .iter()
-            .map(|s| {
-                camera.project(pose.to_camera(&s.xyz).into()).map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]])
-            })
+            .map(|s| camera.project(pose.to_camera(&s.xyz).into()).map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]]))
             .collect();
         if kept.iter().any(|i| residuals_px[*i].is_none()) {
             return Err(Error::no_result("a point lies behind the camera", "check the points"));

@@ -30,8 +30,8 @@ impl Element {
         loop {
             let event = reader.read_event();
             let place = row(reader.buffer_position());
-            let event =
-                event.map_err(|e| Error::format(path, row(reader.error_position()), format!("the XML is broken: {e}")))?;
+            let event = event
+                .map_err(|e| Error::format(path, row(reader.error_position()), format!("the XML is broken: {e}")))?;
             match event {
                 Event::Start(start) => {
                     if stack.len() > DEEPEST {

@@ -47,8 +47,10 @@ fn block(draw: &mut Draw, n: usize, ties: usize, gcps: usize) -> (Reconstruction
     }
     let see = |model: &Reconstruction, x: &Vector3<f64>| -> Vec<(usize, [f64; 2])> {
         let all = model.photographs.iter().enumerate();
-        all.filter_map(|(i, p)| Some((i, camera.project(p.pose.to_camera(x).into()).filter(|at| camera.contains(*at))?)))
-            .collect()
+        all.filter_map(|(i, p)| {
+            Some((i, camera.project(p.pose.to_camera(x).into()).filter(|at| camera.contains(*at))?))
+        })
+        .collect()
     };
     let mut points = Vec::new();
     while model.ties.len() < ties || points.len() < gcps {
@@ -88,11 +90,7 @@ fn noisy(draw: &mut Draw, model: &mut Reconstruction, points: &mut [GroundPoint]
 
 /// The model in a datum of its own, as a mapper leaves it.
 fn shaken(draw: &mut Draw, model: &Reconstruction) -> Reconstruction {
-    let by = Similarity {
-        scale: 3e-4,
-        rotation: *Rotation3::new(draw.vector(1.0)).matrix(),
-        shift: draw.vector(1.0),
-    };
+    let by = Similarity { scale: 3e-4, rotation: *Rotation3::new(draw.vector(1.0)).matrix(), shift: draw.vector(1.0) };
     let mut out = model.clone();
     for p in &mut out.photographs {
         p.pose = p.pose.moved(&by);
@@ -192,7 +190,11 @@ fn large_blocks_take_seconds() {
     let observations: usize = start.ties.iter().map(|t| t.seen.len()).sum();
     let begin = std::time::Instant::now();
     let found = adjust(&start, &points, &AdjustOptions::default()).expect("adjusted");
-    eprintln!("100 frames, {observations} observations: {:.1} s, rms {:.3} px", begin.elapsed().as_secs_f64(), found.tie_rms_px);
+    eprintln!(
+        "100 frames, {observations} observations: {:.1} s, rms {:.3} px",
+        begin.elapsed().as_secs_f64(),
+        found.tie_rms_px
+    );
     assert!((found.sigma_tie_px - 0.7).abs() < 0.05, "{}", found.sigma_tie_px);
 }
 

@@ -53,7 +53,8 @@ fn both_forms_of_one_camera_agree() {
     let v2 = micmac::read_orientation(&root.join("mmvii_form/Ori-PerspCentral-IMGP4167.JPG.xml")).expect("MMVII");
     assert!((v1.pose.centre - v2.pose.centre).norm() < 1e-12 && (v1.pose.rotation - v2.pose.rotation).norm() < 1e-12);
     let a = micmac::read_camera(&root.join("AutoCal_Foc-28000_Cam-PENTAX_K5.xml")).expect("v1");
-    let b = micmac::read_camera(&root.join("mmvii_form/Calib-PerspCentral-Foc-28000_Cam-PENTAX_K5.xml")).expect("MMVII");
+    let b =
+        micmac::read_camera(&root.join("mmvii_form/Calib-PerspCentral-Foc-28000_Cam-PENTAX_K5.xml")).expect("MMVII");
     // MMVII fitted its own three radial terms to v1's four.
     for at in [[100.0, 100.0], [864.0, 576.0], [1700.0, 1100.0]] {
         let ray = a.ray(at).expect("inside");

@@ -23,7 +23,10 @@ pub enum Treatment {
     #[default]
     Held,
     /// Known as `value` with a standard deviation (units of the parameter: pixels for f, cx, cy).
-    Constrained { value: f64, sigma: f64 },
+    Constrained {
+        value: f64,
+        sigma: f64,
+    },
     Free,
 }
 
@@ -136,9 +139,9 @@ impl Problem {
     pub fn cost(&self, loss: Loss) -> f64 {
         let mut sum = 0.0;
         for o in &self.observations {
-            let s = self.residual(o).map_or(BEHIND_SIGMAS * BEHIND_SIGMAS, |r| {
-                (r[0] * r[0] + r[1] * r[1]) / (o.sigma_px * o.sigma_px)
-            });
+            let s = self
+                .residual(o)
+                .map_or(BEHIND_SIGMAS * BEHIND_SIGMAS, |r| (r[0] * r[0] + r[1] * r[1]) / (o.sigma_px * o.sigma_px));
             sum += match o.trust {
                 Trust::Robust => loss.at(s).0,
                 Trust::Full => s,

@@ -136,7 +136,9 @@ fn check(problem: &Problem) -> Result<()> {
         }
     }
     for (i, f) in problem.frames.iter().enumerate() {
-        if f.camera >= problem.cameras.len() || !f.pose.centre.iter().chain(f.pose.rotation.iter()).all(|v| v.is_finite()) {
+        if f.camera >= problem.cameras.len()
+            || !f.pose.centre.iter().chain(f.pose.rotation.iter()).all(|v| v.is_finite())
+        {
             return bad(format!("frame {i}: its camera is missing or its pose is not finite"));
         }
     }

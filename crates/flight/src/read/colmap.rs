@@ -35,7 +35,9 @@ const MODELS: [(&str, usize); 13] = [
 /// The folder of a model: itself, or the largest of `sparse/0`, `0`, `1`, … below.
 pub fn model_folder(path: &Path) -> Option<PathBuf> {
     let has = |p: &Path| {
-        ["bin", "txt"].iter().any(|e| p.join(format!("cameras.{e}")).is_file() && p.join(format!("images.{e}")).is_file())
+        ["bin", "txt"]
+            .iter()
+            .any(|e| p.join(format!("cameras.{e}")).is_file() && p.join(format!("images.{e}")).is_file())
     };
     if has(path) {
         return Some(path.to_path_buf());
@@ -129,9 +131,9 @@ impl Raw {
             let mut seen = Vec::with_capacity(track.len());
             for (image, point) in track {
                 let at = index.get(&image).and_then(|i| Some((*i, *images[*i].4.get(point as usize)?)));
-                seen.push(at.ok_or_else(|| {
-                    Error::format(folder, "points3D", format!("image {image} has no point {point}"))
-                })?);
+                seen.push(
+                    at.ok_or_else(|| Error::format(folder, "points3D", format!("image {image} has no point {point}")))?,
+                );
             }
             ties.push(TiePoint { xyz: Vector3::from(xyz), seen });
         }
@@ -240,7 +242,10 @@ fn text(folder: &Path) -> Result<Raw> {
     let mut raw = Raw::default();
     let numbers = |path: &Path, row: usize, words: &[&str]| -> Result<Vec<f64>> {
         let parse = |w: &&str| w.parse::<f64>().ok().filter(|v| v.is_finite());
-        words.iter().map(|w| parse(w).ok_or_else(|| Error::format(path, format!("row {row}"), format!("`{w}` is no number")))).collect()
+        words
+            .iter()
+            .map(|w| parse(w).ok_or_else(|| Error::format(path, format!("row {row}"), format!("`{w}` is no number"))))
+            .collect()
     };
     let short = |path: &Path, row: usize| Error::format(path, format!("row {row}"), "the row is too short");
 
@@ -341,7 +346,8 @@ pub fn text_model(model: &Reconstruction) -> Result<[(&'static str, Vec<u8>); 3]
         let (name, values) = parameters(camera)
             .map_err(|e| Error::usage(format!("camera `{}`: {e}", camera.name), "adjust with a simpler model"))?;
         let values: Vec<String> = values.iter().map(f64::to_string).collect();
-        writeln!(cameras, "{} {name} {} {} {}", i + 1, camera.size_px[0], camera.size_px[1], values.join(" ")).expect(WRITTEN);
+        writeln!(cameras, "{} {name} {} {} {}", i + 1, camera.size_px[0], camera.size_px[1], values.join(" "))
+            .expect(WRITTEN);
     }
     let mut seen: Vec<Vec<(usize, [f64; 2])>> = vec![Vec::new(); model.photographs.len()];
     for (j, tie) in model.ties.iter().enumerate() {
@@ -357,7 +363,8 @@ pub fn text_model(model: &Reconstruction) -> Result<[(&'static str, Vec<u8>); 3]
         let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(p.pose.rotation));
         let t = -(p.pose.rotation * p.pose.centre);
         let (q, c) = (q.quaternion(), p.camera + 1);
-        writeln!(images, "{} {} {} {} {} {} {} {} {c} {}", i + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z, p.name).expect(WRITTEN);
+        writeln!(images, "{} {} {} {} {} {} {} {} {c} {}", i + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z, p.name)
+            .expect(WRITTEN);
         let row: Vec<String> = seen[i].iter().map(|(j, at)| format!("{} {} {j}", at[0], at[1])).collect();
         writeln!(images, "{}", row.join(" ")).expect(WRITTEN);
     }

@@ -92,10 +92,19 @@ fn find_camera(orientation: &Path, name: &str) -> Result<PathBuf> {
     let folder = orientation.parent().unwrap_or(Path::new("."));
     let base = Path::new(name).file_name().map(PathBuf::from).unwrap_or_default();
     let with_xml = format!("{name}.xml");
-    let candidates =
-        [folder.join(&base), folder.join(&with_xml), folder.join(name), folder.join("..").join(name), PathBuf::from(name)];
+    let candidates = [
+        folder.join(&base),
+        folder.join(&with_xml),
+        folder.join(name),
+        folder.join("..").join(name),
+        PathBuf::from(name),
+    ];
     candidates.iter().find(|p| p.is_file()).cloned().ok_or_else(|| {
-        Error::format(orientation, "<FileInterne>", format!("the camera `{name}` is not beside the file; copy it there"))
+        Error::format(
+            orientation,
+            "<FileInterne>",
+            format!("the camera `{name}` is not beside the file; copy it there"),
+        )
     })
 }
 
@@ -114,7 +123,11 @@ pub fn read_orientation(path: &Path) -> Result<Orientation> {
     let outer =
         conic.find("Externe").ok_or_else(|| Error::format(path, "<OrientationConique>", "there is no <Externe>"))?;
     if let Some(kind) = conic.find("TypeProj").filter(|t| t.word() != "eProjStenope") {
-        return Err(Error::format(path, "<TypeProj>", format!("`{}` is not a perspective; not supported", kind.word())));
+        return Err(Error::format(
+            path,
+            "<TypeProj>",
+            format!("`{}` is not a perspective; not supported", kind.word()),
+        ));
     }
     let convention = outer.find("KnownConv").map_or("eConvApero_DistM2C", Element::word);
     if !matches!(convention, "eConvApero_DistM2C" | "eConvApero_DistC2M") {

@@ -100,6 +100,10 @@ pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
         Some("xml") => micmac::read_orientations(path.parent().unwrap_or(Path::new("."))),
         Some("bin" | "txt") => colmap::read(path.parent().unwrap_or(Path::new("."))),
         _ if !path.exists() => Err(Error::io(path, "open", std::io::Error::from(std::io::ErrorKind::NotFound))),
-        _ => Err(Error::format(path, "the name", "is of no known reconstruction; give the folder of COLMAP's model, of MicMac's orientations, or reconstruction.json")),
+        _ => Err(Error::format(
+            path,
+            "the name",
+            "is of no known reconstruction; give the folder of COLMAP's model, of MicMac's orientations, or reconstruction.json",
+        )),
     }
 }

@@ -26,7 +26,9 @@ fn number(path: &Path, of: &Value, key: &str, place: &str) -> Result<f64> {
 fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
     let list = of.get(key).and_then(Value::as_array);
     let values: Option<Vec<f64>> = list.and_then(|l| l.iter().map(Value::as_f64).collect());
-    values.and_then(|v| v.try_into().ok()).ok_or_else(|| Error::format(path, place, format!("`{key}`: 3 numbers expected")))
+    values
+        .and_then(|v| v.try_into().ok())
+        .ok_or_else(|| Error::format(path, place, format!("`{key}`: 3 numbers expected")))
 }
 
 /// Reads a reconstruction; OpenSfM's tracks are taken from `tracks.csv` beside it (or from the name with `tracks` for
@@ -68,7 +70,11 @@ fn one(path: &Path, root: &Value) -> Result<Reconstruction> {
         let s = size[0].max(size[1]);
         let kind = c.get("projection_type").and_then(Value::as_str).unwrap_or("perspective");
         let optional = |key: &str| c.get(key).and_then(Value::as_f64).unwrap_or(0.0);
-        let f = if c.get("focal_x").is_some() { number(path, c, "focal_x", &place)? } else { number(path, c, "focal", &place)? };
+        let f = if c.get("focal_x").is_some() {
+            number(path, c, "focal_x", &place)?
+        } else {
+            number(path, c, "focal", &place)?
+        };
         if !(f > 0.0 && s > 0.0) {
             return Err(Error::format(path, place, "focal length and size must be positive"));
         }
@@ -76,7 +82,9 @@ fn one(path: &Path, root: &Value) -> Result<Reconstruction> {
         let mut camera = Camera::pinhole(name.as_str(), size, f * s, pp);
         camera.set(Parameter::Aspect, c.get("focal_y").and_then(Value::as_f64).map_or(1.0, |fy| fy / f));
         use Parameter::{K1, K2, K3, K4, K5, K6, P1, P2};
-        for (key, slot) in [("k1", K1), ("k2", K2), ("k3", K3), ("k4", K4), ("k5", K5), ("k6", K6), ("p1", P1), ("p2", P2)] {
+        for (key, slot) in
+            [("k1", K1), ("k2", K2), ("k3", K3), ("k4", K4), ("k5", K5), ("k6", K6), ("p1", P1), ("p2", P2)]
+        {
             camera.set(slot, optional(key));
         }
         camera.projection = match kind {
@@ -107,7 +115,8 @@ fn one(path: &Path, root: &Value) -> Result<Reconstruction> {
 }
 
 fn ties(path: &Path, root: &Value, tracks: &Path, result: &Reconstruction) -> Result<Vec<TiePoint>> {
-    let shots: HashMap<&str, usize> = result.photographs.iter().enumerate().map(|(i, p)| (p.name.as_str(), i)).collect();
+    let shots: HashMap<&str, usize> =
+        result.photographs.iter().enumerate().map(|(i, p)| (p.name.as_str(), i)).collect();
     let mut ties: Vec<TiePoint> = Vec::new();
     let mut index: HashMap<String, usize> = HashMap::new();
     for (id, point) in root.get("points").and_then(Value::as_object).into_iter().flatten() {

@@ -234,9 +234,10 @@ fn column_at(heads: &[String], i: usize) -> Option<usize> {
 
 fn number(path: &Path, row: usize, f: &[String], c: usize) -> Result<f64> {
     let text = f.get(c).map_or("", String::as_str);
-    text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
-        Error::format(path, format!("row {row}"), format!("`{text}` in column {} is no number", c + 1))
-    })
+    text.parse::<f64>()
+        .ok()
+        .filter(|v| v.is_finite())
+        .ok_or_else(|| Error::format(path, format!("row {row}"), format!("`{text}` in column {} is no number", c + 1)))
 }
 
 /// Unnamed rows of one place are one point; a place not seen yet gets the next number.
@@ -272,7 +273,10 @@ mod tests {
     fn tables_of_cameras() {
         let (path, _gone) = file("name,x,y,z,yaw\nS36 1.png,100,200,3000,12.5\n");
         let rows = cameras(&path).expect("a table");
-        assert_eq!((rows[0].name.as_str(), rows[0].xyz, rows[0].yaw_deg), ("S36 1.png", [100.0, 200.0, 3000.0], Some(12.5)));
+        assert_eq!(
+            (rows[0].name.as_str(), rows[0].xyz, rows[0].yaw_deg),
+            ("S36 1.png", [100.0, 200.0, 3000.0], Some(12.5))
+        );
         let (path, _gone) = file("'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa' 'camera'\n'a b' 1 2 3 4 5 6 'dji x'\n");
         let rows = cameras(&path).expect("a table");
         assert_eq!((rows[0].name.as_str(), rows[0].omega_phi_kappa_deg), ("a b", Some([4.0, 5.0, 6.0])));

@@ -128,7 +128,10 @@ fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
     for item in list.iter().filter(|i| !matches!(i.as_str(), "none" | "")) {
         let (name, sigma) = item.split_once('=').map_or((item.as_str(), None), |(n, s)| (n, Some(s)));
         let Some(parameter) = Parameter::by_name(name) else {
-            bail!("--free: `{name}` is no interior parameter; there are {}", Parameter::ALL.map(Parameter::name).join(", "));
+            bail!(
+                "--free: `{name}` is no interior parameter; there are {}",
+                Parameter::ALL.map(Parameter::name).join(", ")
+            );
         };
         let sigma = match sigma {
             Some(text) => match text.parse::<f64>() {
@@ -271,7 +274,8 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
         camera.set(Parameter::Cx, pp[0]).set(Parameter::Cy, pp[1]);
     }
     for term in &args.distortion {
-        let pair = term.split_once('=').and_then(|(n, v)| Some((Parameter::by_name(n.trim())?, v.trim().parse().ok()?)));
+        let pair =
+            term.split_once('=').and_then(|(n, v)| Some((Parameter::by_name(n.trim())?, v.trim().parse().ok()?)));
         let Some((parameter, value)) = pair else { bail!("--distortion: `{term}` is not like k1=-0.1") };
         camera.set(parameter, value);
     }

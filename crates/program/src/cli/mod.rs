@@ -19,8 +19,8 @@ mod film_resample;
 pub mod flight;
 pub mod frame;
 pub mod inputs;
-pub mod mosaic;
 pub mod mask;
+pub mod mosaic;
 pub mod plan;
 pub mod positions;
 pub mod replay;
@@ -121,7 +121,9 @@ pub fn joined(arguments: impl Iterator<Item = std::ffi::OsString>) -> Vec<std::f
     let mut joined: Vec<std::ffi::OsString> = Vec::new();
     for argument in arguments {
         match joined.last_mut() {
-            Some(last) if last == "--second-pass" && ["never", "auto", "always"].iter().any(|when| argument == **when) => {
+            Some(last)
+                if last == "--second-pass" && ["never", "auto", "always"].iter().any(|when| argument == **when) =>
+            {
                 last.push("=");
                 last.push(argument);
             }

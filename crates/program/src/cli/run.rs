@@ -15,8 +15,8 @@ use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
+use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
 use autoref_stream::pipeline::reasons::{NotFound, Reason, reasons};
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
@@ -132,8 +132,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     if let Outcome::Solved(orientation) = &run.outcome {
-        document.result.not_found =
-            reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
+        document.result.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
     }
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);

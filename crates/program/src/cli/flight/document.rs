@@ -43,7 +43,13 @@ fn interior(camera: &Camera) -> Map<String, Value> {
 }
 
 /// A camera in the map: position, angles, their standard deviations, the full covariance (turn in radians, then position).
-fn camera(name: &str, camera: &Camera, pose: &Pose, cov: Option<&SMatrix<f64, 6, 6>>, world: &World) -> Map<String, Value> {
+fn camera(
+    name: &str,
+    camera: &Camera,
+    pose: &Pose,
+    cov: Option<&SMatrix<f64, 6, 6>>,
+    world: &World,
+) -> Map<String, Value> {
     let map = world.pose_to_map(pose).unwrap_or(*pose);
     let grid = world.grid(map.centre.into()).unwrap_or_else(Matrix3::identity);
     let a = map.yaw_pitch_roll();

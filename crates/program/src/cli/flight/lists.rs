@@ -111,7 +111,8 @@ impl Control {
             let Some(xyz) = world.to_world(p.xyz) else { bail!("GCP `{}` lies outside the CRS; give --crs", p.name) };
             let mut seen: Vec<(usize, [f64; 2])> = Vec::new();
             for (image, pixel) in &p.seen {
-                let index = if image.is_empty() && model.photographs.len() == 1 { Some(0) } else { same_image(image, names()) };
+                let index =
+                    if image.is_empty() && model.photographs.len() == 1 { Some(0) } else { same_image(image, names()) };
                 if let Some(i) = index.filter(|i| seen.iter().all(|(k, _)| k != i)) {
                     seen.push((i, *pixel));
                 }
@@ -134,7 +135,12 @@ impl PointArgs {
     }
 }
 
-pub fn load(list: &Path, observations: Option<&Path>, crs: Option<&str>, model: Option<&Reconstruction>) -> Result<Control> {
+pub fn load(
+    list: &Path,
+    observations: Option<&Path>,
+    crs: Option<&str>,
+    model: Option<&Reconstruction>,
+) -> Result<Control> {
     let mut control = ground(list, crs, model)?;
     let beside = || -> Option<PathBuf> {
         // MicMac keeps measurements in a file of their own.
@@ -143,8 +149,10 @@ pub fn load(list: &Path, observations: Option<&Path>, crs: Option<&str>, model: 
         }
         let mut files: Vec<PathBuf> = std::fs::read_dir(list.parent()?).ok()?.flatten().map(|e| e.path()).collect();
         files.sort();
-        let found: Vec<PathBuf> =
-            files.into_iter().filter(|p| p.extension().is_some_and(|e| e == "xml") && micmac::has_image_points(p)).collect();
+        let found: Vec<PathBuf> = files
+            .into_iter()
+            .filter(|p| p.extension().is_some_and(|e| e == "xml") && micmac::has_image_points(p))
+            .collect();
         (found.len() == 1).then(|| found[0].clone())
     };
     if let Some(file) = observations.map(Path::to_path_buf).or_else(beside) {
@@ -172,7 +180,9 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     };
     let text = std::fs::read(list).map_err(|e| autoref_raster::error::Error::io(list, "read", e))?;
     let start = String::from_utf8_lossy(&text[..text.len().min(4096)]).into_owned();
-    if start.trim_start().starts_with('<') && (start.contains("AppuisDAF") || start.contains("DicoAppuis") || start.contains("SetGCP")) {
+    if start.trim_start().starts_with('<')
+        && (start.contains("AppuisDAF") || start.contains("DicoAppuis") || start.contains("SetGCP"))
+    {
         let points = micmac::read_ground_points(list)?.into_iter().map(|p| ListPoint {
             name: p.name,
             xyz: p.xyz,

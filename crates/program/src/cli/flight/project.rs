@@ -315,9 +315,14 @@ fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result
     }
     match run.status() {
         Ok(status) if status.success() => Ok(()),
-        Ok(status) => bail!("colmap {command} ended with {status}; {} has its words; run the command again to resume", log.display()),
+        Ok(status) => bail!(
+            "colmap {command} ended with {status}; {} has its words; run the command again to resume",
+            log.display()
+        ),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            bail!("`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap) and run the command again")
+            bail!(
+                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap) and run the command again"
+            )
         }
         Err(e) => bail!("colmap cannot be run: {e}"),
     }
@@ -325,8 +330,8 @@ fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result
 
 pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let text = std::fs::read_to_string(&args.project).map_err(|e| Error::io(&args.project, "read", e))?;
-    let project: Project =
-        toml::from_str(&text).map_err(|e| Error::format(&args.project, "the file", e.to_string().trim().replace('\n', " ")))?;
+    let project: Project = toml::from_str(&text)
+        .map_err(|e| Error::format(&args.project, "the file", e.to_string().trim().replace('\n', " ")))?;
     let base = args.project.parent().unwrap_or(Path::new("."));
     let folder = absolute(&base.join(&project.frames.folder))?;
     let names = frames(&folder, &project.frames.pattern)?;
