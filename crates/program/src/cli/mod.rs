@@ -7,6 +7,9 @@ use clap::{Parser, Subcommand};
 pub mod accuracy;
 pub mod apply;
 pub mod chips;
+pub mod cloud;
+mod cloud_clean;
+mod cloud_grid;
 pub mod common;
 pub mod detect;
 pub mod distance;
@@ -73,6 +76,7 @@ pub enum Command {
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
     SynthFilm(synth_film::SynthFilmArgs),
+    Cloud(cloud::CloudArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -91,6 +95,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Fiducials(args)) => fiducials::run(&args),
         Some(Command::Selftest(args)) => selftest::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::Cloud(args)) => cloud::run(&args),
         None => run::run(&cli.run),
     }
 }
