@@ -6,8 +6,9 @@ use std::path::Path;
 type Imports = BTreeMap<String, BTreeSet<String>>;
 
 /// Crates of the workspace and what each may import of the others: the list of `docs/architecture.md`.
-const CRATES: [(&str, &[&str]); 7] = [
+const CRATES: [(&str, &[&str]); 8] = [
     ("crates/raster", &[]),
+    ("crates/cloud", &["autoref-raster"]),
     ("crates/solve", &["autoref-raster"]),
     ("crates/review", &["autoref-raster"]),
     ("crates/synth", &["autoref-raster"]),
@@ -15,7 +16,15 @@ const CRATES: [(&str, &[&str]); 7] = [
     (".", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
     (
         "crates/program",
-        &["autoref-film", "autoref-raster", "autoref-review", "autoref-solve", "autoref-stream", "autoref-synth"],
+        &[
+            "autoref-cloud",
+            "autoref-film",
+            "autoref-raster",
+            "autoref-review",
+            "autoref-solve",
+            "autoref-stream",
+            "autoref-synth",
+        ],
     ),
 ];
 

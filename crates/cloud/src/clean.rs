@@ -29,9 +29,18 @@ const OBJECT: u8 = 1;
 pub enum Step {
     Crop(Crop),
     /// Statistical outliers.
-    Outliers { neighbours: usize, multiplier: f64 },
-    Radius { radius_m: f64, least: usize },
-    Low { cell_m: f64, gap_m: f64 },
+    Outliers {
+        neighbours: usize,
+        multiplier: f64,
+    },
+    Radius {
+        radius_m: f64,
+        least: usize,
+    },
+    Low {
+        cell_m: f64,
+        gap_m: f64,
+    },
     Isolated(isolated::Options),
     Ground(smrf::Options),
 }
@@ -196,7 +205,9 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Header, Tiles, u64)> {
                 spool.push(&scratch, &Point::new(xyz, index))?;
             } else if plan.invalid == Invalid::Refuse {
                 let [x, y, z] = xyz;
-                let what = format!("the coordinates ({x}, {y}, {z}) are not finite; leave such points out with --skip-invalid");
+                let what = format!(
+                    "the coordinates ({x}, {y}, {z}) are not finite; leave such points out with --skip-invalid"
+                );
                 return Err(Error::format(input, format!("point {}", index + 1), what));
             } else {
                 invalid += 1;

@@ -67,7 +67,8 @@ impl Bounds {
 
     /// Squared distance of two boxes; 0 when they touch.
     pub fn gap2(&self, other: &Bounds) -> f64 {
-        let off = [0, 1, 2].map(|axis| (self.min[axis] - other.max[axis]).max(other.min[axis] - self.max[axis]).max(0.0));
+        let off =
+            [0, 1, 2].map(|axis| (self.min[axis] - other.max[axis]).max(other.min[axis] - self.max[axis]).max(0.0));
         square(off)
     }
 }
@@ -256,7 +257,11 @@ impl PlanSearch<'_> {
         }
         let entry = [distance2, other.xyz[2], other.xyz[0], other.xyz[1]];
         let order = |a: &[f64; 4], b: &[f64; 4]| {
-            a.iter().zip(b).map(|(a, b)| a.total_cmp(b)).find(|order| order.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+            a.iter()
+                .zip(b)
+                .map(|(a, b)| a.total_cmp(b))
+                .find(|order| order.is_ne())
+                .unwrap_or(std::cmp::Ordering::Equal)
         };
         let at = nearest.partition_point(|known| order(known, &entry).is_lt());
         nearest.insert(at, entry);

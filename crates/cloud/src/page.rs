@@ -4,8 +4,7 @@ use std::fmt::Write;
 
 use crate::clean::CleanReport;
 
-const COLOURS: [&str; 8] =
-    ["#c0392b", "#d68910", "#7d3c98", "#1f618d", "#117a65", "#7e5109", "#a93226", "#2e4053"];
+const COLOURS: [&str; 8] = ["#c0392b", "#d68910", "#7d3c98", "#1f618d", "#117a65", "#7e5109", "#a93226", "#2e4053"];
 
 /// The page of one cloud.
 pub fn page(report: &CleanReport) -> String {
@@ -83,7 +82,8 @@ fn map(out: &mut String, report: &CleanReport) {
     let summary = &report.summary;
     let cell = 6;
     let (width, height) = (summary.map_columns * cell, summary.map_rows * cell);
-    let _ = write!(out, "<svg width=\"{width}\" height=\"{height}\" role=\"img\" aria-label=\"Map of what was taken\">");
+    let _ =
+        write!(out, "<svg width=\"{width}\" height=\"{height}\" role=\"img\" aria-label=\"Map of what was taken\">");
     for (place, &count) in summary.map.iter().enumerate().filter(|(_, count)| **count > 0) {
         let (x, y) = (place % summary.map_columns * cell, place / summary.map_columns * cell);
         let taken: u64 = summary.map_by_step.iter().map(|step| step[place]).sum();

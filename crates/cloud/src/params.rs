@@ -19,15 +19,17 @@ pub fn read<const N: usize>(option: &str, text: &str, defaults: [(&str, f64); N]
         let (index, number) = match part.split_once('=') {
             Some((name, number)) => {
                 let name = name.trim();
-                let index = defaults.iter().position(|(known, _)| *known == name).ok_or_else(|| {
-                    Error::usage(format!("{option}: `{name}` is no parameter of it"), form())
-                })?;
+                let index = defaults
+                    .iter()
+                    .position(|(known, _)| *known == name)
+                    .ok_or_else(|| Error::usage(format!("{option}: `{name}` is no parameter of it"), form()))?;
                 (index, number.trim())
             }
             None => {
-                let index = set.iter().position(|done| !done).ok_or_else(|| {
-                    Error::usage(format!("{option}: `{part}` is one value too many"), form())
-                })?;
+                let index = set
+                    .iter()
+                    .position(|done| !done)
+                    .ok_or_else(|| Error::usage(format!("{option}: `{part}` is one value too many"), form()))?;
                 (index, part)
             }
         };
@@ -96,7 +98,9 @@ mod tests {
         assert_eq!(read("--outliers", "", defaults).expect("defaults"), [8.0, 2.0]);
         assert_eq!(read("--outliers", "m=1.5, k=2", defaults).expect("both"), [2.0, 1.5]);
         assert_eq!(read("--outliers", "5,0", defaults).expect("unnamed"), [5.0, 0.0]);
-        for (bad, word) in [("q=1", "`q`"), ("k=1,k=2", "twice"), ("k=x", "`x`"), ("1,2,3", "too many"), ("k=inf", "inf")] {
+        for (bad, word) in
+            [("q=1", "`q`"), ("k=1,k=2", "twice"), ("k=x", "`x`"), ("1,2,3", "too many"), ("k=inf", "inf")]
+        {
             let message = read("--outliers", bad, defaults).expect_err(bad).to_string();
             assert!(message.contains(word) && message.contains("--outliers k=8,m=2"), "{message}");
         }

@@ -146,7 +146,12 @@ impl Spool {
     /// # Errors
     /// When the scratch file cannot be made.
     pub fn new(scratch: &mut Scratch) -> Result<Spool> {
-        Ok(Spool { file: BufWriter::with_capacity(1 << 20, scratch.file()?), points: 0, indices: 0, bounds: Bounds::EMPTY })
+        Ok(Spool {
+            file: BufWriter::with_capacity(1 << 20, scratch.file()?),
+            points: 0,
+            indices: 0,
+            bounds: Bounds::EMPTY,
+        })
     }
 
     /// # Errors
@@ -271,8 +276,8 @@ fn stream(scratch: &Scratch, run: &Tile, mut each: impl FnMut(&Point) -> Result<
     let mut done = 0;
     while done < run.points {
         let count = STREAM_POINTS.min(run.points - done);
-        let points = read(&run.file, run.begin + done as u64, count)
-            .map_err(|e| scratch.error("read scratch data from", e))?;
+        let points =
+            read(&run.file, run.begin + done as u64, count).map_err(|e| scratch.error("read scratch data from", e))?;
         points.iter().try_for_each(&mut each)?;
         done += count;
     }

@@ -87,7 +87,9 @@ fn outliers_are_those_of_brute_force() {
         let (radius_m, least) = (3.0, 4);
         let near = |at: usize| {
             let others = points.iter().enumerate().filter(|(other, _)| *other != at);
-            others.filter(|(_, b)| (0..3).map(|i| (points[at][i] - b[i]).powi(2)).sum::<f64>() < radius_m * radius_m).count()
+            others
+                .filter(|(_, b)| (0..3).map(|i| (points[at][i] - b[i]).powi(2)).sum::<f64>() < radius_m * radius_m)
+                .count()
         };
         let expected: Vec<u8> = (0..count).map(|at| if near(at) < least { 7 } else { 1 }).collect();
         let step = Step::Radius { radius_m, least };

@@ -3,7 +3,7 @@
 mod common;
 
 use autoref_cloud::clean::Step;
-use autoref_cloud::smrf::{Options, };
+use autoref_cloud::smrf::Options;
 use common::{plan, run, shared};
 
 fn noise(file: &str, step: Step) -> Option<u64> {
@@ -55,7 +55,8 @@ fn agreement(name: &str, options: Options) -> Option<(f64, f64, u64)> {
         .collect();
     let (report, _, classes) = run(&path, &plan(vec![Step::Ground(options)]), "las");
     let n = labels.len() as f64;
-    let count = |a: bool, b: bool| labels.iter().zip(&classes).filter(|(l, c)| **l == a && (**c == 2) == b).count() as f64;
+    let count =
+        |a: bool, b: bool| labels.iter().zip(&classes).filter(|(l, c)| **l == a && (**c == 2) == b).count() as f64;
     let (gg, go, og, oo) = (count(true, true), count(true, false), count(false, true), count(false, false));
     let agree = (gg + oo) / n;
     let chance = ((gg + go) * (gg + og) + (og + oo) * (go + oo)) / (n * n);
@@ -81,14 +82,18 @@ fn ground_of_the_isprs_samples() {
         let one = Options { slope: 0.15, window_m: 18.0, threshold_m: 0.5, scaling: 1.25, ..base };
         for (index, (options, expected)) in [(base, optimised), (one, single)].into_iter().enumerate() {
             let Some((te, kappa, ground)) = agreement(name, options) else { return };
-            println!("{name} {index}: te {te:.6} (author {:.6}), kappa {kappa:.4} ({:.4}), ground {ground}", expected.0, expected.1);
+            println!(
+                "{name} {index}: te {te:.6} (author {:.6}), kappa {kappa:.4} ({:.4}), ground {ground}",
+                expected.0, expected.1
+            );
             assert!((te - expected.0).abs() < 1.5e-3 && (kappa - expected.1).abs() < 4e-3, "{name} {index}");
             kappas[index] += kappa / samples.len() as f64;
         }
     }
     println!("mean kappa {:.5} optimised, {:.5} single", kappas[0], kappas[1]);
     assert!(kappas[0] >= 0.887 && kappas[1] >= 0.840, "{kappas:?}");
-    let (te, _, ground) = agreement("samp53", Options { low_slope: 500.0, ..Options::default() }).expect("it was there");
+    let (te, _, ground) =
+        agreement("samp53", Options { low_slope: 500.0, ..Options::default() }).expect("it was there");
     println!("samp53, thesis: te {te:.6}, ground {ground}");
     let (te, _, ground) = agreement("samp11", Options::default()).expect("it was there");
     println!("samp11, thesis: te {te:.6}, ground {ground}");

@@ -175,12 +175,14 @@ impl Source {
             "y" => Some(Source::Y),
             "z" => Some(Source::Z),
             "range" if options.camera.is_some() => options.camera.map(Source::Range),
-            "intensity" => any(&["intensity", "scalar_intensity", "grey", "gray"]).map(Source::Field).or_else(|| {
-                match (any(&["red", "r"]), any(&["green", "g"]), any(&["blue", "b"])) {
-                    (Some(red), Some(green), Some(blue)) => Some(Source::Grey([red, green, blue])),
-                    _ => None,
-                }
-            }),
+            "intensity" => {
+                any(&["intensity", "scalar_intensity", "grey", "gray"]).map(Source::Field).or_else(|| {
+                    match (any(&["red", "r"]), any(&["green", "g"]), any(&["blue", "b"])) {
+                        (Some(red), Some(green), Some(blue)) => Some(Source::Grey([red, green, blue])),
+                        _ => None,
+                    }
+                })
+            }
             name => any(&[name, &format!("scalar_{name}")]).map(Source::Field),
         };
         found.ok_or_else(|| {

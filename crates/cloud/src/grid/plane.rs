@@ -50,9 +50,9 @@ impl PointFile {
 
     pub fn push(&mut self, place: &[f64; 2], values: &[f64]) -> Result<()> {
         for value in place.iter().chain(values) {
-            self.file
-                .write_all(&value.to_le_bytes())
-                .map_err(|e| Error::usage(format!("the scratch disk cannot be written: {e}"), "choose another --scratch"))?;
+            self.file.write_all(&value.to_le_bytes()).map_err(|e| {
+                Error::usage(format!("the scratch disk cannot be written: {e}"), "choose another --scratch")
+            })?;
         }
         Ok(())
     }
@@ -69,7 +69,10 @@ impl PointFile {
         let mut values = vec![0.0; self.numbers];
         for _ in 0..bytes / record.len() as u64 {
             reader.read_exact(&mut record).map_err(failed)?;
-            values.iter_mut().zip(record.chunks_exact(8)).for_each(|(value, bytes)| *value = f64::from_le_bytes(array(bytes)));
+            values
+                .iter_mut()
+                .zip(record.chunks_exact(8))
+                .for_each(|(value, bytes)| *value = f64::from_le_bytes(array(bytes)));
             each(&values)?;
         }
         Ok(())

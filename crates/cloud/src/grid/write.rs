@@ -140,7 +140,8 @@ impl Grid<'_> {
     fn write_plain(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
         let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
-        let settings = RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
+        let settings =
+            RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
         let (columns, rows) = (self.frame.columns, self.frame.rows);
         let mut file = driver
             .create_with_band_type_with_options::<f32, _>(path, columns, rows, bands.len(), &settings)

@@ -206,7 +206,8 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     add_crs(&mut head, &mut vlrs, target);
     let extent = (0..3).map(|axis| target.max[axis] - target.min[axis]).fold(0.0, f64::max);
     let scale = [step(extent, target.source.precision); 3];
-    let offset = [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
+    let offset =
+        [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
     let recipe = Recipe { intensity, class, gps_time, colours, extra };
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
 }
@@ -351,7 +352,9 @@ impl PointWriter for LasWriter {
             return Err(Error::unsupported(&path, what, "name the output .ply"));
         }
         for axis in 0..3 {
-            let bound = |steps: i32| if self.written == 0 { 0.0 } else { f64::from(steps) * self.scale[axis] + self.offset[axis] };
+            let bound = |steps: i32| {
+                if self.written == 0 { 0.0 } else { f64::from(steps) * self.scale[axis] + self.offset[axis] }
+            };
             put(head, 179 + 16 * axis, &bound(self.max[axis]).to_le_bytes());
             put(head, 187 + 16 * axis, &bound(self.min[axis]).to_le_bytes());
         }

@@ -80,7 +80,11 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         names = Some(row.iter().map(|word| word.to_ascii_lowercase()).collect());
     };
     if !(3..=MOST_COLUMNS).contains(&columns) {
-        return Err(Error::format(path, format!("line {}", line + 1), format!("{columns} columns; x, y, z are needed")));
+        return Err(Error::format(
+            path,
+            format!("line {}", line + 1),
+            format!("{columns} columns; x, y, z are needed"),
+        ));
     }
     let names = names.unwrap_or_else(|| {
         let axes = ["x", "y", "z"].map(String::from);

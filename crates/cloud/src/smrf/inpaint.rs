@@ -176,7 +176,10 @@ fn solve(surface: &Surface, unknown: &[u32], guess: Vec<f64>) -> Vec<f64> {
         let next = dot(&residual, &residual);
         let keep = next / norm;
         direction.par_chunks_mut(CHUNK).zip(residual.par_chunks(CHUNK)).for_each(|(direction, residual)| {
-            direction.iter_mut().zip(residual).for_each(|(direction, residual)| *direction = residual + keep * *direction);
+            direction
+                .iter_mut()
+                .zip(residual)
+                .for_each(|(direction, residual)| *direction = residual + keep * *direction);
         });
         norm = next;
     }

@@ -49,7 +49,15 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { cell_m: 2.0, slope: 0.45, window_m: 6.0, threshold_m: 0.10, scaling: 3.80, low_slope: 500.0, net_m: 0.0 }
+        Options {
+            cell_m: 2.0,
+            slope: 0.45,
+            window_m: 6.0,
+            threshold_m: 0.10,
+            scaling: 3.80,
+            low_slope: 500.0,
+            net_m: 0.0,
+        }
     }
 }
 
@@ -73,8 +81,13 @@ impl Options {
             params::read("--ground", text, defaults)?;
         params::positive("--ground", "cell", cell_m)?;
         params::positive("--ground", "window", window_m)?;
-        let never_negative =
-            [("slope", slope), ("threshold", threshold_m), ("scaling", scaling), ("low_slope", low_slope), ("net", net_m)];
+        let never_negative = [
+            ("slope", slope),
+            ("threshold", threshold_m),
+            ("scaling", scaling),
+            ("low_slope", low_slope),
+            ("net", net_m),
+        ];
         for (name, value) in never_negative {
             if value < 0.0 {
                 return Err(Error::usage(format!("--ground: {name} is {value}"), format!("give a {name} from 0 up")));
@@ -192,7 +205,8 @@ pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, dro
         what: format!("the ground surface of {:.0} × {:.0} m", max[0] - min[0], max[1] - min[1]),
         needed,
         allowed: budget_bytes,
-        remedy: "raise --memory or the cell of --ground, or crop far points first (--range-from, --crop, --outliers)".into(),
+        remedy: "raise --memory or the cell of --ground, or crop far points first (--range-from, --crop, --outliers)"
+            .into(),
     };
     let frame = Frame::new(min, max, options.cell_m).ok_or_else(|| wide(u64::MAX))?;
     let needed = frame.cells().saturating_mul(CELL_BYTES);

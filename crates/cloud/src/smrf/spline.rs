@@ -149,7 +149,10 @@ mod tests {
                 let x = (columns - 1) as f64 * f64::from(step) / 199.0;
                 let y = (rows - 1) as f64 * f64::from(step * 37 % 200) / 199.0;
                 let (got, wanted) = (spline.value(x + 0.5, y + 0.5), height(x, y));
-                assert!((got - wanted).abs() < 1e-9 * wanted.abs().max(1.0), "{columns}×{rows} at {x}, {y}: {got} {wanted}");
+                assert!(
+                    (got - wanted).abs() < 1e-9 * wanted.abs().max(1.0),
+                    "{columns}×{rows} at {x}, {y}: {got} {wanted}"
+                );
             }
         }
     }

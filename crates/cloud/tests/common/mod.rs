@@ -99,7 +99,9 @@ pub fn landscape(count: usize, seed: u64) -> Vec<[f64; 3]> {
         }
         points.push(match kind {
             k if k < 0.80 => [x, y, ground(x, y) + 0.05 * random.unit()],
-            k if k < 0.93 => [150.0 + 3.0 * random.unit(), 20.0 + 3.0 * random.unit(), ground(151.0, 21.0) + 2.0 * random.unit()],
+            k if k < 0.93 => {
+                [150.0 + 3.0 * random.unit(), 20.0 + 3.0 * random.unit(), ground(151.0, 21.0) + 2.0 * random.unit()]
+            }
             k if k < 0.95 => points.last().copied().unwrap_or([x, y, 100.0]),
             k if k < 0.98 => [x, y, ground(x, y) + 8.0],
             _ => [x, y, ground(x, y) + 300.0 * (random.unit() - 0.5)],

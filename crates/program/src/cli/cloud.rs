@@ -79,8 +79,7 @@ impl MeansArgs {
         // Fails only when a pool exists already, which then serves.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(common::threads(self.threads)).build_global();
         let asked = self.crs.as_deref().map(Crs::parse).transpose()?;
-        let mut first: Option<(&Path, String)> =
-            asked.as_ref().map(|crs| (Path::new("--crs"), crs.label()));
+        let mut first: Option<(&Path, String)> = asked.as_ref().map(|crs| (Path::new("--crs"), crs.label()));
         for cloud in clouds {
             let (header, _) = io::open(cloud)?;
             let Some(text) = header.crs else { continue };
@@ -122,9 +121,10 @@ impl Cameras {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(content.as_bytes());
         let heads: Vec<String> = reader.headers()?.iter().map(str::to_ascii_lowercase).collect();
         let column = |name: &str| {
-            heads.iter().position(|head| head == name).with_context(|| {
-                format!("{}: no column `{name}`; the head must be cloud,E,N,H", path.display())
-            })
+            heads
+                .iter()
+                .position(|head| head == name)
+                .with_context(|| format!("{}: no column `{name}`; the head must be cloud,E,N,H", path.display()))
         };
         let columns = [column("cloud")?, column("e")?, column("n")?, column("h")?];
         let mut rows = Vec::new();
@@ -134,9 +134,11 @@ impl Cameras {
             let mut camera = [0.0; 3];
             for (axis, value) in camera.iter_mut().enumerate() {
                 let text = field(axis + 1);
-                *value = text.parse().ok().filter(|value: &f64| value.is_finite()).with_context(|| {
-                    format!("{}: row {}: `{text}` is no number", path.display(), number + 2)
-                })?;
+                *value = text
+                    .parse()
+                    .ok()
+                    .filter(|value: &f64| value.is_finite())
+                    .with_context(|| format!("{}: row {}: `{text}` is no number", path.display(), number + 2))?;
             }
             rows.push((stem(Path::new(field(0))), camera));
         }

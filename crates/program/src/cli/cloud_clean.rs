@@ -184,7 +184,12 @@ impl CleanArgs {
         for (index, target) in targets.iter().enumerate() {
             if let Some(other) = targets[..index].iter().position(|other| other == target) {
                 let (a, b) = (&self.clouds[other], &self.clouds[index]);
-                bail!("{} and {} would both become {}; clean them one by one", a.display(), b.display(), target.display());
+                bail!(
+                    "{} and {} would both become {}; clean them one by one",
+                    a.display(),
+                    b.display(),
+                    target.display()
+                );
             }
         }
         Ok(targets)
@@ -318,7 +323,8 @@ fn document(reports: Vec<Value>) -> Value {
                             sum[key] = json!(a + b);
                         }
                     }
-                    sum["seconds"] = json!(sum["seconds"].as_f64().unwrap_or(0.0) + step["seconds"].as_f64().unwrap_or(0.0));
+                    sum["seconds"] =
+                        json!(sum["seconds"].as_f64().unwrap_or(0.0) + step["seconds"].as_f64().unwrap_or(0.0));
                     // Measured over one cloud.
                     if let Some(sum) = sum.as_object_mut() {
                         sum.remove("statistics");

@@ -66,9 +66,12 @@ impl GridArgs {
         let mut own: Vec<(String, f64)> = Vec::new();
         for part in self.radius.iter().flat_map(|text| text.split(',')) {
             let (name, number) = part.split_once('=').map_or((None, part), |(name, number)| (Some(name), number));
-            let value: f64 = number.trim().parse().ok().filter(|value: &f64| value.is_finite()).with_context(|| {
-                format!("--radius: `{}` is no number; write {form}", number.trim())
-            })?;
+            let value: f64 = number
+                .trim()
+                .parse()
+                .ok()
+                .filter(|value: &f64| value.is_finite())
+                .with_context(|| format!("--radius: `{}` is no number; write {form}", number.trim()))?;
             let value = params::positive("--radius", "radius", value)?;
             match name {
                 Some(name) => own.push((name.trim().to_ascii_lowercase(), value)),
@@ -111,7 +114,8 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
     let crs_wkt = args.means.begin(&args.clouds)?;
-    std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
+    std::fs::create_dir_all(&args.output)
+        .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
     let fill = usize::from(args.fill);
     let mut options = Options {
         cell_m: args.cell,
