@@ -43,17 +43,17 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { radius_m: None, share: 0.5, least: 5 }
+        Options { radius_m: None, share: 0.55, least: 5 }
     }
 }
 
 impl Options {
-    /// Reads `r=0,m=0.5,min=5`; a radius of 0 is found from the density.
+    /// Reads `r=0,m=0.55,min=5`; a radius of 0 is found from the density.
     ///
     /// # Errors
     /// Unknown names, values that make no sense.
     pub fn read(text: &str) -> Result<Options> {
-        let [r, m, min] = params::read("--isolated", text, [("r", 0.0), ("m", 0.5), ("min", 5.0)])?;
+        let [r, m, min] = params::read("--isolated", text, [("r", 0.0), ("m", 0.55), ("min", 5.0)])?;
         if r < 0.0 || m <= 0.0 {
             return Err(Error::usage(format!("--isolated: r is {r}, m is {m}"), "give r from 0 up and m above 0"));
         }

@@ -54,7 +54,7 @@ pub struct CleanArgs {
     low: Vec<String>,
     /// Points below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0: from the
     /// density), share of the spread, fewest points of a cluster.
-    #[arg(long, value_name = "r=0,m=0.5,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
+    #[arg(long, value_name = "r=0,m=0.55,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
     isolated: Vec<String>,
     /// Ground by SMRF; lengths in metres, slopes as rise over run.
     #[arg(
