@@ -193,6 +193,7 @@ impl CodedDetector {
             size_px: Some([side; 2]),
             elevation_m: None,
             code: Some(Code { family: self.family.name().to_string(), number: tag.number }),
+            paint: None,
         }
     }
 }

@@ -1,15 +1,247 @@
-//! Placeholder
-use crate::error::Result;
-use crate::tiles::Tiles;
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
+//! Points that statistics of distance do not tell: low points close beneath the ground or the canopy, and small clusters
+//! far from everything.
+//!
+//! A point is noise
+//! - when it lies below the lower envelope of its surroundings by `share` times the envelope's spread: the surroundings are
+//!   the at most 128 points nearest in plan within a radius, the envelope is the plane of asymmetric least squares (Eilers
+//!   & Boelens, *Baseline correction with asymmetric least squares smoothing*, 2005) to which points above it weigh 0.02; or
+//! - when the `least`-th neighbour is four times as far as for the median point: a cluster of at most `least` points.
+//!
+//! Both are taken over the true neighbours, so that tiles change nothing.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::kdtree::Tree;
+use crate::neighbours;
+use crate::outliers;
+use crate::params;
+use crate::tiles::{Point, Tiles};
+
+/// Surroundings at most, and at least.
+const MOST: usize = 128;
+const LEAST: usize = 6;
+/// What points above the envelope weigh against those below.
+const ABOVE: f64 = 0.02;
+const ROUNDS: usize = 8;
+/// Points in the radius that is found from the density.
+const EXPECTED: f64 = 100.0;
+/// How much farther than for the median point a cluster's outer neighbour is.
+const FARTHER: f64 = 4.0;
+
+/// Parameters of the step.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    pub k: usize,
+    /// Of the surroundings; `None` is the radius that holds 100 points at the mean density of occupied ground.
+    pub radius_m: Option<f64>,
+    /// Depth below the envelope in units of its spread.
+    pub share: f64,
+    pub least: usize,
 }
-impl Options {
-    pub fn neighbours(&self) -> usize {
-        self.k
+
+impl Default for Options {
+    fn default() -> Self {
+        Options { radius_m: None, share: 0.55, least: 5 }
     }
 }
-pub fn find(_tiles: &mut Tiles, _options: &Options, _kept: usize, _step: u8) -> Result<u64> {
-    Ok(0)
+
+impl Options {
+    /// Reads `r=0,m=0.55,min=5`; a radius of 0 is found from the density.
+    ///
+    /// # Errors
+    /// Unknown names, values that make no sense.
+    pub fn read(text: &str) -> Result<Options> {
+        let [r, m, min] = params::read("--isolated", text, [("r", 0.0), ("m", 0.55), ("min", 5.0)])?;
+        if r < 0.0 || m <= 0.0 {
+            return Err(Error::usage(format!("--isolated: r is {r}, m is {m}"), "give r from 0 up and m above 0"));
+        }
+        let least = params::whole("--isolated", "min", min, 1)?.min(1000);
+        Ok(Options { radius_m: (r > 0.0).then_some(r), share: m, least })
+    }
+
+    /// For the memory plan: what a point takes in tiles, as if so many distances were kept.
+    pub fn neighbours(&self) -> usize {
+        self.least.max(64)
+    }
+}
+
+/// Classifies noise; see the module. Answers how many points.
+///
+/// # Errors
+/// Those of the scratch disk.
+pub fn find(tiles: &mut Tiles, options: &Options, kept_points: usize, step: u8) -> Result<u64> {
+    tiles.prepare()?;
+    let mut noise = clusters(tiles, options.least, kept_points)?;
+    let radius = match options.radius_m {
+        Some(radius) => radius,
+        None => radius_of_density(tiles)?,
+    };
+    let mut kept: Vec<(usize, Arc<Tree>)> = Vec::new();
+    for number in 0..tiles.tiles.len() {
+        if tiles.tiles[number].active == 0 {
+            continue;
+        }
+        let bounds = tiles.tiles[number].bounds;
+        let near: Vec<usize> = (0..tiles.tiles.len())
+            .filter(|&other| tiles.tiles[other].active > 0)
+            .filter(|&other| tiles.tiles[other].bounds.gap2_in_plan(&bounds) <= radius * radius)
+            .collect();
+        kept.retain(|(other, _)| near.contains(other));
+        for &other in &near {
+            if kept.iter().all(|(known, _)| *known != other) {
+                kept.push((other, Arc::new(tiles.tree(other)?)));
+            }
+        }
+        let own = kept.iter().find(|(other, _)| *other == number).map(|(_, tree)| Arc::clone(tree));
+        let Some(own) = own else { continue };
+        let low: Vec<u32> = own
+            .points()
+            .par_iter()
+            .enumerate()
+            .with_min_len(256)
+            .filter(|(_, point)| is_low(point, &kept, radius, options.share))
+            .map(|(index, _)| index as u32)
+            .collect();
+        noise[number].extend(low);
+        noise[number].sort_unstable();
+        noise[number].dedup();
+    }
+    outliers::mark(tiles, &noise, step)
+}
+
+/// Points whose `least`-th neighbour is too far, by their place in the tiles.
+fn clusters(tiles: &mut Tiles, least: usize, kept_points: usize) -> Result<Vec<Vec<u32>>> {
+    let file = tiles.scratch.file()?;
+    let mut counts = vec![0u64; 1 << 16];
+    neighbours::for_each_tile(tiles, least, f64::INFINITY, kept_points, |number, _, found| {
+        let farthest: Vec<f64> = found.chunks_exact(least).map(|nearest| nearest[least - 1]).collect();
+        farthest.iter().for_each(|distance2| counts[(distance2.to_bits() >> 48) as usize] += 1);
+        outliers::write(tiles, &file, tiles.tiles[number].before, &farthest)
+    })?;
+    // Bits of positive doubles sort as the numbers do: the median is found sixteen bits at a time.
+    let mut rank = counts.iter().sum::<u64>() / 2;
+    let mut prefix = 0u64;
+    for round in 0..4 {
+        if round > 0 {
+            counts.fill(0);
+            for tile in &tiles.tiles {
+                for value in outliers::read(tiles, &file, tile.before, tile.active)? {
+                    let bits = value.to_bits();
+                    if bits >> (64 - 16 * round) == prefix {
+                        counts[(bits >> (48 - 16 * round)) as usize & 0xffff] += 1;
+                    }
+                }
+            }
+        }
+        let mut digit = 0;
+        while digit < 0xffff && rank >= counts[digit] {
+            rank -= counts[digit];
+            digit += 1;
+        }
+        prefix = (prefix << 16) | digit as u64;
+    }
+    let median2 = f64::from_bits(prefix);
+    let limit2 = median2 * FARTHER * FARTHER;
+    let mut far = Vec::with_capacity(tiles.tiles.len());
+    for tile in &tiles.tiles {
+        let values = outliers::read(tiles, &file, tile.before, tile.active)?;
+        // A cloud of fewer points has no such neighbour, and where most lie on one place, distances tell nothing.
+        let is_far = |value: &f64| value.is_finite() && median2 > 0.0 && *value >= limit2;
+        far.push((0u32..).zip(&values).filter(|(_, value)| is_far(value)).map(|(index, _)| index).collect());
+    }
+    Ok(far)
+}
+
+/// The radius of a disc that holds the expected number of points.
+fn radius_of_density(tiles: &Tiles) -> Result<f64> {
+    let mut bounds = crate::kdtree::Bounds::EMPTY;
+    tiles.tiles.iter().filter(|tile| tile.active > 0).for_each(|tile| bounds.merge(&tile.bounds));
+    let points: u64 = tiles.tiles.iter().map(|tile| tile.active as u64).sum();
+    let (width, height) = (bounds.max[0] - bounds.min[0], bounds.max[1] - bounds.min[1]);
+    // Cells of sixteen points on average; those without any are no ground.
+    let cell = (16.0 * width * height / points.max(1) as f64).sqrt().max((width.max(height)) / 30_000.0);
+    if !(cell > 0.0) {
+        return Ok(width.max(height).max(f64::MIN_POSITIVE));
+    }
+    let columns = (width / cell) as usize + 1;
+    let mut occupied = vec![false; columns * ((height / cell) as usize + 1)];
+    crate::elm::each_active(tiles, |xyz| {
+        let (x, y) = ((xyz[0] - bounds.min[0]) / cell, (xyz[1] - bounds.min[1]) / cell);
+        occupied[y as usize * columns + x as usize] = true;
+        Ok(())
+    })?;
+    let area = occupied.iter().filter(|&&occupied| occupied).count() as f64 * cell * cell;
+    let area = area.min(width * height);
+    Ok((EXPECTED * area / points.max(1) as f64 / std::f64::consts::PI).sqrt())
+}
+
+/// Whether the point lies too deep below its surroundings' lower envelope.
+fn is_low(point: &Point, trees: &[(usize, Arc<Tree>)], radius: f64, share: f64) -> bool {
+    let mut around: Vec<[f64; 4]> = Vec::with_capacity(MOST + 1);
+    for (_, tree) in trees {
+        tree.nearest_in_plan(point, radius * radius, MOST, &mut around);
+    }
+    if around.len() < LEAST {
+        return false;
+    }
+    let offsets: Vec<[f64; 3]> =
+        around.iter().map(|&[_, z, x, y]| [x - point.xyz[0], y - point.xyz[1], z - point.xyz[2]]).collect();
+    let mut weights = vec![1.0; offsets.len()];
+    let mut plane = [0.0; 3];
+    for _ in 0..ROUNDS {
+        let Some(fitted) = fit(&offsets, &weights) else { return false };
+        plane = fitted;
+        for (weight, offset) in weights.iter_mut().zip(&offsets) {
+            *weight = if residual(plane, offset) > 0.0 { ABOVE } else { 1.0 };
+        }
+    }
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for (weight, offset) in weights.iter().zip(&offsets) {
+        let off = residual(plane, offset);
+        sum += weight;
+        squares += weight * off * off;
+    }
+    // The plane's height over the point, in units of the spread about the plane.
+    let spread = (squares / sum).sqrt();
+    spread > 0.0 && plane[0] >= share * spread
+}
+
+fn residual(plane: [f64; 3], offset: &[f64; 3]) -> f64 {
+    offset[2] - (plane[0] + plane[1] * offset[0] + plane[2] * offset[1])
+}
+
+/// Height at the origin and both slopes of the weighted least squares plane; `None` when the points lie on a line.
+fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
+    let mut m = [[0.0; 4]; 3];
+    for (&w, &[x, y, z]) in weights.iter().zip(offsets) {
+        let row = [1.0, x, y, z];
+        for i in 0..3 {
+            for j in i..4 {
+                m[i][j] += w * row[i] * row[j];
+            }
+        }
+    }
+    m[1][0] = m[0][1];
+    m[2][0] = m[0][2];
+    m[2][1] = m[1][2];
+    // Gaussian elimination with pivots on the diagonal: the matrix is positive definite, or the points lie on a line.
+    let diagonal = [m[0][0], m[1][1], m[2][2]];
+    for i in 0..3 {
+        let size = m[i][i];
+        if size.is_nan() || size <= 1e-12 * diagonal[i] {
+            return None;
+        }
+        for below in i + 1..3 {
+            let factor = m[below][i] / size;
+            for column in i..4 {
+                m[below][column] -= factor * m[i][column];
+            }
+        }
+    }
+    let c = m[2][3] / m[2][2];
+    let b = (m[1][3] - m[1][2] * c) / m[1][1];
+    let a = (m[0][3] - m[0][1] * b - m[0][2] * c) / m[0][0];
+    Some([a, b, c])
 }

@@ -4,6 +4,7 @@
 pub mod clean;
 pub mod crop;
 pub mod elm;
+pub mod info;
 pub use autoref_raster::error;
 pub mod grid;
 pub mod io;
@@ -11,6 +12,7 @@ pub mod isolated;
 pub mod kdtree;
 pub mod neighbours;
 pub mod outliers;
+pub mod page;
 pub mod params;
 mod quiet;
 pub mod schema;

@@ -114,13 +114,13 @@ pub(crate) fn mark(tiles: &Tiles, which: &[Vec<u32>], step: u8) -> Result<u64> {
     Ok(which.iter().map(|tile| tile.len() as u64).sum())
 }
 
-fn write(tiles: &Tiles, file: &File, at: u64, values: &[f64]) -> Result<()> {
+pub(crate) fn write(tiles: &Tiles, file: &File, at: u64, values: &[f64]) -> Result<()> {
     let mut bytes = Vec::with_capacity(8 * values.len());
     values.iter().for_each(|value| bytes.extend_from_slice(&value.to_le_bytes()));
     file.write_all_at(&bytes, 8 * at).map_err(|e| tiles.scratch.error("write scratch data to", e))
 }
 
-fn read(tiles: &Tiles, file: &File, at: u64, count: usize) -> Result<Vec<f64>> {
+pub(crate) fn read(tiles: &Tiles, file: &File, at: u64, count: usize) -> Result<Vec<f64>> {
     let mut bytes = vec![0; 8 * count];
     file.read_exact_at(&mut bytes, 8 * at).map_err(|e| tiles.scratch.error("read scratch data from", e))?;
     Ok(bytes.chunks_exact(8).map(|bytes| f64::from_le_bytes(crate::schema::array(bytes))).collect())

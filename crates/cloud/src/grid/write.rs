@@ -61,7 +61,14 @@ pub(super) fn write(
     options: &Options,
     crs: Option<&str>,
 ) -> Result<(Vec<PathBuf>, Vec<u64>)> {
-    let wkt = crs.map(|text| Crs::parse(text).map(|crs| crs.wkt().to_string())).transpose()?;
+    // A reference system that GDAL does not understand is no reason to refuse the heights.
+    let wkt = crs.and_then(|text| match Crs::parse(text) {
+        Ok(crs) => Some(crs.wkt().to_string()),
+        Err(error) => {
+            tracing::warn!("{}: written without a reference system: {error}", cloud.display());
+            None
+        }
+    });
     let stem = stem(cloud);
     let mut files = Transaction::new();
     let mut with_points = Vec::new();

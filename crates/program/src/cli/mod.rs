@@ -7,6 +7,9 @@ use clap::{Parser, Subcommand};
 pub mod accuracy;
 pub mod apply;
 pub mod chips;
+pub mod cloud;
+mod cloud_clean;
+mod cloud_grid;
 pub mod common;
 pub mod dem;
 pub mod detect;
@@ -83,6 +86,7 @@ pub enum Command {
     Dem(Box<dem::DemArgs>),
     Mosaic(Box<mosaic::MosaicArgs>),
     Flight(Box<flight::FlightArgs>),
+    Cloud(cloud::CloudArgs),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -105,6 +109,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Mosaic(args)) => mosaic::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Flight(args)) => flight::run(&args),
+        Some(Command::Cloud(args)) => cloud::run(&args),
         None => run::run(&cli.run),
     }
 }

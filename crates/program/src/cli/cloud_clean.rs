@@ -1,0 +1,399 @@
+//! `autoref-stream cloud clean`: the chain of steps, in the order in which they are written.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, bail};
+use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
+use autoref_cloud::crop::{Crop, Polygon};
+use autoref_cloud::{io, isolated, page, params, smrf};
+use autoref_raster::atomic::{self, Transaction};
+use clap::{Args, CommandFactory};
+use gdal::vector::{Geometry, LayerAccess};
+use serde_json::{Value, json};
+
+use super::cloud::{Cameras, MeansArgs, stem};
+
+/// Classify noise and ground, step by step in the order written; every step is done only when it is asked for.
+///
+/// Noise gets class 7, ground class 2, what is neither class 1; points are removed only by --drop. Beside each output
+/// NAME.clean.json and NAME.clean.html say what every step took.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Example, as in the thesis of 2017:\n  autoref-stream cloud clean S36_3292.ply -o clean/S36_3292.laz --shift 600000,8600000,0 \\\n    --z -50,716 --range-from cameras.csv --outliers k=8,m=2 --ground --drop noise,object\n\nExit codes: 0 done, 2 error."
+)]
+pub struct CleanArgs {
+    /// The clouds; each is cleaned alone.
+    #[arg(required = true, value_name = "IN")]
+    clouds: Vec<PathBuf>,
+    /// Output: a .laz, .las or .ply file, or a folder (always for several clouds), which then gets NAME.laz.
+    #[arg(short, long = "out", value_name = "OUT")]
+    output: PathBuf,
+
+    /// Keep heights from MIN to MAX.
+    #[arg(long, value_name = "MIN,MAX", allow_hyphen_values = true, help_heading = "Steps")]
+    z: Vec<String>,
+    /// Keep points nearer to the camera than its height over z = 0 divided by the sine of the elevation angle. A place in
+    /// map coordinates, a table with the columns cloud,E,N,H, or a MicMac orientation.
+    #[arg(long, value_name = "E,N,H|FILE", allow_hyphen_values = true, help_heading = "Steps")]
+    range_from: Vec<String>,
+    /// Smallest angle under which the camera may see a point at z = 0, degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 10.0, help_heading = "Steps")]
+    elevation_angle: f64,
+    /// Keep points inside the polygons of a vector file, in the clouds' reference system.
+    #[arg(long, value_name = "FILE", help_heading = "Steps")]
+    crop: Vec<String>,
+    /// Statistical outliers: mean distance to the k nearest at or above mean + m standard deviations.
+    #[arg(long, value_name = "k=8,m=2", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
+    outliers: Vec<String>,
+    /// Radius outliers: fewer than min others nearer than r metres.
+    #[arg(long, value_name = "r=1,min=2", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
+    radius: Vec<String>,
+    /// Low points by the extended local minimum: `elm`, or cell=10,threshold=1 (metres).
+    #[arg(long, value_name = "elm|cell=10,threshold=1", num_args = 0..=1, default_missing_value = "elm", help_heading = "Steps")]
+    low: Vec<String>,
+    /// Points below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0: from the
+    /// density), share of the spread, fewest points of a cluster.
+    #[arg(long, value_name = "r=0,m=0.55,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
+    isolated: Vec<String>,
+    /// Ground by SMRF; lengths in metres, slopes as rise over run.
+    #[arg(
+        long,
+        value_name = "cell=2,slope=0.45,window=6,threshold=0.10,scaling=3.80,low_slope=500,net=0",
+        num_args = 0..=1,
+        default_missing_value = "",
+        help_heading = "Steps"
+    )]
+    ground: Vec<String>,
+
+    /// Leave classes out of the output: noise (what the steps before --ground found), object (what --ground found not to
+    /// be ground).
+    #[arg(long, value_name = "noise,object", value_delimiter = ',', help_heading = "Writing")]
+    drop: Vec<String>,
+    /// Leave points out whose coordinates are not finite, instead of refusing the cloud.
+    #[arg(long, help_heading = "Reading")]
+    skip_invalid: bool,
+    /// Keep what an interrupted run of the same command has finished.
+    #[arg(long, help_heading = "Writing")]
+    resume: bool,
+    /// Write no NAME.clean.html.
+    #[arg(long, help_heading = "Writing")]
+    no_report: bool,
+    /// Points of a tile at most; results do not depend on it. Default: what the memory allows.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000_000), help_heading = "Resources")]
+    tile: Option<u64>,
+    #[command(flatten)]
+    means: MeansArgs,
+}
+
+/// A step as written; ranges need the cloud's camera.
+enum Written {
+    Step(Step),
+    Range(Cameras),
+}
+
+impl CleanArgs {
+    /// Names and values of the steps in the order of the command line.
+    fn in_order(&self) -> Vec<(&'static str, String)> {
+        // The parser has the places of the values; the derived struct does not.
+        let matches = super::Cli::command().get_matches();
+        let clean = matches.subcommand_matches("cloud").and_then(|cloud| cloud.subcommand_matches("clean"));
+        let lists: [(&'static str, &[String]); 8] = [
+            ("z", &self.z),
+            ("range_from", &self.range_from),
+            ("crop", &self.crop),
+            ("outliers", &self.outliers),
+            ("radius", &self.radius),
+            ("low", &self.low),
+            ("isolated", &self.isolated),
+            ("ground", &self.ground),
+        ];
+        let mut steps = Vec::new();
+        for (name, values) in lists {
+            let places: Vec<usize> =
+                clean.and_then(|clean| clean.indices_of(name)).map_or_else(Vec::new, Iterator::collect);
+            for (at, value) in values.iter().enumerate() {
+                steps.push((places.get(at).copied().unwrap_or(usize::MAX), name, value.clone()));
+            }
+        }
+        steps.sort_by_key(|(place, _, _)| *place);
+        steps.into_iter().map(|(_, name, value)| (name, value)).collect()
+    }
+
+    fn steps(&self) -> anyhow::Result<Vec<Written>> {
+        self.in_order().into_iter().map(|(name, value)| self.step(name, &value)).collect()
+    }
+
+    fn step(&self, name: &str, value: &str) -> anyhow::Result<Written> {
+        let step = match name {
+            "z" => {
+                let [min_m, max_m] = params::numbers("--z", value, "MIN,MAX")?;
+                if min_m > max_m {
+                    bail!("--z: {min_m} is above {max_m}; write --z MIN,MAX");
+                }
+                Step::Crop(Crop::Height { min_m, max_m })
+            }
+            "range_from" => return Ok(Written::Range(Cameras::read(value)?)),
+            "crop" => Step::Crop(Crop::Polygon(polygons(Path::new(value))?)),
+            "outliers" => {
+                let [k, m] = params::read("--outliers", value, [("k", 8.0), ("m", 2.0)])?;
+                let neighbours = params::whole("--outliers", "k", k, 1)?;
+                if neighbours > 1000 {
+                    bail!("--outliers: k is {k}; give at most 1000");
+                }
+                Step::Outliers { neighbours, multiplier: m }
+            }
+            "radius" => {
+                let [r, min] = params::read("--radius", value, [("r", 1.0), ("min", 2.0)])?;
+                let least = params::whole("--radius", "min", min, 1)?;
+                if least > 1000 {
+                    bail!("--radius: min is {min}; give at most 1000");
+                }
+                Step::Radius { radius_m: params::positive("--radius", "r", r)?, least }
+            }
+            "low" => {
+                let value = if value == "elm" { "" } else { value };
+                let [cell, gap] = params::read("--low", value, [("cell", 10.0), ("threshold", 1.0)])?;
+                Step::Low {
+                    cell_m: params::positive("--low", "cell", cell)?,
+                    gap_m: params::positive("--low", "threshold", gap)?,
+                }
+            }
+            "isolated" => Step::Isolated(isolated::Options::read(value)?),
+            _ => Step::Ground(smrf::Options::read(value)?),
+        };
+        Ok(Written::Step(step))
+    }
+
+    /// Where each cloud goes.
+    fn targets(&self) -> anyhow::Result<Vec<PathBuf>> {
+        let named = io::format_of(&self.output).is_ok() && !self.output.is_dir();
+        if named && self.clouds.len() == 1 {
+            return Ok(vec![self.output.clone()]);
+        }
+        let extension = self.output.extension();
+        if named || (extension.is_some() && !self.output.is_dir()) {
+            // A folder may have a dot in its name, but not the extension of a cloud.
+            io::format_of(&self.output)?;
+            bail!("--out {}: several clouds need a folder", self.output.display());
+        }
+        std::fs::create_dir_all(&self.output)
+            .with_context(|| format!("{}: cannot make the folder", self.output.display()))?;
+        let targets: Vec<PathBuf> =
+            self.clouds.iter().map(|cloud| self.output.join(format!("{}.laz", stem(cloud)))).collect();
+        for (index, target) in targets.iter().enumerate() {
+            if let Some(other) = targets[..index].iter().position(|other| other == target) {
+                let (a, b) = (&self.clouds[other], &self.clouds[index]);
+                bail!(
+                    "{} and {} would both become {}; clean them one by one",
+                    a.display(),
+                    b.display(),
+                    target.display()
+                );
+            }
+        }
+        Ok(targets)
+    }
+}
+
+fn beside(target: &Path, what: &str) -> PathBuf {
+    target.with_file_name(format!("{}.clean.{what}", stem(target)))
+}
+
+pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
+    let written = args.steps()?;
+    for name in &args.drop {
+        if !["noise", "object"].contains(&name.trim()) {
+            bail!("--drop: `{name}` is no class; choose among noise and object");
+        }
+    }
+    let crs_wkt = args.means.begin(&args.clouds)?;
+    let targets = args.targets()?;
+    let mut plan = Plan {
+        steps: Vec::new(),
+        drop_noise: args.drop.iter().any(|name| name.trim() == "noise"),
+        drop_objects: args.drop.iter().any(|name| name.trim() == "object"),
+        shift: args.means.shift()?,
+        invalid: if args.skip_invalid { Invalid::LeaveOut } else { Invalid::Refuse },
+        memory_bytes: args.means.memory.0,
+        tile_points: args.tile.map(|points| points as usize),
+        scratch: PathBuf::new(),
+        crs_wkt,
+    };
+    let parameters = json!({
+        "steps": args.in_order(),
+        "elevation_angle": args.elevation_angle,
+        "drop": args.drop,
+        "shift": plan.shift,
+        "crs": args.means.crs,
+        "skip_invalid": args.skip_invalid,
+    });
+    let mut todo = Vec::new();
+    for (cloud, target) in args.clouds.iter().zip(&targets) {
+        let identity = identity(cloud, &parameters)?;
+        let done = args.resume.then(|| finished(target, &identity)).flatten();
+        if done.is_none() {
+            let same = std::fs::canonicalize(target).ok().zip(std::fs::canonicalize(cloud).ok());
+            if same.is_some_and(|(a, b)| a == b) {
+                bail!("{}: the output is the input; name another", target.display());
+            }
+            let page = beside(target, "html");
+            let mut outputs = vec![target.as_path()];
+            let report = beside(target, "json");
+            outputs.push(&report);
+            if !args.no_report {
+                outputs.push(&page);
+            }
+            atomic::check_outputs(&outputs, args.means.overwrite)?;
+        }
+        todo.push((cloud, target, identity, done));
+    }
+    let mut reports = Vec::new();
+    for (cloud, target, identity, done) in todo {
+        if let Some(report) = done {
+            reports.push(report);
+            continue;
+        }
+        plan.steps = Vec::new();
+        for step in &written {
+            plan.steps.push(match step {
+                Written::Step(step) => step.clone(),
+                Written::Range(cameras) => Step::Crop(Crop::range(cameras.of(cloud)?, args.elevation_angle)?),
+            });
+        }
+        let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        plan.scratch = args.means.scratch.clone().unwrap_or_else(|| folder.to_path_buf());
+        let report = one(cloud, target, &plan, identity, args)?;
+        if !args.means.json {
+            print(&report)?;
+        }
+        reports.push(report);
+    }
+    if args.means.json {
+        println!("{}", serde_json::to_string_pretty(&document(reports))?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanArgs) -> anyhow::Result<Value> {
+    let mut outputs = Transaction::new();
+    let mut report: Option<CleanReport> = None;
+    outputs.stage(target, |temporary| {
+        report = Some(clean::clean(cloud, temporary, target, plan)?);
+        Ok(())
+    })?;
+    let report = report.context("the cloud was cleaned")?;
+    let mut value = serde_json::to_value(&report)?;
+    value["identity"] = identity;
+    let mut written = vec![target.to_path_buf(), beside(target, "json")];
+    if !args.no_report {
+        outputs.stage_bytes(&beside(target, "html"), page::page(&report).as_bytes())?;
+        written.push(beside(target, "html"));
+    }
+    value["files_written"] = json!(written);
+    outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&value)?.as_bytes())?;
+    outputs.commit()?;
+    Ok(value)
+}
+
+/// What an output was made of: the cloud's size and time, and the parameters.
+fn identity(cloud: &Path, parameters: &Value) -> anyhow::Result<Value> {
+    let metadata = std::fs::metadata(cloud).with_context(|| format!("{}: cannot open it", cloud.display()))?;
+    let time = metadata.modified().ok().and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok());
+    Ok(json!({"bytes": metadata.len(), "modified_s": time.map(|time| time.as_secs()), "parameters": parameters}))
+}
+
+/// The report of an output that is there and was made of the same.
+fn finished(target: &Path, identity: &Value) -> Option<Value> {
+    let text = std::fs::read_to_string(beside(target, "json")).ok()?;
+    let report: Value = serde_json::from_str(&text).ok()?;
+    (target.is_file() && report["identity"] == *identity).then_some(report)
+}
+
+/// One document for all clouds: steps with their sums, and each cloud's own.
+fn document(reports: Vec<Value>) -> Value {
+    let mut steps: Vec<Value> = Vec::new();
+    for report in &reports {
+        for (index, step) in report["steps"].as_array().into_iter().flatten().enumerate() {
+            match steps.get_mut(index) {
+                None => steps.push(step.clone()),
+                Some(sum) => {
+                    for key in ["points_in", "classified", "dropped", "ground"] {
+                        if let (Some(a), Some(b)) = (sum[key].as_u64(), step[key].as_u64()) {
+                            sum[key] = json!(a + b);
+                        }
+                    }
+                    sum["seconds"] =
+                        json!(sum["seconds"].as_f64().unwrap_or(0.0) + step["seconds"].as_f64().unwrap_or(0.0));
+                    // Measured over one cloud.
+                    if let Some(sum) = sum.as_object_mut() {
+                        sum.remove("statistics");
+                        sum.remove("greatest_range_m");
+                    }
+                }
+            }
+        }
+    }
+    let total = |key: &str| reports.iter().filter_map(|report| report[key].as_u64()).sum::<u64>();
+    json!({
+        "steps": steps,
+        "points": total("points"),
+        "points_kept": total("points_kept"),
+        "files_written": reports.iter().filter_map(|report| report["files_written"].as_array()).flatten().collect::<Vec<_>>(),
+        "clouds": reports,
+    })
+}
+
+fn print(report: &Value) -> anyhow::Result<()> {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_string();
+    println!("{}: {} points", text(&report["input"]), report["points"]);
+    for step in report["steps"].as_array().into_iter().flatten() {
+        println!(
+            "  {:<9} {:>12} in {:>12} classified {:>12} dropped",
+            text(&step["step"]),
+            step["points_in"],
+            step["classified"],
+            step["dropped"]
+        );
+    }
+    println!("  {} points in {}", report["points_kept"], text(&report["output"]));
+    Ok(())
+}
+
+/// All rings of all polygons of a vector file.
+fn polygons(path: &Path) -> anyhow::Result<Polygon> {
+    autoref_raster::initialise_gdal(64 << 20);
+    let options = gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
+    if !path.exists() {
+        bail!("--crop {}: there is no such file", path.display());
+    }
+    let dataset = gdal::Dataset::open_ex(path, options)
+        .with_context(|| format!("--crop {}: GDAL reads no polygons from it", path.display()))?;
+    let mut rings = Vec::new();
+    for mut layer in dataset.layers() {
+        for feature in layer.features() {
+            if let Some(geometry) = feature.geometry() {
+                collect(geometry, &mut rings);
+            }
+        }
+    }
+    if rings.is_empty() {
+        bail!("--crop {}: it has no polygon", path.display());
+    }
+    Ok(Polygon::new(rings))
+}
+
+fn collect(geometry: &Geometry, rings: &mut Vec<Vec<[f64; 2]>>) {
+    for index in 0..geometry.geometry_count() {
+        let part = geometry.get_geometry(index);
+        if part.geometry_count() > 0 {
+            collect(&part, rings);
+        } else {
+            let mut points = Vec::new();
+            part.get_points(&mut points);
+            if points.len() >= 3 {
+                rings.push(points.into_iter().map(|(x, y, _)| [x, y]).collect());
+            }
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! `autoref-stream cloud grid`: rasters of what points carry.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, bail};
+use autoref_cloud::grid::{self, Dimension, Manner, Noise, Options, Stat};
+use autoref_cloud::params;
+use autoref_raster::atomic;
+use clap::Args;
+
+use super::cloud::{Cameras, MeansArgs};
+
+/// Grid clouds: one Cloud Optimized GeoTIFF for each dimension and statistic, and one with its holes filled.
+///
+/// Files are named STEM_DIMENSION_STAT.tif and STEM_DIMENSION_filled.tif; the latter has the filled statistic, a flag (0
+/// measured, 1 filled, 2 empty), the count, and further filled statistics.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Example, as in the thesis of 2017:\n  autoref-stream cloud grid clean/*.laz -o grids --cell 2 --stat mean,count --dimension intensity,z,range --radius z=2.828,range=1.414"
+)]
+pub struct GridArgs {
+    /// The clouds; each gets its own grids.
+    #[arg(required = true, value_name = "IN")]
+    clouds: Vec<PathBuf>,
+    /// Folder of the rasters; made when it is missing.
+    #[arg(short, long = "out", value_name = "DIR")]
+    output: PathBuf,
+    /// Side of a cell, metres.
+    #[arg(long, value_name = "M", default_value_t = 2.0)]
+    cell: f64,
+    /// mean, median, min, max, count, stdev, idw.
+    #[arg(long, value_name = "STAT,…", value_delimiter = ',', default_value = "mean,count")]
+    stat: Vec<String>,
+    /// What is gridded: x, y, z, range, intensity, red, or any dimension of the clouds.
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', default_value = "z")]
+    dimension: Vec<String>,
+    /// Points count that are nearer to a cell's centre: metres, or by dimension as z=2.828,range=1.414. Default: √2 cells
+    /// for z, √½ cells for everything else; with --like-pdal √2 cells for all.
+    #[arg(long, value_name = "R|NAME=R,…")]
+    radius: Option<String>,
+    /// Window that fills holes: its width in cells when odd (5 is 5 × 5), cells to each side when even (2 is 5 × 5, as
+    /// PDAL's window_size); 0 fills none.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(0..=201))]
+    fill: u16,
+    /// Exponent of the inverse distance, in idw and when holes are filled.
+    #[arg(long, value_name = "P", default_value_t = 1.0)]
+    power: f64,
+    /// Begin the cells at the cloud's least x and y, fill with PDAL's weights, take every class.
+    #[arg(long)]
+    like_pdal: bool,
+    /// Take points of the classes 7 and 18 (noise), too.
+    #[arg(long)]
+    keep_noise: bool,
+    /// The camera for the dimension range: a place in map coordinates, a table cloud,E,N,H, or a MicMac orientation.
+    #[arg(long, value_name = "E,N,H|FILE", allow_hyphen_values = true)]
+    range_from: Option<String>,
+    #[command(flatten)]
+    means: MeansArgs,
+}
+
+impl GridArgs {
+    fn dimensions(&self) -> anyhow::Result<Vec<Dimension>> {
+        let form = "--radius R, or --radius z=R,range=R";
+        let mut general = None;
+        let mut own: Vec<(String, f64)> = Vec::new();
+        for part in self.radius.iter().flat_map(|text| text.split(',')) {
+            let (name, number) = part.split_once('=').map_or((None, part), |(name, number)| (Some(name), number));
+            let value: f64 = number
+                .trim()
+                .parse()
+                .ok()
+                .filter(|value: &f64| value.is_finite())
+                .with_context(|| format!("--radius: `{}` is no number; write {form}", number.trim()))?;
+            let value = params::positive("--radius", "radius", value)?;
+            match name {
+                Some(name) => own.push((name.trim().to_ascii_lowercase(), value)),
+                None => general = Some(value),
+            }
+        }
+        let mut dimensions: Vec<Dimension> = Vec::new();
+        for name in &self.dimension {
+            let name = name.trim().to_ascii_lowercase();
+            if name.is_empty() || dimensions.iter().any(|dimension| dimension.name == name) {
+                bail!("--dimension: `{name}` is empty or given twice; write --dimension z,intensity,range");
+            }
+            let wide = if self.like_pdal || name == "z" { 2f64.sqrt() } else { 0.5f64.sqrt() };
+            let found = own.iter().find(|(own, _)| *own == name).map(|(_, radius)| *radius);
+            let radius_m = found.or(general).unwrap_or(wide * self.cell);
+            dimensions.push(Dimension { name, radius_m });
+        }
+        if let Some((name, _)) = own.iter().find(|(own, _)| dimensions.iter().all(|dimension| dimension.name != *own)) {
+            bail!("--radius: `{name}` is not gridded; add it to --dimension");
+        }
+        if let Some(dimension) = dimensions.iter().find(|dimension| dimension.radius_m > 1000.0 * self.cell) {
+            bail!("--radius: {} m are more than 1000 cells; give a smaller one", dimension.radius_m);
+        }
+        Ok(dimensions)
+    }
+}
+
+pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
+    params::positive("--cell", "cell", args.cell)?;
+    params::positive("--power", "power", args.power)?;
+    let mut stats = Vec::new();
+    for name in &args.stat {
+        let name = name.trim().to_ascii_lowercase();
+        if stats.iter().any(|(known, _)| *known == name) {
+            bail!("--stat: `{name}` is given twice");
+        }
+        let stat = Stat::read(&name)?;
+        stats.push((name, stat));
+    }
+    let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
+    let dimensions = args.dimensions()?;
+    let crs_wkt = args.means.begin(&args.clouds)?;
+    std::fs::create_dir_all(&args.output)
+        .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
+    let fill = usize::from(args.fill);
+    let mut options = Options {
+        cell_m: args.cell,
+        stats,
+        dimensions,
+        fill_cells: if fill % 2 == 1 { fill / 2 } else { fill },
+        power: args.power,
+        manner: if args.like_pdal { Manner::Pdal } else { Manner::Snapped },
+        noise: if args.like_pdal || args.keep_noise { Noise::Keep } else { Noise::LeaveOut },
+        shift: args.means.shift()?,
+        camera: None,
+        memory_bytes: args.means.memory.0,
+        scratch: args.means.scratch.clone().unwrap_or_else(|| args.output.clone()),
+        crs_wkt,
+    };
+    let mut all: Vec<PathBuf> = Vec::new();
+    for cloud in &args.clouds {
+        let paths = grid::output_paths(cloud, &args.output, &options);
+        if let Some(twice) = paths.iter().find(|path| all.contains(path)) {
+            bail!("two clouds would both become {}; grid them into folders of their own", twice.display());
+        }
+        let borrowed: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+        atomic::check_outputs(&borrowed, args.means.overwrite)?;
+        all.extend(paths);
+    }
+    let mut reports = Vec::new();
+    for cloud in &args.clouds {
+        options.camera = cameras.as_ref().map(|cameras| cameras.of(cloud)).transpose()?;
+        let report = grid::grid(cloud, &args.output, &options)?;
+        if !args.means.json {
+            println!(
+                "{}: {} points, {} × {} cells of {} m, {} files",
+                cloud.display(),
+                report.points,
+                report.frame.columns,
+                report.frame.rows,
+                report.frame.cell_m,
+                report.files_written.len()
+            );
+        }
+        reports.push(report);
+    }
+    if args.means.json {
+        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "files_written": all, "clouds": reports }))?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
