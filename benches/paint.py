@@ -12,6 +12,7 @@ Photographs are split by SHA-256 of the file's name: odd first byte is held out.
 """
 import argparse
 import colorsys
+import functools
 import hashlib
 import json
 import math
@@ -94,6 +95,7 @@ def is_held_out(path):
     return hashlib.sha256(os.path.basename(path).encode()).digest()[0] % 2 == 1
 
 
+@functools.lru_cache(maxsize=None)
 def photograph(path):
     picture = cv2.imread(path, cv2.IMREAD_COLOR)
     return None if picture is None else picture[:, :, ::-1]
@@ -139,7 +141,6 @@ def plant(picture, at, spec, random, disc):
     paint = np.array(spec["paints"][random.integers(len(spec["paints"]))], np.float32)
     own = 1.0 - spec.get("worn", 0.0)
     drawn = ground + (own * cover)[..., None] * (paint - ground)
-    near = cv2.GaussianBlur(cover, (0, 0), max(2.0, side / 3))
     if "half" in spec:
         # The border of a shadow goes through the mark, near its middle, any way round.
         turn = random.uniform(0, 2 * math.pi)
@@ -150,19 +151,19 @@ def plant(picture, at, spec, random, disc):
         far = np.hypot(u - centre[0], v - centre[1]) > around - 2
         drawn = drawn * np.where(far, 1.0, light)[..., None]
     drawn = cv2.GaussianBlur(drawn, (0, 0), blur)
-    # Only where the mark or its light changed anything: the photograph keeps its own sharpness.
     if "half" in spec:
         weight = np.clip(cv2.GaussianBlur((np.hypot(u - centre[0], v - centre[1]) < around - 6).astype(np.float32), (0, 0), 2), 0, 1)
     else:
-        weight = np.clip(cv2.GaussianBlur((near > 0.002).astype(np.float32), (0, 0), 1.5), 0, 1)
-        drawn = ground + cv2.GaussianBlur((own * cover), (0, 0), blur)[..., None] * (paint - ground)
+        # The photograph keeps its own sharpness.
+        weight = np.float32(1)
+        drawn = ground + cv2.GaussianBlur(own * cover, (0, 0), blur)[..., None] * (paint - ground)
     if "shade" in spec:
         v, u = np.mgrid[0:size, 0:size] + 0.5
         radius = np.hypot(u - centre[0], v - centre[1])
         light = spec["shade"] + (1 - spec["shade"]) * np.clip((radius - (around - 14)) / 8, 0, 1)
         picture[y0 : y0 + size, x0 : x0 + size] = drawn * light[..., None]
     else:
-        picture[y0 : y0 + size, x0 : x0 + size] = ground + weight[..., None] * (drawn - ground)
+        picture[y0 : y0 + size, x0 : x0 + size] = ground + (weight[..., None] if weight.ndim else weight) * (drawn - ground)
     return centre + (x0, y0)
 
 
@@ -333,7 +334,7 @@ def main():
     ask.add_argument("photographs", nargs="+")
     ask.add_argument("--half", choices=["tune", "held-out", "all"], default="tune")
     ask.add_argument("--cells", default=".")
-    ask.add_argument("--circle", action="store_true", help="hues over the whole circle instead of the issue's cells")
+    ask.add_argument("--circle", action="store_true", help="hues over the whole circle instead of the cells of the table")
     ask.add_argument("--marks", type=int, default=300)
     ask.add_argument("--jobs", type=int, default=0, help="whole jobs a cell, without a profile named")
     ask.add_argument("--seed", type=int, default=22)

@@ -303,3 +303,65 @@ fn ramp(v: f64) -> f64 {
     // The logistic function that lies nearest to the normal distribution's.
     1.0 / (1.0 + (-1.702 * v).exp())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_raster::window::Window;
+
+    const SIDE: u64 = 48;
+
+    /// A square of paint of 12 px about the middle on grey ground, each pixel through `light`.
+    fn patch(light: impl Fn(f64, f64) -> f64) -> Patch {
+        let at = |i: u64| ((i % SIDE) as f64 + 0.5, (i / SIDE) as f64 + 0.5);
+        let rgb = (0..SIDE * SIDE)
+            .map(|i| {
+                let (x, y) = at(i);
+                let paint = (x - 24.0).abs() < 6.0 && (y - 24.0).abs() < 6.0;
+                let grain = ((i * 7919) % 5) as f64 - 2.0;
+                let colour = if paint { [250.0, 100.0, 10.0] } else { [110.0 + grain, 105.0 - grain, 95.0 + grain] };
+                colour.map(|v| (v * light(x, y)).round() as u16)
+            })
+            .collect();
+        Patch { window: Window::new(0, 0, SIDE, SIDE), rgb, valid: vec![true; (SIDE * SIDE) as usize], white: 255 }
+    }
+
+    fn inside(x: std::ops::Range<usize>, y: std::ops::Range<usize>) -> PixelSet {
+        let side = SIDE as usize;
+        PixelSet::from_fn(side, side, |i| x.contains(&(i % side)) && y.contains(&(i / side)))
+    }
+
+    #[test]
+    fn a_part_grows_to_the_edge_that_the_picture_shows() {
+        let patch = patch(|_, _| 1.0);
+        let part = inside(18..24, 18..30);
+        let scene = Scene::of_pixels(&patch, part.clone(), &part);
+        let Whole::Grown(own) = whole(&scene, Vector3::new(250.0, 100.0, 10.0)) else { panic!("it is half a mark") };
+        assert_eq!(own, inside(18..30, 18..30));
+        let all = inside(18..30, 18..30);
+        let scene = Scene::of_pixels(&patch, all.clone(), &all);
+        assert!(matches!(whole(&scene, Vector3::new(250.0, 100.0, 10.0)), Whole::Is));
+    }
+
+    #[test]
+    fn a_smaller_part_gives_way_to_a_larger() {
+        let patch = patch(|_, _| 1.0);
+        let (small, large) = (inside(18..21, 18..30), inside(23..30, 18..30));
+        let scene = Scene::of_pixels(&patch, small.clone(), &small.or(&large));
+        assert!(matches!(whole(&scene, Vector3::new(250.0, 100.0, 10.0)), Whole::Beaten));
+    }
+
+    #[test]
+    fn half_a_shadow_is_taken_out_and_even_light_is_left_alone() {
+        let shaded = patch(|x, y| if x + 0.3 * y > 31.0 { 0.4 } else { 1.0 });
+        let own = inside(18..30, 18..30);
+        let scene = Scene::of_pixels(&shaded, own.clone(), &own);
+        let even = relit(&scene).expect("two brightnesses");
+        // Away from the shadow's border all paint has one colour again.
+        for i in own.iter().filter(|i| ((i % 48) as f64 + 0.3 * (i / 48) as f64 - 30.4).abs() > 2.5) {
+            assert!(even.rgb[i][0].abs_diff(250) < 14, "{i}: {:?}", even.rgb[i]);
+        }
+        let lit = patch(|_, _| 1.0);
+        assert!(relit(&Scene::of_pixels(&lit, own.clone(), &own)).is_none());
+    }
+}

@@ -19,8 +19,8 @@ use crate::matching::field::Field;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 
-/// Tolerance levels tried, pixels: 1 to 11.3 by √2.
-pub const LEVELS_PX: [f64; 8] = [1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
+/// Tolerance levels tried, pixels: a half for marks that agree to a tenth, then 1 to 11.3 by √2.
+pub const LEVELS_PX: [f64; 9] = [0.5, 1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
 
 /// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² + |w|²)
 /// with w the complex position of `p` along the pair.
@@ -254,5 +254,20 @@ mod tests {
         let middle = spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(5.0, 0.0));
         assert!((middle - 1.5f64.sqrt()).abs() < 1e-12);
         assert!(spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(0.0, 100.0)) > 14.0);
+    }
+
+    #[test]
+    fn far_points_do_not_hide_a_cluster() {
+        // Four of four near points hit, which chance seldom does; fourteen far away whose circles always hold something.
+        let mut told_by = vec![(1.5, true); 4];
+        told_by.extend([(20.0, true); 8]);
+        told_by.extend([(20.0, false); 6]);
+        let chances: Vec<f64> = told_by.iter().map(|t| if t.0 > 2.0 { 0.7 } else { 1e-3 }).collect();
+        assert!(best_tail(&chances, &told_by) < -9.0);
+        // Without the cluster nothing is gained.
+        let far: Vec<(f64, bool)> = told_by[4..].to_vec();
+        assert!(best_tail(&chances[4..], &far) > -1.0);
+        let shares: f64 = EXTENTS.iter().map(|e| e.1).sum();
+        assert!((shares - 1.0).abs() < 1e-9, "the limit on accidents is shared out whole");
     }
 }

@@ -89,6 +89,13 @@ impl Search<'_> {
             let (centre, spread) = centre_and_spread(&others);
             let (p, q) = (similarity.invert(self.gcps[pairs[i].1]), self.field.points()[pairs[i].0]);
             let allowed = tolerance_px(noise_px, others.len(), centre, spread, p);
+            let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
+            let near_px = tolerance_px(noise_px, others.len(), centre, spread, centre);
+            let allowed = if arm > FAR_ARM * spread {
+                allowed.min(near_px.max(self.chance_radius_px(FAR_CHANCE)))
+            } else {
+                allowed
+            };
             Some((p.x - q.x).hypot(p.y - q.y) / allowed)
         };
         (0..pairs.len())

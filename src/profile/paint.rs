@@ -142,3 +142,35 @@ fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
         learned: None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::segment::classify::PaintTest;
+
+    #[test]
+    fn paints_go_by_number_in_any_writing_and_take_their_own_colours() {
+        for name in ["ral-2007", "RAL 2007", "RAL2007", "2007"] {
+            assert_eq!(by_name(name).expect(name).name, "ral-2007");
+        }
+        assert!(by_name("ral-9999").is_none() && by_name("").is_none());
+        for paint in &PAINTS {
+            let test = PaintTest::new(&by_name(paint.name).expect("listed")).expect("valid");
+            for &srgb in paint.srgb {
+                assert!(test.is_paint(srgb), "{} {srgb:?}", paint.name);
+            }
+            assert!(!test.is_paint([110, 100, 85]), "{} takes bare ground", paint.name);
+        }
+    }
+
+    #[test]
+    fn a_colour_makes_a_profile_on_the_spot() {
+        let profile = Profile::of_hex("#FFA421").expect("a colour");
+        assert_eq!((profile.name.as_str(), profile.validate().is_ok()), ("#FFA421", true));
+        assert!(PaintTest::new(&profile).expect("valid").is_paint([255, 164, 33]));
+        for bad in ["FFA421", "#FFA42", "#FFA42G", "#ÄÄÄ", ""] {
+            assert!(Profile::of_hex(bad).is_none(), "{bad}");
+        }
+        Profile::any_paint().validate().expect("usable");
+    }
+}

@@ -137,3 +137,14 @@ pub fn joined(arguments: impl Iterator<Item = std::ffi::OsString>) -> Vec<std::f
     }
     joined
 }
+
+#[cfg(test)]
+mod second_pass_words {
+    #[test]
+    fn the_bare_option_does_not_swallow_the_image() {
+        let joined = |words: &[&str]| super::joined(words.iter().map(Into::into));
+        assert_eq!(joined(&["x", "--second-pass", "never", "a.tif"]), ["x", "--second-pass=never", "a.tif"]);
+        assert_eq!(joined(&["x", "--second-pass", "a.tif"]), ["x", "--second-pass", "a.tif"]);
+        assert_eq!(joined(&["x", "--second-pass"]), ["x", "--second-pass"]);
+    }
+}
