@@ -92,6 +92,7 @@ fn case(random: &mut Random, visible: usize, false_candidates: usize, sigma_px: 
             size_px: None,
             elevation_m: None,
             code: None,
+            paint: None,
         };
         let mut candidates: Vec<Candidate> = marked
             .iter()

@@ -125,10 +125,7 @@ fn measure_whole(
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
     let wide = (fits && evidence.contrast >= LEAST_CONTRAST).then(|| pixels.whole());
     if worth_another_look(&evidence, profile, gates) {
-        evidence = match look_again(scene, around, region, classifier, profile) {
-            Some(evidence) => evidence,
-            None => return None,
-        };
+        evidence = look_again(scene, around, region, classifier, profile)?;
     }
     let Some(wide) = wide else { return Some(evidence) };
     let Some(seen) = Scene::new(region, &wide, classifier, true) else { return Some(evidence) };

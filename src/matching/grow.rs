@@ -269,7 +269,16 @@ mod tests {
         let near = |p: &PixelPoint| PixelPoint { x: p.x + 0.3, y: p.y - 0.2 };
         let points = places[..marked].iter().map(near).chain(clutter);
         let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
-        let candidate = |centre| Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code: None, paint: None };
+        let candidate = |centre| Candidate {
+            centre,
+            covariance_px2,
+            score,
+            area_px,
+            size_px,
+            elevation_m,
+            code: None,
+            paint: None,
+        };
         (points.map(candidate).collect(), gcps)
     }
 

@@ -217,7 +217,16 @@ mod tests {
             let code = Some(Code { family: "aruco-4x4-50".into(), number });
             let centre = PixelPoint { x: 0.0, y: 0.0 };
             let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
-            labels.named_by(&Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code, paint: None })
+            labels.named_by(&Candidate {
+                centre,
+                covariance_px2,
+                score,
+                area_px,
+                size_px,
+                elevation_m,
+                code,
+                paint: None,
+            })
         };
         assert_eq!([1, 2, 3, 4].map(named), [Some(0), None, None, Some(4)]);
     }

@@ -162,7 +162,7 @@ fn radius_of_density(tiles: &Tiles) -> Result<f64> {
     let (width, height) = (bounds.max[0] - bounds.min[0], bounds.max[1] - bounds.min[1]);
     // Cells of sixteen points on average; those without any are no ground.
     let cell = (16.0 * width * height / points.max(1) as f64).sqrt().max((width.max(height)) / 30_000.0);
-    if !(cell > 0.0) {
+    if cell.is_nan() || cell <= 0.0 {
         return Ok(width.max(height).max(f64::MIN_POSITIVE));
     }
     let columns = (width / cell) as usize + 1;

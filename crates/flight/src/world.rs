@@ -11,7 +11,7 @@ use crate::pose::{Pose, orthonormal};
 /// Map ↔ longitude, latitude (degrees), height.
 pub trait Geodesy {
     fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]>;
-    fn from_geographic(&self, lon_lat_h: [f64; 3]) -> Option<[f64; 3]>;
+    fn map_of_geographic(&self, lon_lat_h: [f64; 3]) -> Option<[f64; 3]>;
 }
 
 const A: f64 = 6_378_137.0;
@@ -83,7 +83,7 @@ impl World {
     pub fn to_map(&self, world: &Vector3<f64>) -> Option<[f64; 3]> {
         match self {
             World::Flat { origin } => Some((world + origin).into()),
-            World::Curved(t) => t.geodesy.from_geographic(geographic(&(t.axes.transpose() * world + t.origin))),
+            World::Curved(t) => t.geodesy.map_of_geographic(geographic(&(t.axes.transpose() * world + t.origin))),
         }
     }
     /// The map's axes (grid east, grid north, up) at a place, as columns in the world.
@@ -120,7 +120,7 @@ mod tests {
         fn to_geographic(&self, m: [f64; 3]) -> Option<[f64; 3]> {
             Some([m[0] * 1e-5, 60.0 + m[1] * 1e-5, m[2]])
         }
-        fn from_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+        fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
             Some([g[0] * 1e5, (g[1] - 60.0) * 1e5, g[2]])
         }
     }

@@ -147,7 +147,7 @@ fn next(row: &[u64], from: usize, width: usize, value: bool) -> usize {
 
 /// The bits of a row's last word that are pixels.
 pub(crate) fn last_word(width: usize) -> u64 {
-    if width % 64 == 0 { !0 } else { (1 << (width % 64)) - 1 }
+    if width.is_multiple_of(64) { !0 } else { (1 << (width % 64)) - 1 }
 }
 
 #[cfg(test)]

@@ -46,7 +46,7 @@ impl Neighbours {
     /// # Errors
     /// When there are fewer samples than neighbours, or `k` is even.
     pub fn new(samples: Vec<Sample>, k: usize) -> Result<Self, KnnError> {
-        if k % 2 == 0 {
+        if k.is_multiple_of(2) {
             return Err(KnnError::Even(k));
         }
         if samples.len() < k {

@@ -43,7 +43,6 @@ fn write_rows(
         let mut buffer = Buffer::new((width, rows), pixels);
         band.write((0, first as isize), (width, rows), &mut buffer).map_err(failed)?;
     }
-    drop(band);
     dataset.close().map_err(failed)
 }
 

@@ -89,7 +89,7 @@ pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     }
     if magic.starts_with(b"LASF") {
         las::open(path)
-    } else if magic.starts_with(b"ply\n") || magic.starts_with(b"ply\r") {
+    } else if magic.starts_with(b"ply ") || magic.starts_with(b"ply\n") || magic.starts_with(b"ply\r") {
         ply::open(path)
     } else if magic.starts_with(b"ASTM-E57") {
         Err(Error::unsupported(path, "E57", "convert it to LAZ or PLY first"))

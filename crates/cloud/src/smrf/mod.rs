@@ -217,7 +217,7 @@ pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, dro
     each_active(tiles, |xyz| {
         let value = &mut values[frame.cell(xyz)];
         // Also true when nothing is there yet.
-        if !(*value <= xyz[2]) {
+        if value.is_nan() || *value > xyz[2] {
             *value = xyz[2];
         }
         Ok(())

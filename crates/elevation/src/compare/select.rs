@@ -94,7 +94,7 @@ pub fn quantiles(
         drop => f64::from(from_order_key((key << drop) | (1 << (drop - 1)))),
     };
     let find = |group: usize, bucket: u32, within: u64| {
-        let (low, high) = ((bucket << (32 - BITS)) >> drop, ((u64::from(bucket) + 1) << (32 - BITS) >> drop) as u64);
+        let (low, high) = ((bucket << (32 - BITS)) >> drop, ((u64::from(bucket) + 1) << (32 - BITS) >> drop));
         let mut before = 0;
         for (&key, &count) in sorted[group].range(low..).take_while(|(key, _)| u64::from(**key) < high) {
             before += count;

@@ -14,6 +14,9 @@ use crate::window::{TileGrid, Window};
 
 use super::{Buffers, Scan};
 
+/// Column, row and difference of a cell.
+type Cell = (i64, i64, f64);
+
 /// One class of distance.
 #[derive(Clone, Debug, Serialize)]
 pub struct Bin {
@@ -149,7 +152,7 @@ pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means
         found.push((number.y * count.0 + number.x, cells));
         Ok(())
     })?;
-    let mut windows: Vec<(u64, Vec<(i64, i64, f64)>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
+    let mut windows: Vec<(u64, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
     windows.sort_by_key(|(number, _)| *number);
     let mut pairs = Pairs::NONE;
     let apart = |a: &(i64, i64, f64), b: &(i64, i64, f64)| {

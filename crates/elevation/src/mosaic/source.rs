@@ -157,8 +157,8 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
             && (1..=12).contains(&number(4..6))
             && (1..=31).contains(&number(6..8))
     };
-    let runs = name.split(|c: char| !c.is_ascii_digit());
-    if let Some(run) = runs.filter(|run| plausible(run)).last() {
+    let mut runs = name.split(|c: char| !c.is_ascii_digit());
+    if let Some(run) = runs.rfind(|run| plausible(run)) {
         return run.to_string();
     }
     let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();

@@ -99,12 +99,16 @@ pub fn read(folder: &Path) -> Result<Reconstruction> {
     raw.join(folder)
 }
 
+/// Id, name, camera, quaternion and translation, points in the image.
+type RawImage = (u64, String, u64, [f64; 7], Vec<[f64; 2]>);
+/// Position, and the images and their points that see it.
+type RawPoint = ([f64; 3], Vec<(u64, u64)>);
+
 #[derive(Default)]
 struct Raw {
     cameras: Vec<(u64, Camera)>,
-    /// Id, name, camera, quaternion and translation, points in the image.
-    images: Vec<(u64, String, u64, [f64; 7], Vec<[f64; 2]>)>,
-    points: Vec<([f64; 3], Vec<(u64, u64)>)>,
+    images: Vec<RawImage>,
+    points: Vec<RawPoint>,
 }
 
 impl Raw {

@@ -133,7 +133,7 @@ impl MaskArgs {
         if !(0.0..=8.0).contains(&self.threshold) {
             bail!("--threshold must be between 0 and 8 bits");
         }
-        if self.k == 0 || self.k % 2 == 0 || self.k > 99 {
+        if self.k == 0 || self.k.is_multiple_of(2) || self.k > 99 {
             bail!("--k must be odd and below 100, so that every vote has a majority");
         }
         if self.closings.iter().chain([&self.disc]).any(|size| !(1..=255).contains(size)) || self.erosions > 20 {

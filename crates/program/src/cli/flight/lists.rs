@@ -64,7 +64,7 @@ impl Geodesy for Proj {
         self.crs.transform(&mut p, &self.earth, 100.0).ok()?;
         Some([p[0].x, p[0].y, map[2]])
     }
-    fn from_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+    fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
         let mut p = [Coordinate { x: g[0], y: g[1], height: None }];
         self.earth.transform(&mut p, &self.crs, 100.0).ok()?;
         Some([p[0].x, p[0].y, g[2]])
