@@ -169,7 +169,7 @@ fn done_frames_are_left_alone_until_something_changes() {
     draw(&frame, 1, 1.0, &[]);
     let (given, mut options) = (samples(), options(Method::Thesis2017));
     (options.overwrite, options.resume) = (false, true);
-    let classifier = teach(&[frame.clone()], &given, &options).unwrap();
+    let classifier = teach(std::slice::from_ref(&frame), &given, &options).unwrap();
     let status =
         |options: &Options| mask_frame(&frame, folder.path(), &classifier, &given, options).map(|d| d.report.status);
     assert_eq!(status(&options).unwrap(), "done");
@@ -223,7 +223,7 @@ fn an_oblique_photograph_taught_by_its_neighbour_agrees_with_the_drawn_polygons(
     given.samples.iter_mut().for_each(|shape| shape.frame = Some(other.display().to_string()));
     // Small, so that the test is quick.
     let options = Options { reduce: 16, ..options(Method::Auto) };
-    let classifier = teach(&[frame.clone()], &given, &options).unwrap();
+    let classifier = teach(std::slice::from_ref(&frame), &given, &options).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let done = mask_frame(&frame, folder.path(), &classifier, &given, &options).unwrap();
     let set = gdal::Dataset::open(&done.report.mask).unwrap();
