@@ -12,7 +12,7 @@ use autoref_solve::similarity::{Pair, fit_equal_weights};
 const FAR_ARM: f64 = 4.0;
 /// The same of the first pair: how much looser than a mark itself.
 const FAR_SPREAD: f64 = 8.0;
-const FAR_CHANCE: f64 = 0.0002;
+const FAR_CHANCE: f64 = 0.003;
 
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
