@@ -77,16 +77,16 @@ struct ResectArgs {
     #[arg(long, value_name = "PX")]
     f_px: Option<f64>,
     /// Principal point. Default: the image's centre.
-    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "X,Y", value_delimiter = ',')]
     pp_px: Option<Vec<f64>>,
     /// Distortion, such as k1=-0.13,k2=0.39,p1=0.0008.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     distortion: Vec<String>,
     /// Size of the image, when the image is not there.
-    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "W,H", value_delimiter = ',')]
     size: Option<Vec<f64>>,
     /// Known position, in the coordinates of the list.
-    #[arg(long, value_name = "E,N,H", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
+    #[arg(long, value_name = "E,N,H", value_delimiter = ',', allow_hyphen_values = true)]
     position: Option<Vec<f64>>,
     /// 1σ of the known position.
     #[arg(long, value_name = "M", default_value_t = 1.0)]
@@ -186,6 +186,11 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
 }
 
 fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
+    for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
+        if list.as_ref().is_some_and(|l| l.len() != count) {
+            bail!("--{name}: {count} numbers with commas between them are expected");
+        }
+    }
     check_output(args.output.as_deref(), args.overwrite)?;
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let (camera, known) = frame_camera(args, &name)?;

@@ -33,7 +33,7 @@ pub struct InitArgs {
     #[arg(long, value_name = "PX")]
     f_px: Option<f64>,
     /// Principal point. Default: the image's centre.
-    #[arg(long, value_name = "X,Y", value_delimiter = ',', num_args = 2)]
+    #[arg(long, value_name = "X,Y", value_delimiter = ',')]
     pp_px: Option<Vec<f64>>,
     /// The project file.
     #[arg(short, long, value_name = "TOML")]
@@ -194,6 +194,9 @@ fn absolute(path: &Path) -> Result<PathBuf> {
 }
 
 pub fn init(args: &InitArgs) -> Result<ExitCode> {
+    if args.pp_px.as_ref().is_some_and(|p| p.len() != 2) {
+        bail!("--pp-px: 2 numbers with a comma between them are expected");
+    }
     check_output(Some(&args.output), args.overwrite)?;
     let folder = absolute(&args.folder)?;
     let all = frames(&folder, &["*".into()])?;
