@@ -18,6 +18,7 @@ mod command_line;
 mod detection_commands;
 mod dialects;
 mod e6;
+mod elevation;
 mod film;
 mod film_outputs;
 mod film_rolls;

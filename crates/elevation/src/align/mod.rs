@@ -179,7 +179,13 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
         found = search::run(&full, options, Flats::Kept)?;
     }
     let fitted = match found {
-        Found::Nothing(why) => return Ok(Outcome::Refused(why)),
+        Found::Nothing(why) => {
+            if spread::of(&full, &State::default(), options.means)?.count == 0 {
+                let remedy = "look at their extents, nodata values and --stable with gdalinfo -stats";
+                return Err(Error::usage("the two models have no cell with heights in common", remedy));
+            }
+            return Ok(Outcome::Refused(why));
+        }
         Found::Fitted(fitted) => fitted,
     };
     let before = spread::of(&full, &State::default(), options.means)?;

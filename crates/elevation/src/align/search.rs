@@ -64,7 +64,7 @@ fn free_of(method: Method) -> Free {
 pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found> {
     let levels = pyramid(full, options)?;
     let finest = levels.first().map_or(1, |level| level.factor);
-    let free = free_of(options.method);
+    let mut free = free_of(options.method);
     let weighing = if options.method == Method::Lzd { Weighing::Clip } else { Weighing::Biweight };
     let fitter = Fitter { full, flats, weighing, means: options.means };
     let nothing = |why: &str| Ok(Found::Nothing(why.into()));
@@ -73,21 +73,27 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
         return nothing("too few cells with a slope are common to both models");
     };
     let precision = if finest > 1 { STREAMED } else { IN_MEMORY };
-    let mut iterations;
-    if options.method == Method::NuthKaab {
-        (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
+    if options.method == Method::Auto {
+        // Whether there is a tilt shows where the models are in memory.
+        let pair = levels[0].pair(full);
+        let tilted = match fitter.settle(&pair, state, free, COARSE)? {
+            Some(settled) => fitter.finish(&pair, &settled, free, Step::Taken)?.is_some_and(|end| end.needs_tilt),
+            None => false,
+        };
+        if !tilted {
+            free = SHIFT;
+            state.plane = [state.plane[0], 0.0, 0.0];
+        }
+    }
+    let (settled, step) = if options.method == Method::NuthKaab {
+        let (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
+        let sums = fit::pass(full, &state, Gather::Residuals, flats, options.means)?;
+        (Settled { state, sums, iterations }, Step::Left)
     } else {
         let Some(settled) = fitter.settle(full, state, free, precision)? else { return nothing(FLAT) };
-        (state, iterations) = (settled.state, settled.iterations);
-    }
-    let Some(mut end) = fitter.finish(state, free, options.method)? else { return nothing(FLAT) };
-    if options.method == Method::Auto && !end.needs_tilt {
-        state.plane = [end.state.plane[0], 0.0, 0.0];
-        let Some(settled) = fitter.settle(full, state, SHIFT, precision)? else { return nothing(FLAT) };
-        iterations += settled.iterations;
-        let Some(again) = fitter.finish(settled.state, SHIFT, options.method)? else { return nothing(FLAT) };
-        end = again;
-    }
+        (settled, Step::Taken)
+    };
+    let Some(end) = fitter.finish(full, &settled, free, step)? else { return nothing(FLAT) };
     let uncertain = free.contains(&0) && (end.worst_shift_px.is_nan() || end.worst_shift_px > WORST_SHIFT_PX);
     if uncertain {
         return nothing(FLAT);
@@ -95,10 +101,10 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     Ok(Found::Fitted(Box::new(Fitted {
         state: end.state,
         covariance: end.covariance,
-        tilted: options.method == Method::Tilt || (options.method == Method::Auto && end.needs_tilt),
+        tilted: free.contains(&3),
         share: end.sums.used as f64 / end.sums.common.max(1) as f64,
         common: end.sums.common,
-        iterations,
+        iterations: settled.iterations,
     })))
 }
 
@@ -274,6 +280,13 @@ struct Settled {
     iterations: u32,
 }
 
+/// Whether the last step is taken, or only the covariance is wanted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Taken,
+    Left,
+}
+
 /// The end of a fit.
 struct End {
     state: State,
@@ -356,19 +369,19 @@ impl Fitter<'_> {
     }
 
     /// A last step with the full curvature, and what it is worth.
-    fn finish(&self, start: State, free: Free, method: Method) -> Result<Option<End>> {
-        let grid = self.full.template.grid();
-        let residuals = fit::pass(self.full, &start, Gather::Residuals, self.flats, self.means)?;
+    fn finish(&self, pair: &Pair<'_>, settled: &Settled, free: Free, last: Step) -> Result<Option<End>> {
+        let grid = pair.template.grid();
+        let (start, residuals) = (settled.state, &settled.sums);
         if residuals.sloping < FEWEST_CELLS {
             return Ok(None);
         }
         let block_px = score_block_px(&grid);
         let scales: [f64; SLOPES] = residuals.scales(FLOOR_M);
         let gather = Gather::Scores { scales, weighing: self.weighing, block_px };
-        let sums = fit::pass(self.full, &start, gather, self.flats, self.means)?;
+        let sums = fit::pass(pair, &start, gather, self.flats, self.means)?;
         let Some(covariance) = covariance(&sums, free, &grid, block_px) else { return Ok(None) };
         let mut state = start;
-        if method != Method::NuthKaab {
+        if last == Step::Taken {
             let Some(step) = solve(&sums, free) else { return Ok(None) };
             // Far from its end the full curvature can point anywhere.
             if step[0].abs().max(step[1].abs()) < 0.1 {
@@ -377,7 +390,7 @@ impl Fitter<'_> {
         }
         let shift = covariance.view((0, 0), (2, 2)).symmetric_eigenvalues();
         let worst_shift_px = shift.iter().fold(0.0, |worst: f64, v| worst.max(v.abs())).sqrt();
-        let needs_tilt = free.contains(&3) && tilt_matters(&state, &covariance, &scales, &residuals);
+        let needs_tilt = free.contains(&3) && tilt_matters(&state, &covariance, &scales, residuals);
         Ok(Some(End { state, covariance, needs_tilt, worst_shift_px, sums }))
     }
 }

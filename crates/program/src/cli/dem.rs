@@ -250,9 +250,9 @@ struct ProfileArgs {
     /// The models.
     #[arg(required = true)]
     models: Vec<PathBuf>,
-    /// Positions in the models' CRS: x,y x,y …
-    #[arg(long, value_name = "X,Y", num_args = 2.., required = true, allow_hyphen_values = true, value_parser = position)]
-    line: Vec<(f64, f64)>,
+    /// Positions in the models' CRS, parted by blanks or semicolons: "x,y x,y …".
+    #[arg(long, value_name = "X,Y …", allow_hyphen_values = true, value_parser = positions)]
+    line: Line,
     /// Metres between two stations. Default: a cell of the first model.
     #[arg(long, value_name = "M")]
     step: Option<f64>,
@@ -264,12 +264,21 @@ struct ProfileArgs {
     overwrite: bool,
 }
 
-fn position(text: &str) -> Result<(f64, f64), String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|v| v.trim().parse().ok()).collect();
-    match numbers.as_deref() {
-        Some([x, y]) if x.is_finite() && y.is_finite() => Ok((*x, *y)),
-        _ => Err(format!("`{text}` is no position; write x,y")),
-    }
+/// A line of map positions.
+#[derive(Clone, Debug)]
+struct Line(Vec<(f64, f64)>);
+
+fn positions(text: &str) -> Result<Line, String> {
+    let position = |part: &str| {
+        let numbers: Option<Vec<f64>> = part.split(',').map(|v| v.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some([x, y]) if x.is_finite() && y.is_finite() => Ok((*x, *y)),
+            _ => Err(format!("`{part}` is no position; write x,y")),
+        }
+    };
+    let parts = text.split(|c: char| c == ';' || c.is_whitespace()).filter(|part| !part.is_empty());
+    let line: Vec<(f64, f64)> = parts.map(position).collect::<Result<_, _>>()?;
+    if line.len() < 2 { Err("a line has at least two positions: \"x,y x,y\"".into()) } else { Ok(Line(line)) }
 }
 
 #[derive(Args, Debug)]
@@ -536,7 +545,7 @@ fn line(args: &ProfileArgs) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         atomic::check_outputs(&[out], args.overwrite)?;
     }
-    let stations = profile::along(&args.models, &args.line, args.step)?;
+    let stations = profile::along(&args.models, &args.line.0, args.step)?;
     let mut text = String::from("distance_m,x,y");
     for model in &args.models {
         text.push_str(&format!(",\"{}\"", model.display().to_string().replace('"', "\"\"")));

@@ -1,0 +1,195 @@
+//! `dem` and `mosaic` from the command line, on models that are drawn here.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use gdal::DriverManager;
+use gdal::raster::Buffer;
+use gdal::spatial_ref::SpatialRef;
+use serde_json::Value;
+
+fn autoref(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream")).args(arguments).output().expect("the program runs")
+}
+
+fn document(output: &Output) -> Value {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+fn write(path: &Path, corner: (f64, f64), size: (usize, usize), height: impl Fn(f64, f64) -> f64) {
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let mut dataset = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("writable");
+    dataset.set_geo_transform(&[corner.0, 10.0, 0.0, corner.1, 0.0, -10.0]).expect("a geotransform");
+    dataset.set_spatial_ref(&SpatialRef::from_epsg(25833).expect("known")).expect("a CRS");
+    let mut band = dataset.rasterband(1).expect("a band");
+    band.set_no_data_value(Some(-9999.0)).expect("a value");
+    let values = (0..size.0 * size.1)
+        .map(|i| height((i % size.0) as f64 * 10.0 + 5.0, (i / size.0) as f64 * -10.0 - 5.0) as f32)
+        .collect();
+    band.write((0, 0), size, &mut Buffer::new(size, values)).expect("writable");
+}
+
+fn hills(east: f64, north: f64) -> f64 {
+    300.0
+        + 40.0 * (east / 130.0 + (north / 210.0).sin()).sin()
+        + 25.0 * (north / 90.0).cos()
+        + 60.0 * ((east - north) / 610.0).sin()
+}
+
+fn read(path: &Path) -> (Vec<f64>, [f64; 6]) {
+    let dataset = gdal::Dataset::open(path).expect("readable");
+    let band = dataset.rasterband(1).expect("a band").read_band_as::<f32>().expect("values");
+    (band.data().iter().map(|v| f64::from(*v)).collect(), dataset.geo_transform().expect("a geotransform"))
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("UTF-8")
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().expect("a temporary folder"))
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+}
+
+const CORNER: (f64, f64) = (500_000.0, 8_700_000.0);
+
+#[test]
+fn a_moved_model_comes_back_with_its_own_cells() {
+    let folder = Folder::new();
+    let (a, b, out) = (folder.at("a.tif"), folder.at("b.tif"), folder.at("out.tif"));
+    write(&b, CORNER, (150, 120), hills);
+    write(&a, (CORNER.0 + 230.0, CORNER.1 - 140.0), (150, 120), |e, n| hills(e, n) + 2.0);
+    let arguments = ["dem", "align", text(&a), "--to", text(&b), "-o", text(&out), "--json"];
+    let found = document(&autoref(&arguments));
+    for (key, truth) in
+        [("shift_e_m", -230.0), ("shift_n_m", 140.0), ("shift_h_m", -2.0), ("shift_x_px", -23.0), ("shift_y_px", -14.0)]
+    {
+        let value = found[key].as_f64().expect(key);
+        assert!((value - truth).abs() < 0.01, "{key}: {value}");
+    }
+    for key in ["covariance_m2", "nmad_before_m", "nmad_after_m", "stable_share"] {
+        assert!(!found[key].is_null(), "{key}");
+    }
+    // Heights are A's, lowered, at the place of B: nothing was resampled.
+    let (values, transform) = read(&out);
+    let (original, _) = read(&a);
+    assert!((transform[0] - CORNER.0).abs() < 0.01 && (transform[3] - CORNER.1).abs() < 0.01, "{transform:?}");
+    assert!(values.iter().zip(&original).all(|(v, o)| (v - o + 2.0).abs() < 0.01));
+    let refused = autoref(&arguments);
+    assert_eq!(refused.status.code(), Some(2), "the output exists");
+    // The tiling changes nothing.
+    let whole = document(&autoref(&[&arguments[..], &["--overwrite", "--tile", "32", "--threads", "3"]].concat()));
+    assert_eq!(whole, found);
+}
+
+#[test]
+fn flat_ground_is_refused_and_bad_input_named() {
+    let folder = Folder::new();
+    let (flat, hilly, out) = (folder.at("flat.tif"), folder.at("b.tif"), folder.at("out.tif"));
+    write(&flat, CORNER, (80, 80), |_, _| 7.0);
+    write(&hilly, CORNER, (80, 80), hills);
+    let output = autoref(&["dem", "align", text(&flat), "--to", text(&hilly), "-o", text(&out), "--json"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(!out.exists());
+    let far = folder.at("far.tif");
+    write(&far, (100_000.0, 8_000_000.0), (80, 80), hills);
+    let void = folder.at("void.tif");
+    write(&void, CORNER, (80, 80), |_, _| -9999.0);
+    for bad in [&far, &void] {
+        for command in ["align", "compare"] {
+            let arguments = match command {
+                "align" => vec!["dem", "align", text(bad), "--to", text(&hilly), "-o", text(&out)],
+                _ => vec!["dem", "compare", text(bad), text(&hilly), "-o", text(&out)],
+            };
+            let output = autoref(&arguments);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert_eq!(output.status.code(), Some(2), "{command}: {said}");
+            assert!(said.lines().count() == 1 && said.contains(".tif"), "{command}: {said}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(folder.0.path()).expect("readable").count(), 4, "something was left behind");
+}
+
+#[test]
+fn a_comparison_has_statistics_and_volumes() {
+    let folder = Folder::new();
+    let (a, b, zones, out) = (folder.at("a.tif"), folder.at("b.tif"), folder.at("z.geojson"), folder.at("out"));
+    write(&b, CORNER, (100, 100), hills);
+    // A tenth of the ground has lost 10 m.
+    write(&a, CORNER, (100, 100), |e, n| hills(e, n) - if e < 100.0 { 10.0 } else { 0.0 });
+    let ring = "[[500000,8700000],[500100,8700000],[500100,8699000],[500000,8699000],[500000,8700000]]";
+    let json = format!(
+        r#"{{"type":"FeatureCollection","crs":{{"type":"name","properties":{{"name":"EPSG:25833"}}}},"features":[{{"type":"Feature",
+        "properties":{{"name":"ice"}},"geometry":{{"type":"Polygon","coordinates":[{ring}]}}}}]}}"#
+    );
+    std::fs::write(&zones, json).expect("writable");
+    let arguments = ["dem", "compare", text(&a), text(&b), "-o", text(&out), "--zones", text(&zones), "--json"];
+    let found = document(&autoref(&arguments));
+    assert_eq!(found["common_cells"], 10_000);
+    assert!((found["mean_m"].as_f64().expect("a number") + 1.0).abs() < 1e-3, "{found}");
+    assert!((found["volumes"][0]["volume_m3"].as_f64().expect("a number") + 1e6).abs() < 100.0, "{found}");
+    let (difference, _) = read(&out.join("difference.tif"));
+    assert!(difference.iter().enumerate().all(|(i, d)| (d + if i % 100 < 10 { 10.0 } else { 0.0 }).abs() < 1e-3));
+    for name in ["report.html", "statistics.csv", "volumes.csv", "variogram.csv", "summary.json"] {
+        assert!(out.join(name).exists(), "{name}");
+    }
+    let again = document(&autoref(&[&arguments[..], &["--overwrite", "--tile", "16", "--threads", "3"]].concat()));
+    assert_eq!(again, found);
+}
+
+#[test]
+fn the_nearest_view_wins_and_known_gains_come_back() {
+    let folder = Folder::new();
+    let scene = |e: f64, n: f64| 100.0 + 40.0 * (e / 37.0).sin() + 30.0 * (n / 53.0).cos();
+    let sources: Vec<PathBuf> = (0..3).map(|i| folder.at(&format!("s{i}.tif"))).collect();
+    let truth = [(1.0, 0.0), (1.25, -8.0), (0.8, 15.0)];
+    for (i, path) in sources.iter().enumerate() {
+        let shift = 400.0 * i as f64;
+        let (gain, offset) = truth[i];
+        write(path, (CORNER.0 + shift, CORNER.1), (100, 90), |e, n| gain * scene(e + shift, n) + offset);
+        let range = path.with_file_name(format!("s{i}_range.tif"));
+        write(&range, (CORNER.0 + shift, CORNER.1), (100, 90), |e, n| {
+            ((e + shift) * 7.0 + n * 3.0 + 100.0 * i as f64).sin()
+        });
+    }
+    let names: Vec<&str> = sources.iter().map(|p| text(p)).collect();
+    let (out, index) = (folder.at("m.tif"), folder.at("i.tif"));
+    let options = ["-o", text(&out), "--choose", "min:{stem}_range.tif", "--write-index", text(&index)];
+    let made = document(&autoref(&[&["mosaic"][..], &names[..], &options[..], &["--json"]].concat()));
+    assert_eq!((made["width"].as_u64(), made["height"].as_u64()), (Some(180), Some(90)));
+    let (mosaic, numbers) = (read(&out).0, read(&index).0);
+    for (cell, number) in numbers.iter().enumerate() {
+        let (x, y) = ((cell % 180) as f64, (cell / 180) as f64);
+        let (e, n) = (x * 10.0 + 5.0, -y * 10.0 - 5.0);
+        let cost = |i: usize| ((e * 7.0 + n * 3.0 + 100.0 * i as f64).sin() as f32).to_bits();
+        let inside = (0..3).filter(|&i| (40.0 * i as f64..40.0 * i as f64 + 100.0).contains(&x));
+        let best = inside.min_by(|&a, &b| f32::from_bits(cost(a)).total_cmp(&f32::from_bits(cost(b)))).expect("one");
+        assert_eq!(*number as usize, best + 1, "cell {x}, {y}");
+        let (gain, offset) = truth[best];
+        assert!((mosaic[cell] - gain * scene(e, n) - offset).abs() < 1e-3);
+    }
+    let first = std::fs::read(&out).expect("readable");
+    let again =
+        [&["mosaic"][..], &names[..], &options[..], &["--overwrite", "--tile", "100", "--threads", "3"]].concat();
+    assert!(autoref(&again).status.success());
+    assert!(first == std::fs::read(&out).expect("readable"), "the tiling changed the file");
+    let balanced = folder.at("balanced.tif");
+    let made =
+        document(&autoref(&[&["mosaic"][..], &names[..], &["-o", text(&balanced), "--balance", "--json"]].concat()));
+    let gains: Vec<f64> = (0..3).map(|i| made["balance"]["gains"][i][0].as_f64().expect("a number")).collect();
+    for i in 1..3 {
+        let (found, expected) = (gains[0] / gains[i], truth[i].0 / truth[0].0);
+        assert!((found / expected - 1.0).abs() < 0.01, "gain {i}: {found} for {expected}");
+    }
+    for overlap in made["balance"]["overlaps"].as_array().expect("a list") {
+        assert!(overlap["rms_after"].as_f64() < Some(0.05), "{overlap}");
+    }
+}
