@@ -198,7 +198,7 @@ fn large_blocks_take_seconds() {
     assert!((found.sigma_tie_px - 0.7).abs() < 0.05, "{}", found.sigma_tie_px);
 }
 
-/// A small problem whose minimum SciPy's `least_squares` found from the same residuals (docs/flight.md has the command).
+/// A small problem that has one minimum: three starts must meet there.
 #[test]
 fn the_minimum_does_not_depend_on_the_start() {
     let mut draw = Draw(3);
