@@ -3,7 +3,7 @@
 
     python3 benches/centre_bound.py ../shared/data [marks per condition]
 
-Needs numpy, scipy and Pillow. Marks are made as `src/synth/plant.rs` makes them. The oracle knows everything but the centre:
+Needs numpy, scipy and Pillow. Marks are made as `crates/synth/src/plant.rs` makes them. The oracle knows everything but the centre:
 shape, side, angle, blur, light, the paint's colour as it shines here, the mean of the ground, its texture (autocovariance of
 the three bands over 64 x 64 pixels of bare ground at the very place), the noise, and the JPEG's tables and grid. It sees the
 JPEG's own coefficients: luma in blocks of 8 x 8, chroma averaged over 2 x 2 pixels. A mark hides the texture by its share; what

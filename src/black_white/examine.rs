@@ -19,7 +19,7 @@ const FIT_CELLS: f64 = 14.0;
 const POLISH_CELLS: f64 = 24.0;
 
 /// What the fit cannot see of its own error: rounding to bytes and JPEG move both edges of a bar alike (measured on planted
-/// targets in `tests/targets.rs`).
+/// targets in `tests/core/targets.rs`).
 const FLOOR_PX: f64 = 0.0075;
 
 /// The strongest answer of one scale inside the region, image pixels.

@@ -70,7 +70,7 @@ pub struct Evidence {
     pub refined: Option<Refined>,
     /// Stands out so little that no fit, however good, could raise its score to the profile's limit: not fitted.
     pub hopeless: bool,
-    /// Contrast and fit are those of the third look, against local ground.
+    /// Contrast and fit are those of the local-background fit, against local ground.
     pub local: bool,
     pub area_px: f64,
     /// Sides of the outline, of four, that no edge in the picture supports.
@@ -307,7 +307,7 @@ fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> 
         && profile.filters == Filters::default()
 }
 
-/// The third look ([`super::local`]): against the ground right beside each pixel, the region grown over its whole mark.
+/// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its whole mark.
 /// `None` when the mark is another region's.
 fn look_again(
     scene: &Scene<'_>,

@@ -1,4 +1,4 @@
-//! A third look, for marks that lie over the border of two grounds or were found only in part.
+//! A local-background fit, for marks that lie over the border of two grounds or were found only in part.
 //!
 //! One Gaussian over the whole ring takes a roof on one side and a garden on the other for one ground of enormous variance,
 //! before which nothing stands out; and the larger a mark, the more kinds of ground it touches. Here the ground under each

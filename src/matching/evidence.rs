@@ -268,6 +268,6 @@ mod tests {
         let far: Vec<(f64, bool)> = told_by[4..].to_vec();
         assert!(best_tail(&chances[4..], &far) > -1.0);
         let shares: f64 = EXTENTS.iter().map(|e| e.1).sum();
-        assert!((shares - 1.0).abs() < 1e-9, "the limit on accidents is shared out whole");
+        assert!((shares - 1.0).abs() < 1e-9, "the limit on false alarms is shared out whole");
     }
 }

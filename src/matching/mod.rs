@@ -96,7 +96,7 @@ pub struct Pattern {
 /// What the search did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Effort {
-    /// Hypotheses that the priors allow: what the chance of an accident is multiplied by.
+    /// Hypotheses that the priors allow: what the number of false alarms is multiplied by.
     pub hypotheses_possible: f64,
     /// Hypotheses looked at.
     pub hypotheses_tried: u64,

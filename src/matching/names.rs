@@ -11,7 +11,7 @@
 //! The accident: numbers that have nothing to do with the labels, dealt at random among the marks. Of K marks with names, n lie
 //! where an alignment of image and list puts some GCP, and A of them where it puts their own; an alignment has that many with a
 //! probability of at most C(n, A)·(K − A)!/K!, and the list allows L alignments that put A marks on GCPs at all (a regular grid
-//! has many). Names are heeded when L·C(n, A)·(K − A)!/K! is below the limit on accidents.
+//! has many). Names are heeded when L·C(n, A)·(K − A)!/K! is below the limit on false alarms.
 
 use std::collections::HashMap;
 

@@ -42,7 +42,7 @@ pub struct RobustMatcher {
     pub max_false_alarms: f64,
     /// The search ends here, found or not.
     pub budget_hypotheses: u64,
-    /// How often the caller may call with other priors: each is a chance for an accident, and counted.
+    /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
 }
 
@@ -61,7 +61,7 @@ impl Matcher for RobustMatcher {
             let found = self.search_guided(candidates, &positions, priors, None);
             return self.decide(found, candidates.len(), &control);
         }
-        // With the names and without them: two chances for an accident.
+        // With the names and without them: two chances for a false alarm.
         let twice = RobustMatcher { tries: 2.0 * self.tries, ..self.clone() };
         let found = twice.search_guided(candidates, &positions, priors, Some((&labels, &control)));
         let names = found.names;
@@ -187,7 +187,7 @@ impl RobustMatcher {
         let rungs: Vec<usize> = std::iter::successors(Some(GUIDED_FIRST), |n| Some(n * GUIDED_STEP))
             .take_while(|n| 2 * n < candidates.len())
             .collect();
-        // Every search is a chance for an accident.
+        // Every search is a chance for a false alarm.
         let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
         let early = self.budget_hypotheses / EARLY_SHARE;
         let last = self.budget_hypotheses.saturating_sub(rungs.len() as u64 * early).max(early);

@@ -1,5 +1,5 @@
 //! When nothing fits, the picture is asked: compact objects of any saturated colour that stand out from their ground, sorted by
-//! colour; each cluster is tried against the list. The limit on accidents holds for all clusters together, because the matcher
+//! colour; each cluster is tried against the list. The limit on false alarms holds for all clusters together, because the matcher
 //! that is given counts [`MOST_CLUSTERS`] of them, tried or not.
 
 use nalgebra::Vector3;

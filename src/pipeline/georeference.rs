@@ -125,7 +125,7 @@ pub(super) fn orient_again(
     })
 }
 
-/// Tries the priors in order. The limit on accidents holds for all tries together.
+/// Tries the priors in order. The limit on false alarms holds for all tries together.
 pub(super) fn find(job: &Job<'_>, candidates: &[Candidate]) -> MatchOutcome {
     let mut outcome = job.matcher.find(candidates, job.gcps, &job.priors[0].with_mark_sizes(candidates));
     for priors in &job.priors[1..] {

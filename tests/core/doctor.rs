@@ -1,4 +1,4 @@
-//! The blunder doctor: every mistake it knows, made in the two lists of the thesis, and correct lists, about which it must
+//! The gross-error diagnosis: every mistake it knows, made in the two lists of the thesis, and correct lists, about which it must
 //! say nothing.
 
 use crate::common::{Random, bare_candidate};

@@ -27,3 +27,4 @@ mod tags;
 mod targets;
 mod thesis;
 mod tile_invariance;
+mod words;

@@ -36,7 +36,7 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// `None` for a frame without inner orientation.
+    /// `None` for a frame without interior orientation.
     pub fn of(camera: &Camera, frame: &FrameResult) -> Option<Facts> {
         let inner = frame.inner.as_ref()?;
         let found: Vec<(usize, PixelPoint)> = camera
@@ -75,7 +75,7 @@ fn usual(values: Vec<f64>, least: impl Fn(f64) -> f64) -> Option<(f64, f64)> {
 }
 
 /// For every frame of a roll, in how far it is unlike the others: reasons in plain words, none for most. `None` for frames
-/// without inner orientation, which take no part.
+/// without interior orientation, which take no part.
 pub fn unlike(camera: &Camera, roll: &[Option<Facts>]) -> Vec<Vec<String>> {
     let known: Vec<&Facts> = roll.iter().flatten().collect();
     let mut reasons: Vec<Vec<String>> = vec![vec![]; roll.len()];

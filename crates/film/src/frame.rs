@@ -1,4 +1,4 @@
-//! One frame: search, constellation, second look, checks, inner orientation.
+//! One frame: search, constellation, second look, checks, interior orientation.
 
 use std::path::Path;
 use std::time::Instant;
@@ -32,7 +32,7 @@ pub struct FindOptions {
     pub method: Method,
     /// Size of a scanned pixel on the film; `None`: from the film's and the scan's sizes.
     pub pixel_um: Option<f64>,
-    /// The inner orientation that is solved when marks allow it.
+    /// The interior orientation that is solved when marks allow it.
     pub model: InnerModel,
     /// Clockwise turn of the frames in the scans, 0, 90, 180 or 270; `None`: found.
     pub turn_deg: Option<f64>,
@@ -145,7 +145,7 @@ impl Finder {
         if self.model(mark).is_alike_by_quarters() { upright(linear) } else { linear }
     }
 
-    /// The marks and the inner orientation of one scan. Finding nothing is no error: the status says so.
+    /// The marks and the interior orientation of one scan. Finding nothing is no error: the status says so.
     ///
     /// # Errors
     /// Those of reading the scan; [`Error::Usage`](autoref_raster::error::Error::Usage) when the method does not know the camera's marks.
@@ -350,7 +350,7 @@ impl Finder {
             }
         }
         let Some(inner) = solve(&self.camera, &observations, options.model, pose.mirrored) else {
-            reasons.insert(0, format!("{} marks to be trusted: no inner orientation", observations.len()));
+            reasons.insert(0, format!("{} marks to be trusted: no interior orientation", observations.len()));
             result.status = FrameStatus::Failed { reasons };
             return;
         };

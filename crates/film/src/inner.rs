@@ -1,4 +1,4 @@
-//! Film ↔ scan: the pose that the search uses, and the inner orientation with residuals and covariance. The least squares are
+//! Film ↔ scan: the pose that the search uses, and the interior orientation with residuals and covariance. The least squares are
 //! those of [`autoref_solve`].
 
 use nalgebra::DMatrix;
@@ -86,7 +86,7 @@ pub fn distance(a: PixelPoint, b: PixelPoint) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// A mark that takes part in the inner orientation.
+/// A mark that takes part in the interior orientation.
 #[derive(Clone, Debug)]
 pub struct Observation {
     pub name: String,

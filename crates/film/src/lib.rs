@@ -1,5 +1,5 @@
 //! Scanned film: finds the fiducial marks of a camera in a very large scan, tells which is which from their constellation,
-//! refines them to a fraction of a pixel, solves the inner orientation and says which frames a person must look at.
+//! refines them to a fraction of a pixel, solves the interior orientation and says which frames a person must look at.
 //!
 //! ```text
 //! Camera → Template → search windows → peaks → constellation → refined marks → checks → InnerOrientation

@@ -1,4 +1,4 @@
-//! MicMac's inner orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` and `PackFromCplAPF` in MicMac's sources:
+//! MicMac's interior orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` and `PackFromCplAPF` in MicMac's sources:
 //! both files are a `MesureAppuiFlottant1Im`, points are paired by name, image = affine(camera) by least squares). The
 //! camera's file is in millimetres, a frame's is in pixels inside a `SetOfMesureAppuisFlottants`, as MicMac's own
 //! `SaisieAppuisInit` writes it.
@@ -37,7 +37,7 @@ pub fn camera_xml(camera: &Camera) -> String {
     format!("<?xml version=\"1.0\" ?>\n{}", measures("Glob", &points, ""))
 }
 
-/// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its inner orientation, pixels counted from
+/// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its interior orientation, pixels counted from
 /// `origin`; `None` when it has none.
 pub fn image_xml(frame: &FrameResult, origin: PixelOrigin) -> Option<String> {
     frame.inner.as_ref()?;

@@ -27,7 +27,7 @@ impl PixelOrigin {
     }
 }
 
-/// The marks of the inner orientation with their pixels from `origin`.
+/// The marks of the interior orientation with their pixels from `origin`.
 pub fn used_marks(frame: &FrameResult, origin: PixelOrigin) -> impl Iterator<Item = (&MarkFind, [f64; 2])> {
     let used = frame.inner.as_ref().map_or(&[][..], |inner| &inner.marks);
     frame.marks.iter().filter(|m| used.contains(&m.mark)).filter_map(move |m| {
@@ -40,7 +40,7 @@ fn text(out: csv::Writer<Vec<u8>>) -> String {
     String::from_utf8(out.into_inner().expect("memory takes all")).expect("made of strings")
 }
 
-/// `gcp,im_col,im_row` of the marks of the inner orientation; the residual columns are micrometres.
+/// `gcp,im_col,im_row` of the marks of the interior orientation; the residual columns are micrometres.
 pub fn measures_csv(frame: &FrameResult, origin: PixelOrigin) -> String {
     let mut out = csv::Writer::from_writer(vec![]);
     out.write_record(["gcp", "im_col", "im_row", "residual_x_um", "residual_y_um"]).expect("memory takes all");
@@ -121,7 +121,7 @@ fn digits(v: Option<f64>, digits: usize) -> String {
     v.map_or(String::new(), |v| format!("{v:.digits$}"))
 }
 
-/// A line per frame about its inner orientation. `scale_difference_ppm` and `shear_urad` say how far the film, as scanned, is
+/// A line per frame about its interior orientation. `scale_difference_ppm` and `shear_urad` say how far the film, as scanned, is
 /// from a similarity: (pixel size along x / along y − 1), and how far the angle between the axes is from a right one, both at
 /// the middle of the marks.
 pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {

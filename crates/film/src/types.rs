@@ -138,7 +138,7 @@ pub enum FrameStatus {
     Doubtful {
         reasons: Vec<String>,
     },
-    /// No inner orientation.
+    /// No interior orientation.
     Failed {
         reasons: Vec<String>,
     },
@@ -166,7 +166,7 @@ pub struct MarkFind {
     pub predicted: Option<PixelPoint>,
     /// How well the shape fits there, from −1 to 1 (normalised correlation).
     pub score: Option<f64>,
-    /// Measured − calibrated (x, y) through the inner orientation, micrometres on the film.
+    /// Measured − calibrated (x, y) through the interior orientation, micrometres on the film.
     pub residual_um: Option<[f64; 2]>,
     /// Why it is doubtful or missing.
     pub reason: Option<String>,

@@ -76,7 +76,8 @@ mod tests {
         assert!(watch.close(create()).is_ok());
         let watch = Written::watch(&path);
         let dataset = create();
-        assert!(Dataset::open(folder.path().join("absent.tif")).is_err());
+        let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+        assert!(driver.create_with_band_type::<u8, _>(folder.path().join("absent/b.tif"), 8, 8, 1).is_err());
         assert!(watch.close(dataset).is_err());
     }
 }

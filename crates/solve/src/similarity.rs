@@ -261,7 +261,7 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
     // Above its estimate, the more so the fewer the residuals: what few say of the common part is coarse, and too small a
     // value gives single points more weight than they deserve, and the expected errors too much trust. With 1 + 4/ν the
-    // radii of 95 % hold 93 to 96 % over all that tests/accuracy.rs draws; with the estimate itself 92.7 % of four points.
+    // radii of 95 % hold 93 to 96 % over all that tests/program/accuracy.rs draws; with the estimate itself 92.7 % of four points.
     let coarse = 1.0 + 4.0 / freedom as f64;
     let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
     let floor = (0.02 * first.scale_m_per_px()).powi(2);

@@ -1,4 +1,4 @@
-//! The blunder doctor: classic mistakes in a list of GCPs, tried when a pattern does not fit or leaves points unexplained.
+//! The gross-error diagnosis: classic mistakes in a list of GCPs, tried when a pattern does not fit or leaves points unexplained.
 //!
 //! A mistake is claimed only on the evidence that is asked of a match: the expected number of chance explanations as good,
 //! over everything the doctor tries, must not exceed the matcher's limit. Weaker evidence, down to [`POSSIBLE_LOG10`], is
@@ -117,7 +117,7 @@ impl Doctor<'_> {
         // In a dense field hypotheses cost several times as much: there all attempts share what else is for each.
         let sharing = if self.candidates.len() < GROWN_FROM { 1 } else { attempts.len().max(1) as u64 };
         let matcher = RobustMatcher {
-            // Each attempt is one more chance for an accident, and must not take long.
+            // Each attempt is one more chance for a false alarm, and must not take long.
             tries: self.matcher.tries * (1.0 + attempts.len() as f64),
             budget_hypotheses: self.matcher.budget_hypotheses / 4 / sharing,
             ..self.matcher.clone()

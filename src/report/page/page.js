@@ -62,7 +62,7 @@
       if (state.checks) add("RMSE of check points", `${metres(state.checkRmse)} m`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
     }
-    if (D.log10_false_alarms !== null) add("Chance of accident", chance(D.log10_false_alarms), D.status === "solved"
+    if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
     replace("figures", ...items);
     const note = byId("reviewed");
@@ -537,7 +537,7 @@
     const what = list([["Program", D.program], ["Image", D.image.path], ["Points", D.gcp_file], ["CRS", D.crs], ["Profile", o.profile], ["Reader", d.reader],
       ["Candidates", String(d.candidates_found)],
       ["Hypotheses tried", d.search ? `${d.search.hypotheses_tried} of ${Number(d.search.hypotheses_possible).toPrecision(3)} possible` : null],
-      ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, chance of accident ${chance(d.runner_up[1])}` : "none"],
+      ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, false alarms ${chance(d.runner_up[1])}` : "none"],
       ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${metres(d.moved_m)} m` : null],
       ["Written", d.files_written.join(", ")]]);
     const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, second look ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],

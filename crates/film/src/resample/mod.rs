@@ -168,7 +168,7 @@ impl<'a> Grid<'a> {
         let sign = camera.y_sign();
         let inverse = nalgebra::Matrix3::from_row_slice(&inner.pixel_to_mm)
             .try_inverse()
-            .ok_or_else(|| Error::usage("the inner orientation is singular", "look at the frame's marks"))?;
+            .ok_or_else(|| Error::usage("the interior orientation is singular", "look at the frame's marks"))?;
         let to_scan: [f64; 9] = std::array::from_fn(|k| inverse[(k / 3, k % 3)] * if k % 3 == 1 { sign } else { 1.0 });
         // Positive on the side of the horizon where the film is.
         let middle = camera.film_centre();

@@ -4,7 +4,7 @@
 //! that it gives in pixels of its scans are held as lengths on the film, so that scans of other sizes work. Its detector of
 //! oriented gradients had to be trained by hand; where it asks that detector, the correlation of the drawn mark is asked
 //! here. The constellation is taken from the camera's geometry instead of an annotated picture. What follows (names,
-//! agreement between marks, inner orientation) is that of the default finder.
+//! agreement between marks, interior orientation) is that of the default finder.
 
 mod corners;
 mod hole;

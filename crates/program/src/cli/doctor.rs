@@ -1,4 +1,4 @@
-//! The blunder doctor at the end of a run: what it is told, and names that marks of a list carry.
+//! The gross-error diagnosis at the end of a run: what it is told, and names that marks of a list carry.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! `autoref-stream fiducials`: fiducial marks and inner orientation of scanned film.
+//! `autoref-stream fiducials`: fiducial marks and interior orientation of scanned film.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -13,7 +13,7 @@ use autoref_raster::memory_plan;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Find the fiducial marks of scanned film frames and solve their inner orientation.
+/// Find the fiducial marks of scanned film frames and solve their interior orientation.
 ///
 /// Writes one JSON per frame and the roll's table, fiducials.csv, into the output folder. A run that was stopped goes on
 /// where it was. Exit codes: 0 every frame is OK, 1 a frame needs a person, 2 error.
@@ -50,7 +50,7 @@ pub struct FiducialsArgs {
     /// How marks are found; thesis-2017 is for three-toothed marks and there for comparison.
     #[arg(long, value_enum, default_value_t = FinderName::Correlation, help_heading = "Finding")]
     finder: FinderName,
-    /// Transform of the inner orientation; with three marks it is a similarity.
+    /// Transform of the interior orientation; with three marks it is a similarity.
     #[arg(long, value_enum, default_value_t = Model::Affine, help_heading = "Checking")]
     model: Model,
     /// How far a mark may lie from where the other marks put it, micrometres on the film; never below 2.5 pixels.

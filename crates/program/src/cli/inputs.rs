@@ -12,7 +12,7 @@ use autoref_raster::protected::{is_input, protect, same_file};
 use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.
-const OUTPUTS: &[&str] = &["output", "out", "write_dem", "write_gcps"];
+const OUTPUTS: &[&str] = &["output", "out", "scratch", "write_dem", "write_gcps", "write_index"];
 
 /// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
@@ -89,18 +89,38 @@ mod tests {
 
     /// Arguments whose value is a file that the command reads (or, with `files`, restores).
     const INPUTS: &[&str] = &[
+        "a",
         "accuracy",
         "as_is",
+        "b",
+        "camera",
+        "cameras",
         "candidates",
+        "clouds",
         "dem",
         "files",
+        "folder",
+        "frame",
         "frames",
         "gcps",
+        "global",
         "image",
+        "inputs",
+        "mend",
+        "model",
+        "models",
+        "observations",
         "patch",
         "photos",
+        "project",
+        "reconstruction",
         "result",
+        "samples",
+        "stable",
+        "table",
         "to",
+        "use_index",
+        "zones",
     ];
 
     fn paths(command: &clap::Command, found: &mut Vec<String>) {

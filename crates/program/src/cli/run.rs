@@ -514,7 +514,7 @@ fn summary(result: &RunResult) -> String {
     }
     if let Some(log10) = result.log10_false_alarms {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
-        line("Chance of accident", format!("{figure} such patterns expected by chance"));
+        line("False alarms", format!("{figure} such patterns expected by chance"));
     }
     if let Some(names) = &result.names {
         let against =

@@ -1,0 +1,44 @@
+//! One word for one thing: the words that `docs/words.md` replaces are nowhere in sources, pages and messages.
+
+use std::path::{Path, PathBuf};
+
+#[test]
+fn replaced_words_are_gone() {
+    let root = crate::common::root();
+    let page = std::fs::read_to_string(root.join("docs/words.md")).expect("the page");
+    let rows = page.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| word"));
+    let replaced: Vec<String> = rows
+        .filter_map(|line| line.split('|').nth(3))
+        .flat_map(|cell| cell.split(','))
+        .map(|word| word.trim().to_lowercase())
+        .filter(|word| !word.is_empty())
+        .collect();
+    assert!(replaced.len() >= 4, "the table was not read: {replaced:?}");
+    let mut files = vec![root.join("README.md")];
+    for folder in ["src", "crates", "docs", "examples", "tools", "benches"] {
+        gather(&root.join(folder), &mut files);
+    }
+    assert!(files.len() > 300, "{} files were read", files.len());
+    let mut found = Vec::new();
+    for file in files.iter().filter(|file| !file.ends_with("docs/words.md")) {
+        let Ok(text) = std::fs::read_to_string(file) else { continue };
+        for (number, line) in text.lines().enumerate() {
+            let line = line.to_lowercase();
+            for word in replaced.iter().filter(|word| line.contains(word.as_str())) {
+                found.push(format!("{}:{}: {word}", file.display(), number + 1));
+            }
+        }
+    }
+    assert!(found.is_empty(), "replaced words:\n{}", found.join("\n"));
+}
+
+fn gather(folder: &Path, files: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("readable").path()) {
+        let name = entry.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if entry.is_dir() && name != "target" {
+            gather(&entry, files);
+        } else if entry.extension().is_some_and(|e| ["rs", "md", "js", "html", "toml"].iter().any(|w| e == *w)) {
+            files.push(entry);
+        }
+    }
+}
