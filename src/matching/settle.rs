@@ -7,13 +7,6 @@ use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// Points so far outside the pattern (square of the distance from its middle over the sum of its own) are placed by it so loosely
-/// that what is found there is chance, unless chance seldom puts anything there.
-const FAR_ARM: f64 = 4.0;
-/// The same of the first pair: how much looser than a mark itself.
-const FAR_SPREAD: f64 = 8.0;
-const FAR_CHANCE: f64 = 0.003;
-
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
     pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
@@ -21,25 +14,16 @@ impl Search<'_> {
         let ends = [points[hypothesis.i as usize], points[hypothesis.j as usize]];
         let similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
         let spread = |k: usize| spread_from_pair(self.gcps[pair.a], self.gcps[pair.b], self.gcps[k]);
-        // A short pair says so little of points far away that somebody is always there.
-        let pairs = self.assign(&similarity, |k, _| {
-            let radius_px = self.tolerance_px * spread(k);
-            if spread(k) > FAR_SPREAD { radius_px.min(self.chance_radius_px(FAR_CHANCE)) } else { radius_px }
-        });
+        let pairs = self.assign(&similarity, |k, _| self.tolerance_px * spread(k));
         self.settle(similarity, pairs)
-    }
-
-    /// The radius of a circle that holds a candidate by chance so often.
-    fn chance_radius_px(&self, chance: f64) -> f64 {
-        let density = self.field.points().len() as f64 / self.field.area_px2();
-        (chance / (std::f64::consts::PI * density)).sqrt()
     }
 
     /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
     pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
         // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
         // pairs would tilt the whole pattern.
-        let (widest_px, far_px) = (self.chance_radius_px(0.003), self.chance_radius_px(FAR_CHANCE));
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let widest_px = (0.003 / (std::f64::consts::PI * density)).sqrt();
         let mut noise_px = 2.0;
         for _ in 0..16 {
             if pairs.len() < 3 {
@@ -55,8 +39,6 @@ impl Search<'_> {
             // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from them.
             let few = 1.0 + 8.0 / (fitted.len() as f64 - 2.0).powi(2);
             let next = self.assign(&similarity, |_, p| {
-                let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
-                let widest_px = if arm > FAR_ARM * spread { far_px } else { widest_px };
                 tolerance_px(few * noise_px, fitted.len(), centre, spread, p).min(widest_px)
             });
             if next == pairs {
@@ -89,13 +71,6 @@ impl Search<'_> {
             let (centre, spread) = centre_and_spread(&others);
             let (p, q) = (similarity.invert(self.gcps[pairs[i].1]), self.field.points()[pairs[i].0]);
             let allowed = tolerance_px(noise_px, others.len(), centre, spread, p);
-            let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
-            let near_px = tolerance_px(noise_px, others.len(), centre, spread, centre);
-            let allowed = if arm > FAR_ARM * spread {
-                allowed.min(near_px.max(self.chance_radius_px(FAR_CHANCE)))
-            } else {
-                allowed
-            };
             Some((p.x - q.x).hypot(p.y - q.y) / allowed)
         };
         (0..pairs.len())

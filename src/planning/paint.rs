@@ -110,14 +110,20 @@ mod tests {
 
     #[test]
     fn the_colour_of_the_ground_comes_last() {
-        for (ground, worst) in [([60u8, 130, 50], "green"), ([230, 110, 50], "orange"), ([40, 90, 200], "blue")] {
+        // The paint of the ground's own hue, or its twin of the RAL cards.
+        let grounds: [([u8; 3], &[&str]); 3] = [
+            ([60, 130, 50], &["green", "ral-6018"]),
+            ([230, 110, 50], &["orange", "ral-2003", "ral-2004", "ral-2005"]),
+            ([40, 90, 200], &["blue", "ral-5015"]),
+        ];
+        for (ground, worst) in grounds {
             let rgb: Vec<u8> = (0..400 * 300)
                 .flat_map(|i: u32| ground.map(|v| v.saturating_add((i.wrapping_mul(2_654_435_761) >> 28) as u8)))
                 .collect();
             let ranks = rank_paints(&MemorySource::rgb8(400, 300, rgb)).expect("in memory");
-            assert_eq!(ranks.len(), 6, "{ranks:?}");
-            let last = ranks.last().expect("six paints");
-            assert_eq!(last.profile, worst, "{ranks:?}");
+            assert!(ranks.len() >= 6, "{ranks:?}");
+            let last = ranks.last().expect("several paints");
+            assert!(worst.contains(&last.profile.as_str()), "{ranks:?}");
             assert!(ranks[0].margin_p0001 > last.margin_p0001 && ranks[0].ground_share == 0.0);
         }
     }

@@ -303,7 +303,7 @@ mod tests {
         for grey in (0..=255u8).map(|v| [v; 3]) {
             assert!(!orange.is_paint(grey), "{grey:?}");
         }
-        for colour in [[180, 130, 90], [90, 120, 60], [200, 30, 30], [160, 150, 130], [255, 230, 0]] {
+        for colour in [[180, 130, 90], [90, 120, 60], [170, 30, 110], [160, 150, 130], [255, 230, 0]] {
             assert!(!orange.is_paint(colour), "{colour:?}");
         }
     }

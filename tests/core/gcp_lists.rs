@@ -76,6 +76,25 @@ fn lists_as_found_in_the_field() {
         assert!((easting - 235277.61).abs() < 0.01 && (northing - 3811190.36).abs() < 0.01, "{easting} {northing}");
         assert!(list.notes.iter().any(|note| note.contains("UTM zone of their mean")), "{:?}", list.notes);
     }
+    // The lists of OpenDroneMap's own tests, and what those expect.
+    seen.push("lists/gcp_latlon_valid.txt");
+    if let Some(path) = data("lists/gcp_latlon_valid.txt") {
+        let list = gcp::read(&path, &GcpOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+        let (_, e, n, _) = place(&list, 0);
+        assert!((e - 609_865.707_705_413_7).abs() < 0.001 && (n - 4_950_688.361_817_497).abs() < 0.001, "{e} {n}");
+    }
+    seen.push("lists/sheffield_cross_gcp_file.txt");
+    if let Some(path) = data("lists/sheffield_cross_gcp_file.txt") {
+        let list = gcp::read(&path, &GcpOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(list.gcps.len(), 5, "{:?}", list.gcps);
+    }
+    // One point orients nothing, and that is said.
+    for name in ["gcp_extras.txt", "gcp_michigan_feet_valid.txt", "gcp_latlon_south.txt", "gcp_utm_north_valid.txt"] {
+        seen.push(name);
+        let Some(path) = data(&format!("lists/{name}")) else { continue };
+        let error = gcp::read(&path, &GcpOptions::default()).expect_err("one point").to_string();
+        assert!(error.contains("1 point") && error.contains(name), "{error}");
+    }
     // A licence beside them is no list.
     if let Some(path) = data("targets/license.txt") {
         let error = gcp::read(&path, &GcpOptions::default()).expect_err("no list").to_string();
@@ -86,7 +105,10 @@ fn lists_as_found_in_the_field() {
         let Some(path) = data(folder) else { continue };
         for entry in std::fs::read_dir(path).expect("readable").flatten() {
             let name = format!("{folder}/{}", entry.file_name().to_string_lossy());
-            let known = seen.contains(&name.as_str()) || name.ends_with(".jpg") || name.ends_with("license.txt");
+            let known = seen.iter().any(|seen| name.ends_with(seen))
+                || name.ends_with(".jpg")
+                || name.ends_with("license.txt")
+                || name.contains("LICENSE");
             assert!(known, "{name} has no expectation");
         }
     }

@@ -50,7 +50,7 @@ fn no_output_of_any_command_is_an_input() {
         &["sample", "a.tif", "--at", "100,100", "-o", "OUT"],
         &["solve", "c.csv", "--gcps", "a.geojson", "-o", "OUT"],
         &["solve", "hard.csv", "--gcps", "a.geojson", "-o", "OUT"],
-        &["synth", "OUT", "--as-is", "a.tif"],
+        &["synth", "OUT", "--as-is", "a.tif", "--gcps", "c.csv"],
         &["synth", "new.tif", "--gcps", "c.csv", "--write-gcps", "OUT"],
     ];
     let before = contents(dir);
