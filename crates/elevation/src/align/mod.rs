@@ -1,7 +1,7 @@
 //! One elevation model brought onto another: shift, height, tilt.
 //!
 //! `auto` searches for the shift from coarse to fine and then fits shift and plane together, robustly
-//! ([`fit`]); `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets
+//! (module `fit`); `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets
 //! for quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
 
 mod fit;
