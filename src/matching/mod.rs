@@ -17,8 +17,9 @@
 //!     let centre = PixelPoint { x, y };
 //!     let ground = transform.apply(centre);
 //!     gcps.insert(0, Gcp::control(format!("P{i}"), ground.easting, ground.northing)); // in any order
-//!     let (covariance_px2, score, area_px, size_px, elevation_m, code) = (None, None, None, None, None, None);
-//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code });
+//!     let (covariance_px2, score, area_px, size_px, elevation_m) = (None, None, None, None, None);
+//!     let (code, paint) = (None, None);
+//!     candidates.push(Candidate { centre, covariance_px2, score, area_px, size_px, elevation_m, code, paint });
 //! }
 //! let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &Priors::default()) else {
 //!     panic!("six points in a pattern of their own");

@@ -7,7 +7,7 @@
 //! in `docs/synth.md`.
 //!
 //! ```
-//! use autoref_synth::{self, SynthSpec};
+//! use autoref_synth::{self as synth, SynthSpec};
 //! use autoref_raster::window::Window;
 //! let spec = SynthSpec { gcps: synth::random_gcps(5, 20.0, 15.0, 1), size_px: Some((200, 150)), ..SynthSpec::default() };
 //! let rgb = synth::render_window(&spec, Window::new(0, 0, 64, 64))?; // any window, always the same pixels

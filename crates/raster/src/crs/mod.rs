@@ -1,7 +1,7 @@
 //! Coordinate reference systems, through GDAL and PROJ.
 //!
 //! ```
-//! use autoref_raster::georef::crs::Crs;
+//! use autoref_raster::crs::Crs;
 //! let new_zealand = Crs::parse("EPSG:2193")?; // the authority puts north first; here it is always east, north
 //! assert_eq!((new_zealand.label().as_str(), new_zealand.metres_per_unit()), ("EPSG:2193", 1.0));
 //! assert!(Crs::parse("EPSG:999999").is_err());
