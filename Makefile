@@ -45,7 +45,7 @@ demo: build
 test: export PROPTEST_RNG_SEED ?= 2016
 test: deps test-deps
 	$(CARGO) test --quiet --workspace --features coded -- --format=terse
-	AUTOREF_KERNELS=scalar $(CARGO) test --quiet -p autoref-stream --features coded --lib -- --format=terse segment
+	AUTOREF_KERNELS=scalar $(CARGO) test --quiet --workspace --features coded --lib -- --format=terse segment
 
 lint: deps
 	$(CARGO) fmt --check
