@@ -48,6 +48,24 @@ pub enum Looked {
 }
 
 impl SecondPass {
+    /// What is known before the second look: nothing has changed yet.
+    fn of(first: &Run, taught_by: &str, profile: &Profile, looked: Looked) -> SecondPass {
+        let learned = profile.learned.as_ref();
+        let (candidates, matched) = (first.scan.candidates.len(), matched(first));
+        SecondPass {
+            taught_by: taught_by.to_owned(),
+            marks: learned.map_or(0, |l| l.marks),
+            mean_srgb: learned.map_or([0.0; 3], |l| l.mean_srgb),
+            side_px: [profile.size.min_px.unwrap_or(0.0), profile.size.max_px.unwrap_or(0.0)],
+            candidates_before: candidates,
+            candidates_after: candidates,
+            matched_before: matched,
+            matched_after: matched,
+            adopted: false,
+            looked,
+        }
+    }
+
     /// One line for the summary.
     pub fn line(&self) -> String {
         let [r, g, b] = self.mean_srgb.map(|v| (v * 255.0).round());
@@ -86,23 +104,16 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let second = georeference(&Job { detector: &detector, second_look: &relaxed, ..*job })?;
     let (before, after) = (matched(&first), matched(&second));
     let adopted = after > before;
-    let learned = profile.learned.as_ref();
     let report = SecondPass {
-        taught_by: taught_by.to_owned(),
-        marks: learned.map_or(0, |l| l.marks),
-        mean_srgb: learned.map_or([0.0; 3], |l| l.mean_srgb),
-        side_px: [profile.size.min_px.unwrap_or(0.0), profile.size.max_px.unwrap_or(0.0)],
-        candidates_before: first.scan.candidates.len(),
         candidates_after: second.scan.candidates.len(),
-        matched_before: before,
         matched_after: after,
         adopted,
-        looked: Looked::Image,
+        ..SecondPass::of(&first, taught_by, &profile, Looked::Image)
     };
     Ok((if adopted { second } else { first }, Some(report)))
 }
 
-/// Patterns that are as likely an accident as this, or likelier (log₁₀), are weak.
+/// Patterns with as many expected false alarms as this (log₁₀), or more, are weak.
 const WEAK_LOG10: f64 = -5.0;
 
 /// Looks again where it can help: in the windows of points that must be in the image and are not matched, with a profile taught by
@@ -126,18 +137,10 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let before = matched(&first);
     let second = Run { outcome, ..first.clone() };
     let after = matched(&second);
-    let learned = profile.learned.as_ref();
     let report = SecondPass {
-        taught_by: taught_by.to_owned(),
-        marks: learned.map_or(0, |l| l.marks),
-        mean_srgb: learned.map_or([0.0; 3], |l| l.mean_srgb),
-        side_px: [profile.size.min_px.unwrap_or(0.0), profile.size.max_px.unwrap_or(0.0)],
-        candidates_before: first.scan.candidates.len(),
-        candidates_after: first.scan.candidates.len(),
-        matched_before: before,
         matched_after: after,
         adopted: after > before,
-        looked: Looked::Windows,
+        ..SecondPass::of(&first, taught_by, &profile, Looked::Windows)
     };
     Ok((if after > before { second } else { first }, Some(report)))
 }
