@@ -12,6 +12,8 @@ PACKAGES := libgdal-dev gdal-bin pkg-config gcc g++ time
 TEST_PACKAGES := chromium
 MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/dev/null | grep -q '^install ok installed' || echo $$p; done)
 DEMO := demo
+# Python with other programs' libraries, for the tests that compare with them.
+PEERS := target/peers
 # Odd, old and corrupt files to begin with, where they are there.
 FUZZ_SEEDS := $(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio))
 
@@ -29,6 +31,9 @@ test-deps:
 	@command -v chromium chromium-browser google-chrome >/dev/null || { echo "Will install with apt-get: $(TEST_PACKAGES)"; \
 	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 300 $(SUDO) apt-get install -y -qq \
 	    --no-install-recommends $(TEST_PACKAGES) >/dev/null; } || echo "No browser: the tests that open pages are skipped."; }
+	@$(PEERS)/bin/python -c "import rasterio" 2>/dev/null || { echo "Will install with pip, under $(PEERS): rasterio, rio-cogeo"; \
+	  { python3 -m venv $(PEERS) && timeout 300 $(PEERS)/bin/python -m pip install -q --timeout 15 --retries 1 rasterio rio-cogeo; } \
+	    >/dev/null 2>&1 || echo "No rasterio: the test that reads the outputs with it is skipped."; }
 
 build: deps
 	$(CARGO) build --release
@@ -41,11 +46,22 @@ demo: build
 	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 4096
 	@echo "--- GDAL sees:" && gdalinfo $(DEMO)/e6.tif | grep -E "^Size|UTM zone|GeoTransform|^  +-?[0-9]" | head -5
 
-# The random tests draw the same cases in every run; `make check-large` draws new ones.
+# The system's libzstd, which GDAL's packages bring, saves a compilation; a release is built with its own.
+lint doc test: export ZSTD_SYS_USE_PKG_CONFIG ?= 1
+
+# The random tests draw the same cases in every run; `make check-large` draws new ones. What was skipped is told at the end:
+# tests say so in the file of AUTOREF_SKIPPED.
 test: export PROPTEST_RNG_SEED ?= 2016
+test: export AUTOREF_SKIPPED := $(CURDIR)/target/skipped.txt
+test: export AUTOREF_PYTHON ?= $(CURDIR)/$(PEERS)/bin/python
 test: deps test-deps
-	$(CARGO) test --quiet --workspace --features coded -- --format=terse
-	AUTOREF_KERNELS=scalar $(CARGO) test --quiet --workspace --features coded --lib -- --format=terse segment
+	@mkdir -p target && rm -f $(AUTOREF_SKIPPED)
+	$(CARGO) test --quiet --features coded -- --format=terse
+	AUTOREF_KERNELS=scalar $(CARGO) test --quiet --features coded --lib -- --format=terse segment
+	@if [ -s $(AUTOREF_SKIPPED) ]; then \
+	  echo "Skipped, whole or in part: $$(cut -f1 $(AUTOREF_SKIPPED) | sort -u | wc -l) tests; why, and how often:"; \
+	  cut -f2 $(AUTOREF_SKIPPED) | sort | uniq -c | sort -rn; \
+	else echo "No test was skipped."; fi
 
 lint: deps
 	$(CARGO) fmt --check
@@ -57,7 +73,8 @@ doc: deps
 check: lint doc test
 
 bench: build
-	$(CARGO) bench
+	$(CARGO) bench -p autoref-benches --bench stages -- --output-format bencher | benches/table.sh
+	$(CARGO) bench -p autoref-benches --bench decode --bench detection
 	benches/compare.sh
 
 fuzz:
@@ -65,7 +82,7 @@ fuzz:
 	cd fuzz && $(CARGO) +nightly fuzz run native_tiff corpus/native_tiff $(FUZZ_SEEDS) -- -max_total_time=600 -rss_limit_mb=1024 -timeout=10
 
 check-large: build
-	AUTOREF_LARGE=1 $(CARGO) test --workspace --release --features coded -- --nocapture
+	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
 
 clean:
 	$(CARGO) clean

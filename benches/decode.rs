@@ -58,7 +58,7 @@ impl Measurement for ThreadTime {
 
 fn picture() -> Option<PathBuf> {
     let given = std::env::var_os("AUTOREF_BENCH_FILE").map(PathBuf::from);
-    let photograph = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/photos/village_boruszyn.jpg");
+    let photograph = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/photos/village_boruszyn.jpg");
     given.or(Some(photograph.into())).filter(|path| path.exists())
 }
 

@@ -53,7 +53,7 @@ const MORE: [&str; 5] = [
 ];
 
 fn photo(name: &str) -> Option<Picture> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data")).join(name);
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(name);
     let file = gdal::Dataset::open(&path).ok()?;
     let (width, height) = file.raster_size();
     let bands: Vec<Vec<f64>> = (1..=3)
@@ -156,7 +156,7 @@ fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
     for (name, picture) in names.iter().zip(pictures) {
         write_png(name, picture);
     }
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/scikit_pipeline.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/scikit_pipeline.py");
     let output = std::process::Command::new(python).arg(script).args(&names).output().expect("python starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let mut lists = vec![Vec::new(); pictures.len()];

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::csv_list::{NAMES, find, tidy};
 use super::text::{self, SEPARATORS};
 use crate::gcp::Gcp;
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 // As `tidy` leaves titles: small letters, blanks for underscores.
@@ -29,7 +30,7 @@ struct Row {
 /// # Errors
 /// When the file cannot be read, has no column of names or no column of σ, or a value is no number of at least zero.
 pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = bounded::read(path, "a table of errors", bounded::TEXT_BYTES)?;
     let text = text::decode(&bytes).ok_or_else(|| Error::format(path, "row 1", "is no table of text"))?;
     let rows = parse(path, &text)?;
     let mut unknown = Vec::new();

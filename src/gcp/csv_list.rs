@@ -249,6 +249,7 @@ fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator,
     };
     let mut list = RawList::new(points, crs);
     list.order = columns.order;
+    list.notes.extend(columns.unclear().map(|what| format!("{}: {what}", path.display())));
     if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
         list.notes.push(format!(
             "{}: row {} and what is above the header was passed over",
@@ -273,6 +274,42 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 }
 
 impl Columns {
+    /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's, or a title
+    /// that was passed over has such a word in it ("Høyde-navn").
+    fn unclear(&self) -> Option<String> {
+        let used: Vec<usize> = [Some(self.easting), Some(self.northing), self.name, self.height, self.sigma]
+            .into_iter()
+            .chain([self.sigma_height, self.role, self.check, self.enabled, self.crs])
+            .flatten()
+            .collect();
+        let telling = |title: &str| {
+            let known = [NAMES, EASTINGS, NORTHINGS, HEIGHTS];
+            tidy(title).split([' ', '/']).any(|word| word.len() > 2 && known.iter().any(|names| names.contains(&word)))
+        };
+        let passed_over: Vec<&str> = (0..self.titles.len())
+            .filter(|i| !used.contains(i))
+            .map(|i| self.titles[i].as_str())
+            .filter(|title| telling(title))
+            .collect();
+        if self.name.is_some() && passed_over.is_empty() {
+            return None;
+        }
+        let titled = |what: &str, column: Option<usize>| column.map(|i| format!("{what} `{}`", self.titles[i].trim()));
+        let taken = [
+            titled("easting", Some(self.easting)),
+            titled("northing", Some(self.northing)),
+            titled("height", self.height),
+            Some(titled("name", self.name).unwrap_or_else(|| "names: none, so the rows' numbers are used".into())),
+        ];
+        let taken: Vec<String> = taken.into_iter().flatten().collect();
+        let passed = if passed_over.is_empty() {
+            String::new()
+        } else {
+            format!("; not understood: `{}`", passed_over.join("`, `"))
+        };
+        Some(format!("columns were taken as {}{passed}", taken.join(", ")))
+    }
+
     /// One point from the fields of a row; `number` stands in for a name.
     pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
         let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());

@@ -19,6 +19,7 @@ mod geojson;
 mod kof;
 pub mod odm;
 mod ogr;
+mod place;
 mod qgis;
 mod raw;
 mod read;

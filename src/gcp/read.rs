@@ -5,13 +5,18 @@ use std::path::{Path, PathBuf};
 use crate::gcp::frame::{Frame, Reproject};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
-use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, qgis, text, xml};
+use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, place, qgis, text, xml};
+use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 
 /// Lists are small; what is larger is another file.
-const LARGEST_LIST_BYTES: u64 = 64 << 20;
+const LARGEST_LIST_BYTES: u64 = 32 << 20;
+/// Matching weighs every pair of points: five thousand have twelve million.
+const MOST_POINTS: usize = 5_000;
+/// Of which a list may be chosen by name.
+const MOST_ROWS: usize = 50_000;
 
 /// What the caller says about the list.
 #[derive(Clone, Debug)]
@@ -33,6 +38,10 @@ pub struct GcpOptions {
     pub image: Option<ImageGeoreference>,
     /// A table of the survey's errors, point by point.
     pub accuracy: Option<PathBuf>,
+    /// Exchange easting and northing where all points show that they are exchanged; else that is an error.
+    pub fix_axes: bool,
+    /// Keep points outside the CRS's area of use, which are set aside otherwise.
+    pub keep_outside: bool,
 }
 
 impl Default for GcpOptions {
@@ -47,6 +56,8 @@ impl Default for GcpOptions {
             check: Vec::new(),
             image: None,
             accuracy: None,
+            fix_axes: false,
+            keep_outside: false,
         }
     }
 }
@@ -88,25 +99,19 @@ fn parse(path: &Path, options: &GcpOptions) -> Result<RawList> {
         "gpkg", "shp", "shz", "zip", "kml", "kmz", "gpx", "gml", "fgb", "dxf", "tab", "mif", "sqlite", "xlsx", "xls",
         "ods", "gdb", "dbf",
     ];
+    bounded::refuse_endless(path)?;
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let layer = options.layer.as_deref();
     if metadata.is_dir() || OGR.contains(&extension.as_str()) || layer.is_some() {
         return ogr::parse(path, layer);
     }
-    if metadata.len() > LARGEST_LIST_BYTES {
-        return Err(Error::Limit {
-            what: format!("{}: a list of points", path.display()),
-            needed: metadata.len(),
-            allowed: LARGEST_LIST_BYTES,
-            remedy: "is this the list?".into(),
-        });
-    }
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
     let Some(text) = text::decode(&bytes) else {
         return ogr::parse(path, layer);
     };
     let start = text.trim_start();
+    refuse_many(path, &text)?;
     if matches!(extension.as_str(), "geojson" | "json") || start.starts_with('{') {
         return geojson::parse(path, &text);
     }
@@ -128,6 +133,20 @@ fn parse(path: &Path, options: &GcpOptions) -> Result<RawList> {
         return odm::parse(path, &content);
     }
     csv_list::parse(path, &lines)
+}
+
+/// Each row or feature costs hundreds of bytes when it is read.
+fn refuse_many(path: &Path, text: &str) -> Result<()> {
+    let json = text.trim_start().starts_with('{');
+    let rows = if json { text.matches("\"geometry\"").count() } else { text.lines().count() };
+    if rows <= MOST_ROWS {
+        return Ok(());
+    }
+    Err(Error::unsupported(
+        path,
+        format!("a list of {rows} rows; at most {MOST_ROWS} are read"),
+        "cut the list to the area of the image",
+    ))
 }
 
 fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
@@ -159,9 +178,17 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
         },
     };
     if let Some(crs) = &source {
-        check_place(path, &points, crs, &mut notes)?;
+        refuse_no_degrees(path, &points, crs)?;
     }
+    place::check(path, &mut points, source.as_ref(), options, &mut notes)?;
     let gcps = choose(path, points, options)?;
+    if gcps.len() > MOST_POINTS {
+        return Err(Error::unsupported(
+            path,
+            format!("a list of {} points to match; at most {MOST_POINTS} are", gcps.len()),
+            "choose those of this image with --names, or cut the list to its area",
+        ));
+    }
     let mut list = enter(path, gcps, source, options, notes)?;
     if let Some(table) = &options.accuracy {
         list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
@@ -302,34 +329,28 @@ fn settle_order(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: 
     }
 }
 
-/// Points far from where their CRS is used have a wrong CRS or exchanged columns.
-fn check_place(path: &Path, points: &[RawPoint], crs: &Crs, notes: &mut Vec<String>) -> Result<()> {
-    if crs.is_geographic() && !crs.unit_name().to_lowercase().contains("grad") && !within_degrees(points) {
-        let bad = points.iter().find(|p| p.gcp.easting.abs() > 180.0 || p.gcp.northing.abs() > 90.0);
-        // A longitude may count from 0 to 360.
-        if let Some(bad) = bad.filter(|p| p.gcp.easting.abs() > 360.0 || p.gcp.northing.abs() > 90.0) {
-            return Err(Error::format(
-                path,
-                &bad.place,
-                format!(
-                    "{}, {} are no degrees, but {} counts in them; give the --crs that the coordinates are in",
-                    bad.gcp.easting,
-                    bad.gcp.northing,
-                    crs.title()
-                ),
-            ));
-        }
+/// A system in degrees has no larger numbers.
+fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
+    if !crs.is_geographic() || crs.unit_name().to_lowercase().contains("grad") || within_degrees(points) {
+        return Ok(());
     }
-    let outside = points.iter().filter(|p| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false)).count();
-    if outside > 0 {
-        notes.push(format!(
-            "{}: {outside} of {} points lie outside the area of use of {}; CRS or columns may be wrong",
-            path.display(),
-            points.len(),
-            crs.title()
-        ));
+    // A longitude may count from 0 to 360; exchanged columns are another matter.
+    let are_degrees = |e: f64, n: f64| e.abs() <= 360.0 && n.abs() <= 90.0;
+    let bad =
+        |p: &&RawPoint| !are_degrees(p.gcp.easting, p.gcp.northing) && !are_degrees(p.gcp.northing, p.gcp.easting);
+    match points.iter().find(bad) {
+        Some(bad) => Err(Error::format(
+            path,
+            &bad.place,
+            format!(
+                "{}, {} are no degrees, but {} counts in them; give the --crs that the coordinates are in",
+                bad.gcp.easting,
+                bad.gcp.northing,
+                crs.title()
+            ),
+        )),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// The image's CRS, when the points lie where the image says it is.

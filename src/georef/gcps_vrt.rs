@@ -8,6 +8,7 @@ use quick_xml::escape::escape;
 
 use crate::georef::dialects::TiePoints;
 use crate::georef::sidecar;
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 /// Writes the VRT. Check points are left out, since every program that reads the list would fit through them.
@@ -20,7 +21,7 @@ pub fn write(image: &Path, page: usize, vrt: &Path, points: &TiePoints) -> Resul
         return Err(Error::usage("the result holds no matched points", "choose another --write"));
     }
     sidecar::write_plain_vrt(image, page, vrt)?;
-    let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
+    let text = bounded::read_to_string(vrt, "a VRT", bounded::TEXT_BYTES)?;
     let mut list = String::from("  <GCPList");
     if let Some(crs) = &points.crs {
         let mapping = autoref_raster::crs::axis_mapping(crs);

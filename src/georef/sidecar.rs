@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use quick_xml::events::{BytesText, Event};
 use quick_xml::{Reader, Writer};
 
+use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -124,7 +125,7 @@ pub fn write_vrt(image: &Path, page: usize, vrt: &Path, transform: &GeoTransform
 /// When GDAL cannot open the image or write the VRT.
 pub(super) fn write_plain_vrt(image: &Path, page: usize, vrt: &Path) -> Result<()> {
     vrt_of(image, page, vrt, |_| Ok(()))?;
-    let text = std::fs::read_to_string(vrt).map_err(|e| Error::io(vrt, "read", e))?;
+    let text = bounded::read_to_string(vrt, "a VRT", bounded::TEXT_BYTES)?;
     let (Some(start), Some(end)) = (text.find("<VRTDataset"), text.rfind("</VRTDataset>")) else {
         return Err(Error::gdal(vrt, "its VRT has no root element"));
     };

@@ -42,8 +42,13 @@ pub(super) fn explain(
             best.gcps_in_image,
             scientific(best.log10_false_alarms),
         )
+    } else if control.len() == 3 {
+        advice.push("give --gsd and --north-up, or a fourth point".to_string());
+        format!("three points cannot prove a pattern among {candidates} candidates without other knowledge")
     } else {
-        format!("no three of {candidates} candidates lie like GCPs of the list")
+        format!(
+            "no three of {candidates} candidates lie like GCPs of the list in a way that chance would not produce as well"
+        )
     };
     if advice.is_empty() {
         advice

@@ -39,6 +39,7 @@ mod rivals;
 pub mod robust;
 mod search;
 mod settle;
+mod time_limit;
 pub mod tpp;
 
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,7 @@ use autoref_solve::Similarity;
 
 pub use names::{Labels, NamesAgree, number_of_label};
 pub use robust::RobustMatcher;
+pub use time_limit::TimeLimit;
 pub use tpp::TppMatcher;
 
 /// What is known before looking at the pattern.
@@ -103,6 +105,9 @@ pub struct Effort {
     pub hypotheses_tried: u64,
     /// The search ended at its budget before all hypotheses were tried.
     pub budget_spent: bool,
+    /// A time limit ended it before that.
+    #[serde(default)]
+    pub search_cut: bool,
 }
 
 /// The answer of a matcher.

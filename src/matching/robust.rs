@@ -13,7 +13,7 @@ use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
 use crate::matching::search::Search;
-use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved};
+use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
 
 /// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
@@ -44,11 +44,17 @@ pub struct RobustMatcher {
     pub budget_hypotheses: u64,
     /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
+    pub time_limit: TimeLimit,
 }
 
 impl Default for RobustMatcher {
     fn default() -> Self {
-        RobustMatcher { max_false_alarms: 1e-4, budget_hypotheses: 150_000_000, tries: 1.0 }
+        RobustMatcher {
+            max_false_alarms: 1e-4,
+            budget_hypotheses: 150_000_000,
+            tries: 1.0,
+            time_limit: TimeLimit::default(),
+        }
     }
 }
 
@@ -223,7 +229,7 @@ impl RobustMatcher {
         let search = search.heeding(names);
         found.effort.hypotheses_possible = possible;
         let limit = self.max_false_alarms.log10();
-        if candidates.len() >= GROWN_FROM {
+        if candidates.len() >= GROWN_FROM && !self.time_limit.is_over() {
             let (patterns, tried) = search.grown(&pairs, budget / GROWTH_SHARE);
             found.effort.hypotheses_tried += tried;
             patterns.into_iter().for_each(|pattern| found.take(pattern, &search));
@@ -232,6 +238,10 @@ impl RobustMatcher {
         for pair in &pairs {
             // One decade below the limit chance has no say any more; repetition is asked about below.
             if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
+                break;
+            }
+            if self.time_limit.is_over() {
+                (found.effort.budget_spent, found.effort.search_cut) = (true, true);
                 break;
             }
             let left = budget.saturating_sub(found.effort.hypotheses_tried);

@@ -74,7 +74,10 @@ pub(super) struct Search<'a> {
     pub names: Option<Names>,
 }
 
-/// The pairs of GCPs in the order of trying, and the number of hypotheses that the priors allow.
+/// The pairs of GCPs that a search holds: of long lists those that come first.
+const MOST_PAIRS: usize = 200_000;
+
+/// The pairs of GCPs in the order of trying, at most [`MOST_PAIRS`], and the number of hypotheses that the priors allow with all.
 fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
     let diagonal = field.width_px.hypot(field.height_px);
     let distances = sampled_distances(field.points());
@@ -96,15 +99,25 @@ fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>
             let cost = n * (n - 1.0) * share * turn;
             possible += cost;
             pairs.push(GcpPair { a, b, length_m, reach_px, cost });
+            if pairs.len() >= 2 * MOST_PAIRS {
+                pairs.select_nth_unstable_by(MOST_PAIRS, |p, q| in_turn(p, q, priors));
+                pairs.truncate(MOST_PAIRS);
+            }
         }
     }
-    if priors.gsd_m_per_px.is_some() {
-        pairs.sort_by(|p, q| p.cost.total_cmp(&q.cost));
-    } else {
-        // Every pair costs the same: a fixed shuffle keeps one bad point from spoiling the start.
-        pairs.sort_by_key(|p| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-    }
+    pairs.sort_unstable_by(|p, q| in_turn(p, q, priors));
+    pairs.truncate(MOST_PAIRS);
     (pairs, possible)
+}
+
+/// Which pair is tried first.
+fn in_turn(p: &GcpPair, q: &GcpPair, priors: &Priors) -> std::cmp::Ordering {
+    if priors.gsd_m_per_px.is_some() {
+        return p.cost.total_cmp(&q.cost).then((p.a, p.b).cmp(&(q.a, q.b)));
+    }
+    // Every pair costs the same: a fixed shuffle keeps one bad point from spoiling the start.
+    let shuffled = |p: &GcpPair| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    shuffled(p).cmp(&shuffled(q)).then((p.a, p.b).cmp(&(q.a, q.b)))
 }
 
 /// Sorted distances of pairs of points: all of few, a fixed sample of many.

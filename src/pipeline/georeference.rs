@@ -8,7 +8,7 @@ use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
-use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved};
+use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, SecondLook, rematch};
 use autoref_raster::RasterSource;
@@ -243,6 +243,7 @@ pub struct Surroundings<'a> {
     pub crs: Option<&'a autoref_raster::crs::Crs>,
     pub known: Option<KnownPlace>,
     pub max_false_alarms: f64,
+    pub time_limit: TimeLimit,
 }
 
 /// Lets the doctor look at an outcome. A mistake that makes a refused list fit becomes part of the reason.
@@ -253,8 +254,8 @@ pub fn diagnose(
     priors: &Priors,
     surroundings: Surroundings<'_>,
 ) {
-    let Surroundings { crs, known, max_false_alarms } = surroundings;
-    let matcher = RobustMatcher { max_false_alarms, ..RobustMatcher::default() };
+    let Surroundings { crs, known, max_false_alarms, time_limit } = surroundings;
+    let matcher = RobustMatcher { max_false_alarms, time_limit, ..RobustMatcher::default() };
     let doctor = Doctor { candidates, gcps, priors, crs, known, matcher };
     match outcome {
         Outcome::Solved(orientation) => {

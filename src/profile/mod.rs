@@ -18,6 +18,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
 pub use family::Family;
@@ -436,7 +437,7 @@ impl Profile {
                 format!("shipped profiles are {}", Profile::names().join(", ")),
             ));
         }
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read the profile", e))?;
+        let text = bounded::read_to_string(path, "a profile", bounded::TEXT_BYTES)?;
         Profile::parse(&text).map_err(|(place, what)| Error::format(path, place, what))
     }
 

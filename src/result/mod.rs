@@ -8,6 +8,7 @@ use crate::candidate::{Candidate, Code};
 use crate::gcp::Gcp;
 use crate::matching::{Effort, NamesAgree, Pattern};
 use crate::pipeline::georeference::FoundBy;
+use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
 use autoref_solve::Solution;
@@ -83,6 +84,9 @@ pub struct RunResult {
     /// The best partial pattern of a refused run.
     pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
+    /// `--time-limit` ended the search before its work was done.
+    #[serde(default)]
+    pub search_cut: bool,
     /// How the names of coded targets agree with the match, when they were heeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub names: Option<NamesAgree>,
@@ -198,7 +202,7 @@ impl RunResult {
     /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document, [`Error::Unsupported`]
     /// when it is of a later version.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = bounded::read_to_string(path, "a result", bounded::DOCUMENT_BYTES)?;
         let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());
         let value: serde_json::Value =
             serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), format!("no JSON: {e}")))?;

@@ -1,7 +1,10 @@
 //! What several test files share.
 #![allow(dead_code)] // each test file uses its own part
 
+mod skipped;
 pub mod tiles;
+
+pub use skipped::skipped;
 
 use std::path::PathBuf;
 
@@ -21,7 +24,7 @@ pub fn data(relative: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    eprintln!("skipped: {} is absent", path.display());
+    skipped(format!("../shared/data/{relative} is absent"));
     None
 }
 

@@ -15,7 +15,7 @@ use autoref_synth::plant::{Cell, Picture, Random, paint_mark, plant};
 fn photo(name: &str) -> Option<Picture> {
     let path = format!("{}/../shared/data/photos/{name}", crate::common::root().display());
     let Ok(file) = gdal::Dataset::open(&path) else {
-        println!("skipped: {path} is absent");
+        crate::common::skipped(format!("{path} is absent"));
         return None;
     };
     let (width, height) = file.raster_size();

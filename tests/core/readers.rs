@@ -20,7 +20,7 @@ const JPEG_MEAN: f64 = 0.6;
 fn shared(name: &str) -> Option<PathBuf> {
     let path = crate::common::root().join("../shared/data").join(name);
     if !path.exists() {
-        println!("skipped: {} is not there", path.display());
+        crate::common::skipped(format!("{} is absent", path.display()));
         return None;
     }
     Some(path)

@@ -132,7 +132,7 @@ fn the_picture_does_not_depend_on_the_windows_or_threads() {
         grounds.push(Background::Photographs(names.map(|n| photos.join(n)).to_vec()));
         grounds.push(Background::Photographs(vec![photos.join("forest_agung.jpg")]));
     } else {
-        println!("skipped: no photographs in {}", photos.display());
+        crate::common::skipped(format!("no photographs in {}", photos.display()));
     }
     for background in grounds {
         // Reaching over a brick of photographs, so that seams are met.

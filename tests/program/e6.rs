@@ -103,7 +103,7 @@ fn six_of_36_in_a_coarse_picture() {
 #[test]
 fn six_of_36_at_full_size() {
     if !crate::common::large() {
-        eprintln!("skipped: set AUTOREF_LARGE=1 (make check-large) for the full size");
+        crate::common::skipped("the full size runs with AUTOREF_LARGE=1 (make check-large)");
         return;
     }
     let Some((gcps, background)) = list_and_photographs() else { return };

@@ -245,7 +245,7 @@ fn notches_are_found() {
 fn the_real_wild_frame_shows_all_marks_where_they_were_measured_by_hand() {
     let frame = Path::new(DATA).join("film/unbc/15BCC02013_114.jpg");
     if !frame.exists() {
-        println!("{} is absent: skipped", frame.display());
+        crate::common::skipped(format!("{} is absent", frame.display()));
         return;
     }
     let finder = Finder::new(&load_camera("wild-15-4").expect("built in")).expect("drawn shapes");
@@ -313,7 +313,7 @@ fn real_windows_are_found_by_a_template_learned_on_other_placements() {
         [("nagap_notch", 50.0, [7.0, 7.0]), ("ee_block", 30.0, [10.0, 10.0]), ("nagap_arc", 30.0, [11.0, 11.0])];
     for &(family, pixel_um, window_mm) in if large() { &families[..] } else { &families[..1] } {
         let Some(camera) = real_shapes(family, pixel_um, folder.path()) else {
-            println!("film/shapes/{family} is absent: skipped");
+            crate::common::skipped(format!("../shared/data/film/shapes/{family} is absent"));
             continue;
         };
         let scene = |seed: u64| {

@@ -202,7 +202,7 @@ fn is_valid_cog(path: &Path) {
             let said = String::from_utf8_lossy(&output.stdout).into_owned();
             assert!(output.status.success() && said.contains("is a valid cloud"), "{said}{}", stderr(&output));
         }
-        _ => eprintln!("skipped: GDAL's validate_cloud_optimized_geotiff is not installed"),
+        _ => crate::common::skipped("GDAL's validate_cloud_optimized_geotiff is not installed"),
     }
     let dataset = gdal::Dataset::open(path).expect("GDAL opens it");
     assert_eq!(dataset.metadata_item("LAYOUT", "IMAGE_STRUCTURE").as_deref(), Some("COG"));
@@ -377,7 +377,7 @@ fn a_full_disk_leaves_nothing() {
     std::fs::create_dir(&disk).expect("a folder");
     let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=600k", "tmpfs"]).arg(&disk).output();
     if !mount.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: a tmpfs cannot be mounted here");
+        crate::common::skipped("a tmpfs cannot be mounted here");
         return;
     }
     let _unmount = Unmount(disk.clone());
@@ -416,7 +416,7 @@ fn what_must_not_be_written_to_is_not() {
     permissions.set_readonly(true);
     std::fs::set_permissions(&path, permissions).expect("settable");
     if std::fs::OpenOptions::new().write(true).open(&path).is_ok() {
-        eprintln!("skipped: root writes to read-only files");
+        crate::common::skipped("root writes to read-only files");
     } else {
         refused(&sample.apply(&["--write", "tags"]), &["e6.tif", "open for writing"]);
     }
@@ -601,33 +601,19 @@ fn tiles_that_do_not_fit(folder: &Path, list: &Path) {
     std::fs::remove_file(list).expect("there");
 }
 
-/// A Python that has rasterio: the system's, or a virtual environment in the build folder. `None` when neither can be had.
+/// A Python that has rasterio: the one of AUTOREF_PYTHON (`make test` makes it), or the system's.
 fn python_with_rasterio() -> Option<PathBuf> {
     let imports = |python: &Path| {
         Command::new(python).args(["-c", "import rasterio"]).output().is_ok_and(|output| output.status.success())
     };
-    let system = PathBuf::from("python3");
-    if imports(&system) {
-        return Some(system);
-    }
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("python-rasterio");
-    let own = folder.join("bin/python");
-    if !imports(&own) {
-        let made = Command::new(&system).args(["-m", "venv"]).arg(&folder).output();
-        if !made.is_ok_and(|output| output.status.success()) {
-            return None;
-        }
-        let install = ["-m", "pip", "install", "-q", "--timeout", "15", "--retries", "1", "rasterio", "rio-cogeo"];
-        // A failure shows in the import.
-        let _ = Command::new(&own).args(install).output();
-    }
-    imports(&own).then_some(own)
+    let given = std::env::var_os("AUTOREF_PYTHON").map(PathBuf::from);
+    given.into_iter().chain([PathBuf::from("python3")]).find(|python| imports(python))
 }
 
 #[test]
 fn rasterio_reads_every_output_alike() {
     let Some(python) = python_with_rasterio() else {
-        eprintln!("skipped: rasterio is not installed and cannot be");
+        crate::common::skipped("rasterio is not installed");
         return;
     };
     for transform in [TURNED, NORTH_UP] {

@@ -88,7 +88,7 @@ fn marks_in_photographs_are_matched_and_centred() {
 #[test]
 fn lerkendal_at_full_size_within_both_budgets() {
     if !crate::common::large() {
-        eprintln!("skipped: set AUTOREF_LARGE=1 (make check-large) for the full size");
+        crate::common::skipped("the full size runs with AUTOREF_LARGE=1 (make check-large)");
         return;
     }
     let Some((gcps, background)) = lerkendal() else { return };

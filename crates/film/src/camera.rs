@@ -6,6 +6,7 @@ use std::path::Path;
 use nalgebra::{DMatrix, DVector};
 
 use super::types::{Camera, CameraMark, MarkKind, YAxis};
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 const BUILTIN: [(&str, &str); 7] = [
@@ -45,7 +46,7 @@ pub fn load_camera(name_or_file: &str) -> Result<Camera> {
             "see --list-cameras, or write a TOML file as docs/film.md shows",
         ));
     }
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = bounded::read_to_string(path, "a description of a camera", bounded::TEXT_BYTES)?;
     let mut camera = parse(&text, path)?;
     // Templates lie beside the camera's file.
     for mark in &mut camera.marks {

@@ -12,6 +12,7 @@ use super::consistency::{Facts, lowered, unlike};
 use super::frame::{FindOptions, Finder, find_frame};
 use super::types::{FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::atomic;
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 /// How a roll came out.
@@ -79,7 +80,7 @@ pub fn read_frame(path: &Path) -> Result<FrameResult> {
 }
 
 fn read_file(path: &Path) -> Result<FrameFile> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = bounded::read_to_string(path, "a frame's result", bounded::TEXT_BYTES)?;
     serde_json::from_str(&text).map_err(|e| Error::format(path, format!("line {}", e.line()), e.to_string()))
 }
 

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::correlate::Matcher;
 use super::shape::{self, Outlines, Tone};
 use super::types::MarkKind;
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 /// A template that `fiducials --learn` wrote: a mark as it stands at the lower edge of an upright frame.
@@ -31,7 +32,7 @@ impl LearnedTemplate {
     /// # Errors
     /// [`Error::Io`] when it cannot be read, [`Error::Format`] when it is no template.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = bounded::read_to_string(path, "a template", bounded::TEXT_BYTES)?;
         let t: LearnedTemplate = serde_json::from_str(&text)
             .map_err(|e| Error::format(path, format!("line {}", e.line()), e.to_string()))?;
         let sound = t.width >= 8

@@ -1,5 +1,7 @@
 //! MicMac's own pairs of ground and image, and its measured points.
 
+#[path = "../../../tests/common/skipped.rs"]
+mod skipped;
 use std::path::{Path, PathBuf};
 
 use autoref_flight::read::micmac;
@@ -10,7 +12,7 @@ fn data(name: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let found = ["../../../shared/data", "../shared/data"].iter().map(|p| root.join(p).join(name)).find(|p| p.exists());
     if found.is_none() {
-        eprintln!("skipped: {name} is not there");
+        skipped::skipped(format!("../shared/data/{name} is absent"));
     }
     found
 }

@@ -22,6 +22,7 @@
 #![deny(unsafe_code)]
 
 pub mod atomic;
+pub mod bounded;
 mod cache;
 mod chunked;
 pub mod coords;

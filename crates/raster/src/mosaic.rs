@@ -202,7 +202,7 @@ fn in_folder(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 fn in_list(list: &Path) -> Result<Vec<PathBuf>> {
-    let text = std::fs::read_to_string(list).map_err(|e| Error::io(list, "read", e))?;
+    let text = crate::bounded::read_to_string(list, "a list of tiles", crate::bounded::TEXT_BYTES)?;
     let folder = list.parent().unwrap_or(Path::new(""));
     let mut names = Vec::new();
     for (number, line) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{RasterSource, ReaderChoice, SampleType, gdal, mosaic, tiff};
+use crate::bounded;
 use crate::error::{Error, Result};
 
 /// Opens `path` with the reader that fits.
@@ -108,6 +109,7 @@ fn gdal_name(path: &Path, page: usize) -> Result<PathBuf> {
 
 /// Refuses what is no file with bytes in it, in words.
 fn check_file(path: &Path) -> Result<()> {
+    bounded::refuse_endless(path)?;
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
     if metadata.is_dir() {
         return Err(Error::format(path, "path", "is a directory, not an image file"));

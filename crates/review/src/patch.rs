@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
 /// What `schema` says in every patch file.
@@ -101,7 +102,7 @@ impl Patch {
     /// When the file cannot be read, is no patch of this version, is for something else than `subject`, or has an edit that
     /// lacks what its action needs; the message names the edit.
     pub fn read(path: &Path, subject: Subject) -> Result<Patch> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let bytes = bounded::read(path, "a patch", bounded::TEXT_BYTES)?;
         let format = |place: String, what: String| Error::format(path, place, what);
         let patch: Patch = serde_json::from_slice(&bytes)
             .map_err(|e| format(format!("line {}", e.line()), format!("no patch file: {e}")))?;

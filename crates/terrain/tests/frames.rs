@@ -1,6 +1,8 @@
 //! Masks of drawn frames from file to file: any tiling the same bytes, samples kept, corrections, faults in words.
 #![allow(clippy::unwrap_used)] // a test that fails here says where
 
+#[path = "../../../tests/common/skipped.rs"]
+mod skipped;
 use std::path::{Path, PathBuf};
 
 use autoref_raster::ReaderChoice;
@@ -213,7 +215,7 @@ fn an_oblique_photograph_taught_by_its_neighbour_agrees_with_the_drawn_polygons(
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/oblique_svalbard");
     let (frame, other) = (data.join("uv_KR1_140705_160000.JPG"), data.join("plumeplotted1.JPG"));
     if !frame.is_file() {
-        eprintln!("skipped: {} is absent", frame.display());
+        skipped::skipped(format!("{} is absent", frame.display()));
         return;
     }
     let polygons =

@@ -24,7 +24,7 @@ impl Firefox {
     /// `None`, with a message, when there is no Firefox on the machine.
     pub fn start() -> Option<Firefox> {
         let Some(program) = find() else {
-            eprintln!("skipped: no Firefox on this machine (PATH or AUTOREF_FIREFOX)");
+            crate::common::skipped("no Firefox on this machine (PATH or AUTOREF_FIREFOX)");
             return None;
         };
         let profile = tempfile::tempdir().expect("a temporary folder");

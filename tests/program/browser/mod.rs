@@ -54,7 +54,7 @@ impl Browser {
     /// `None`, with a message, when there is no Chromium on the machine.
     pub fn start() -> Option<Browser> {
         let Some(program) = find() else {
-            eprintln!("skipped: no Chromium on this machine (PATH, AUTOREF_CHROMIUM, or Playwright's cache)");
+            crate::common::skipped("no Chromium on this machine (PATH, AUTOREF_CHROMIUM, or Playwright's cache)");
             return None;
         };
         let profile = tempfile::tempdir().expect("a temporary folder");

@@ -1,6 +1,9 @@
 //! What several tests need.
 #![allow(dead_code)]
 
+#[path = "../../../../tests/common/skipped.rs"]
+mod skipped;
+
 use std::path::{Path, PathBuf};
 
 use autoref_cloud::clean::{CleanReport, Invalid, Plan, Step, clean};
@@ -11,7 +14,7 @@ use autoref_cloud::schema::Batch;
 pub fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/clouds").join(name);
     if !path.exists() {
-        eprintln!("skipped: {} is not there", path.display());
+        skipped::skipped(format!("{} is absent", path.display()));
         return None;
     }
     Some(path)

@@ -12,7 +12,7 @@ use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::detector::Detector;
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
-use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TppMatcher};
+use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
 use autoref_stream::pipeline::{MarkDetector, Progress};
 use autoref_stream::profile::Profile;
 use clap::{Args, ValueEnum};
@@ -140,6 +140,22 @@ pub struct MatchArgs {
     /// Nothing is written when chance alone would produce more patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
+    /// End the search for the pattern after so many seconds, found or not; without it the search counts its steps, so that the
+    /// answer does not depend on the machine.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, help_heading = "Matching")]
+    pub time_limit: Option<f64>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let value = text.trim().trim_end_matches('s').parse::<f64>().ok().filter(|v| *v >= 0.0 && v.is_finite());
+    value.ok_or_else(|| format!("`{text}` is no number of seconds"))
+}
+
+impl MatchArgs {
+    /// One clock for all searches of a run.
+    pub fn limit(&self) -> TimeLimit {
+        self.time_limit.map_or_else(TimeLimit::default, TimeLimit::seconds)
+    }
 }
 
 /// How the list of GCPs is read.
@@ -415,7 +431,7 @@ pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
 }
 
 /// The matcher that was asked for, knowing how many sets of priors it may be tried with.
-pub fn matcher(matching: &MatchArgs, tries: usize) -> anyhow::Result<Box<dyn Matcher>> {
+pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
     if !(matching.max_false_alarms > 0.0 && matching.max_false_alarms <= 1.0) {
         bail!("--max-false-alarms {} is not between 0 and 1", matching.max_false_alarms);
     }
@@ -437,6 +453,7 @@ pub fn matcher(matching: &MatchArgs, tries: usize) -> anyhow::Result<Box<dyn Mat
     Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
         tries: tries as f64,
+        time_limit: time_limit.clone(),
         ..RobustMatcher::default()
     }))
 }

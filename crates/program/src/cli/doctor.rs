@@ -8,11 +8,12 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::matching::Priors;
-use autoref_stream::matching::doctor::{KnownPlace, exchanged_labels};
+use autoref_stream::matching::doctor::{Certainty, KnownPlace, exchanged_labels};
+use autoref_stream::matching::{Evidence, Priors, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
 use crate::cli::common::MatchArgs;
+use crate::cli::frame::Force;
 
 /// Titles of a column with names of marks.
 const NAMES: [&str; 5] = ["name", "label", "gcp", "gcp_name", "marker"];
@@ -23,12 +24,38 @@ pub fn examine(
     list: &GcpList,
     priors: &Priors,
     known: Option<KnownPlace>,
-    matching: &MatchArgs,
+    (matching, time_limit): (&MatchArgs, &TimeLimit),
+    forced: &[Force],
 ) {
     // Coordinates in metres are those of the CRS only when it counts in metres.
     let crs = list.crs.as_ref().filter(|_| list.frame.is_plain());
-    let surroundings = Surroundings { crs, known, max_false_alarms: matching.max_false_alarms };
+    let surroundings =
+        Surroundings { crs, known, max_false_alarms: matching.max_false_alarms, time_limit: time_limit.clone() };
     diagnose(outcome, candidates, &list.gcps, &priors.with_mark_sizes(candidates), surroundings);
+    refuse_mistakes(outcome, forced);
+}
+
+/// A solution whose whole list is plainly mistaken is refused, unless the mistake was named: it would be written wrong.
+fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
+    let Outcome::Solved(orientation) = outcome else { return };
+    let plain = orientation.diagnoses.iter().find_map(|diagnosis| {
+        let whole_list = diagnosis.certainty == Certainty::Claimed && diagnosis.gcps.is_empty();
+        let name = Force::of(diagnosis.mistake).filter(|_| whole_list)?;
+        (!forced.contains(&name)).then(|| (diagnosis.message.clone(), name.name()))
+    });
+    let Some((message, name)) = plain else { return };
+    let advice = vec![
+        "give the --crs that the list is in, or mend the list".into(),
+        format!("to go on in spite of it: --force {name}"),
+    ];
+    *outcome = Outcome::Refused(Box::new(Evidence {
+        reason: message,
+        advice,
+        best: Some(orientation.evidence.pattern.clone()),
+        runner_up: orientation.evidence.runner_up.clone(),
+        effort: orientation.evidence.effort.clone(),
+        diagnoses: orientation.diagnoses.clone(),
+    }));
 }
 
 /// Where the image's own georeference puts its centre, in the metres of the list.

@@ -3,6 +3,7 @@
 use autoref_raster::RasterInfo;
 use autoref_raster::crs::{Coordinate, DEFAULT_DATUM_ACCURACY_M};
 use autoref_stream::gcp::{GcpList, GcpOptions, ImageGeoreference, Reproject};
+use autoref_stream::matching::doctor::Mistake;
 use autoref_stream::result::RunResult;
 use clap::{Args, ValueEnum};
 
@@ -17,6 +18,49 @@ pub struct FrameArgs {
     /// Layer of a file with several (GeoPackage, KML, spreadsheet).
     #[arg(long, value_name = "NAME", help_heading = "Ground control points")]
     pub gcp_layer: Option<String>,
+    /// Exchange easting and northing (latitude and longitude) when all points show that they are exchanged.
+    #[arg(long, help_heading = "Ground control points")]
+    pub fix_axes: bool,
+    /// Go on in spite of a mistake that is plain, by its name; may be given several times.
+    #[arg(long, value_enum, value_name = "NAME", action = clap::ArgAction::Append, help_heading = "Ground control points")]
+    pub force: Vec<Force>,
+}
+
+/// A mistake that refuses a run unless it is named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Force {
+    /// The list lies on the image only when it is read in a neighbouring UTM zone.
+    WrongZone,
+    /// The list lies on the image only when its numbers are feet.
+    Feet,
+    /// The list lies on the image only after division by a factor of ground to grid.
+    GroundCoordinates,
+    /// Points lie outside the area of use of their CRS.
+    OutsideArea,
+}
+
+impl Force {
+    /// What must be named for this mistake of a whole list; `None` for mistakes of single rows.
+    pub fn of(mistake: Mistake) -> Option<Force> {
+        match mistake {
+            Mistake::WrongUtmZone => Some(Force::WrongZone),
+            Mistake::Feet | Mistake::InternationalFeet | Mistake::UsSurveyFeet | Mistake::GsdInFeet => {
+                Some(Force::Feet)
+            }
+            Mistake::GridToGround => Some(Force::GroundCoordinates),
+            Mistake::EastingNorthingSwapped
+            | Mistake::MirroredImage
+            | Mistake::CoordinatesExchanged
+            | Mistake::MistypedDigit
+            | Mistake::TransposedDigits
+            | Mistake::LabelsExchanged => None,
+        }
+    }
+
+    /// As the command line has it.
+    pub fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -33,6 +77,8 @@ impl FrameArgs {
         };
         options.datum_accuracy_m = self.datum_accuracy;
         options.layer = self.gcp_layer.clone();
+        options.fix_axes = self.fix_axes;
+        options.keep_outside = self.force.contains(&Force::OutsideArea);
     }
 }
 

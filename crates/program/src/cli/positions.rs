@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use autoref_raster::bounded;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::window::Window;
@@ -128,7 +129,7 @@ pub fn parse_point(text: &str) -> Result<PixelPoint, String> {
 
 /// Names and positions of the matches in a result file.
 fn matches_of(path: &Path) -> Result<Vec<(String, PixelPoint)>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("{}: cannot read it", path.display()))?;
+    let text = bounded::read_to_string(path, "a list of positions", bounded::TEXT_BYTES)?;
     let json: serde_json::Value =
         serde_json::from_str(&text).with_context(|| format!("{}: not a result file", path.display()))?;
     let matches = json["matches"].as_array().map(Vec::as_slice).unwrap_or_default();

@@ -97,9 +97,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident. The first
     // look has half of what is allowed, the second a quarter, all clusters of colour together the last.
     let learns = matches!(detector, MarkDetector::Paint(_)) && args.second_pass != SecondPassArg::Never;
-    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 })?;
-    let learned_matcher = common::matcher(&args.matching, priors.len() * 4)?;
-    let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS)?;
+    let time_limit = args.matching.limit();
+    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 }, &time_limit)?;
+    let learned_matcher = common::matcher(&args.matching, priors.len() * 4, &time_limit)?;
+    let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS, &time_limit)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
     let second_look = detector.relaxed();
@@ -129,7 +130,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         }
     }
     let known = doctor::known_place(info, &list);
-    doctor::examine(&mut run.outcome, &run.scan.candidates, &list, &priors[0], known, &args.matching);
+    doctor::examine(
+        &mut run.outcome,
+        &run.scan.candidates,
+        &list,
+        &priors[0],
+        known,
+        (&args.matching, &time_limit),
+        &args.gcps.frame.force,
+    );
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     if let Outcome::Solved(orientation) = &run.outcome {
         document.result.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
@@ -264,6 +273,7 @@ impl Document {
             runner_up: None,
             best_pattern: None,
             search: None,
+            search_cut: false,
             names: None,
             prior_georeference: None,
             diagnoses: Vec::new(),
@@ -292,6 +302,13 @@ impl Document {
                 result.runner_up = evidence.runner_up.clone();
                 result.diagnoses = evidence.diagnoses.clone();
             }
+        }
+        result.search_cut = result.search.as_ref().is_some_and(|effort| effort.search_cut);
+        if let Some(effort) = result.search.as_ref().filter(|effort| effort.search_cut) {
+            result.warnings.push(format!(
+                "--time-limit ended the search after {} of {:.3e} hypotheses",
+                effort.hypotheses_tried, effort.hypotheses_possible
+            ));
         }
         result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
         Document { result }

@@ -77,10 +77,19 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         rotation_deg: args.matching.north_up.map(|half| (0.0, half)),
         image_size_px: size,
     };
-    let matcher = common::matcher(&args.matching, 1)?;
+    let time_limit = args.matching.limit();
+    let matcher = common::matcher(&args.matching, 1, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
-    doctor::examine(&mut outcome, &candidates, &list, &priors, None, &args.matching);
+    doctor::examine(
+        &mut outcome,
+        &candidates,
+        &list,
+        &priors,
+        None,
+        (&args.matching, &time_limit),
+        &args.gcps.frame.force,
+    );
     doctor::labels(&args.candidates, &mut outcome, &list)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});

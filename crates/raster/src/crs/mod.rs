@@ -293,7 +293,8 @@ fn definition_in(file: &Path) -> Result<String> {
     const LARGEST: u64 = 1 << 16;
     let size = std::fs::metadata(file).map_err(|e| Error::io(file, "read", e))?.len();
     if size <= LARGEST
-        && let Ok(text) = String::from_utf8(std::fs::read(file).map_err(|e| Error::io(file, "read", e))?)
+        && let Ok(text) =
+            String::from_utf8(crate::bounded::read(file, "a definition of a CRS", crate::bounded::TEXT_BYTES)?)
     {
         return Ok(text.split_whitespace().collect::<Vec<_>>().join(" "));
     }

@@ -1,0 +1,130 @@
+//! Whether a list lies where its CRS is used, and where the image says it is: exchanged columns, a wrong CRS and slips of a
+//! digit show here, before a pixel is read.
+
+use std::path::Path;
+
+use crate::gcp::raw::RawPoint;
+use crate::gcp::read::{GcpOptions, ImageGeoreference};
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+/// No coordinate on Earth is larger, in metres, feet or degrees.
+const LARGEST_COORDINATE: f64 = 1e9;
+/// The image's own place tells exchanged columns when they bring the points this near, ...
+const NEAR_DEG: f64 = 1.0;
+/// ... and, as they stand, the points lie this far off.
+const FAR_DEG: f64 = 5.0;
+
+/// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where that mends
+/// it and the caller asked for it.
+///
+/// # Errors
+/// [`Error::Format`] with the remedy: numbers that are no coordinates, columns that are exchanged, a CRS that is not theirs.
+pub(super) fn check(
+    path: &Path,
+    points: &mut Vec<RawPoint>,
+    crs: Option<&Crs>,
+    options: &GcpOptions,
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let Some(crs) = crs else { return refuse_absurd(path, points) };
+    if options.fix_axes && !points.is_empty() && !are_exchanged(points, crs, options.image.as_ref()) {
+        notes.push(format!("{}: --fix-axes found nothing to exchange", path.display()));
+    } else if are_exchanged(points, crs, options.image.as_ref()) {
+        if !options.fix_axes {
+            return Err(exchanged(path, points.len(), crs));
+        }
+        points.iter_mut().for_each(|p| std::mem::swap(&mut p.gcp.easting, &mut p.gcp.northing));
+        notes.push(format!("{}: easting and northing were exchanged in all points (--fix-axes)", path.display()));
+    }
+    if !options.keep_outside {
+        set_aside(path, points, crs, notes)?;
+    }
+    refuse_absurd(path, points)
+}
+
+fn refuse_absurd(path: &Path, points: &[RawPoint]) -> Result<()> {
+    let absurd = |v: f64| v.abs() > LARGEST_COORDINATE;
+    match points.iter().find(|p| absurd(p.gcp.easting) || absurd(p.gcp.northing)) {
+        Some(p) => Err(Error::format(
+            path,
+            &p.place,
+            format!(
+                "point `{}` lies at {:e}, {:e}, which is nowhere; correct or remove the row",
+                p.gcp.name, p.gcp.easting, p.gcp.northing
+            ),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Whether all points lie wrong as they stand and right with their coordinates exchanged, by the CRS's area of use or by the
+/// image's own place.
+fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> bool {
+    let all = |covers: &dyn Fn(f64, f64) -> bool| points.iter().all(|p| covers(p.gcp.easting, p.gcp.northing));
+    if all(&|e, n| crs.covers(e, n) == Some(false)) {
+        return all(&|e, n| crs.covers(n, e) == Some(true));
+    }
+    let Some(centre) = image.and_then(centre_of) else { return false };
+    let away = |e: f64, n: f64| {
+        let (longitude, latitude) = crs.longitude_latitude(e, n)?;
+        let turn = (longitude - centre.0 + 180.0).rem_euclid(360.0) - 180.0;
+        Some((turn * centre.1.to_radians().cos()).hypot(latitude - centre.1))
+    };
+    all(&|e, n| away(e, n).is_none_or(|deg| deg > FAR_DEG)) && all(&|e, n| away(n, e).is_some_and(|deg| deg < NEAR_DEG))
+}
+
+/// Longitude and latitude of the middle of an image.
+fn centre_of(image: &ImageGeoreference) -> Option<(f64, f64)> {
+    let middle = PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 };
+    let MapPoint { easting, northing } = image.transform.apply(middle);
+    Crs::parse(&image.crs_wkt).ok()?.longitude_latitude(easting, northing)
+}
+
+fn exchanged(path: &Path, points: usize, crs: &Crs) -> Error {
+    Error::format(
+        path,
+        "the coordinates",
+        format!(
+            "all {points} points lie where they cannot be in {}, and right with easting and northing exchanged; exchange the \
+             columns, or give --fix-axes",
+            crs.title()
+        ),
+    )
+}
+
+fn set_aside(path: &Path, points: &mut Vec<RawPoint>, crs: &Crs, notes: &mut Vec<String>) -> Result<()> {
+    let outside = |p: &RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
+    let names: Vec<String> = points.iter().filter(|p| outside(p)).map(|p| p.gcp.name.clone()).collect();
+    if names.is_empty() {
+        return Ok(());
+    }
+    if names.len() == points.len() {
+        return Err(Error::format(
+            path,
+            "the coordinates",
+            format!(
+                "all {} points lie outside the area of use of {}; give the --crs that they are in, or --force outside-area",
+                names.len(),
+                crs.title()
+            ),
+        ));
+    }
+    points.retain(|p| !outside(p));
+    notes.push(format!(
+        "{}: set aside, outside the area of use of {}: {} (--force outside-area keeps them)",
+        path.display(),
+        crs.title(),
+        listed(&names)
+    ));
+    Ok(())
+}
+
+/// The first names, and how many more there are.
+fn listed(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let more = names.len().saturating_sub(SHOWN);
+    let shown = names[..names.len() - more].join(", ");
+    if more > 0 { format!("{shown} and {more} more") } else { shown }
+}
