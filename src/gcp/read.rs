@@ -13,8 +13,8 @@ use autoref_raster::error::{Error, Result};
 
 /// Lists are small; what is larger is another file.
 const LARGEST_LIST_BYTES: u64 = 32 << 20;
-/// Matching weighs every pair of points: five thousand have twelve million.
-const MOST_POINTS: usize = 5_000;
+/// Matching weighs every pair of points against every other point.
+const MOST_POINTS: usize = 2_000;
 /// Of which a list may be chosen by name.
 const MOST_ROWS: usize = 50_000;
 

@@ -34,6 +34,7 @@ pub mod selftest;
 pub mod shell;
 pub mod solve;
 pub mod solving;
+mod summary;
 pub mod synth;
 pub mod synth_film;
 pub mod undo;

@@ -17,7 +17,7 @@ use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::reasons::{NotFound, Reason, reasons};
+use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
@@ -29,6 +29,7 @@ use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prep
 use crate::cli::frame;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
+use crate::cli::summary::{Detail, summary};
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, doctor};
 
@@ -483,69 +484,7 @@ pub fn print(result: &RunResult, json: bool, quiet: bool) {
     if quiet {
         return;
     }
-    let text = summary(result);
+    let detail = if tracing::enabled!(tracing::Level::INFO) { Detail::Full } else { Detail::Brief };
+    let text = summary(result, detail);
     if json { eprint!("{text}") } else { print!("{text}") }
-}
-
-fn summary(result: &RunResult) -> String {
-    use std::fmt::Write;
-    let mut out = String::new();
-    let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
-    let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
-    line("Marks found", format!("{} candidates", result.candidates_found));
-    if let Some(second) = &result.second_pass {
-        line("Second pass", second.line());
-    }
-    if result.status == Status::Solved {
-        line(
-            "GCPs matched",
-            format!("{}{visible}, {} listed", result.matches.len() + result.check_points.len(), result.gcps_listed),
-        );
-        if !result.not_found.is_empty() {
-            let inside: Vec<String> =
-                result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line).collect();
-            if !inside.is_empty() {
-                line("  not found", inside.join(", "));
-            }
-        }
-        if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
-            line("Scale", format!("{scale:.7} m per pixel"));
-            line("Rotation", format!("{rotation:.5}° anticlockwise from east"));
-        }
-        if let (Some(e), Some(n), Some(all), Some(px)) =
-            (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px)
-        {
-            line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
-        }
-        solving::lines(result, &mut line);
-        accuracy::lines(result, &mut line);
-        for diagnosis in &result.diagnoses {
-            line("Mistake?", diagnosis.message.clone());
-        }
-    } else {
-        line("GCPs listed", result.gcps_listed.to_string());
-        line("Not solved", result.reason.clone().unwrap_or_default());
-        for advice in &result.advice {
-            line("  may help", advice.clone());
-        }
-    }
-    if let Some(log10) = result.log10_false_alarms {
-        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
-        line("False alarms", format!("{figure} such patterns expected by chance"));
-    }
-    if let Some(names) = &result.names {
-        let against =
-            if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
-        line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
-    }
-    for warning in &result.warnings {
-        line("Note", warning.clone());
-    }
-    if !result.files_written.is_empty() {
-        line("Written", result.files_written.join(", "));
-    }
-    let memory =
-        result.peak_memory_bytes.map_or(String::new(), |b| format!(", peak memory {:.0} MiB", b as f64 / 1_048_576.0));
-    line("Time", format!("{:.2} s{memory}", result.elapsed_s));
-    out
 }
