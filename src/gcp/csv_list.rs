@@ -9,6 +9,7 @@ use std::path::Path;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::cells::without_apostrophe;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -340,7 +341,7 @@ impl Columns {
             // A marker that is switched off in Metashape is a check point.
             || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
         let gcp = Gcp {
-            name: self.name.and_then(text).unwrap_or(number).to_string(),
+            name: without_apostrophe(self.name.and_then(text).unwrap_or(number)).to_string(),
             easting: required(self.easting, if self.geographic { "longitude" } else { "easting" })?,
             northing: required(self.northing, if self.geographic { "latitude" } else { "northing" })?,
             height: optional(self.height, "height")?,

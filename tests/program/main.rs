@@ -25,6 +25,7 @@ mod film_rolls;
 mod heights;
 mod inputs;
 mod main_job;
+mod mistakes;
 mod outputs;
 mod photographs;
 mod planning;
