@@ -334,11 +334,14 @@ fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> 
     if !crs.is_geographic() || crs.unit_name().to_lowercase().contains("grad") || within_degrees(points) {
         return Ok(());
     }
-    // A longitude may count from 0 to 360; exchanged columns are another matter.
+    // A longitude may count from 0 to 360.
     let are_degrees = |e: f64, n: f64| e.abs() <= 360.0 && n.abs() <= 90.0;
-    let bad =
-        |p: &&RawPoint| !are_degrees(p.gcp.easting, p.gcp.northing) && !are_degrees(p.gcp.northing, p.gcp.easting);
-    match points.iter().find(bad) {
+    let stands = |p: &&RawPoint| are_degrees(p.gcp.easting, p.gcp.northing);
+    // Exchanged columns are another matter.
+    if points.iter().all(|p| !stands(&p) && are_degrees(p.gcp.northing, p.gcp.easting)) {
+        return Ok(());
+    }
+    match points.iter().find(|p| !stands(p)) {
         Some(bad) => Err(Error::format(
             path,
             &bad.place,

@@ -16,6 +16,8 @@ pub enum Detail {
 
 /// Notes of a brief summary; the others are in the JSON.
 const NOTES: usize = 3;
+/// Points that are named.
+const LOOKED_AT: usize = 3;
 /// A fit through fewer points hides a blunder in one of them.
 const FEW_POINTS: usize = 5;
 
@@ -102,7 +104,13 @@ fn look_at(result: &RunResult) -> Vec<String> {
     let unfit =
         result.matches.iter().filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
     let missing = result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
-    unfit.chain(missing).collect()
+    let mut all: Vec<String> = unfit.chain(missing).collect();
+    let more = all.len().saturating_sub(LOOKED_AT);
+    if more > 0 {
+        all.truncate(LOOKED_AT);
+        all.push(format!("and {more} more (report, JSON)"));
+    }
+    all
 }
 
 fn refused(result: &RunResult, lines: &mut Lines) {
