@@ -1,6 +1,5 @@
 //! Flags and helpers that several commands share.
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -13,7 +12,7 @@ use autoref_stream::detector::Detector;
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
-use autoref_stream::pipeline::{MarkDetector, Progress};
+use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::Profile;
 use clap::{Args, ValueEnum};
 
@@ -456,96 +455,6 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
         time_limit: time_limit.clone(),
         ..RobustMatcher::default()
     }))
-}
-
-/// A progress bar while the image is read: MB/s, share done, time left. Silent unless stderr is a terminal.
-pub struct Bar {
-    bar: Option<indicatif::ProgressBar>,
-    bytes_per_pixel: u64,
-}
-
-impl Bar {
-    pub fn new(info: &RasterInfo, quiet: bool) -> Self {
-        let bytes_per_pixel = (info.bands * info.sample.bytes()) as u64;
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = indicatif::ProgressBar::new(info.pixels() * bytes_per_pixel);
-            bar.set_style(Bar::reading());
-            bar.set_message("reading");
-            bar
-        });
-        Bar { bar, bytes_per_pixel }
-    }
-
-    fn reading() -> indicatif::ProgressStyle {
-        indicatif::ProgressStyle::with_template(
-            "{msg} {bar:30} {percent:>3} % {decimal_bytes_per_sec:>12} {eta:>4} left",
-        )
-        .expect("the template is well formed")
-    }
-
-    pub fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
-
-    /// What goes on now: a line that moves, in place of the bar.
-    pub fn stage(&self, what: &str) {
-        tracing::info!("{what}");
-        if let Some(bar) = &self.bar {
-            let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}")
-                .expect("the template is well formed");
-            bar.set_style(style);
-            bar.set_message(what.to_string());
-            bar.enable_steady_tick(std::time::Duration::from_millis(120));
-        }
-    }
-}
-
-impl Progress for Bar {
-    fn scanned(&self, pixels: u64) {
-        if let Some(bar) = &self.bar {
-            bar.inc(pixels * self.bytes_per_pixel);
-        }
-    }
-
-    fn pass(&self, what: &str) {
-        tracing::info!("{what}");
-        if let Some(bar) = &self.bar {
-            bar.disable_steady_tick();
-            bar.reset();
-            bar.set_style(Bar::reading());
-            bar.set_message(what.to_string());
-        }
-    }
-
-    fn stage(&self, what: &str) {
-        Bar::stage(self, what);
-    }
-}
-
-/// A line that moves while something without a measure of its progress goes on; gone when it is dropped. Silent unless
-/// stderr is a terminal.
-pub struct Busy(indicatif::ProgressBar);
-
-impl Busy {
-    pub fn new(what: &str, quiet: bool) -> Self {
-        let bar = indicatif::ProgressBar::new_spinner();
-        if quiet || !std::io::stderr().is_terminal() {
-            bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-        }
-        let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}");
-        bar.set_style(style.expect("the template is well formed"));
-        bar.set_message(what.to_string());
-        bar.enable_steady_tick(std::time::Duration::from_millis(120));
-        Busy(bar)
-    }
-}
-
-impl Drop for Busy {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
-    }
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".

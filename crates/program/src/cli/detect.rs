@@ -7,7 +7,8 @@ use autoref_stream::georef::candidate_list;
 use autoref_stream::pipeline::scan;
 use clap::Args;
 
-use crate::cli::common::{self, Bar, Gsd, MarkArgs, PaintArg, ReadArgs};
+use crate::cli::common::{self, Gsd, MarkArgs, PaintArg, ReadArgs};
+use crate::cli::progress::Bar;
 
 /// Find the marks in an image and write the candidates as CSV or GeoJSON.
 #[derive(Args, Debug)]

@@ -26,6 +26,7 @@ pub mod mask;
 pub mod mosaic;
 pub mod plan;
 pub mod positions;
+pub mod progress;
 pub mod replay;
 pub mod report;
 pub mod run;

@@ -25,8 +25,9 @@ use autoref_stream::result::{
 };
 use clap::Args;
 
-use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
+use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
 use crate::cli::frame;
+use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
