@@ -153,6 +153,21 @@ fn a_table_of_candidates_from_a_german_spreadsheet_is_read() {
     assert_eq!(solve("c.csv"), solve("de.csv"));
 }
 
+/// Another image of the same name in the working directory is not touched.
+#[test]
+fn apply_finds_the_image_beside_the_result() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    answers(&program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report"], &ZONE_32[..]].concat()), 0, &["Matched"]);
+    let elsewhere = tempfile::tempdir().expect("a folder");
+    std::fs::write(elsewhere.path().join("a.tif"), "no image").expect("writable");
+    let result = dir.join("a.autoref.json");
+    let apply = program(elsewhere.path(), &["apply", result.to_str().expect("plain"), "--write", "vrt"]);
+    answers(&apply, 0, &["a.vrt"]);
+    assert!(dir.join("a.vrt").exists() && !elsewhere.path().join("a.vrt").exists());
+}
+
 /// A name that a spreadsheet would calculate is a text in every table, and reads back as it was.
 #[test]
 fn names_are_no_formulas_in_tables() {

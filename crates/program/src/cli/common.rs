@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use autoref_raster::crs::Crs;
-use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
+use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::detector::Detector;
 use autoref_stream::gcp::GcpOptions;
@@ -30,7 +30,7 @@ pub struct ReadArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
     pub threads: Option<u64>,
     /// Bound on the peak resident memory of the whole program, libraries included: bytes, or with K, M or G. At least 112M.
-    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    #[arg(long, value_name = "SIZE", default_value = "512M", value_parser = memory_budget, help_heading = "Resources")]
     pub memory: Bytes,
     /// Which decoder: the native one takes most TIFFs, GDAL everything else.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Reading")]
@@ -256,6 +256,15 @@ impl FromStr for Bytes {
         }
         Ok(Bytes(bytes as u64))
     }
+}
+
+/// A budget that the libraries fit into.
+pub fn memory_budget(text: &str) -> Result<Bytes, String> {
+    let bytes: Bytes = text.parse()?;
+    if bytes.0 < memory_plan::SMALLEST_BUDGET_BYTES {
+        return Err(format!("the least that is allowed is {}M", memory_plan::SMALLEST_BUDGET_BYTES >> 20));
+    }
+    Ok(bytes)
 }
 
 /// Smallest and largest ground size of a pixel, metres.
