@@ -22,6 +22,7 @@ mod elevation;
 mod film;
 mod film_outputs;
 mod film_rolls;
+mod flight;
 mod heights;
 mod inputs;
 mod main_job;
