@@ -15,6 +15,7 @@ mod accuracy;
 #[cfg(feature = "coded")]
 mod coded;
 mod command_line;
+mod conversions;
 mod detection_commands;
 mod dialects;
 mod e6;
@@ -35,3 +36,4 @@ mod report;
 mod robustness;
 mod second_pass;
 mod selftest;
+mod solvers;

@@ -13,7 +13,7 @@ use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::profile::Profile;
+use autoref_stream::profile::{Profile, Rule};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
@@ -73,6 +73,11 @@ pub struct MarkArgs {
     /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.
     #[arg(long, value_name = "SIZE", help_heading = "Marks")]
     pub mark_size: Option<MarkSize>,
+    /// Drop candidates that do not satisfy this rule: `area in [20, 400) and eccentricity <= 0.9`. Properties: area, perimeter,
+    /// width, height, extent, eccentricity, solidity, compactness, mean_distance, min_distance, max_distance. Repeat for more;
+    /// docs/detection-options.md has the grammar.
+    #[arg(long, value_name = "RULE", help_heading = "Marks")]
+    pub gate: Vec<Rule>,
 }
 
 /// A paint by its colour, instead of a profile.
@@ -87,7 +92,7 @@ impl PaintArg {
     /// The marks with this paint in place of the profile.
     pub fn of(&self, marks: &MarkArgs) -> MarkArgs {
         let profile = self.paint.clone().unwrap_or_else(|| marks.profile.clone());
-        MarkArgs { profile, mark_size: marks.mark_size }
+        MarkArgs { profile, mark_size: marks.mark_size, gate: marks.gate.clone() }
     }
 }
 
@@ -395,6 +400,15 @@ fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
             (profile.size.min_px, profile.size.max_px) = (None, None);
         }
         None => {}
+    }
+    if !marks.gate.is_empty() && profile.is_target() {
+        bail!("--gate is of paint; `{}` is found by its shape", profile.name);
+    }
+    for rule in &marks.gate {
+        profile.gates.rule = Some(match profile.gates.rule.take() {
+            Some(own) => own.and(rule.clone()),
+            None => rule.clone(),
+        });
     }
     Ok(profile)
 }

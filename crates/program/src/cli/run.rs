@@ -16,7 +16,7 @@ use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
-use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
+use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
@@ -63,6 +63,10 @@ pub struct RunArgs {
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
         require_equals = true, help_heading = "Marks")]
     pub second_pass: SecondPassArg,
+    /// Look again, in a window of its own, where every point must be: always; or never, so that the first match stands as it
+    /// is (the tables of the 2016 thesis). `never` looks no second time in any other way either.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "always", help_heading = "Matching")]
+    pub refine: RefineArg,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -76,6 +80,53 @@ pub enum SecondPassArg {
     Never,
     Auto,
     Always,
+}
+
+/// Whether points are looked for again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum RefineArg {
+    Always,
+    Never,
+}
+
+impl RefineArg {
+    fn choice(self) -> Refine {
+        match self {
+            RefineArg::Always => Refine::Always,
+            RefineArg::Never => Refine::Never,
+        }
+    }
+}
+
+/// Scans, matches and solves as [`run`] does at its first look, and writes nothing.
+pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
+    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
+    let image = args.image.as_deref().context("no image: name one")?;
+    let gcp_file = args.gcps.path()?;
+    let marks = args.paint.of(&args.marks);
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
+    args.solving.check(false)?;
+    let info = source.info();
+    let priors = common::priors(info, &args.matching);
+    let matcher = common::matcher(&args.matching, priors.len(), &args.matching.limit())?;
+    let bar = Bar::new(info, args.quiet || args.json);
+    let second_look = detector.relaxed();
+    let run = georeference(&Job {
+        source: source.as_ref(),
+        plan: &plan,
+        detector: &detector,
+        second_look: &second_look,
+        gcps: &list.gcps,
+        matcher: matcher.as_ref(),
+        priors: &priors,
+        progress: &bar,
+        refine: args.refine.choice(),
+    })?;
+    bar.finish();
+    let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates);
+    args.solving.apply(&mut document.result, &run.outcome, &list, &solving::ImagePlace::of(info))?;
+    Ok(document.result)
 }
 
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
@@ -98,7 +149,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = common::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident. The first
     // look has half of what is allowed, the second a quarter, all clusters of colour together the last.
-    let learns = matches!(detector, MarkDetector::Paint(_)) && args.second_pass != SecondPassArg::Never;
+    let learns = matches!(detector, MarkDetector::Paint(_))
+        && args.second_pass != SecondPassArg::Never
+        && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
     let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 }, &time_limit)?;
     let learned_matcher = common::matcher(&args.matching, priors.len() * 4, &time_limit)?;
@@ -115,6 +168,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         matcher: matcher.as_ref(),
         priors: &priors,
         progress: &watch,
+        refine: args.refine.choice(),
     };
     let mut run = georeference(&job)?;
     let mut second = None;
@@ -180,6 +234,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     serde_json::json!({
         "profile": args.paint.of(&args.marks).profile,
         "second_pass": format!("{:?}", args.second_pass).to_lowercase(),
+        "refine": format!("{:?}", args.refine).to_lowercase(),
         "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
         "priors": job.priors,
         "max_false_alarms": args.matching.max_false_alarms,
