@@ -12,6 +12,7 @@ mod drawn_targets;
 mod scan;
 
 mod accuracy;
+mod cloud;
 #[cfg(feature = "coded")]
 mod coded;
 mod command_line;

@@ -488,7 +488,10 @@ impl CompareJob<'_> {
         means: Means,
     ) -> Result<Summary> {
         let stable_group = if scan.zones.is_some() { classes.groups.names.len() - 1 } else { 0 };
-        let spread = (classes.quantiles[stable_group][4], classes.nmad[stable_group].unwrap_or(0.0));
+        // Where more than half of the cells are equal the NMAD is 0 and says nothing about the others.
+        let nmad = classes.nmad[stable_group].filter(|nmad| *nmad > 0.0);
+        let scatter = nmad.or_else(|| classes.moments[stable_group].sd()).unwrap_or(0.0);
+        let spread = (classes.quantiles[stable_group][4], scatter);
         let variogram = variogram::estimate(scan, spread, means)?;
         let (mx, my) = scan.unit.metres_per_unit(scan.grid.centre().1);
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);

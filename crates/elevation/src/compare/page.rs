@@ -21,6 +21,11 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
+/// Without the folder.
+fn name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
 fn figure(value: Option<f64>) -> String {
     value.map_or("–".into(), |v| format!("{v:.3}"))
 }
@@ -37,8 +42,10 @@ fn page(summary: &Summary, map: &serde_json::Value) -> String {
     );
     let _ = write!(
         out,
-        "<h1>{} − {}</h1><p>Differences are A − B in metres, on the grid of B, {} resampling; heights {}. {} of {} cells \
-         have both heights.</p>",
+        "<h1>{} − {}</h1><p>A is {}, B is {}.</p><p>Differences are A − B in metres, on the grid of B, {} resampling; \
+         heights: {}. {} of {} cells have both heights.</p>",
+        escaped(name(&summary.a)),
+        escaped(name(&summary.b)),
         escaped(&summary.a),
         escaped(&summary.b),
         summary.resampling,
