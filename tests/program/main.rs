@@ -26,6 +26,7 @@ mod film_rolls;
 mod heights;
 mod inputs;
 mod main_job;
+mod mask;
 mod outputs;
 mod photographs;
 mod planning;
