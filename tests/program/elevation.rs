@@ -193,3 +193,74 @@ fn the_nearest_view_wins_and_known_gains_come_back() {
         assert!(overlap["rms_after"].as_f64() < Some(0.05), "{overlap}");
     }
 }
+
+#[test]
+fn geographic_cells_have_their_true_sides() {
+    let folder = Folder::new();
+    let (plane, degrees) = (folder.at("plane.tif"), folder.at("degrees.tif"));
+    // The same ground in metres and in degrees at 60° north, where a degree of longitude is 55.8 km.
+    write(&plane, CORNER, (60, 50), |e, n| 0.3 * e + 0.2 * n + 5.0 * (e / 70.0).sin());
+    let (mx, my) = (55_799.98, 111_412.24);
+    {
+        let (values, _) = read(&plane);
+        let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+        let mut dataset = driver.create_with_band_type::<f32, _>(&degrees, 60, 50, 1).expect("writable");
+        let north = 60.0 + 250.0 / my;
+        dataset.set_geo_transform(&[10.0, 10.0 / mx, 0.0, north, 0.0, -10.0 / my]).expect("a geotransform");
+        dataset.set_spatial_ref(&SpatialRef::from_epsg(4326).expect("known")).expect("a CRS");
+        let mut band = dataset.rasterband(1).expect("a band");
+        band.set_no_data_value(Some(-9999.0)).expect("a value");
+        let values = values.iter().map(|v| *v as f32).collect();
+        band.write((0, 0), (60, 50), &mut Buffer::new((60, 50), values)).expect("writable");
+    }
+    let kinds: [(&[&str], f64); 6] = [
+        (&["slope"], 0.01),
+        (&["slope", "--percent", "--alg", "zevenbergen-thorne"], 0.01),
+        (&["aspect"], 0.03),
+        (&["hillshade"], 1.0),
+        (&["hillshade", "--multidirectional", "--z", "2"], 1.0),
+        (&["hillshade", "--az", "20", "--alt", "60", "--compute-edges"], 1.0),
+    ];
+    for (kind, allowed) in kinds {
+        let mut seen = Vec::new();
+        for model in [&plane, &degrees] {
+            let out = folder.at("out.tif");
+            let arguments = [&["dem", kind[0], text(model), "-o", text(&out), "--overwrite"], &kind[1..]].concat();
+            let output = autoref(&arguments);
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            seen.push(read(&out).0);
+        }
+        let most = seen[0].iter().zip(&seen[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(most <= allowed, "{kind:?}: {most}");
+        assert!(seen[0].iter().any(|v| *v != seen[0][0]), "{kind:?} is not level");
+    }
+}
+
+#[test]
+fn a_page_has_a_map_and_bad_tables_of_colours_are_named() {
+    let folder = Folder::new();
+    let (a, b, out) = (folder.at("a.tif"), folder.at("b.tif"), folder.at("out"));
+    write(&b, CORNER, (90, 70), hills);
+    // Two thirds are equal: the median deviation is 0, the error of the mean is not.
+    write(&a, CORNER, (90, 70), |e, n| hills(e, n) + if e > 600.0 { (e / 40.0).sin() } else { 0.0 });
+    let summary = document(&autoref(&["dem", "compare", text(&a), text(&b), "-o", text(&out), "--json"]));
+    assert_eq!(summary["nmad_m"], 0.0);
+    assert!(summary["mean_se_m"].as_f64().is_some_and(|error| error > 1e-3), "{}", summary["mean_se_m"]);
+    let page = std::fs::read_to_string(out.join("report.html")).expect("a page");
+    for word in ["id=\"swipe\"", "const DATA = {", "\"width\":90", "id=\"profile\""] {
+        assert!(page.contains(word), "{word}");
+    }
+    assert!(!page.contains("http://") && !page.contains("https://"), "readable without a network");
+    let table = folder.at("colours.txt");
+    for (content, word) in [("not a table\n", "line 1"), ("# nothing\n", "no colour"), ("100 1 2\n", "line 1")] {
+        std::fs::write(&table, content).expect("writable");
+        let picture = folder.at("colour.tif");
+        let output = autoref(&["dem", "colour", text(&a), "--table", text(&table), "-o", text(&picture)]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.code() == Some(2) && said.contains(word), "{said}");
+        assert!(!picture.exists());
+    }
+    std::fs::write(&table, "0 0 0 255\n300 green\n50% 1 2 3 4\n1000,255,0,0\nnv 0 0 0\n").expect("writable");
+    let output = autoref(&["dem", "colour", text(&a), "--table", text(&table), "-o", text(&folder.at("c.tif"))]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}

@@ -12,6 +12,7 @@ mod drawn_targets;
 mod scan;
 
 mod accuracy;
+mod cloud;
 #[cfg(feature = "coded")]
 mod coded;
 mod command_line;
@@ -27,6 +28,7 @@ mod flight;
 mod heights;
 mod inputs;
 mod main_job;
+mod mask;
 mod mistakes;
 mod outputs;
 mod photographs;

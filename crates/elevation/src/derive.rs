@@ -29,6 +29,9 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
+    if let Some(table) = drawing.colours {
+        check_colours(table)?;
+    }
     let mut options = drawing.options.clone();
     options.extend(
         ["-of", "GTiff", "-co", "COMPRESS=DEFLATE", "-co", "TILED=YES", "-co", "BIGTIFF=IF_SAFER"].map(str::to_string),
@@ -69,6 +72,33 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
         Some(text) => Err(Error::gdal(model, text)),
         None => Ok(()),
     }
+}
+
+/// GDAL's own reader of colour tables does not survive every file.
+fn check_colours(path: &Path) -> Result<()> {
+    let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = String::from_utf8_lossy(&text);
+    let mut rows = 0;
+    for (number, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let words: Vec<&str> =
+            line.split(|c: char| c.is_whitespace() || c == ',' || c == ':').filter(|word| !word.is_empty()).collect();
+        let height = words[0].trim_end_matches('%').parse::<f64>().is_ok() || words[0].eq_ignore_ascii_case("nv");
+        let numbers = words[1..].iter().all(|word| word.parse::<f64>().is_ok());
+        let named = words.len() == 2 && words[1].chars().all(|letter| letter.is_ascii_alphabetic());
+        if !height || !(named || (numbers && (4..=5).contains(&words.len()))) {
+            let what = format!("`{line}` is no height with red, green and blue");
+            return Err(Error::format(path, format!("line {}", number + 1), what));
+        }
+        rows += 1;
+    }
+    if rows == 0 {
+        return Err(Error::format(path, "table", "there is no colour in it"));
+    }
+    Ok(())
 }
 
 fn c_string(path: &Path, bytes: &[u8]) -> Result<CString> {

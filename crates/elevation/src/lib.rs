@@ -10,6 +10,7 @@ pub mod compare;
 pub mod derive;
 pub mod exact;
 pub mod files;
+pub mod gradient;
 pub mod grid;
 pub mod histogram;
 pub mod model;

@@ -249,6 +249,7 @@ pub struct Names {
     pub mask: PathBuf,
     pub xml: PathBuf,
     pub report: PathBuf,
+    pub outlines: PathBuf,
     pub probability: PathBuf,
     pub colmap: PathBuf,
     pub class: PathBuf,
@@ -265,6 +266,7 @@ impl Names {
             mask: path("_Masq.tif"),
             xml: path("_Masq.xml"),
             report: path("_Masq.json"),
+            outlines: path("_Masq.geojson"),
             probability: path("_Prob.tif"),
             colmap: folder.join(format!("{name}.png")),
             class: path("_Class.tif"),
@@ -352,6 +354,9 @@ pub fn mask_frame(
         .stage(&names.mask, |path| write::mask(path, &classes.keep, size, reduced.factor, options.compression))?;
     let mask_name = names.mask.file_name().unwrap_or_default().to_string_lossy();
     transaction.stage_bytes(&names.xml, write::micmac_xml(&mask_name, size).as_bytes())?;
+    let name = frame.file_name().unwrap_or_default().to_string_lossy();
+    let outlines = crate::outline::polygons(&classes.keep, size, reduced.factor, &name);
+    transaction.stage_bytes(&names.outlines, outlines.to_string().as_bytes())?;
     if let Some(plane) = &classes.probability {
         transaction.stage(&names.probability, |path| write::grey_plane(path, size, reduced.factor, plane))?;
     }

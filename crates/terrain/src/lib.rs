@@ -16,6 +16,7 @@ pub mod forest;
 pub mod knn;
 pub mod model;
 pub mod morphology;
+pub mod outline;
 pub mod plane;
 pub mod reduce;
 pub mod shapes;

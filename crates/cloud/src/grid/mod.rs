@@ -245,7 +245,9 @@ fn each_point(
             let raw = batch.record(&header.schema, index);
             if !xyz.iter().all(|value| value.is_finite()) {
                 let [x, y, z] = xyz;
-                let what = format!("the coordinates ({x}, {y}, {z}) are not finite");
+                let what = format!(
+                    "the coordinates ({x}, {y}, {z}) are not finite; clean it first with cloud clean --skip-invalid"
+                );
                 return Err(Error::format(path, format!("point {points}"), what));
             }
             if class.is_some_and(|field| matches!(field.value(raw) as u8, 7 | 18)) {

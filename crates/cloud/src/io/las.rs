@@ -68,8 +68,20 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
 }
 
 fn unpack(path: &Path, header: &LasHeader, mut reader: BufReader<File>, file_bytes: u64) -> Result<Source> {
-    let bad = |what: String| Error::format(path, "LASzip record", what);
+    let bad = |what: String| {
+        let what = if what.contains("failed to fill whole buffer") {
+            "the file ends before: it is truncated".into()
+        } else {
+            what
+        };
+        Error::format(path, "LASzip record", what)
+    };
     let vlr = header.vlr("laszip encoded", 22_204).ok_or_else(|| bad("points are packed but it is missing".into()))?;
+    // Compressor 1 packs points without chunks, as LASzip did before 1.2r1.
+    if vlr.content.get(..2) == Some(&[1, 0]) {
+        let remedy = "write it anew with laszip 2 or later, or as LAS, first";
+        return Err(Error::unsupported(path, "the LASzip compressor without chunks (before 2011)", remedy));
+    }
     let vlr = LazVlr::from_buffer(&vlr.content).map_err(|e| bad(e.to_string()))?;
     if vlr.items_size() != header.record_bytes as u64 {
         let what = format!("it packs {} bytes a point, the header says {}", vlr.items_size(), header.record_bytes);

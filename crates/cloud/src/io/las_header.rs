@@ -184,7 +184,9 @@ impl LasHeader {
 
     /// WKT, or `EPSG:n` from the GeoTIFF keys.
     pub fn crs(&self) -> Option<String> {
-        let wkt = self.vlr("LASF_Projection", 2112).map(|vlr| text_of(&vlr.content)).filter(|text| !text.is_empty());
+        let wkt = self.vlr("LASF_Projection", 2112).map(|vlr| text_of(&vlr.content));
+        // Some programs write a pair of quotation marks for none.
+        let wkt = wkt.filter(|text| text.contains(|letter: char| letter.is_ascii_alphanumeric()));
         wkt.or_else(|| {
             let keys = &self.vlr("LASF_Projection", 34_735)?.content;
             let code = |wanted: u16| {

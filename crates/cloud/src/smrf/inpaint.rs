@@ -1,8 +1,10 @@
 //! Holes in surfaces, filled as if springs joined neighbouring cells (D'Errico, *inpaint_nans*, 2004, method 4, as Pingel
 //! et al. use it): the heights with the least sum of squared differences between the four neighbours.
 //!
-//! The normal equations are solved by conjugate gradients (Hestenes & Stiefel 1952), begun with the answer of a surface of
-//! half the size. All sums run in a fixed order.
+//! The normal equations are solved by conjugate gradients (Hestenes & Stiefel 1952), preconditioned by one V-cycle over
+//! ever coarser surfaces (Braess, *Towards algebraic multigrid for elliptic problems of second order*, 1995: cells joined
+//! in fours, the coarse springs half as stiff as Galerkin's). All sums run in a fixed order, so that threads change
+//! nothing.
 
 use rayon::prelude::*;
 
@@ -10,180 +12,367 @@ use super::surface::Surface;
 
 /// The residual, relative to the right-hand side's, at which a solution is good enough.
 const TOLERANCE: f64 = 1e-9;
-/// Unknowns of one piece of work; fixed, because sums are taken piece by piece.
-const CHUNK: usize = 1 << 13;
-/// Holes this small need no first guess.
-const SMALL: usize = 256;
-const KNOWN: u32 = u32::MAX;
+/// A bound that only rounding can reach: ten to forty steps are usual.
+const MOST_STEPS: usize = 2000;
+/// Damping of Jacobi's sweeps, and how many there are before and after each coarser surface.
+const DAMPING: f32 = 0.8;
+const SWEEPS: usize = 2;
+/// Sweeps on the coarsest surface.
+const LAST_SWEEPS: usize = 16;
+/// Rows of one piece of work at least.
+const BAND_ROWS: usize = 16;
 
 /// Gives every NaN cell of `surface` a height. A surface without any known cell stays as it is.
 pub fn inpaint(surface: &mut Surface) {
-    let unknown: Vec<u32> =
-        (0..surface.values.len()).filter(|&cell| surface.values[cell].is_nan()).map(|cell| cell as u32).collect();
-    if unknown.is_empty() || unknown.len() == surface.values.len() {
+    let unknown: Vec<bool> = surface.values.iter().map(|value| value.is_nan()).collect();
+    let open = unknown.iter().filter(|open| **open).count();
+    if open == 0 || open == unknown.len() {
         return;
     }
-    let guess = first_guess(surface, &unknown);
-    let solution = solve(surface, &unknown, guess);
-    for (&cell, height) in unknown.iter().zip(solution) {
-        surface.values[cell as usize] = height;
+    let known = unknown.len() - open;
+    let sum: f64 = surface.values.iter().filter(|value| !value.is_nan()).sum();
+    // Heights count from their mean, so that the tolerance does not depend on the datum.
+    let origin = sum / known as f64;
+    for value in &mut surface.values {
+        *value = if value.is_nan() { 0.0 } else { *value - origin };
     }
+    solve(surface, unknown);
+    surface.values.iter_mut().for_each(|value| *value += origin);
 }
 
-/// The answer of the surface at half the size, spread out again.
-fn first_guess(surface: &Surface, unknown: &[u32]) -> Vec<f64> {
-    let (columns, rows) = (surface.columns, surface.rows);
-    let (wide, tall) = (columns.div_ceil(2), rows.div_ceil(2));
-    if unknown.len() <= SMALL || wide.min(tall) < 2 {
-        let known = surface.values.iter().filter(|value| !value.is_nan());
-        let (count, sum) = known.fold((0, 0.0), |(count, sum), value| (count + 1, sum + value));
-        return vec![sum / f64::from(count); unknown.len()];
-    }
-    let mut coarse = Surface { columns: wide, rows: tall, values: vec![f64::NAN; wide * tall] };
-    for y in 0..tall {
-        for x in 0..wide {
-            let (mut count, mut sum) = (0, 0.0);
-            for row in 2 * y..(2 * y + 2).min(rows) {
-                for &value in &surface.row(row)[2 * x..(2 * x + 2).min(columns)] {
-                    if !value.is_nan() {
-                        count += 1;
-                        sum += value;
-                    }
-                }
-            }
-            if count > 0 {
-                coarse.values[y * wide + x] = sum / f64::from(count);
-            }
+/// Springs of a surface: to the east, to the south, and all of a cell together.
+trait Springs: Sync {
+    fn size(&self) -> (usize, usize);
+    /// Zero where the eastern neighbour is known or missing.
+    fn east(&self, x: usize, y: usize) -> f32;
+    fn south(&self, x: usize, y: usize) -> f32;
+    /// Zero where the cell itself is known.
+    fn diagonal(&self, x: usize, y: usize) -> f32;
+
+    /// What the neighbours of a cell pull.
+    fn pull(&self, z: &[f32], x: usize, y: usize) -> f32 {
+        let (columns, rows) = self.size();
+        let cell = y * columns + x;
+        let mut sum = 0.0;
+        if x > 0 {
+            sum += self.east(x - 1, y) * z[cell - 1];
         }
+        if x + 1 < columns {
+            sum += self.east(x, y) * z[cell + 1];
+        }
+        if y > 0 {
+            sum += self.south(x, y - 1) * z[cell - columns];
+        }
+        if y + 1 < rows {
+            sum += self.south(x, y) * z[cell + columns];
+        }
+        sum
     }
-    inpaint(&mut coarse);
-    let between = |at: usize, count: usize| {
-        let place = (at as f64 + 0.5) / 2.0 - 0.5;
-        let low = (place.floor().max(0.0) as usize).min(count - 1);
-        let high = (low + 1).min(count - 1);
-        (low, high, (place - low as f64).clamp(0.0, 1.0))
+}
+
+/// The finest surface: all springs are alike.
+struct Fine {
+    columns: usize,
+    rows: usize,
+    unknown: Vec<bool>,
+}
+
+impl Fine {
+    fn is_open(&self, x: usize, y: usize) -> bool {
+        self.unknown[y * self.columns + x]
+    }
+}
+
+impl Springs for Fine {
+    fn size(&self) -> (usize, usize) {
+        (self.columns, self.rows)
+    }
+    fn east(&self, x: usize, y: usize) -> f32 {
+        f32::from(u8::from(x + 1 < self.columns && self.is_open(x, y) && self.is_open(x + 1, y)))
+    }
+    fn south(&self, x: usize, y: usize) -> f32 {
+        f32::from(u8::from(y + 1 < self.rows && self.is_open(x, y) && self.is_open(x, y + 1)))
+    }
+    fn diagonal(&self, x: usize, y: usize) -> f32 {
+        if !self.is_open(x, y) {
+            return 0.0;
+        }
+        let beside = u8::from(x > 0) + u8::from(x + 1 < self.columns);
+        f32::from(beside + u8::from(y > 0) + u8::from(y + 1 < self.rows))
+    }
+}
+
+/// A coarser surface with its own vectors.
+struct Level {
+    columns: usize,
+    rows: usize,
+    east: Vec<f32>,
+    south: Vec<f32>,
+    diagonal: Vec<f32>,
+    right: Vec<f32>,
+    z: Vec<f32>,
+    spare: Vec<f32>,
+}
+
+struct Matrix<'a> {
+    columns: usize,
+    rows: usize,
+    east: &'a [f32],
+    south: &'a [f32],
+    diagonal: &'a [f32],
+}
+
+impl Springs for Matrix<'_> {
+    fn size(&self) -> (usize, usize) {
+        (self.columns, self.rows)
+    }
+    fn east(&self, x: usize, y: usize) -> f32 {
+        self.east[y * self.columns + x]
+    }
+    fn south(&self, x: usize, y: usize) -> f32 {
+        self.south[y * self.columns + x]
+    }
+    fn diagonal(&self, x: usize, y: usize) -> f32 {
+        self.diagonal[y * self.columns + x]
+    }
+}
+
+/// What pulls at the cells.
+trait Right: Sync {
+    fn at(&self, cell: usize) -> f32;
+}
+
+impl Right for Vec<f32> {
+    fn at(&self, cell: usize) -> f32 {
+        self[cell]
+    }
+}
+
+/// Scaled to one, so that single precision serves to the end.
+struct Scaled<'a> {
+    residual: &'a [f64],
+    size: f64,
+}
+
+impl Right for Scaled<'_> {
+    fn at(&self, cell: usize) -> f32 {
+        (self.residual[cell] / self.size) as f32
+    }
+}
+
+/// Joins cells in fours.
+fn coarser(springs: &impl Springs) -> Level {
+    let (columns, rows) = springs.size();
+    let (wide, tall) = (columns.div_ceil(2), rows.div_ceil(2));
+    let cells = wide * tall;
+    let mut level = Level {
+        columns: wide,
+        rows: tall,
+        east: vec![0.0; cells],
+        south: vec![0.0; cells],
+        diagonal: vec![0.0; cells],
+        right: vec![0.0; cells],
+        z: vec![0.0; cells],
+        spare: vec![0.0; cells],
     };
-    unknown
-        .par_iter()
-        .map(|&cell| {
-            let (west, east, right) = between(cell as usize % columns, wide);
-            let (north, south, down) = between(cell as usize / columns, tall);
-            let along = |row: usize| coarse.row(row)[west] * (1.0 - right) + coarse.row(row)[east] * right;
-            along(north) * (1.0 - down) + along(south) * down
-        })
-        .collect()
-}
-
-struct Springs<'a> {
-    surface: &'a Surface,
-    unknown: &'a [u32],
-    /// Place of a cell among the unknowns.
-    slot: Vec<u32>,
-}
-
-impl Springs<'_> {
-    /// The neighbours inside the surface.
-    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
-        let (columns, rows) = (self.surface.columns, self.surface.rows);
-        let (x, y) = (cell % columns, cell / columns);
-        let west = (x > 0).then(|| cell - 1);
-        let east = (x + 1 < columns).then(|| cell + 1);
-        let north = (y > 0).then(|| cell - columns);
-        let south = (y + 1 < rows).then(|| cell + columns);
-        [west, east, north, south].into_iter().flatten()
-    }
-
-    /// What known neighbours pull, and how many neighbours there are.
-    fn pull(&self, cell: usize) -> (f64, f64) {
-        self.neighbours(cell).fold((0.0, 0.0), |(pull, count), other| {
-            let value = self.surface.values[other];
-            (if self.slot[other] == KNOWN { pull + value } else { pull }, count + 1.0)
-        })
-    }
-
-    /// The springs' matrix times `x`; handed over with the dot product of both.
-    fn times(&self, x: &[f64], result: &mut [f64]) -> f64 {
-        let pieces: Vec<f64> = result
-            .par_chunks_mut(CHUNK)
-            .enumerate()
-            .map(|(piece, result)| {
-                let mut dot = 0.0;
-                for (at, result) in (piece * CHUNK..).zip(result) {
-                    let (mut sum, mut count) = (0.0, 0.0);
-                    for other in self.neighbours(self.unknown[at] as usize) {
-                        count += 1.0;
-                        let slot = self.slot[other];
-                        if slot != KNOWN {
-                            sum += x[slot as usize];
-                        }
-                    }
-                    *result = count * x[at] - sum;
-                    dot += *result * x[at];
+    let rows_of = |values| rayon::slice::ParallelSliceMut::par_chunks_mut(values, wide);
+    let bands = rows_of(&mut level.east[..]).zip(rows_of(&mut level.south[..])).zip(rows_of(&mut level.diagonal[..]));
+    bands.enumerate().with_min_len(BAND_ROWS).for_each(|(row, ((east, south), diagonal))| {
+        for column in 0..wide {
+            let (mut right, mut down, mut all, mut within) = (0.0, 0.0, 0.0, 0.0);
+            for y in 2 * row..(2 * row + 2).min(rows) {
+                for x in 2 * column..(2 * column + 2).min(columns) {
+                    all += springs.diagonal(x, y);
+                    *(if x % 2 == 0 { &mut within } else { &mut right }) += springs.east(x, y);
+                    *(if y % 2 == 0 { &mut within } else { &mut down }) += springs.south(x, y);
                 }
-                dot
-            })
-            .collect();
-        pieces.iter().sum()
-    }
+            }
+            east[column] = 0.5 * right;
+            south[column] = 0.5 * down;
+            diagonal[column] = 0.5 * (all - 2.0 * within);
+        }
+    });
+    level
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let pieces: Vec<f64> =
-        a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum()).collect();
-    pieces.iter().sum()
-}
-
-fn add(target: &mut [f64], factor: f64, other: &[f64]) {
-    target.par_chunks_mut(CHUNK).zip(other.par_chunks(CHUNK)).for_each(|(target, other)| {
-        target.iter_mut().zip(other).for_each(|(target, other)| *target += factor * other);
+/// One sweep of Jacobi's method from `z` into `next`.
+fn sweep(springs: &impl Springs, right: &impl Right, z: &[f32], next: &mut [f32]) {
+    let columns = springs.size().0;
+    next.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, next)| {
+        for (x, next) in next.iter_mut().enumerate() {
+            let diagonal = springs.diagonal(x, y);
+            let cell = y * columns + x;
+            *next = if diagonal > 0.0 {
+                z[cell] + DAMPING * ((right.at(cell) + springs.pull(z, x, y)) / diagonal - z[cell])
+            } else {
+                0.0
+            };
+        }
     });
 }
 
-fn solve(surface: &Surface, unknown: &[u32], guess: Vec<f64>) -> Vec<f64> {
-    let mut slot = vec![KNOWN; surface.values.len()];
-    for (at, &cell) in unknown.iter().enumerate() {
-        slot[cell as usize] = at as u32;
+/// One V-cycle: an answer `z` to the springs pulled by `right`.
+fn cycle(springs: &impl Springs, right: &impl Right, z: &mut Vec<f32>, spare: &mut Vec<f32>, levels: &mut [Level]) {
+    let columns = springs.size().0;
+    z.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, row)| {
+        for (x, z) in row.iter_mut().enumerate() {
+            let diagonal = springs.diagonal(x, y);
+            *z = if diagonal > 0.0 { DAMPING * right.at(y * columns + x) / diagonal } else { 0.0 };
+        }
+    });
+    let sweeps = if levels.is_empty() { LAST_SWEEPS } else { SWEEPS };
+    for _ in 1..sweeps {
+        sweep(springs, right, z, spare);
+        std::mem::swap(z, spare);
     }
-    let springs = Springs { surface, unknown, slot };
-    let mut x = guess;
-    let mut product = vec![0.0; x.len()];
-    springs.times(&x, &mut product);
-    // Heights count from the mean of the guess, so that the tolerance does not depend on the datum.
-    let origin = x.iter().sum::<f64>() / x.len() as f64;
-    let mut residual = Vec::with_capacity(x.len());
-    let mut scale = 0.0;
-    for (at, &cell) in unknown.iter().enumerate() {
-        let (pull, _) = springs.pull(cell as usize);
-        let known = springs.neighbours(cell as usize).filter(|&other| springs.slot[other] == KNOWN).count();
-        let about = pull - origin * known as f64;
-        scale += about * about;
-        residual.push(pull - product[at]);
+    let Some((level, below)) = levels.split_first_mut() else { return };
+    restrict(springs, right, z, level);
+    {
+        let Level { columns, rows, east, south, diagonal, right, z, spare } = &mut *level;
+        let matrix = Matrix { columns: *columns, rows: *rows, east, south, diagonal };
+        cycle(&matrix, right, z, spare, below);
     }
-    let enough = scale * TOLERANCE * TOLERANCE;
-    let mut direction = residual.clone();
-    let mut norm = dot(&residual, &residual);
-    for _ in 0..4 * x.len() + 100 {
+    let (wide, coarse) = (level.columns, &level.z);
+    z.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, row)| {
+        for (x, z) in row.iter_mut().enumerate() {
+            if springs.diagonal(x, y) > 0.0 {
+                *z += coarse[y / 2 * wide + x / 2];
+            }
+        }
+    });
+    for _ in 0..SWEEPS {
+        sweep(springs, right, z, spare);
+        std::mem::swap(z, spare);
+    }
+}
+
+/// The residual of `z`, summed up in fours.
+fn restrict(springs: &impl Springs, right: &impl Right, z: &[f32], level: &mut Level) {
+    let (columns, rows) = springs.size();
+    level.right.par_chunks_mut(level.columns).enumerate().with_min_len(BAND_ROWS).for_each(|(row, sums)| {
+        for (column, sum) in sums.iter_mut().enumerate() {
+            *sum = 0.0;
+            for y in 2 * row..(2 * row + 2).min(rows) {
+                for x in 2 * column..(2 * column + 2).min(columns) {
+                    let diagonal = springs.diagonal(x, y);
+                    if diagonal > 0.0 {
+                        let cell = y * columns + x;
+                        *sum += right.at(cell) + springs.pull(z, x, y) - diagonal * z[cell];
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// The springs' matrix times `x` at the open cells, and the dot product of both; `x` is zero at the others.
+fn times(fine: &Fine, x: &[f64], result: &mut [f64]) -> f64 {
+    let (columns, rows) = fine.size();
+    let pieces: Vec<f64> = result
+        .par_chunks_mut(columns)
+        .enumerate()
+        .with_min_len(BAND_ROWS)
+        .map(|(y, result)| {
+            let mut dot = 0.0;
+            for (column, result) in result.iter_mut().enumerate() {
+                let cell = y * columns + column;
+                *result = if fine.unknown[cell] { residual_of(x, cell, column, y, columns, rows) } else { 0.0 };
+                dot += *result * x[cell];
+            }
+            dot
+        })
+        .collect();
+    pieces.iter().sum()
+}
+
+/// The cell's value, as often as it has neighbours, less theirs.
+fn residual_of(values: &[f64], cell: usize, x: usize, y: usize, columns: usize, rows: usize) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    let mut add = |other: usize| {
+        sum += values[other];
+        count += 1.0;
+    };
+    if x > 0 {
+        add(cell - 1);
+    }
+    if x + 1 < columns {
+        add(cell + 1);
+    }
+    if y > 0 {
+        add(cell - columns);
+    }
+    if y + 1 < rows {
+        add(cell + columns);
+    }
+    count * values[cell] - sum
+}
+
+fn dot<A: Copy + Into<f64> + Sync>(columns: usize, a: &[A], b: &[f64]) -> f64 {
+    let pieces: Vec<f64> = a
+        .par_chunks(columns)
+        .zip(b.par_chunks(columns))
+        .with_min_len(BAND_ROWS)
+        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (*a).into() * b).sum())
+        .collect();
+    pieces.iter().sum()
+}
+
+fn add(columns: usize, target: &mut [f64], factor: f64, other: &[f64]) {
+    target.par_chunks_mut(columns).zip(other.par_chunks(columns)).with_min_len(BAND_ROWS).for_each(
+        |(target, other)| {
+            target.iter_mut().zip(other).for_each(|(target, other)| *target += factor * other);
+        },
+    );
+}
+
+/// Open cells of `surface` are zero at the begin.
+fn solve(surface: &mut Surface, unknown: Vec<bool>) {
+    let (columns, rows) = (surface.columns, surface.rows);
+    let fine = Fine { columns, rows, unknown };
+    let mut levels: Vec<Level> = Vec::new();
+    let (mut wide, mut tall) = (columns, rows);
+    while wide * tall > 8 {
+        let level = match levels.last() {
+            None => coarser(&fine),
+            Some(Level { columns, rows, east, south, diagonal, .. }) => {
+                coarser(&Matrix { columns: *columns, rows: *rows, east, south, diagonal })
+            }
+        };
+        (wide, tall) = (level.columns, level.rows);
+        levels.push(level);
+    }
+    // With zeros at the open cells, the residual is what the known cells pull.
+    let mut residual = vec![0.0; surface.values.len()];
+    times(&fine, &surface.values, &mut residual);
+    residual.par_iter_mut().for_each(|value| *value = -*value);
+    let enough = dot(columns, &residual, &residual) * TOLERANCE * TOLERANCE;
+    let mut direction = vec![0.0; residual.len()];
+    let mut product = vec![0.0; residual.len()];
+    let mut z = vec![0f32; residual.len()];
+    let mut spare = vec![0f32; residual.len()];
+    let mut before = 0.0;
+    for step in 0..MOST_STEPS {
+        let norm = dot(columns, &residual, &residual);
         if norm <= enough {
             break;
         }
-        let curvature = springs.times(&direction, &mut product);
-        if curvature <= 0.0 {
+        let size = norm.sqrt();
+        cycle(&fine, &Scaled { residual: &residual, size }, &mut z, &mut spare, &mut levels);
+        let now = dot(columns, &z, &residual) * size;
+        let keep = if step == 0 { 0.0 } else { now / before };
+        before = now;
+        direction
+            .par_iter_mut()
+            .zip(&z)
+            .for_each(|(direction, z)| *direction = f64::from(*z) * size + keep * *direction);
+        let curvature = times(&fine, &direction, &mut product);
+        if curvature <= 0.0 || !curvature.is_finite() {
             break;
         }
-        let step = norm / curvature;
-        add(&mut x, step, &direction);
-        add(&mut residual, -step, &product);
-        let next = dot(&residual, &residual);
-        let keep = next / norm;
-        direction.par_chunks_mut(CHUNK).zip(residual.par_chunks(CHUNK)).for_each(|(direction, residual)| {
-            direction
-                .iter_mut()
-                .zip(residual)
-                .for_each(|(direction, residual)| *direction = residual + keep * *direction);
-        });
-        norm = next;
+        let length = now / curvature;
+        add(columns, &mut surface.values, length, &direction);
+        add(columns, &mut residual, -length, &product);
     }
-    x
 }
 
 #[cfg(test)]
@@ -211,5 +400,26 @@ mod tests {
         level.values[77] = 12.0;
         inpaint(&mut level);
         assert!(level.values.iter().all(|value| (value - 12.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn few_cells_far_apart_are_the_springs_rest() {
+        for (columns, rows) in [(301, 203), (1, 500), (900, 4), (2, 2)] {
+            let mut surface = Surface { columns, rows, values: vec![f64::NAN; columns * rows] };
+            for (index, cell) in (0..columns * rows).step_by((columns * rows / 9).max(1)).enumerate() {
+                surface.values[cell] = 4000.0 + 37.0 * (index * 7 % 5) as f64;
+            }
+            let known = surface.clone();
+            inpaint(&mut surface);
+            for cell in 0..columns * rows {
+                let value = surface.values[cell];
+                if known.values[cell].is_nan() {
+                    let off = residual_of(&surface.values, cell, cell % columns, cell / columns, columns, rows);
+                    assert!(off.abs() < 1e-6, "{columns} × {rows}, cell {cell}: pulled by {off}");
+                } else {
+                    assert!((value - known.values[cell]).abs() < 1e-9);
+                }
+            }
+        }
     }
 }

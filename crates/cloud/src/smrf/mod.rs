@@ -26,6 +26,9 @@ use crate::tiles::Tiles;
 const OBJECT: u8 = 1;
 const GROUND: u8 = 2;
 
+/// An opening for every cell of the radius: more would never end, and no object is so wide.
+const MOST_WINDOW_CELLS: f64 = 500.0;
+
 /// Memory of a cell at the peak: the surface, masks, and the vectors of the solver where all of it is a hole.
 const CELL_BYTES: u64 = 56;
 
@@ -92,6 +95,11 @@ impl Options {
             if value < 0.0 {
                 return Err(Error::usage(format!("--ground: {name} is {value}"), format!("give a {name} from 0 up")));
             }
+        }
+        let widest = window_m.max(net_m) / cell_m;
+        if widest > MOST_WINDOW_CELLS {
+            let what = format!("--ground: a window or net of {widest:.0} cells");
+            return Err(Error::usage(what, format!("give lengths of at most {MOST_WINDOW_CELLS} cells")));
         }
         Ok(Options { cell_m, slope, window_m, threshold_m, scaling, low_slope, net_m })
     }

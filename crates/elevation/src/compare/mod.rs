@@ -1,6 +1,7 @@
 //! One model minus another: statistics by class and zone, volumes, and how sure they are.
 
 mod page;
+mod preview;
 mod select;
 mod variogram;
 
@@ -304,6 +305,8 @@ struct First {
     heights: Option<(f64, f64)>,
     /// Cells with the smallest hashes, of all ground and of each zone.
     witnesses: Vec<BinaryHeap<(u64, u64, u64)>>,
+    /// For the page's map.
+    samples: Vec<preview::Sample>,
 }
 
 impl First {
@@ -333,6 +336,7 @@ impl First {
 
     fn merge(&mut self, other: First) {
         self.moments.merge(&other.moments);
+        self.samples.extend(other.samples);
         self.heights = match (self.heights, other.heights) {
             (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
             (a, b) => a.or(b),
@@ -399,7 +403,8 @@ impl CompareJob<'_> {
         let classes = self.classes(&scan, Groups::new(self.slope_limits, heights, zones.as_ref()), means)?;
         let summary = self.summary(&couple, &scan, &first, &classes, means)?;
         write_tables(folder, &summary)?;
-        write_page(folder, &summary, &couple)?;
+        let map = preview::Sampling::of(grid.width, grid.height).data(&scan, &first.samples);
+        write_page(folder, &summary, &map)?;
         Ok(summary)
     }
 
@@ -420,6 +425,7 @@ impl CompareJob<'_> {
         let form =
             Form { grid, wkt: couple.b.wkt(), bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
         let dataset = output::create::<f32>(path, &form)?;
+        let sampling = preview::Sampling::of(grid.width, grid.height);
         let parts = output::produce(
             &grid,
             1024,
@@ -429,6 +435,9 @@ impl CompareJob<'_> {
                 let mut values = vec![NODATA as f32; window.area() as usize];
                 scan.cells(window, buffers, |cell| {
                     first.see(&cell, self.within_m);
+                    if let Some(number) = sampling.number(cell.x, cell.y) {
+                        first.samples.push((number, cell.difference, cell.height as f32));
+                    }
                     values[((cell.y - window.y) * window.width + cell.x - window.x) as usize] = cell.difference;
                 })?;
                 Ok(values)
@@ -479,7 +488,10 @@ impl CompareJob<'_> {
         means: Means,
     ) -> Result<Summary> {
         let stable_group = if scan.zones.is_some() { classes.groups.names.len() - 1 } else { 0 };
-        let spread = (classes.quantiles[stable_group][4], classes.nmad[stable_group].unwrap_or(0.0));
+        // Where more than half of the cells are equal the NMAD is 0 and says nothing about the others.
+        let nmad = classes.nmad[stable_group].filter(|nmad| *nmad > 0.0);
+        let scatter = nmad.or_else(|| classes.moments[stable_group].sd()).unwrap_or(0.0);
+        let spread = (classes.quantiles[stable_group][4], scatter);
         let variogram = variogram::estimate(scan, spread, means)?;
         let (mx, my) = scan.unit.metres_per_unit(scan.grid.centre().1);
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);

@@ -1,10 +1,10 @@
-//! One page, readable without a network: tables, box plots, the histogram's percentiles and the variogram, drawn as SVG.
+//! One page, readable without a network: a map with both hillshades and the difference, profiles by click, tables, box
+//! plots, and the variogram.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::files::Couple;
 
 use super::{Statistics, Summary};
 
@@ -12,30 +12,40 @@ use super::{Statistics, Summary};
 ///
 /// # Errors
 /// When it cannot be written.
-pub fn write_page(folder: &Path, summary: &Summary, _couple: &Couple) -> Result<()> {
+pub fn write_page(folder: &Path, summary: &Summary, map: &serde_json::Value) -> Result<()> {
     let path = folder.join("report.html");
-    std::fs::write(&path, page(summary)).map_err(|e| Error::io(&path, "write", e))
+    std::fs::write(&path, page(summary, map)).map_err(|e| Error::io(&path, "write", e))
 }
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
+/// Without the folder.
+fn name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
 fn figure(value: Option<f64>) -> String {
     value.map_or("–".into(), |v| format!("{v:.3}"))
 }
 
-fn page(summary: &Summary) -> String {
+fn page(summary: &Summary, map: &serde_json::Value) -> String {
     let mut out = String::from(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Elevation models compared</title><style>\
          body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
          table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
-         td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}</style>",
+         td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}\
+         .bar{display:flex;flex-wrap:wrap;gap:.4em 1.4em;align-items:center}.bar label{display:flex;gap:.5em;align-items:center}\
+         #map{max-width:100%;cursor:crosshair;border:1px solid #999}#limit{width:6em}#legend{font-size:13px}\
+         .wide{overflow-x:auto}#readout{font-variant-numeric:tabular-nums}</style>",
     );
     let _ = write!(
         out,
-        "<h1>{} − {}</h1><p>Differences are A − B in metres, on the grid of B, {} resampling; heights {}. {} of {} cells \
-         have both heights.</p>",
+        "<h1>{} − {}</h1><p>A is {}, B is {}.</p><p>Differences are A − B in metres, on the grid of B, {} resampling; \
+         heights: {}. {} of {} cells have both heights.</p>",
+        escaped(name(&summary.a)),
+        escaped(name(&summary.b)),
         escaped(&summary.a),
         escaped(&summary.b),
         summary.resampling,
@@ -54,10 +64,12 @@ fn page(summary: &Summary) -> String {
         figure(summary.nmad_m),
         figure(summary.rmse_m)
     );
+    let _ = write!(out, "<script>const DATA = {map};</script>");
+    out.push_str(include_str!("map.html"));
     out.push_str("<h2>By class</h2>");
     out.push_str(&boxes(&summary.statistics));
     out.push_str(
-        "<table><tr><th>group<th>class<th>n<th>mean<th>median<th>SD<th>NMAD<th>RMSE<th>min<th>max<th>within</tr>",
+        "<div class=\"wide\"><table><tr><th>group<th>class<th>n<th>mean<th>median<th>SD<th>NMAD<th>RMSE<th>min<th>max<th>within</tr>",
     );
     for s in summary.statistics.iter().filter(|s| s.n > 0) {
         let _ = write!(out, "<tr><td>{}<td>{}<td>{}", escaped(&s.group), escaped(&s.class), s.n);
@@ -66,7 +78,7 @@ fn page(summary: &Summary) -> String {
         }
         out.push_str("</tr>");
     }
-    out.push_str("</table>");
+    out.push_str("</table></div>");
     if !summary.volumes.is_empty() {
         out.push_str(
             "<h2>Volumes</h2><table><tr><th>zone<th><th>area, m²<th>mean, m<th>± m<th>volume, m³<th>± m³</tr>",

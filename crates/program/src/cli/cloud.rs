@@ -86,9 +86,11 @@ impl MeansArgs {
             let label = Crs::parse(&text).map_or(text, |crs| crs.label());
             match &first {
                 Some((other, known)) if *known != label => bail!(
-                    "{}: its reference system is {label}, that of {} is {known}; give clouds of one system at a time",
+                    "{}: its reference system is {}, that of {} is {}; give clouds of one system at a time",
                     cloud.display(),
-                    other.display()
+                    short(&label),
+                    other.display(),
+                    short(known)
                 ),
                 Some(_) => {}
                 None => first = Some((cloud, label)),
@@ -96,6 +98,11 @@ impl MeansArgs {
         }
         Ok(asked.map(|crs| crs.wkt().to_string()))
     }
+}
+
+/// A reference system by its name, where it has no code.
+fn short(label: &str) -> &str {
+    if label.contains('[') { label.split('"').nth(1).unwrap_or(label) } else { label }
 }
 
 /// A camera's place for each cloud.

@@ -251,6 +251,9 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
     let mut reports = Vec::new();
     for (cloud, target, identity, done) in todo {
         if let Some(report) = done {
+            if !args.means.json {
+                println!("{}: unchanged, kept {}", cloud.display(), target.display());
+            }
             reports.push(report);
             continue;
         }
@@ -367,8 +370,12 @@ fn polygons(path: &Path) -> anyhow::Result<Polygon> {
     if !path.exists() {
         bail!("--crop {}: there is no such file", path.display());
     }
-    let dataset = gdal::Dataset::open_ex(path, options)
-        .with_context(|| format!("--crop {}: GDAL reads no polygons from it", path.display()))?;
+    let dataset = gdal::Dataset::open_ex(path, options).map_err(|_| {
+        anyhow::anyhow!(
+            "--crop {}: GDAL knows no vector file in it; give GeoPackage, GeoJSON or a shapefile",
+            path.display()
+        )
+    })?;
     let mut rings = Vec::new();
     for mut layer in dataset.layers() {
         for feature in layer.features() {

@@ -8,6 +8,7 @@ use autoref_elevation::align::{Alignment, Method, Outcome};
 use autoref_elevation::compare::{CompareJob, Summary};
 use autoref_elevation::derive::{self, Drawing};
 use autoref_elevation::files::{AlignJob, Resources};
+use autoref_elevation::gradient::{self, Edges, Kernel, Picture};
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic;
@@ -320,9 +321,10 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
             if args.percent {
                 options.push("-p".into());
             }
-            draw(&args.gradient.draw, "slope", options, None)?;
+            let picture = if args.percent { Picture::SlopePercent } else { Picture::SlopeDegrees };
+            draw_gradient(&args.gradient, "slope", options, picture)?;
         }
-        DemCommand::Aspect(args) => draw(&args.draw, "aspect", gradient_options(args), None)?,
+        DemCommand::Aspect(args) => draw_gradient(args, "aspect", gradient_options(args), Picture::Aspect)?,
         DemCommand::Roughness(args) => draw(args, "roughness", Vec::new(), None)?,
         DemCommand::Tri(args) => {
             let alg = match args.alg {
@@ -526,7 +528,33 @@ fn hillshade(args: &HillshadeArgs) -> anyhow::Result<()> {
     } else {
         options.extend(["-az".to_string(), args.azimuth.to_string()]);
     }
-    draw(&args.gradient.draw, "hillshade", options, None)
+    let (altitude_deg, exaggeration) = (args.altitude, args.z);
+    let picture = if args.multidirectional {
+        Picture::Multidirectional { altitude_deg, exaggeration }
+    } else {
+        Picture::Hillshade { azimuth_deg: args.azimuth, altitude_deg, exaggeration }
+    };
+    draw_gradient(&args.gradient, "hillshade", options, picture)
+}
+
+/// By GDAL's functions where the sides of cells are in the unit of the heights, else with their true lengths.
+fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture: Picture) -> anyhow::Result<()> {
+    if !gradient::needs_true_sides(&args.draw.model)? {
+        return draw(&args.draw, kind, options, None);
+    }
+    atomic::check_outputs(&[&args.draw.out], args.draw.overwrite)?;
+    let resources = args.draw.resources.resources();
+    resources.check()?;
+    let kernel = match args.alg {
+        GradientArg::Horn => Kernel::Horn,
+        GradientArg::ZevenbergenThorne => Kernel::ZevenbergenThorne,
+    };
+    let edges = if args.draw.compute_edges { Edges::Extrapolated } else { Edges::LeftOut };
+    atomic::with_temporary(&args.draw.out, |path| {
+        gradient::draw(&args.draw.model, path, picture, kernel, edges, resources.threads)
+    })?;
+    println!("Written              {}", args.draw.out.display());
+    Ok(())
 }
 
 fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {

@@ -1,0 +1,104 @@
+//! Every n-th cell of both models, for the page's map.
+
+use serde_json::json;
+
+use super::Scan;
+
+/// Cells of the map's longer side at most.
+const LONGEST_PX: u64 = 700;
+
+/// Which cells stand for the whole.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sampling {
+    step: u64,
+    width: u64,
+    height: u64,
+}
+
+/// A cell of the map: its number, difference and height of B.
+pub(super) type Sample = (u32, f32, f32);
+
+impl Sampling {
+    pub(super) fn of(width: u64, height: u64) -> Sampling {
+        Sampling { step: width.max(height).div_ceil(LONGEST_PX).max(1), width, height }
+    }
+
+    fn size(&self) -> (u64, u64) {
+        (self.width.div_ceil(self.step), self.height.div_ceil(self.step))
+    }
+
+    /// The number of a cell in the map, when it stands there.
+    pub(super) fn number(&self, x: u64, y: u64) -> Option<u32> {
+        // The middle of each square, or what there is of it at the border.
+        let stands = |at: u64, count: u64| at == (at / self.step * self.step + self.step / 2).min(count - 1);
+        (stands(x, self.width) && stands(y, self.height))
+            .then(|| ((y / self.step) * self.size().0 + x / self.step) as u32)
+    }
+
+    /// The map as the page's script takes it.
+    pub(super) fn data(&self, scan: &Scan<'_>, samples: &[Sample]) -> serde_json::Value {
+        let (width, height) = self.size();
+        let nothing = vec![f32::NAN; (width * height) as usize];
+        let (mut b, mut d) = (nothing.clone(), nothing);
+        for &(number, difference, below) in samples {
+            d[number as usize] = difference;
+            b[number as usize] = below;
+        }
+        let grid = scan.grid;
+        let (mx, my) = scan.unit.metres_per_unit(grid.centre().1);
+        let step = self.step as f64;
+        json!({
+            "width": width,
+            "height": height,
+            "cell_x_m": (grid.step_x * mx * step).abs(),
+            "cell_y_m": (grid.step_y * my * step).abs(),
+            "x0": grid.x0,
+            "y0": grid.y0,
+            "step_x": grid.step_x * step,
+            "step_y": grid.step_y * step,
+            "b": base64(&b),
+            "d": base64(&d),
+        })
+    }
+}
+
+/// RFC 4648, of the values' little-endian bytes.
+fn base64(values: &[f32]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for part in bytes.chunks(3) {
+        let word = part.iter().fold(0u32, |word, byte| word << 8 | u32::from(*byte)) << (8 * (3 - part.len()));
+        for place in 0..4 {
+            let letter = LETTERS[(word >> (18 - 6 * place) & 63) as usize];
+            out.push(if place <= part.len() { char::from(letter) } else { '=' });
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_as_the_rfc_has_it() {
+        // printf '\x00\x00\x80\x3f' | base64
+        assert_eq!(base64(&[1.0]), "AACAPw==");
+        assert_eq!(base64(&[1.0, -2.0, 0.5]), "AACAPwAAAMAAAAA/");
+    }
+
+    #[test]
+    fn every_square_has_one_cell() {
+        for (width, height) in [(5, 3), (1401, 3), (1, 1_000_000), (1_000_000, 1), (2100, 1399)] {
+            let sampling = Sampling::of(width, height);
+            let (columns, rows) = sampling.size();
+            let mut seen = 0;
+            for y in 0..height {
+                seen += (0..width).filter(|&x| sampling.number(x, y).is_some()).count() as u64;
+            }
+            assert_eq!(seen, columns * rows, "{width} × {height}");
+            assert!(columns.max(rows) <= LONGEST_PX);
+        }
+    }
+}

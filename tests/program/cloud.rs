@@ -1,0 +1,298 @@
+//! `cloud clean|grid|info` from the command line, on clouds that are made here: every format, every option, bad input.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn cloud(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream")).arg("cloud").args(arguments).output().expect("the program runs")
+}
+
+fn done(arguments: &[&str]) -> Value {
+    let output = cloud(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
+/// Refused with one line that names `word`, and nothing is left behind.
+fn refused(arguments: &[&str], word: &str, absent: &Path) {
+    let output = cloud(arguments);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+    assert_eq!(text.trim_end().lines().count(), 1, "{arguments:?}: {text}");
+    assert!(text.contains(word) && !text.contains("panicked"), "{arguments:?}: {text}");
+    assert!(!absent.exists(), "{arguments:?}");
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().expect("a temporary folder"))
+    }
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+    fn put(&self, name: &str, content: impl AsRef<[u8]>) -> String {
+        std::fs::write(self.at(name), content).expect("writable");
+        self.text(name)
+    }
+    fn text(&self, name: &str) -> String {
+        self.at(name).to_str().expect("UTF-8").to_string()
+    }
+}
+
+/// Gentle ground, 20 × 20 m, with a point 30 m above it.
+fn ground() -> Vec<[f32; 3]> {
+    let mut points = Vec::new();
+    for i in 0..400u16 {
+        let (x, y) = (f32::from(i % 20) + 0.25, f32::from(i / 20) + 0.5);
+        points.push([x, y, 100.0 + 0.05 * x + f32::from(i * 7 % 5) * 0.01]);
+    }
+    points[210][2] = 130.0;
+    points
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Order {
+    Little,
+    Big,
+    Text,
+}
+
+/// As MicMac writes: float coordinates, normals, colours, faces behind them.
+fn ply(points: &[[f32; 3]], order: Order) -> Vec<u8> {
+    let name = match order {
+        Order::Little => "binary_little_endian",
+        Order::Big => "binary_big_endian",
+        Order::Text => "ascii",
+    };
+    let mut out = format!(
+        "ply\nformat {name} 1.0\ncomment made here\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property float nx\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nelement face 0\n\
+         property list uchar int vertex_indices\nend_header\n",
+        points.len()
+    )
+    .into_bytes();
+    for (index, point) in points.iter().enumerate() {
+        let colour = [10, 20, (index % 256) as u8];
+        let numbers = [point[0], point[1], point[2], 0.5];
+        match order {
+            Order::Text => {
+                let words: Vec<String> =
+                    numbers.iter().map(f32::to_string).chain(colour.iter().map(u8::to_string)).collect();
+                out.extend_from_slice((words.join(" ") + "\n").as_bytes());
+            }
+            Order::Little => numbers.iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes())),
+            Order::Big => numbers.iter().for_each(|v| out.extend_from_slice(&v.to_be_bytes())),
+        }
+        if order != Order::Text {
+            out.extend_from_slice(&colour);
+        }
+    }
+    out
+}
+
+fn info(path: &str) -> Value {
+    done(&["info", path, "--json"])["clouds"][0].clone()
+}
+
+#[test]
+fn every_order_of_ply_becomes_the_same_cloud_and_keeps_what_it_carries() {
+    let folder = Folder::new();
+    let mut classes = Vec::new();
+    for (name, order) in [("le.ply", Order::Little), ("be.ply", Order::Big), ("as.ply", Order::Text)] {
+        let path = folder.put(name, ply(&ground(), order));
+        for out in ["out.laz", "out.las", "out.ply"] {
+            let out = folder.text(out);
+            let report = done(&[
+                "clean",
+                &path,
+                "-o",
+                &out,
+                "--shift",
+                "600000,8600000,0",
+                "--z",
+                "-50,716",
+                "--outliers",
+                "k=8,m=2",
+                "--ground",
+                "--overwrite",
+                "--json",
+            ]);
+            let steps = report["steps"].as_array().expect("steps");
+            let names: Vec<&str> = steps.iter().filter_map(|s| s["step"].as_str()).collect();
+            assert_eq!(names, ["z", "outliers", "ground"], "the order of the command line");
+            for key in ["points_in", "classified", "dropped"] {
+                assert!(steps[1][key].is_u64(), "{key}");
+            }
+            let found = info(&out);
+            assert_eq!(found["points"], 400);
+            let dimensions = found["dimensions"].to_string();
+            for dimension in ["nx", "red", "green", "blue", "classification"] {
+                assert!(dimensions.contains(dimension), "{out}: {dimensions}");
+            }
+            classes.push(found["classes"].to_string());
+        }
+    }
+    assert!(classes[0].contains('7') && classes.iter().all(|c| *c == classes[0]), "{classes:?}");
+}
+
+#[test]
+fn crops_cameras_and_several_clouds_and_resume() {
+    let folder = Folder::new();
+    let (a, b) = (folder.put("a.ply", ply(&ground(), Order::Little)), folder.put("b.ply", ply(&ground(), Order::Big)));
+    // A square with a hole in it, in map coordinates; the cloud is shifted.
+    let crop = folder.put(
+        "crop.geojson",
+        r#"{"type":"FeatureCollection","features":[{"type":"Feature","properties":{},"geometry":{"type":"Polygon",
+        "coordinates":[[[600000,8600000],[600010,8600000],[600010,8600010],[600000,8600010],[600000,8600000]],
+        [[600004,8600004],[600006,8600004],[600006,8600006],[600004,8600006],[600004,8600004]]]}}]}"#,
+    );
+    let out = folder.text("cropped.laz");
+    let shift = ["--shift", "600000,8600000,0"];
+    let report = done(&[&["clean", &a, "-o", &out, "--crop", &crop, "--drop", "noise", "--json"], &shift[..]].concat());
+    assert_eq!(report["points_kept"], 96, "10 × 10 points less 2 × 2");
+
+    // Cameras in map coordinates; that of `b` sees nothing: its height over z = 0 is 5 m.
+    let cameras = folder.put("cameras.csv", "cloud,E,N,H\na,600010,8600010,3000\nb.ply,600010,8600010,5\n");
+    let many = folder.text("many");
+    let arguments =
+        [&["clean", &a, &b, "-o", &many, "--range-from", &cameras, "--drop", "noise", "--json"], &shift[..]].concat();
+    let report = done(&arguments);
+    assert_eq!(report["clouds"][0]["points_kept"], 400);
+    assert_eq!(report["clouds"][1]["points_kept"], 0);
+    assert!(folder.at("many/a.laz").is_file() && folder.at("many/b.clean.html").is_file());
+    // Without --overwrite an output is left alone; --resume takes what is done.
+    refused(&arguments, "exists", &folder.at("none"));
+    let before = std::fs::metadata(folder.at("many/a.laz")).expect("there").modified().expect("a time");
+    let again = done(&[&arguments[..], &["--resume"]].concat());
+    assert_eq!(again["clouds"][0]["points_kept"], 400);
+    assert_eq!(before, std::fs::metadata(folder.at("many/a.laz")).expect("there").modified().expect("a time"));
+    let lonely = folder.put("lonely.ply", ply(&ground(), Order::Text));
+    refused(&["clean", &lonely, "-o", &folder.text("l.laz"), "--range-from", &cameras], "no row", &folder.at("l.laz"));
+}
+
+#[test]
+fn bad_clouds_are_refused_in_one_line() {
+    let folder = Folder::new();
+    let out = folder.text("out.laz");
+    let whole = ply(&ground(), Order::Little);
+    let refuse = |name: &str, content: &[u8], word: &str| {
+        let path = folder.put(name, content);
+        refused(&["clean", &path, "-o", &out, "--outliers", "--ground"], word, &folder.at("out.laz"));
+        let grids = folder.text("grids");
+        refused(&["grid", &path, "-o", &grids], word, &folder.at("grids/none"));
+    };
+    refuse("cut.ply", &whole[..whole.len() - 500], "truncated");
+    refuse("head.ply", &whole[..60], "PLY header");
+    refuse("none.ply", &ply(&[], Order::Little), "there are none");
+    refuse("nan.ply", &ply(&[[0.0; 3], [f32::NAN, 1.0, 1.0], [1.0, 2.0, f32::INFINITY]], Order::Big), "not finite");
+    refuse("empty.las", b"", "empty");
+    refuse("words.xyz", b"x y z\n1 2 3\n4 five 6\n", "five");
+    refuse("e57.e57", b"ASTM-E57 and more", "E57");
+    // A LAS file with its scale set to 0, and cut files.
+    let las = folder.text("good.las");
+    done(&["clean", &folder.put("good.ply", &whole), "-o", &las, "--json"]);
+    let good = std::fs::read(&las).expect("readable");
+    let mut bad = good.clone();
+    bad[131..139].copy_from_slice(&0f64.to_le_bytes());
+    refuse("scale.las", &bad, "scale factor of x is 0");
+    refuse("cut.las", &good[..good.len() - 10], "truncated");
+    refuse("short.las", &good[..100], "no whole header");
+    let laz = folder.text("good.laz");
+    done(&["clean", &folder.text("good.ply"), "-o", &laz, "--json"]);
+    let packed = std::fs::read(&laz).expect("readable");
+    refuse("cut.laz", &packed[..packed.len() / 2], "cut.laz");
+    for seed in 0..40usize {
+        let mut broken = packed.clone();
+        for k in 0..3 {
+            let at = (seed * 7919 + k * 104_729) % broken.len();
+            broken[at] = broken[at].wrapping_add(1 + (seed * 31 % 254) as u8);
+        }
+        let path = folder.put("broken.laz", &broken);
+        let output = cloud(&["info", &path]);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(matches!(output.status.code(), Some(0 | 2)) && !text.contains("panicked"), "{seed}: {text}");
+    }
+    // All at one place: no distance tells anything.
+    let same = folder.put("same.ply", ply(&[[5.0; 3]; 50], Order::Little));
+    refused(&["clean", &same, "-o", &out, "--outliers"], "one place", &folder.at("out.laz"));
+    // Points that are not finite can be left out on request.
+    let nan = folder.text("nan.ply");
+    let kept = done(&["clean", &nan, "-o", &folder.text("kept.laz"), "--outliers", "--skip-invalid", "--json"]);
+    assert_eq!(kept["points_kept"], 1);
+}
+
+#[test]
+fn options_that_make_no_sense_name_their_remedy() {
+    let folder = Folder::new();
+    let path = folder.put("a.ply", ply(&ground(), Order::Little));
+    let out = folder.text("out.laz");
+    for (option, value, word) in [
+        ("--outliers", "k=0", "k"),
+        ("--outliers", "k=2,m=nan", "nan"),
+        ("--z", "5,1", "above"),
+        ("--ground", "cell=0", "cell"),
+        ("--ground", "cell=1e-9", "--memory"),
+        ("--ground", "window=1e9", "window"),
+        ("--low", "foo", "foo"),
+        ("--drop", "tree", "tree"),
+        ("--range-from", "1,2,-5", "height"),
+        ("--range-from", "1,2", "E,N,H"),
+        ("--crop", "nowhere.gpkg", "no such file"),
+        ("--crop", &path, "vector"),
+    ] {
+        refused(&["clean", &path, "-o", &out, option, value], word, &folder.at("out.laz"));
+    }
+    refused(&["clean", &path, "-o", &folder.text("a.copc.laz")], "COPC", &folder.at("a.copc.laz"));
+    refused(&["clean", &path, &path, "-o", &folder.text("f")], "both", &folder.at("f/a.laz"));
+}
+
+#[test]
+fn wide_and_thin_clouds_end_soon() {
+    // Forty points over 4 × 4 km: nearly all of four million cells are a hole.
+    let folder = Folder::new();
+    let mut text = String::new();
+    for i in 0..40 {
+        text += &format!("{} {} {}\n", i * 677 % 4001, i * 1231 % 3999, i * 13 % 7);
+    }
+    let path = folder.put("thin.xyz", text);
+    let report = done(&["clean", &path, "-o", &folder.text("out.laz"), "--ground", "cell=8", "--json"]);
+    assert_eq!(report["points_kept"], 40);
+}
+
+#[test]
+fn grids_have_their_names_and_every_statistic() {
+    let folder = Folder::new();
+    let path = folder.put("a.ply", ply(&ground(), Order::Little));
+    let grids = folder.text("grids");
+    done(&[
+        "grid",
+        &path,
+        "-o",
+        &grids,
+        "--cell",
+        "2",
+        "--stat",
+        "mean,median,min,max,count,stdev,idw",
+        "--dimension",
+        "z,range,red",
+        "--radius",
+        "z=2.828,range=1.414",
+        "--range-from",
+        "600010,8600010,3000",
+        "--shift",
+        "600000,8600000,0",
+        "--json",
+    ]);
+    for dimension in ["z", "range", "red"] {
+        for stat in ["mean", "median", "min", "max", "count", "stdev", "idw", "filled"] {
+            let name = format!("grids/a_{dimension}_{stat}.tif");
+            let dataset = gdal::Dataset::open(folder.at(&name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let transform = dataset.geo_transform().expect("a geotransform");
+            assert_eq!((transform[0], transform[1], transform[3]), (600_000.0, 2.0, 8_600_020.0), "{name}");
+        }
+    }
+}

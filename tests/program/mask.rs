@@ -1,0 +1,176 @@
+//! `mask` from the command line, on frames that are drawn here: kinds of pixels, bad frames, teaching, mending, resuming.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use gdal::DriverManager;
+use gdal::raster::{Buffer, RasterCreationOptions};
+use serde_json::Value;
+
+fn mask(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream")).arg("mask").args(arguments).output().expect("the program runs")
+}
+
+/// The lines that --json prints.
+fn lines(output: &Output) -> Vec<Value> {
+    let text = String::from_utf8_lossy(&output.stdout);
+    text.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().expect("a temporary folder"))
+    }
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+    fn text(&self, name: &str) -> String {
+        self.at(name).to_str().expect("UTF-8").to_string()
+    }
+}
+
+const WIDE: usize = 320;
+const TALL: usize = 240;
+
+/// Rough ground on the left, calm water on the right; 0…255.
+fn level(x: usize, y: usize) -> f64 {
+    let mix = (x as u64 * 73_856_093) ^ (y as u64 * 19_349_663);
+    let noise = (mix.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / f64::from(1 << 24);
+    if x < WIDE / 2 { 40.0 + 180.0 * noise } else { 90.0 + 2.0 * noise }
+}
+
+fn write<T: gdal::raster::GdalType + Copy>(path: &Path, bands: usize, options: &[&str], cast: impl Fn(f64) -> T) {
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let options = RasterCreationOptions::from_iter(options.iter().copied());
+    let dataset =
+        driver.create_with_band_type_with_options::<T, _>(path, WIDE, TALL, bands, &options).expect("writable");
+    for band in 1..=bands {
+        let values = (0..WIDE * TALL).map(|i| cast(level(i % WIDE, i / WIDE))).collect();
+        let mut buffer = Buffer::new((WIDE, TALL), values);
+        dataset.rasterband(band).and_then(|mut b| b.write((0, 0), (WIDE, TALL), &mut buffer)).expect("writable");
+    }
+}
+
+fn frame(folder: &Folder, name: &str) -> String {
+    write::<u8>(&folder.at(name), 1, &[], |v| v as u8);
+    folder.text(name)
+}
+
+fn read(path: &Path) -> Vec<u8> {
+    let dataset = gdal::Dataset::open(path).expect("readable");
+    assert_eq!(dataset.raster_size(), (WIDE, TALL), "the frame's size");
+    dataset.rasterband(1).and_then(|band| band.read_band_as::<u8>()).expect("values").data().to_vec()
+}
+
+const TAUGHT: [&str; 4] = ["--sample", "ground=20,20,100,200@a.tif", "--sample", "water=200,20,100,200@a.tif"];
+
+#[test]
+fn each_kind_of_pixel_has_its_mask_and_a_bad_frame_stops_none() {
+    let folder = Folder::new();
+    let a = frame(&folder, "a.tif");
+    write::<u8>(&folder.at("colour.tif"), 3, &["PHOTOMETRIC=RGB"], |v| v as u8);
+    write::<u16>(&folder.at("deep.tif"), 1, &[], |v| (v * 250.0) as u16);
+    write::<u8>(&folder.at("bits.tif"), 1, &["NBITS=1"], |v| u8::from(v > 120.0));
+    write::<u8>(&folder.at("level.tif"), 1, &[], |_| 7);
+    std::fs::write(folder.at("empty.tif"), b"").expect("writable");
+    std::fs::write(folder.at("words.png"), b"no picture at all").expect("writable");
+    let whole = std::fs::read(&a).expect("readable");
+    std::fs::write(folder.at("cut.tif"), &whole[..whole.len() / 2]).expect("writable");
+    let out = folder.text("masks");
+    let frames = ["empty.tif", "a.tif", "words.png", "colour.tif", "cut.tif", "deep.tif", "bits.tif", "level.tif"];
+    let paths: Vec<String> = frames.iter().map(|name| folder.text(name)).collect();
+    let mut arguments: Vec<&str> = paths.iter().map(String::as_str).collect();
+    arguments.extend(["-o", &out, "--json", "--quiet"]);
+    arguments.extend(TAUGHT);
+    let output = mask(&arguments);
+    assert_eq!(output.status.code(), Some(2), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = lines(&output);
+    assert_eq!(said.len(), frames.len());
+    for (line, name) in said.iter().zip(frames) {
+        let bad = ["empty.tif", "words.png", "cut.tif"].contains(&name);
+        assert_eq!(line["status"], if bad { "error" } else { "done" }, "{name}: {line}");
+        let written = folder.at(&format!("masks/{}_Masq.tif", name.rsplit_once('.').expect("a dot").0));
+        assert_eq!(written.exists(), !bad, "{name}");
+        if bad {
+            assert!(line["error"].as_str().is_some_and(|text| text.contains(name)), "{line}");
+            continue;
+        }
+        for key in ["keep_share", "classes", "unsure_share", "warnings", "mask"] {
+            assert!(!line[key].is_null(), "{name}: {key}");
+        }
+        assert!(read(&written).iter().all(|value| *value <= 1), "{name}");
+    }
+    for name in ["a", "colour", "deep"] {
+        let values = read(&folder.at(&format!("masks/{name}_Masq.tif")));
+        let share = |x0: usize| {
+            let all = (0..TALL).flat_map(|y| (x0..x0 + 120).map(move |x| y * WIDE + x));
+            all.map(|i| f64::from(values[i])).sum::<f64>() / (120 * TALL) as f64
+        };
+        assert!(share(0) > 0.97 && share(200) < 0.03, "{name}: {} {}", share(0), share(200));
+    }
+    assert!(said[7]["keep_share"].as_f64().is_some_and(|share| share < 0.01), "nothing to match on one level");
+    assert!(folder.at("masks/masks.html").is_file() && folder.at("masks/a_Masq.xml").is_file());
+}
+
+#[test]
+fn outlines_are_the_mask_and_mend_another_run() {
+    let folder = Folder::new();
+    let a = frame(&folder, "a.tif");
+    let (first, second) = (folder.text("first"), folder.text("second"));
+    let taught = [&[a.as_str(), "-o", &first, "--quiet"], &TAUGHT[..]].concat();
+    assert!(mask(&taught).status.success());
+    let outlines = folder.text("first/a_Masq.geojson");
+    // Everything is masked by a global polygon, then mended by the outlines: the first mask comes back.
+    let all = folder.text("all.geojson");
+    let polygon = format!(
+        r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{{"class":"mask"}},
+        "geometry":{{"type":"Polygon","coordinates":[[[0,0],[{WIDE},0],[{WIDE},{TALL}],[0,{TALL}],[0,0]]]}}}}]}}"#
+    );
+    std::fs::write(&all, polygon).expect("writable");
+    let mended = [&[a.as_str(), "-o", &second, "--quiet", "--global", &all, "--mend", &outlines], &TAUGHT[..]].concat();
+    let output = mask(&mended);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(read(&folder.at("first/a_Masq.tif")), read(&folder.at("second/a_Masq.tif")));
+}
+
+#[test]
+fn frames_that_are_done_are_left_alone() {
+    let folder = Folder::new();
+    let paths = [frame(&folder, "a.tif"), frame(&folder, "b.tif")];
+    let out = folder.text("masks");
+    let arguments = [&[paths[0].as_str(), &paths[1], "-o", &out, "--json", "--quiet"], &TAUGHT[..]].concat();
+    assert!(mask(&arguments).status.success());
+    assert_eq!(mask(&arguments).status.code(), Some(2), "masks are not replaced without being asked");
+    std::fs::remove_file(folder.at("masks/b_Masq.tif")).expect("there");
+    let again = mask(&[&arguments[..], &["--resume"]].concat());
+    let said = lines(&again);
+    assert_eq!((&said[0]["status"], &said[1]["status"]), (&"unchanged".into(), &"done".into()));
+    // Another option makes another mask.
+    let other = mask(&[&arguments[..], &["--resume", "--least-area", "0.01"]].concat());
+    assert!(lines(&other).iter().all(|line| line["status"] == "done"));
+}
+
+#[test]
+fn samples_that_teach_nothing_are_named() {
+    let folder = Folder::new();
+    let a = frame(&folder, "a.tif");
+    let out = folder.text("masks");
+    for (arguments, word) in [
+        (&["--sample", "ground=300,20,100,100@a.tif"][..], "outside"),
+        (&["--sample", "ground=20,20,0,100@a.tif"], "sample"),
+        (&["--sample", "ground=20,20,50,50@z.tif"], "z.tif"),
+        (&["--sample", "unicorn=20,20,50,50@a.tif"], "unicorn"),
+        (&["--method", "thesis-2017", "--sample", "ground=20,20,50,50@a.tif"], "class"),
+        (&["--teach", "a.tif=nowhere.tif"], "tif"),
+        (&["--samples", "nowhere.toml"], "nowhere.toml"),
+        (&["--memory", "1M"], "112M"),
+    ] {
+        let output = mask(&[&[a.as_str(), "-o", &out, "--quiet"], arguments].concat());
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
+        assert!(text.contains(word) && !text.contains("panicked"), "{arguments:?}: {text}");
+        assert!(!folder.at("masks/a_Masq.tif").exists());
+    }
+}
