@@ -30,6 +30,7 @@ pub mod plan;
 pub mod positions;
 pub mod replay;
 pub mod report;
+mod residual_analysis;
 pub mod run;
 pub mod sample;
 pub mod selftest;
