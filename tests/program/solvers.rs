@@ -47,6 +47,17 @@ fn the_thesiss_tables_by_one_command() {
     for turn in ["roll_deg", "pitch_deg", "yaw_deg"] {
         assert!(metric[turn].as_f64().expect("a number").abs() < 2.0, "{metric}");
     }
+    let plane = &found(&document, "plane", "Similarity", "pixels to metres")["analysis"];
+    assert_eq!(plane["correlations"]["magnitude_distance_2d"]["n"], 14);
+    let p = plane["easting"]["normality"]["p_value"].as_f64().expect("a number");
+    assert!((0.0..=1.0).contains(&p), "{p}");
+    let path = table.to_str().expect("UTF-8");
+    let cut = self::document(&["compare-solvers", path, "--json", "--tail-cut", "0.1"]);
+    let cut = &found(&cut, "plane", "Similarity", "pixels to metres")["analysis"]["correlations"];
+    assert_eq!(
+        (&cut["magnitude_distance_2d"]["n"], &cut["direction_outward"]["n"]),
+        (&Value::from(12), &Value::from(14))
+    );
     let (least, most) = (metric["min_residual_m"].as_f64(), metric["max_residual_m"].as_f64());
     assert!(least < most, "{metric}");
 }
@@ -161,4 +172,38 @@ fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {
     );
     let again = document(&["compare-solvers", &path("a.autoref.json"), "--json"]);
     assert_eq!(again["from"], "result");
+}
+
+/// The tables of docs/thesis-comparison.md from the points that the thesis prints; expected by an independent computation
+/// (numpy's singular values).
+#[test]
+fn tables_b12_to_b29_from_the_printed_points() {
+    // Table, points, RMSE by the symmetric scale and by Umeyama's, height, least and largest residual.
+    let rows = [
+        (4, 20, 2.750_045, 2.749_819, 2.748_188, ("P5", 0.614_138), ("P7", 5.583_857)),
+        (5, 20, 2.749_881, 2.749_655, 2.748_016, ("P5", 0.608_167), ("P7", 5.584_307)),
+        (6, 17, 3.491_746, 3.491_270, 2.754_056, ("P16", 1.528_529), ("P7", 6.529_100)),
+        (7, 20, 2.749_881, 2.749_655, 2.748_016, ("P5", 0.608_167), ("P7", 5.584_307)),
+        (8, 14, 0.847_475, 0.847_466, 0.844_255, ("P13", 0.121_426), ("NEW1", 2.024_598)),
+        (9, 14, 0.847_475, 0.847_466, 0.844_255, ("P13", 0.121_426), ("NEW1", 2.024_598)),
+        (10, 7, 2.248_088, 2.247_771, 2.135_586, ("P9", 0.443_646), ("P10", 3.639_065)),
+        (11, 14, 0.847_475, 0.847_466, 0.844_255, ("P13", 0.121_426), ("NEW1", 2.024_598)),
+    ];
+    for (table, points, symmetric, least_squares, height, least, most) in rows {
+        let Some(path) = data(&format!("thesis/b{table}_cm.csv")) else { return };
+        let document = document(&["compare-solvers", path.to_str().expect("UTF-8"), "--json"]);
+        let horn = found(&document, "space", "HornHilden", "mixed");
+        assert_eq!(horn["points"], points);
+        near(&horn["rmse_m"], symmetric, 1e-6);
+        near(&horn["rmse_h_m"], height, 1e-6);
+        near(&found(&document, "space", "Umeyama", "mixed")["rmse_m"], least_squares, 1e-6);
+        near(&found(&document, "space", "Kraus", "mixed")["rmse_m"], least_squares, 1e-6);
+        near(&horn["min_residual_m"], least.1, 1e-6);
+        near(&horn["max_residual_m"], most.1, 1e-6);
+        let length = |gcp: &str| {
+            let rows = horn["residuals"].as_array().expect("residuals");
+            rows.iter().find(|r| r["gcp"] == gcp).and_then(|r| r["length_m"].as_f64()).expect("the point")
+        };
+        assert!((length(least.0) - least.1).abs() < 1e-6 && (length(most.0) - most.1).abs() < 1e-6, "B.{table}");
+    }
 }

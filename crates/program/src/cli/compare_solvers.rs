@@ -14,6 +14,7 @@ use clap::Args;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 
+use crate::cli::residual_analysis::{Residual, analyse};
 use crate::cli::run::{self, RunArgs};
 use crate::cli::solving::{SolverArg, flat};
 
@@ -26,6 +27,15 @@ use crate::cli::solving::{SolverArg, flat};
 pub struct CompareArgs {
     #[command(flatten)]
     run: RunArgs,
+    /// Leave out this share of the smallest and of the largest residuals in histograms, tests of normality and correlations of
+    /// magnitudes; 0.1 as in the 2016 thesis.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, help_heading = "Analysis")]
+    tail_cut: f64,
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().ok().filter(|v| (0.0..0.5).contains(v));
+    value.ok_or_else(|| format!("`{text}` is no share from 0 to below 0.5"))
 }
 
 /// A matched point: what is known of it on both sides.
@@ -60,7 +70,13 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         }
         (of_result(&result, input)?, "image")
     };
-    let solvers = compare(&rows);
+    let mut solvers = compare(&rows);
+    for value in &mut solvers {
+        let analysis = analysis(&rows, value, args.tail_cut);
+        if let Some(analysis) = analysis {
+            value["analysis"] = analysis;
+        }
+    }
     if args.run.json {
         let document = json!({
             "input": input.display().to_string(),
@@ -81,6 +97,26 @@ impl Row {
     fn is_full(&self) -> bool {
         self.plan.is_some() && self.height_m.is_some() && self.elevation_m.is_some()
     }
+}
+
+/// The residuals of a solver against the places of their points.
+fn analysis(rows: &[Row], solved: &Value, tail_cut: f64) -> Option<Value> {
+    let residuals: Vec<Residual> = solved["residuals"]
+        .as_array()?
+        .iter()
+        .filter_map(|residual| {
+            let row = rows.iter().find(|row| residual["gcp"] == row.name.as_str())?;
+            let plan = row.plan?;
+            Some(Residual {
+                position: [plan.easting, plan.northing],
+                height_m: row.height_m,
+                e_m: residual["e_m"].as_f64()?,
+                n_m: residual["n_m"].as_f64()?,
+                h_m: residual["h_m"].as_f64(),
+            })
+        })
+        .collect();
+    Some(analyse(&residuals, tail_cut))
 }
 
 /// Control points of a result in the metres of its fit, with the heights that its elevation model or list brought.
@@ -391,10 +427,30 @@ fn print(solvers: &[Value]) {
             figure("rmse_h_m", 6),
             figure("max_residual_m", 6)
         );
+        if let Some(normality) = normality(value) {
+            println!("{:>24} {normality}", "");
+        }
         if let (Some(roll), Some(pitch), Some(yaw)) =
             (value["roll_deg"].as_f64(), value["pitch_deg"].as_f64(), value["yaw_deg"].as_f64())
         {
             println!("{:>24} roll {roll:.6}°, pitch {pitch:.6}°, yaw {yaw:.6}°", "");
         }
     }
+}
+
+/// One line on the analysis: p-values of normality and the correlation of magnitude and distance.
+fn normality(value: &Value) -> Option<String> {
+    let analysis = &value["analysis"];
+    let p =
+        |axis: &str| analysis[axis]["normality"]["p_value"].as_f64().map_or("–".to_owned(), |p| format!("{p:.3}"));
+    let grows = &analysis["correlations"]["magnitude_distance_2d"];
+    let r = grows["r"].as_f64()?;
+    Some(format!(
+        "normal: p {} E, {} N, {} height; magnitude and distance: r {r:.4} ({:.4} to {:.4})",
+        p("easting"),
+        p("northing"),
+        p("height"),
+        grows["low_95"].as_f64()?,
+        grows["high_95"].as_f64()?
+    ))
 }

@@ -31,6 +31,7 @@ pub mod positions;
 pub mod progress;
 pub mod replay;
 pub mod report;
+mod residual_analysis;
 pub mod run;
 pub mod sample;
 pub mod selftest;

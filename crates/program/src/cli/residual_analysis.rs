@@ -1,0 +1,228 @@
+//! What the residuals of a fit say of its model: are they normal, do they favour a direction, do they grow outwards.
+//!
+//! Normality by A² of T. W. Anderson and D. A. Darling, "A test of goodness of fit", 1954, with mean and variance from the sample
+//! and the p-value of R. B. D'Agostino and M. A. Stephens, "Goodness-of-fit techniques", 1986, table 4.9: it sees the tails,
+//! which the test of Kolmogorov and Smirnov hardly does. Directions by Lord Rayleigh's test for a favoured direction, with the
+//! p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of correlations by R. A. Fisher's z, 95 %.
+
+use serde_json::{Value, json};
+
+/// A residual and where its point lies, metres.
+pub struct Residual {
+    pub position: [f64; 2],
+    pub height_m: Option<f64>,
+    pub e_m: f64,
+    pub n_m: f64,
+    pub h_m: Option<f64>,
+}
+
+const BINS: usize = 10;
+const SECTORS: usize = 8;
+/// Below it neither a test nor an interval says anything.
+const FEWEST: usize = 5;
+
+/// The analysis as JSON; what too few points leave open is null. `tail_cut` is the share of the smallest and of the largest
+/// values that histograms, tests and magnitudes leave out, 0 to below 0.5.
+pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Value {
+    let values = |of: &dyn Fn(&Residual) -> Option<f64>| -> Vec<f64> { residuals.iter().filter_map(of).collect() };
+    let n = residuals.len().max(1) as f64;
+    let mean = |of: &dyn Fn(&Residual) -> f64| residuals.iter().map(of).sum::<f64>() / n;
+    let centre = [mean(&|r| r.position[0]), mean(&|r| r.position[1])];
+    let heights = values(&|r| r.height_m);
+    let level = heights.iter().sum::<f64>() / heights.len().max(1) as f64;
+    let outward = |r: &Residual| (r.position[0] - centre[0], r.position[1] - centre[1]);
+    let plan: Vec<[f64; 2]> = residuals
+        .iter()
+        .map(|r| {
+            let (east, north) = outward(r);
+            [r.e_m.hypot(r.n_m), east.hypot(north)]
+        })
+        .collect();
+    let space: Vec<[f64; 2]> = residuals
+        .iter()
+        .filter_map(|r| {
+            let (east, north) = outward(r);
+            let (height, error) = r.height_m.zip(r.h_m)?;
+            Some([r.e_m.hypot(r.n_m).hypot(error), east.hypot(north).hypot(height - level)])
+        })
+        .collect();
+    let directions: Vec<[f64; 2]> = residuals
+        .iter()
+        .map(|r| {
+            let (east, north) = outward(r);
+            [r.n_m.atan2(r.e_m), north.atan2(east)]
+        })
+        .collect();
+    let angles: Vec<f64> = directions.iter().map(|d| d[0]).collect();
+    let component = |values: &[f64]| {
+        let kept = without_tails(values, tail_cut);
+        json!({"histogram": histogram(&kept), "normality": normality(&kept)})
+    };
+    let in_space = values(&|r| r.h_m);
+    json!({
+        "points": residuals.len(),
+        "tail_cut": tail_cut,
+        "centre": centre,
+        "easting": component(&values(&|r| Some(r.e_m))),
+        "northing": component(&values(&|r| Some(r.n_m))),
+        "height": if in_space.is_empty() { Value::Null } else { component(&in_space) },
+        "directions": {"sectors": sectors(&angles), "favoured": favoured(&angles)},
+        "correlations": {
+            "magnitude_distance_2d": correlation(&pairs_without_tails(&plan, tail_cut)),
+            "magnitude_distance_3d": correlation(&pairs_without_tails(&space, tail_cut)),
+            "direction_outward": correlation(&directions),
+        },
+    })
+}
+
+fn cut(len: usize, share: f64) -> usize {
+    (len as f64 * share).floor() as usize
+}
+
+fn without_tails(values: &[f64], share: f64) -> Vec<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let k = cut(sorted.len(), share);
+    sorted[k..sorted.len() - k].to_vec()
+}
+
+/// By the first of each pair.
+fn pairs_without_tails(pairs: &[[f64; 2]], share: f64) -> Vec<[f64; 2]> {
+    let mut sorted = pairs.to_vec();
+    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let k = cut(sorted.len(), share);
+    sorted[k..sorted.len() - k].to_vec()
+}
+
+fn histogram(sorted: &[f64]) -> Value {
+    let (Some(low), Some(high)) = (sorted.first(), sorted.last()) else { return Value::Null };
+    let width = (high - low) / BINS as f64;
+    let mut counts = [0usize; BINS];
+    for value in sorted {
+        let bin = if width > 0.0 { ((value - low) / width) as usize } else { 0 };
+        counts[bin.min(BINS - 1)] += 1;
+    }
+    json!({"from_m": low, "to_m": high, "counts": counts})
+}
+
+/// Standard normal distribution function; W. J. Cody's rational forms are not needed for a p-value of three digits.
+fn normal_below(z: f64) -> f64 {
+    // Abramowitz and Stegun, "Handbook of mathematical functions", 1964, 26.2.17: good to 7.5e-8.
+    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
+    let poly =
+        t * (0.319_381_530 + t * (-0.356_563_782 + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
+    let tail = (-z * z / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt() * poly;
+    if z > 0.0 { 1.0 - tail } else { tail }
+}
+
+fn normality(sorted: &[f64]) -> Value {
+    let n = sorted.len();
+    let mean = sorted.iter().sum::<f64>() / n.max(1) as f64;
+    let variance = sorted.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n.saturating_sub(1).max(1) as f64;
+    if n < FEWEST || variance <= 0.0 {
+        return Value::Null;
+    }
+    let below = |i: usize| normal_below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
+    let count = n as f64;
+    let sum: f64 = (0..n).map(|i| (2.0 * i as f64 + 1.0) * (below(i).ln() + (1.0 - below(n - 1 - i)).ln())).sum();
+    let a2 = (-count - sum / count) * (1.0 + 0.75 / count + 2.25 / (count * count));
+    let p = if a2 < 0.2 {
+        1.0 - (-13.436 + 101.14 * a2 - 223.73 * a2 * a2).exp()
+    } else if a2 < 0.34 {
+        1.0 - (-8.318 + 42.796 * a2 - 59.938 * a2 * a2).exp()
+    } else if a2 < 0.6 {
+        (0.9177 - 4.279 * a2 - 1.38 * a2 * a2).exp()
+    } else {
+        (1.2937 - 5.709 * a2 + 0.0186 * a2 * a2).exp()
+    };
+    json!({"test": "Anderson-Darling", "statistic": a2, "p_value": p.clamp(0.0, 1.0), "n": n})
+}
+
+/// Counts anticlockwise from east, beginning at −180°.
+fn sectors(angles: &[f64]) -> [usize; SECTORS] {
+    let mut counts = [0; SECTORS];
+    for angle in angles {
+        let turn = (angle + std::f64::consts::PI) / std::f64::consts::TAU;
+        counts[((turn * SECTORS as f64) as usize).min(SECTORS - 1)] += 1;
+    }
+    counts
+}
+
+fn favoured(angles: &[f64]) -> Value {
+    let n = angles.len() as f64;
+    if angles.len() < FEWEST {
+        return Value::Null;
+    }
+    let (c, s) = (angles.iter().map(|a| a.cos()).sum::<f64>(), angles.iter().map(|a| a.sin()).sum::<f64>());
+    let r = c.hypot(s);
+    let p = ((1.0 + 4.0 * n + 4.0 * (n * n - r * r)).sqrt() - (1.0 + 2.0 * n)).exp();
+    json!({"test": "Rayleigh", "direction_deg": s.atan2(c).to_degrees(), "share": r / n, "p_value": p.clamp(0.0, 1.0)})
+}
+
+fn correlation(pairs: &[[f64; 2]]) -> Value {
+    let n = pairs.len();
+    let count = n as f64;
+    let mean = |i: usize| pairs.iter().map(|p| p[i]).sum::<f64>() / count;
+    let (a, b) = (mean(0), mean(1));
+    let sum = |f: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(f).sum::<f64>();
+    let spread = (sum(&|p| (p[0] - a).powi(2)) * sum(&|p| (p[1] - b).powi(2))).sqrt();
+    if n < FEWEST || spread.is_nan() || spread <= 0.0 {
+        return Value::Null;
+    }
+    let r = (sum(&|p| (p[0] - a) * (p[1] - b)) / spread).clamp(-1.0, 1.0);
+    let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), 1.959_964 / (count - 3.0).sqrt());
+    json!({"r": r, "low_95": (z - half).tanh(), "high_95": (z + half).tanh(), "n": n})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_statistic_of_a_normal_sample_and_of_an_exponential_one() {
+        // scipy.stats.anderson(x, "norm").statistic · (1 + 0.75/n + 2.25/n²) of quantiles at (i + ½)/20.
+        let normal: Vec<f64> = (0..20).map(|i| quantile((f64::from(i) + 0.5) / 20.0)).collect();
+        let exponential: Vec<f64> = (0..20).map(|i| -(1.0 - (f64::from(i) + 0.5) / 20.0_f64).ln()).collect();
+        let p = |values: &[f64]| normality(values)["p_value"].as_f64().expect("a number");
+        assert!(p(&normal) > 0.99, "{}", p(&normal));
+        assert!(p(&exponential) < 0.05, "{}", p(&exponential));
+        assert!(normality(&[1.0; 20]).is_null() && normality(&normal[..3]).is_null());
+    }
+
+    fn quantile(p: f64) -> f64 {
+        let (mut low, mut high) = (-9.0, 9.0);
+        for _ in 0..80 {
+            let middle = (low + high) / 2.0;
+            if normal_below(middle) < p { low = middle } else { high = middle }
+        }
+        low
+    }
+
+    #[test]
+    fn what_grows_outwards_is_seen_and_tails_are_cut() {
+        let radial: Vec<Residual> = (0..24)
+            .map(|i| {
+                let (angle, radius) = (f64::from(i) * 0.9, 10.0 + f64::from(i * 7 % 24));
+                let at = [radius * f64::cos(angle), radius * f64::sin(angle)];
+                Residual { position: at, height_m: None, e_m: at[0] / 1e3, n_m: at[1] / 1e3, h_m: None }
+            })
+            .collect();
+        let analysis = analyse(&radial, 0.0);
+        assert!(analysis["correlations"]["magnitude_distance_2d"]["r"].as_f64().expect("a number") > 0.9);
+        assert!(analysis["height"].is_null());
+        let counts = |a: &Value| -> u64 {
+            a["easting"]["histogram"]["counts"].as_array().expect("bins").iter().filter_map(Value::as_u64).sum()
+        };
+        assert_eq!((counts(&analysis), counts(&analyse(&radial, 0.1))), (24, 20));
+        let all: usize = sectors(&[-3.2, 3.2, 0.0, 1.0]).iter().sum();
+        assert_eq!(all, 4);
+    }
+
+    #[test]
+    fn a_favoured_direction_is_seen() {
+        let one: Vec<f64> = (0..20).map(|i| 0.5 + 0.01 * f64::from(i)).collect();
+        let round: Vec<f64> = (0..20).map(|i| std::f64::consts::TAU * f64::from(i) / 20.0).collect();
+        let p = |angles: &[f64]| favoured(angles)["p_value"].as_f64().expect("a number");
+        assert!(p(&one) < 1e-6 && p(&round) > 0.9);
+    }
+}
