@@ -3,7 +3,7 @@
 //! Marks are planted with known sub-pixel centres into real photographs, one factor at a time about a base case (10 px,
 //! blur 0.9 px, fading up to 20 %, JPEG 90). Excluded: reading files, tiling and merging (they never change a candidate).
 //!
-//! `cargo bench --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
+//! `cargo bench -p autoref-benches --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
 //! `AUTOREF_BENCH_MARKS=100` is a quick look,
 //! `AUTOREF_BENCH_PYTHON=python3` (with scikit-image) adds the pipeline of `benches/scikit_pipeline.py` on the same pictures;
 //! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;

@@ -10,7 +10,7 @@ use autoref_stream::detector::Detector as _;
 use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::georef::sidecar::world_file;
 use autoref_stream::matching::{Priors, RobustMatcher};
-use autoref_stream::pipeline::georeference::{Job, Outcome, georeference};
+use autoref_stream::pipeline::georeference::{Job, Outcome, Refine, georeference};
 use autoref_stream::pipeline::{NoProgress, PaintDetector};
 use autoref_stream::profile::Profile;
 use autoref_synth::{SynthSpec, random_gcps, write, write_gcp_geojson};
@@ -50,6 +50,7 @@ pub fn run(image: &Path, list: &Path, out: &Path) -> Result<String, AnyError> {
         matcher: &RobustMatcher::default(),
         priors: &[priors],
         progress: &NoProgress,
+        refine: Refine::Always,
     };
     match georeference(&job)?.outcome {
         Outcome::Refused(evidence) => Err(evidence.reason.into()),

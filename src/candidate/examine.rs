@@ -104,7 +104,7 @@ pub(super) fn examine_whole(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    if !super::prototype_options::passes(scene, profile) {
+    if !super::prototype_options::passes(scene, classifier, profile) {
         return None;
     }
     let evidence = measure_whole(scene, pixels, region, classifier, profile, gates)?;
@@ -244,7 +244,7 @@ pub(super) fn examine_part(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    if !super::prototype_options::passes(scene, profile) {
+    if !super::prototype_options::passes(scene, classifier, profile) {
         return None;
     }
     let evidence = measure_scene(scene, Some(Around { pixels, classifier }), region, classifier, profile);

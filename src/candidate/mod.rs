@@ -57,3 +57,11 @@ pub struct Candidate {
     #[serde(skip)]
     pub paint: Option<[u8; 3]>,
 }
+
+impl Candidate {
+    /// Probability that it is a mark, when mark and background are as likely beforehand: 1 / (1 + e^−score). `None` without
+    /// a score.
+    pub fn probability(&self) -> Option<f64> {
+        self.score.map(|score| 1.0 / (1.0 + (-score).exp()))
+    }
+}

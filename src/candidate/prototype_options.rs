@@ -4,12 +4,12 @@
 use super::Candidate;
 use super::patch::Scene;
 use crate::profile::colour::lab_from_srgb;
-use crate::profile::{CentreMode, Density, Ordering, Profile, Shape, TooClose};
+use crate::profile::{CentreMode, Density, Ordering, Profile, Property, Rule, Shape, TooClose};
 use crate::segment::classify::Classifier;
 use autoref_raster::coords::PixelPoint;
 
 /// The gates that need pixels.
-pub(super) fn passes(scene: &Scene<'_>, profile: &Profile) -> bool {
+pub(super) fn passes(scene: &Scene<'_>, classifier: &Classifier, profile: &Profile) -> bool {
     let options = &profile.examine;
     if options.max_clutter.is_some_and(|most| scene.clutter() > most) {
         return false;
@@ -24,11 +24,65 @@ pub(super) fn passes(scene: &Scene<'_>, profile: &Profile) -> bool {
             return false;
         }
     }
+    if profile.gates.rule.as_ref().is_some_and(|rule| !follows(rule, scene, classifier, profile)) {
+        return false;
+    }
     options.density.as_ref().is_none_or(|density| {
         let values: Vec<f64> = box_pixels(scene).map(|i| probability(density, scene, i)).collect();
         let zeros = values.iter().filter(|&&p| p == 0.0).count() as f64;
         let best = values.iter().copied().fold(0.0, f64::max);
         best >= density.min_probability && zeros / (values.len() as f64) < density.max_zero_share
+    })
+}
+
+/// Whether the candidate's own pixels satisfy a rule of the profile.
+fn follows(rule: &Rule, scene: &Scene<'_>, classifier: &Classifier, profile: &Profile) -> bool {
+    let at = |i: usize| ((i % scene.width) as f64, (i / scene.width) as f64);
+    let area = scene.own.count() as f64;
+    if area == 0.0 {
+        return false;
+    }
+    let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+    let (mut mean_x, mut mean_y) = (0.0, 0.0);
+    for (x, y) in scene.own.iter().map(at) {
+        (low, high) = ((low.0.min(x), low.1.min(y)), (high.0.max(x), high.1.max(y)));
+        (mean_x, mean_y) = (mean_x + x / area, mean_y + y / area);
+    }
+    let (width, height) = (high.0 - low.0 + 1.0, high.1 - low.1 + 1.0);
+    let perimeter = || {
+        let column = |i: usize| i % scene.width;
+        let sides = |i: usize| {
+            let free = |inside: bool, other: usize| u64::from(!(inside && scene.own.has(other)));
+            free(column(i) > 0, i.wrapping_sub(1))
+                + free(column(i) + 1 < scene.width, i + 1)
+                + free(i >= scene.width, i.wrapping_sub(scene.width))
+                + free(i + scene.width < scene.width * scene.height, i + scene.width)
+        };
+        scene.own.iter().map(sides).sum::<u64>() as f64
+    };
+    let eccentricity = || {
+        let (mut xx, mut xy, mut yy) = (1.0 / 12.0, 0.0, 1.0 / 12.0);
+        for (x, y) in scene.own.iter().map(at) {
+            let (x, y) = (x - mean_x, y - mean_y);
+            (xx, xy, yy) = (xx + x * x / area, xy + x * y / area, yy + y * y / area);
+        }
+        let half_gap = (((xx - yy) / 2.0).powi(2) + xy * xy).sqrt();
+        (1.0 - (((xx + yy) / 2.0 - half_gap) / ((xx + yy) / 2.0 + half_gap)).clamp(0.0, 1.0)).sqrt()
+    };
+    let distances =
+        || scene.own.iter().map(|i| classifier.reference().nearest2(unit(scene, i)).sqrt() / profile.colour.limit);
+    rule.holds(&|property| match property {
+        Property::Area => area,
+        Property::Perimeter => perimeter(),
+        Property::Width => width,
+        Property::Height => height,
+        Property::Extent => area / (width * height),
+        Property::Eccentricity => eccentricity(),
+        Property::Solidity => solidity(scene),
+        Property::Compactness => 4.0 * std::f64::consts::PI * area / perimeter().powi(2),
+        Property::MeanDistance => distances().sum::<f64>() / area,
+        Property::MinDistance => distances().fold(f64::INFINITY, f64::min),
+        Property::MaxDistance => distances().fold(0.0, f64::max),
     })
 }
 

@@ -6,9 +6,11 @@
 
 use std::path::Path;
 
-use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::cells::without_apostrophe;
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -202,6 +204,17 @@ pub(super) fn is_coordinate(title: &str) -> bool {
     [EASTINGS, NORTHINGS, XS, YS, LONGITUDES, LATITUDES].iter().any(|names| find(&tidied, names).is_some())
 }
 
+/// Whether a title is that of a role, by any of its words.
+pub(super) fn is_role(title: &str) -> bool {
+    [ROLES, CHECKS, ENABLED].iter().any(|names| names.contains(&title))
+}
+
+/// Whether a title is one of those that a table's reader knows.
+pub(super) fn is_known(title: &str) -> bool {
+    let tidied = [tidy(title)];
+    is_coordinate(title) || [NAMES, HEIGHTS, SIGMAS, SIGMA_HEIGHTS].iter().any(|names| find(&tidied, names).is_some())
+}
+
 /// The columns that titles name, when both coordinates are among them.
 pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     let tidied: Vec<String> = titles.iter().map(|t| tidy(t)).collect();
@@ -340,7 +353,7 @@ impl Columns {
             // A marker that is switched off in Metashape is a check point.
             || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
         let gcp = Gcp {
-            name: self.name.and_then(text).unwrap_or(number).to_string(),
+            name: without_apostrophe(self.name.and_then(text).unwrap_or(number)).to_string(),
             easting: required(self.easting, if self.geographic { "longitude" } else { "easting" })?,
             northing: required(self.northing, if self.geographic { "latitude" } else { "northing" })?,
             height: optional(self.height, "height")?,
@@ -348,9 +361,18 @@ impl Columns {
             sigma_height_m: sigma(self.sigma_height, "accuracy of the height")?,
             role: if check { GcpRole::Check } else { GcpRole::Control },
         };
-        let attributes = self.titles.iter().cloned().zip(fields.iter().cloned()).collect();
-        Ok(RawPoint { gcp, place, attributes })
+        let attributes: Vec<(String, String)> = self.titles.iter().cloned().zip(fields.iter().cloned()).collect();
+        Ok(RawPoint { pixels: seen(&attributes), ..RawPoint { attributes, ..RawPoint::bare(gcp, place) } })
     }
+}
+
+/// The columns `pixel_x`, `pixel_y` and `image` of our own tables.
+fn seen(attributes: &[(String, String)]) -> Vec<Seen> {
+    let text = |title: &str| attributes.iter().find(|(t, _)| t == title).map(|(_, text)| text.trim());
+    let value = |title: &str| text(title).and_then(text::number);
+    let image = text("image").filter(|name| !name.is_empty()).map(str::to_owned);
+    let at = value("pixel_x").zip(value("pixel_y")).map(|(x, y)| PixelPoint { x, y });
+    at.map(|at| Seen { image, at }).into_iter().collect()
 }
 
 /// Words for a point that is kept out of the fit, as in Pix4D's and Metashape's lists.

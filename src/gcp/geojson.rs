@@ -8,8 +8,9 @@ use std::path::Path;
 use serde_json::Value;
 
 use crate::gcp::csv_list::is_check;
-use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
@@ -41,6 +42,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     };
     let mut list = RawList::new(points, crs);
     list.may_be_degrees = true;
+    list.order = ColumnOrder::Ruled;
     Ok(list)
 }
 
@@ -81,5 +83,12 @@ fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
     };
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_string);
     let attributes = properties.as_object().into_iter().flatten().map(|(key, value)| (key.clone(), text(value)));
-    Ok(RawPoint { gcp, place, attributes: attributes.collect() })
+    let image = properties["image"].as_str().map(str::to_owned);
+    let own = number("x").zip(number("y")).filter(|_| properties["layer"] == "gcp").map(|(x, y)| (image, x, y));
+    let listed =
+        properties["pixels"].as_array().into_iter().flatten().filter_map(|seen| {
+            Some((seen["image"].as_str().map(str::to_owned), seen["x"].as_f64()?, seen["y"].as_f64()?))
+        });
+    let pixels = own.into_iter().chain(listed).map(|(image, x, y)| Seen { image, at: PixelPoint { x, y } }).collect();
+    Ok(RawPoint { gcp, place, attributes: attributes.collect(), pixels })
 }

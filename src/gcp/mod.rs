@@ -13,6 +13,7 @@
 //! ```
 
 mod accuracy_list;
+pub mod convert;
 mod csv_list;
 mod frame;
 mod geojson;

@@ -7,9 +7,10 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::{Line, number};
 use crate::gcp::{Gcp, GcpRole, csv_list};
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 
 /// What OpenDroneMap's labels of check points begin with.
@@ -55,6 +56,9 @@ fn fields(line: &str) -> Vec<&str> {
 struct Observation<'a> {
     place: [f64; 2],
     height: Option<f64>,
+    /// OpenDroneMap counts from the centre of the first pixel.
+    pixel: PixelPoint,
+    image: &'a str,
     label: Option<&'a str>,
 }
 
@@ -67,11 +71,12 @@ fn observation<'a>(fields: &[&'a str]) -> Option<Observation<'a>> {
         *value = number(field);
     }
     // "NaN" stands for a height that is not known.
-    let [Some(x), Some(y), z, Some(_), Some(_)] = numbers else { return None };
+    let [Some(x), Some(y), z, Some(im_x), Some(im_y)] = numbers else { return None };
     if z.is_none() && !fields[2].eq_ignore_ascii_case("nan") {
         return None;
     }
-    Some(Observation { place: [x, y], height: z, label: fields.get(6).copied() })
+    let pixel = PixelPoint { x: im_x + 0.5, y: im_y + 0.5 };
+    Some(Observation { place: [x, y], height: z, pixel, image: fields[5], label: fields.get(6).copied() })
 }
 
 fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
@@ -80,7 +85,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
     let mut placed: HashMap<[u64; 3], usize> = HashMap::new();
     let mut unlabelled = 0;
     for row in rows {
-        let Observation { place, height, label } = observation(&fields(row.text)).ok_or_else(|| {
+        let Observation { place, height, pixel, image, label } = observation(&fields(row.text)).ok_or_else(|| {
             Error::format(
                 path,
                 row.place(),
@@ -90,6 +95,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
                 ),
             )
         })?;
+        let seen_at = Seen { image: Some(image.to_owned()), at: pixel };
         let key = [place[0].to_bits(), place[1].to_bits(), height.map_or(u64::MAX, f64::to_bits)];
         let seen = match label {
             Some(label) => labelled.get(label),
@@ -107,6 +113,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
                     ),
                 ));
             }
+            points[seen].pixels.push(seen_at);
             continue;
         }
         let name = label.map_or_else(
@@ -123,7 +130,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
             None => (name, GcpRole::Control),
         };
         let gcp = Gcp { height, role, ..Gcp::control(name, place[0], place[1]) };
-        points.push(RawPoint::bare(gcp, row.place()));
+        points.push(RawPoint { pixels: vec![seen_at], ..RawPoint::bare(gcp, row.place()) });
     }
     let mut list = RawList::new(points, CrsClaim::None);
     list.order = ColumnOrder::Assumed;

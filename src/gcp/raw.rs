@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::gcp::Gcp;
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
 
@@ -13,11 +14,21 @@ pub(super) struct RawPoint {
     pub place: String,
     /// Everything that the file says of it, by column.
     pub attributes: Vec<(String, String)>,
+    /// Where it was seen, when the list says so.
+    pub pixels: Vec<Seen>,
+}
+
+/// A place in an image; (0, 0) is the outer corner of the first pixel.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Seen {
+    /// `None` when the list belongs to one image, which it does not name.
+    pub image: Option<String>,
+    pub at: PixelPoint,
 }
 
 impl RawPoint {
     pub fn bare(gcp: Gcp, place: impl Into<String>) -> Self {
-        RawPoint { gcp, place: place.into(), attributes: Vec::new() }
+        RawPoint { gcp, place: place.into(), attributes: Vec::new(), pixels: Vec::new() }
     }
 }
 
@@ -44,6 +55,8 @@ pub(super) enum ColumnOrder {
     Stated,
     /// East before north by custom, which is not everybody's.
     Assumed,
+    /// East before north by the format's own rule, which not everybody keeps (GeoJSON): only what cannot be is exchanged.
+    Ruled,
 }
 
 /// What a format's reader returns.

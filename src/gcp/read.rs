@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::gcp::convert::ListFormat;
 use crate::gcp::frame::{Frame, Reproject};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
@@ -13,10 +14,15 @@ use autoref_raster::error::{Error, Result};
 
 /// Lists are small; what is larger is another file.
 const LARGEST_LIST_BYTES: u64 = 32 << 20;
-/// Matching weighs every pair of points: five thousand have twelve million.
-const MOST_POINTS: usize = 5_000;
+/// Matching weighs every pair of points against every other point.
+const MOST_POINTS: usize = 2_000;
 /// Of which a list may be chosen by name.
 const MOST_ROWS: usize = 50_000;
+/// Ends of names that are GDAL's.
+const OGR: [&str; 18] = [
+    "gpkg", "shp", "shz", "zip", "kml", "kmz", "gpx", "gml", "fgb", "dxf", "tab", "mif", "sqlite", "xlsx", "xls",
+    "ods", "gdb", "dbf",
+];
 
 /// What the caller says about the list.
 #[derive(Clone, Debug)]
@@ -90,49 +96,75 @@ pub struct GcpList {
 /// When the file cannot be read, is of no known format, has a row that is no point (the message names it), two points
 /// of one name, or fewer than two points; when its coordinates cannot be brought into metres as surely as is demanded.
 pub fn read(path: &Path, options: &GcpOptions) -> Result<GcpList> {
-    let raw = parse(path, options)?;
+    let (raw, _) = parse(path, options.layer.as_deref(), None)?;
     finish(path, raw, options)
 }
 
-fn parse(path: &Path, options: &GcpOptions) -> Result<RawList> {
-    const OGR: [&str; 18] = [
-        "gpkg", "shp", "shz", "zip", "kml", "kmz", "gpx", "gml", "fgb", "dxf", "tab", "mif", "sqlite", "xlsx", "xls",
-        "ods", "gdb", "dbf",
-    ];
+/// The list as it is, and the format it was read as.
+pub(super) fn parse(path: &Path, layer: Option<&str>, from: Option<ListFormat>) -> Result<(RawList, ListFormat)> {
     bounded::refuse_endless(path)?;
-    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let layer = options.layer.as_deref();
-    if metadata.is_dir() || OGR.contains(&extension.as_str()) || layer.is_some() {
-        return ogr::parse(path, layer);
+    let is_text = from.is_none_or(ListFormat::is_text);
+    if is_text && layer.is_none() && !path.is_dir() && !OGR.contains(&extension(path).as_str()) {
+        let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
+        if let Some(text) = text::decode(&bytes) {
+            refuse_many(path, &text)?;
+            let format = from.unwrap_or_else(|| recognised(path, &text));
+            if format.is_text() {
+                return Ok((parse_as(path, &text, format)?, format));
+            }
+        }
     }
-    let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
-    let Some(text) = text::decode(&bytes) else {
-        return ogr::parse(path, layer);
-    };
+    std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    Ok((ogr::parse(path, layer)?, from.filter(|f| !f.is_text()).unwrap_or_else(|| ListFormat::of_vectors(path))))
+}
+
+fn extension(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
+}
+
+/// The format of a text, by its content and then by its name.
+fn recognised(path: &Path, text: &str) -> ListFormat {
     let start = text.trim_start();
-    refuse_many(path, &text)?;
+    let extension = extension(path);
     if matches!(extension.as_str(), "geojson" | "json") || start.starts_with('{') {
-        return geojson::parse(path, &text);
+        return ListFormat::GeoJson;
     }
     if start.starts_with('<') {
         return match xml::dialect(start) {
-            Some(dialect) => xml::parse(path, &text, dialect),
-            None => ogr::parse(path, layer),
+            Some(xml::Dialect::Metashape) => ListFormat::MetashapeXml,
+            Some(xml::Dialect::MicMac) => ListFormat::MicMac,
+            None => ListFormat::of_vectors(path),
         };
     }
     if extension == "kof" {
-        return kof::parse(path, &text);
+        return ListFormat::Kof;
     }
-    let lines = text::lines(&text);
+    let lines = text::lines(text);
     if extension == "points" || qgis::is_points(&lines) {
-        return qgis::parse(path, &lines);
+        return ListFormat::Qgis;
     }
     let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
     if content.first().is_some_and(|first| odm::is_crs_line(first.text)) || odm::has_observations(&content) {
-        return odm::parse(path, &content);
+        return ListFormat::Odm;
     }
-    csv_list::parse(path, &lines)
+    ListFormat::Csv
+}
+
+fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
+    let lines = text::lines(text);
+    let content = || lines.iter().skip_while(|line| line.is_comment()).copied().collect::<Vec<_>>();
+    match format {
+        ListFormat::GeoJson => geojson::parse(path, text),
+        ListFormat::MetashapeXml => xml::parse(path, text, xml::Dialect::Metashape),
+        ListFormat::MicMac => xml::parse(path, text, xml::Dialect::MicMac),
+        ListFormat::Kof => kof::parse(path, text),
+        ListFormat::Qgis => qgis::parse(path, &lines),
+        ListFormat::Odm if content().is_empty() => {
+            Err(Error::format(path, "row 1", "the file holds no points; a CRS and one line for each are expected"))
+        }
+        ListFormat::Odm => odm::parse(path, &content()),
+        _ => csv_list::parse(path, &lines),
+    }
 }
 
 /// Each row or feature costs hundreds of bytes when it is read.
@@ -149,20 +181,30 @@ fn refuse_many(path: &Path, text: &str) -> Result<()> {
     ))
 }
 
-fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
+/// The points with their coordinates in order, the CRS that is stated, and what was said.
+pub(super) fn settled(
+    path: &Path,
+    raw: RawList,
+    crs_override: Option<&str>,
+) -> Result<(Vec<RawPoint>, Option<Crs>, Vec<String>)> {
     let RawList { mut points, crs, may_be_degrees, order, mut notes } = raw;
     check_points(path, &points, &mut notes)?;
-    let image_crs = options.image.as_ref();
-    let stated = match (options.crs.as_deref(), crs) {
+    let degrees = |points: &[RawPoint]| within_degrees(points) || latitude_first(points);
+    let stated = match (crs_override, crs) {
         (Some(crs), _) => Some(Crs::parse(crs)?),
         (None, CrsClaim::Unclear(error)) => return Err(error),
         (None, CrsClaim::Known(crs)) => Some(crs),
-        (None, CrsClaim::None) if may_be_degrees && within_degrees(&points) => Some(Crs::from_epsg(4326)?),
+        (None, CrsClaim::None) if may_be_degrees && degrees(&points) => Some(Crs::from_epsg(4326)?),
         (None, CrsClaim::None) => None,
     };
-    if order == ColumnOrder::Assumed {
-        settle_order(path, &mut points, stated.as_ref(), &mut notes);
-    }
+    settle_order(path, &mut points, order, stated.as_ref(), &mut notes);
+    Ok((points, stated, notes))
+}
+
+fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
+    let image_crs = options.image.as_ref();
+    let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref())?;
+
     let source = match stated {
         Some(crs) => Some(crs),
         None => match image_crs.map(|image| crs_of_image(path, &points, image, &mut notes)).transpose()?.flatten() {
@@ -269,6 +311,11 @@ fn within_degrees(points: &[RawPoint]) -> bool {
     points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 90.0)
 }
 
+/// Degrees, when the first number is the latitude.
+fn latitude_first(points: &[RawPoint]) -> bool {
+    points.iter().all(|p| p.gcp.northing.abs() <= 180.0 && p.gcp.easting.abs() <= 90.0)
+}
+
 /// Points within one metre of each other are no survey: they are degrees without a CRS.
 fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
     let small = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 180.0);
@@ -294,9 +341,14 @@ fn swap(points: &mut [RawPoint]) {
 
 /// East first or north first, where the file does not say: the CRS's area of use decides, else the size of the numbers. What
 /// is not certain is said; a wrong order mirrors the pattern, which is never matched.
-fn settle_order(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: &mut Vec<String>) {
+fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: Option<&Crs>, notes: &mut Vec<String>) {
+    let assumed = order == ColumnOrder::Assumed;
+    if order == ColumnOrder::Stated {
+        return;
+    }
     let all = |test: &dyn Fn(f64, f64) -> bool| points.iter().all(|p| test(p.gcp.easting, p.gcp.northing));
-    let swapped = format!("{}: northing comes before easting in its columns", path.display());
+    let what = if assumed { "columns" } else { "coordinates" };
+    let swapped = format!("{}: northing comes before easting in its {what}", path.display());
     match crs {
         Some(crs) => {
             let covers = |x: f64, y: f64| crs.covers(x, y);
@@ -305,7 +357,7 @@ fn settle_order(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: 
             if !as_is && other {
                 swap(points);
                 notes.push(format!("{swapped}, by the area of use of {}", crs.title()));
-            } else if as_is && other {
+            } else if as_is && other && assumed {
                 notes.push(format!(
                     "{}: its columns were taken as east, north; both orders would lie in the area of use of {}",
                     path.display(),
@@ -319,7 +371,7 @@ fn settle_order(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: 
             if all(&|x, y| utm(y, x)) {
                 swap(points);
                 notes.push(format!("{swapped}, by the size of the numbers"));
-            } else if !all(&|x, y| utm(x, y)) {
+            } else if assumed && !all(&|x, y| utm(x, y)) {
                 notes.push(format!(
                     "{}: its columns do not say which is which and were taken as east, north",
                     path.display()
@@ -334,11 +386,14 @@ fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> 
     if !crs.is_geographic() || crs.unit_name().to_lowercase().contains("grad") || within_degrees(points) {
         return Ok(());
     }
-    // A longitude may count from 0 to 360; exchanged columns are another matter.
+    // A longitude may count from 0 to 360.
     let are_degrees = |e: f64, n: f64| e.abs() <= 360.0 && n.abs() <= 90.0;
-    let bad =
-        |p: &&RawPoint| !are_degrees(p.gcp.easting, p.gcp.northing) && !are_degrees(p.gcp.northing, p.gcp.easting);
-    match points.iter().find(bad) {
+    let stands = |p: &&RawPoint| are_degrees(p.gcp.easting, p.gcp.northing);
+    // Exchanged columns are another matter.
+    if points.iter().all(|p| !stands(&p) && are_degrees(p.gcp.northing, p.gcp.easting)) {
+        return Ok(());
+    }
+    match points.iter().find(|p| !stands(p)) {
         Some(bad) => Err(Error::format(
             path,
             &bad.place,

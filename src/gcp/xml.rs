@@ -154,11 +154,12 @@ fn micmac(path: &Path, text: &str) -> Result<RawList> {
                         return Err(Error::format(path, &place, "a point without Pt; three numbers are expected"));
                     };
                     // MicMac's files carry 1 1 1 or 10 10 10 where nothing is known.
-                    let sigma = sigma.take().filter(|s| s.iter().all(|v| *v > 0.0 && *v < 1.0));
+                    let known = |s: &f64| *s > 0.0 && *s < 1.0;
+                    let sigma = sigma.take();
                     let gcp = Gcp {
                         height: Some(at[2]),
-                        sigma_m: sigma.as_ref().map(|s| s[0].max(s[1])),
-                        sigma_height_m: sigma.as_ref().map(|s| s[2]),
+                        sigma_m: sigma.as_ref().map(|s| s[0].max(s[1])).filter(known),
+                        sigma_height_m: sigma.as_ref().map(|s| s[2]).filter(known),
                         ..Gcp::control(name.unwrap_or_else(|| (points.len() + 1).to_string()), at[0], at[1])
                     };
                     points.push(RawPoint::bare(gcp, place));

@@ -6,7 +6,7 @@
 //! Numbers are written in the shortest form that reads back to the same value, so that two lists are equal when their
 //! bytes are.
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
 use crate::candidate::{Candidate, Code};
@@ -83,9 +83,12 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
 /// # Errors
 /// When the file cannot be read, lacks `x` or `y`, or has a value that is no number; the message names the row.
 pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
+    autoref_raster::bounded::refuse_endless(path)?;
+    let delimiter = delimiter(path)?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
+        .delimiter(delimiter)
         .from_path(path)
         .map_err(|e| csv_error(path, &e))?;
     let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
@@ -103,7 +106,9 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
         let mut values = [None; 10];
         for ((value, place), name) in values.iter_mut().zip(places).zip(COLUMNS) {
             let Some(text) = place.and_then(|i| record.get(i)).filter(|text| !text.is_empty()) else { continue };
-            let number = text.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+            // A German spreadsheet writes semicolons and decimal commas.
+            let plain = if delimiter == b',' { text.to_owned() } else { text.replace(',', ".") };
+            let number = plain.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
                 Error::format(path, format!("row {row}"), format!("`{text}` in column `{name}` is not a number"))
             })?;
             *value = Some(number);
@@ -129,6 +134,20 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
         });
     }
     Ok(candidates)
+}
+
+/// What stands between the columns, by the first line that is no comment: a comma, or what spreadsheets write in countries with a
+/// decimal comma.
+fn delimiter(path: &Path) -> Result<u8> {
+    use std::io::BufRead;
+    let file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
+    for line in std::io::BufReader::new(file.take(1 << 16)).split(b'\n') {
+        let line = line.map_err(|e| Error::io(path, "read", e))?;
+        if !line.starts_with(b"#") && !line.is_empty() {
+            return Ok([b';', b'\t'].into_iter().find(|d| line.contains(d)).unwrap_or(b','));
+        }
+    }
+    Ok(b',')
 }
 
 fn csv_error(path: &Path, error: &csv::Error) -> Error {

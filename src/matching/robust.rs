@@ -32,6 +32,10 @@ const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
 const GROWTH_SHARE: u64 = 3;
+/// A field of few candidates needs no more than this many hypotheses for each ordered pair of them, and at least [`FEWEST`]: a
+/// refusal is to come in seconds.
+const ROUNDS: u64 = 40;
+const FEWEST: u64 = 30_000_000;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
 
@@ -40,7 +44,7 @@ const MOST_CHALLENGES: usize = 3;
 pub struct RobustMatcher {
     /// A pattern is believed when chance alone would produce no more than this many.
     pub max_false_alarms: f64,
-    /// The search ends here, found or not.
+    /// The search ends here, found or not; with few candidates after [`ROUNDS`] times their pairs.
     pub budget_hypotheses: u64,
     /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
@@ -142,6 +146,38 @@ impl RobustMatcher {
     }
 }
 
+/// What a search has done of what it may do, counted as hypotheses: what a long list adds to each of them is in it, and what a
+/// pattern costs that is refined.
+struct Work {
+    done: u64,
+    allowed: u64,
+    gcps: u64,
+}
+
+impl Work {
+    /// Looks of which one takes as long as the rest of a hypothesis.
+    const LOOKS: u64 = 16;
+
+    fn each(&self) -> u64 {
+        1 + self.gcps / Self::LOOKS
+    }
+
+    fn hypotheses_left(&self) -> u64 {
+        self.allowed.saturating_sub(self.done) / self.each()
+    }
+
+    fn tried(&mut self, hypotheses: u64) {
+        // Laying out a pair of GCPs against all others costs too.
+        self.done += hypotheses * self.each() + self.gcps;
+    }
+
+    /// Some hundred weighings, each of every point in the image against every other.
+    fn refined(&mut self, pattern: Option<&Pattern>) {
+        let inside = pattern.map_or(0, |pattern| pattern.gcps_in_image as u64);
+        self.done += 20 * self.gcps + 4 * inside * inside;
+    }
+}
+
 /// The best two patterns of a search.
 #[derive(Default)]
 pub(super) struct Found {
@@ -195,8 +231,10 @@ impl RobustMatcher {
             .collect();
         // Every search is a chance for a false alarm.
         let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
-        let early = self.budget_hypotheses / EARLY_SHARE;
-        let last = self.budget_hypotheses.saturating_sub(rungs.len() as u64 * early).max(early);
+        let pairs = (candidates.len() as u64).pow(2);
+        let budget = self.budget_hypotheses.min((ROUNDS * pairs).max(FEWEST));
+        let early = budget / EARLY_SHARE;
+        let last = budget.saturating_sub(rungs.len() as u64 * early).max(early);
         for rung in rungs {
             let ranked = &ranked[..rung];
             let mut found = self.search(&some(ranked), gcps, (priors, heeded), log10_searches, early);
@@ -235,25 +273,33 @@ impl RobustMatcher {
             patterns.into_iter().for_each(|pattern| found.take(pattern, &search));
         }
         let mut done = 0;
+        let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps: gcps.len() as u64 };
+        let enough_pairs = search.enough_pairs(limit, pairs.len());
         for pair in &pairs {
             // One decade below the limit chance has no say any more; repetition is asked about below.
-            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) {
+            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) || done >= enough_pairs {
                 break;
             }
             if self.time_limit.is_over() {
                 (found.effort.budget_spent, found.effort.search_cut) = (true, true);
                 break;
             }
-            let left = budget.saturating_sub(found.effort.hypotheses_tried);
+            let left = work.hypotheses_left();
             let (hypotheses, tried) = search.try_pair(pair, left);
             done += 1;
             found.effort.hypotheses_tried += tried;
+            work.tried(tried);
             for hypothesis in hypotheses {
-                if let Some(pattern) = search.refine(pair, hypothesis) {
+                let pattern = search.refine(pair, hypothesis);
+                work.refined(pattern.as_ref());
+                if let Some(pattern) = pattern {
                     found.take(pattern, &search);
                 }
+                if work.hypotheses_left() == 0 {
+                    break;
+                }
             }
-            if left < pair.hypotheses() || found.effort.hypotheses_tried >= budget {
+            if left < pair.hypotheses() || work.hypotheses_left() == 0 {
                 found.effort.budget_spent = true;
                 break;
             }

@@ -172,6 +172,27 @@ impl<'a> Search<'a> {
         Some((search, pairs, possible))
     }
 
+    /// So many pairs of GCPs in a random order that one of them has both its marks in the image, but for one case in a hundred, if
+    /// there is a pattern to be believed (after M. A. Fischler and R. C. Bolles, "Random sample consensus", 1981). All of them where
+    /// the order is not random.
+    pub fn enough_pairs(&self, log10_limit: f64, pairs: usize) -> usize {
+        const MISSED: f64 = 0.01;
+        if self.priors.gsd_m_per_px.is_some() || self.gcps.len() < 3 {
+            return pairs;
+        }
+        // The fewest marks that could ever be believed: each as near as can be, all points in the image.
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let closest = -(-density * std::f64::consts::PI * 1.5 * LEVELS_PX[0] * LEVELS_PX[0]).exp_m1();
+        let chances = vec![closest; self.gcps.len() - 2];
+        let levels = (LEVELS_PX.len() as f64).log10();
+        let believed = |hits: &usize| self.log10_tests + levels + log10_tail(&chances, *hits) <= log10_limit;
+        let Some(hits) = (1..=chances.len()).find(believed) else { return pairs };
+        let (marks, points) = (hits as f64 + 2.0, self.gcps.len() as f64);
+        let both = marks * (marks - 1.0) / (points * (points - 1.0));
+        // ln(1 − 1) is −∞: one pair is enough then.
+        (MISSED.ln() / (-both).ln_1p()).ceil().clamp(1.0, pairs as f64) as usize
+    }
+
     /// With names, which forbid pairs.
     #[must_use]
     pub fn heeding(mut self, names: Option<Names>) -> Self {

@@ -7,6 +7,11 @@ use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
+/// Pairs of a pattern that it is weighed by, the longest; fewer where many points lie in the image, since every weighing takes long.
+const MOST_BASES: usize = 48;
+const FEW_BASES: usize = 4;
+const MANY: usize = 200;
+
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
     pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
@@ -121,7 +126,8 @@ impl Search<'_> {
             }
         }
         bases.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
-        bases.truncate(48);
+        let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
+        bases.truncate(if gcps_in_image <= MANY { MOST_BASES } else { FEW_BASES });
         let mut best: Option<(f64, usize)> = None;
         for (_, i, j) in bases {
             let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
@@ -134,7 +140,6 @@ impl Search<'_> {
                 }
             }
         }
-        let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
         best.map(|(log10_false_alarms, _)| Pattern { pairs, similarity, log10_false_alarms, noise_px, gcps_in_image })
     }
 }

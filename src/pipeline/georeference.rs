@@ -29,6 +29,16 @@ pub struct Job<'a> {
     /// Tried in order until one solves: what is believed first, then less.
     pub priors: &'a [Priors],
     pub progress: &'a dyn Progress,
+    pub refine: Refine,
+}
+
+/// Whether points are looked for again where they must be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Refine {
+    #[default]
+    Always,
+    /// The first match stands as it is, as in the tables of the 2016 thesis; check points are the scan's candidates.
+    Never,
 }
 
 /// What came of it.
@@ -97,11 +107,24 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
     job.progress.stage("looking again where every point must be");
     let outcome = match outcome {
         MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
-        MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| {
-            rematch(job.source, job.second_look, &scan.candidates, expected)
+        MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| match job.refine {
+            Refine::Always => rematch(job.source, job.second_look, &scan.candidates, expected),
+            Refine::Never => Ok(unrefined(job, &scan.candidates, expected)),
         })?,
     };
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
+}
+
+/// What the scan saw of check points, and nothing of any other.
+fn unrefined(job: &Job<'_>, candidates: &[Candidate], expected: &[Expected]) -> Vec<SecondLook> {
+    let (width, height) = (job.source.info().width as f64, job.source.info().height as f64);
+    let inside = |p: PixelPoint| p.x >= 0.0 && p.y >= 0.0 && p.x <= width && p.y <= height;
+    let answer = |e: &Expected| match nearest(candidates, e) {
+        Some(candidate) if job.gcps[e.gcp].role == GcpRole::Check => SecondLook::Kept { candidate },
+        _ if inside(e.position) => SecondLook::NotFound,
+        _ => SecondLook::Outside,
+    };
+    expected.iter().map(answer).collect()
 }
 
 /// Orients by a match that is believed already; points that the job's second look does not see are looked for with `taught` too.

@@ -59,6 +59,8 @@ pub struct PlacedModel {
     pub frame: ModelFrame,
     /// Model pixels per image pixel, when the frame is the image's.
     ratio: (f64, f64),
+    /// Heights are means over so many cells each way; 1 is the height at the very place.
+    cells: u32,
     /// From the list's system to the model's, when they differ.
     change: Option<(Crs, Crs)>,
 }
@@ -88,7 +90,7 @@ impl PlacedModel {
             _ => None,
         };
         if let Some(ratio) = as_image {
-            return Ok(PlacedModel { model, frame: ModelFrame::Image, ratio, change: None });
+            return Ok(PlacedModel { model, frame: ModelFrame::Image, ratio, cells: 1, change: None });
         }
         if own.is_none() {
             let image = size_px.map_or("unknown".into(), |(w, h)| format!("{w} × {h}"));
@@ -104,21 +106,44 @@ impl PlacedModel {
             }
             _ => None,
         };
-        Ok(PlacedModel { model, frame: ModelFrame::Map, ratio: (1.0, 1.0), change })
+        Ok(PlacedModel { model, frame: ModelFrame::Map, ratio: (1.0, 1.0), cells: 1, change })
     }
 
     /// The mark's place in the system in which the surface counts, and the model's height there.
     fn read(&self, pixel: PixelPoint, map: MapPoint) -> Result<(MapPoint, Option<f64>)> {
         if self.frame == ModelFrame::Image {
             let p = PixelPoint { x: pixel.x * self.ratio.0, y: pixel.y * self.ratio.1 };
-            return Ok((map, self.model.at_pixel(p)?));
+            return Ok((map, self.mean_around(p)?));
         }
         let mut point = [Coordinate { x: map.easting, y: map.northing, height: None }];
         if let Some((from, to)) = &self.change {
             from.transform(&mut point, to, f64::INFINITY)?;
         }
         let there = MapPoint { easting: point[0].x, northing: point[0].y };
-        Ok((there, self.model.at_map(there)?))
+        if self.cells == 1 {
+            return Ok((there, self.model.at_map(there)?));
+        }
+        let own = self.model.geotransform().and_then(|own| own.invert(there));
+        Ok((there, own.map_or(Ok(None), |p| self.mean_around(p))?))
+    }
+
+    /// Heights as means over `cells` × `cells` cells around the mark, as the thesis's GCPArea: less noise, less detail.
+    pub fn over(self, cells: u32) -> Self {
+        PlacedModel { cells: cells.max(1), ..self }
+    }
+
+    /// `None` where one of the cells has no height.
+    fn mean_around(&self, p: PixelPoint) -> Result<Option<f64>> {
+        let half = f64::from(self.cells - 1) / 2.0;
+        let mut sum = 0.0;
+        for row in 0..self.cells {
+            for column in 0..self.cells {
+                let at = PixelPoint { x: p.x + f64::from(column) - half, y: p.y + f64::from(row) - half };
+                let Some(height) = self.model.at_pixel(at)? else { return Ok(None) };
+                sum += height;
+            }
+        }
+        Ok(Some(sum / f64::from(self.cells).powi(2)))
     }
 
     /// From the model's pixels to the system in which the surface counts.

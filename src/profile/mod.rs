@@ -13,6 +13,7 @@ pub mod colour;
 mod family;
 pub mod mixing;
 mod paint;
+mod rule;
 
 use std::path::Path;
 
@@ -22,6 +23,7 @@ use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use colour::{Cloud, Metric, Space};
 pub use family::Family;
+pub use rule::{Property, Rule};
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -174,7 +176,7 @@ pub enum Shape {
 }
 
 /// Limits on regions, before any pixel is looked at again. What is absent is derived from the size.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GateLimits {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -206,6 +208,9 @@ pub struct GateLimits {
     pub min_solidity: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_solidity: Option<f64>,
+    /// An expression over properties of the candidate's pixels; what does not satisfy it is dropped in the second look.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rule: Option<Rule>,
 }
 
 impl GateLimits {

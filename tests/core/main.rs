@@ -18,6 +18,7 @@ mod doctor;
 mod examples;
 mod gcp_lists;
 mod matching;
+mod mutations;
 mod names;
 mod reader_facts;
 mod readers;

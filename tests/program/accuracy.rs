@@ -247,7 +247,7 @@ fn solved(check_shift_m: f64, crs: &str, extra: &[&str]) -> (serde_json::Value, 
     command.args(["solve"]).arg(path("marks.csv")).arg("--gcps").arg(path("list.csv"));
     command.arg("--accuracy").arg(path("errors.csv"));
     let output = command
-        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--crs", crs])
+        .args(["--check", "P0,P1,P2,P3", "--size", "8000,6000", "--json", "--verbose", "--crs", crs])
         .args(extra)
         .output()
         .expect("the program starts");

@@ -421,3 +421,49 @@ fn lessons_give_rough_boxes_and_densities() {
         );
     }
 }
+
+/// Rules over named properties: a bound in or out decides, probabilities are there, unknown names are refused with their column.
+#[test]
+fn gates_of_ones_own() {
+    use autoref_synth::{self as synth, MarkSize, MarkStyle, SynthSpec, Visible};
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let image = folder.path().join("a.tif");
+    let spec = SynthSpec {
+        gcps: synth::random_gcps(8, 30.0, 20.0, 3),
+        size_px: Some((1100, 800)),
+        visible: Visible::All,
+        mark: MarkStyle { size: MarkSize::Px(14.0), ..MarkStyle::default() },
+        ..SynthSpec::default()
+    };
+    synth::write(&spec, &image).expect("a sample");
+    let detect = |rules: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
+        command.arg("detect").arg(&image).arg("--json");
+        rules.iter().for_each(|rule| drop(command.args(["--gate", rule])));
+        command.output().expect("it runs")
+    };
+    let count = |rules: &[&str]| {
+        let finished = detect(rules);
+        assert_eq!(finished.status.code(), Some(0), "{rules:?}: {}", String::from_utf8_lossy(&finished.stderr));
+        let document: serde_json::Value = serde_json::from_slice(&finished.stdout).expect("one document");
+        let candidates = document["candidates"].as_array().expect("a list").clone();
+        for candidate in &candidates {
+            let (score, probability) = (candidate["score"].as_f64(), candidate["probability"].as_f64());
+            assert_eq!(probability, score.map(|s| 1.0 / (1.0 + (-s).exp())));
+        }
+        candidates.len()
+    };
+    let all = count(&[]);
+    assert!(all >= 6, "{all}");
+    assert_eq!(count(&["area > 0 and extent in (0, 1] and solidity <= 1 and perimeter >= width"]), all);
+    assert_eq!(count(&["area < 0 or eccentricity > 1"]), 0);
+    assert_eq!(count(&["area > 50", "not area > 50"]), 0);
+    assert_eq!(count(&["mean_distance > 50"]), 0);
+    let (small, large) = (count(&["area < 150"]), count(&["area >= 150"]));
+    assert_eq!(small + large, all);
+    for (rule, words) in [("area > 2 and roundness > 1", "column 14: `roundness`"), ("area >", "the rule ends")] {
+        let finished = detect(&[rule]);
+        let said = String::from_utf8_lossy(&finished.stderr).into_owned();
+        assert!(finished.status.code() == Some(2) && said.contains(words), "{said}");
+    }
+}

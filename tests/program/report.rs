@@ -508,8 +508,8 @@ fn a_refused_run_is_reported_with_reason_and_pictures() {
 fn a_hundred_marks_make_a_page_below_three_megabytes_that_prints() {
     let sample = Sample::new(
         |spec| {
-            spec.gcps = synth::random_gcps(100, 88.0, 66.0, 5);
-            spec.size_px = Some((3000, 2300));
+            spec.gcps = synth::random_gcps(100, 64.0, 49.0, 5);
+            spec.size_px = Some((2200, 1700));
             spec.visible = Visible::All;
         },
         |_| {},

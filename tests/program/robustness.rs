@@ -187,8 +187,9 @@ fn pictures(folder: &Path) -> Vec<(PathBuf, std::ops::RangeInclusive<usize>)> {
     });
     // Touching at their corners: one region of 288 marks, which is no mark.
     add("touching", (240, 240), 3, None, 0..=0, &|x, y| orange((x / 10 + y / 10) % 2 == 0));
-    // Two pixels apart: 2,500 marks.
-    add("crowd", (600, 600), 3, None, 2500..=2500, &|x, y| orange(x % 12 < 9 && y % 12 < 9));
+    // Three pixels apart: 400 marks, or 2,500.
+    let side = if crate::common::large() { 50 } else { 20 };
+    add("crowd", (12 * side, 12 * side), 3, None, side * side..=side * side, &|x, y| orange(x % 12 < 9 && y % 12 < 9));
     add("lines", (300, 300), 3, None, 0..=0, &|x, y| orange(x % 7 == 0 || y % 50 == 0));
     add("specks", (300, 300), 3, None, 0..=0, &|x, y| orange(x % 3 == 0 && y % 3 == 0));
     all

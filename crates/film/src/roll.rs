@@ -246,5 +246,6 @@ fn table_rows(frame: &FrameResult, out: &mut dyn Write) -> std::io::Result<()> {
 }
 
 fn quoted(text: &str) -> String {
+    let text = &*autoref_raster::cells::no_formula(text);
     if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }

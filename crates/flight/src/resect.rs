@@ -295,7 +295,9 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         // The worst normalised residual, as long as the rest still fixes the pose with something to spare.
         let spare = known >= unknowns + 3 && kept.len() > 4;
         let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options));
-        if let Some((index, _)) = worst {
+        let worst = worst.map(|(index, _)| index);
+        let apart = || outlying(&camera, &pose, &subset, options, 2.0 * summary.cost, redundancy);
+        if let Some(index) = worst.or_else(|| if spare { apart() } else { None }) {
             blunders.push(kept.remove(index));
             continue;
         }
@@ -319,6 +321,38 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
             alternatives: 0,
         });
     }
+}
+
+/// The point without which the others agree so much better that chance hardly explains it, whatever the σ that were stated: each
+/// point is left out in turn, and F = ((Ω − Ωᵢ) / 2) / (Ωᵢ / (r − 2)) is tested over all of them (W. Baarda, "A testing procedure for
+/// use in geodetic networks", 1968, with the variance of the others in place of a known one, as A. J. Pope, "The statistics of
+/// residuals and the detection of outliers", 1976). `square_sum` is Ω, the weighted square sum of all; `redundancy` is r.
+fn outlying(
+    camera: &Camera,
+    pose: &Pose,
+    seen: &[Seen],
+    options: &ResectOptions,
+    square_sum: f64,
+    redundancy: usize,
+) -> Option<usize> {
+    /// Chance of naming a point of a net without blunders, over all points.
+    const SIGNIFICANCE: f64 = 0.05;
+    if redundancy < 5 {
+        return None;
+    }
+    let plain = Options { loss: Loss::Squared, ..Options::default() };
+    let without = |i: usize| {
+        let others: Vec<Seen> = seen.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, s)| s.clone()).collect();
+        let mut at = problem(camera, pose, &others, options, Trust::Full);
+        solve(&mut at, &plain).ok().map(|summary| (2.0 * summary.cost, i))
+    };
+    let (left, index) = (0..seen.len()).filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let freedom = (redundancy - 2) as f64;
+    let gain = square_sum - left;
+    let f = gain / 2.0 / (left / freedom).max(f64::MIN_POSITIVE);
+    // The tail of F with 2 and d degrees of freedom is (1 + 2F/d)^(−d/2).
+    let chance = (1.0 + 2.0 * f / freedom).powf(-freedom / 2.0) * seen.len() as f64;
+    (chance < SIGNIFICANCE && gain.sqrt() > options.critical).then_some(index)
 }
 
 /// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated may be

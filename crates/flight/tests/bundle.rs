@@ -198,6 +198,32 @@ fn large_blocks_take_seconds() {
     assert!((found.sigma_tie_px - 0.7).abs() < 0.05, "{}", found.sigma_tie_px);
 }
 
+/// The problem as JSON, with the cost that was reached.
+fn dump(problem: &Problem, cost: f64, f_px: f64) -> String {
+    let camera = &problem.cameras[0].camera;
+    let rows = |m: &nalgebra::Matrix3<f64>| m.transpose().iter().copied().collect::<Vec<f64>>();
+    let frames: Vec<_> = problem
+        .frames
+        .iter()
+        .map(|f| serde_json::json!({"R": rows(&f.pose.rotation), "C": f.pose.centre.as_slice()}))
+        .collect();
+    let points: Vec<_> = problem
+        .points
+        .iter()
+        .map(|p| serde_json::json!({"xyz": p.xyz.as_slice(), "survey": p.survey.map(|s| [s.0.x, s.0.y, s.0.z, s.1.x])}))
+        .collect();
+    let observations: Vec<_> = problem
+        .observations
+        .iter()
+        .map(|o| serde_json::json!([o.frame, o.point, o.pixel[0], o.pixel[1], o.sigma_px, o.trust == Trust::Robust]))
+        .collect();
+    serde_json::json!({
+        "f": camera.f_px(), "pp": camera.pp_px(), "k1": camera.get(Parameter::K1), "huber": 1.5, "frames": frames,
+        "points": points, "observations": observations, "ours": {"cost": cost, "f": f_px},
+    })
+    .to_string()
+}
+
 /// A small problem that has one minimum: three starts must meet there.
 #[test]
 fn the_minimum_does_not_depend_on_the_start() {
@@ -227,6 +253,12 @@ fn the_minimum_does_not_depend_on_the_start() {
             }
         }
         let options = Options { loss: Loss::Huber(1.5), least_gain: 1e-15, most_iterations: 200 };
+        // For benches/bundle_scipy.py: the start that is farthest off.
+        if let Some(file) = std::env::var_os("AUTOREF_BUNDLE_DUMP").filter(|_| k == 2) {
+            let mut solved = problem.clone();
+            let ours = solve(&mut solved, &options).expect("solved").cost;
+            std::fs::write(file, dump(&problem, ours, solved.cameras[0].camera.f_px())).expect("written");
+        }
         costs.push(solve(&mut problem, &options).expect("solved").cost);
         assert!(factor(&problem, options.loss).is_some());
     }

@@ -24,6 +24,7 @@
 pub mod atomic;
 pub mod bounded;
 mod cache;
+pub mod cells;
 mod chunked;
 pub mod coords;
 pub mod crs;

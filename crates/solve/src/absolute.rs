@@ -82,7 +82,9 @@ pub(super) struct Centred {
     pub target: Vec<Vector3<f64>>,
     model_centre: Vector3<f64>,
     target_centre: Vector3<f64>,
-    /// Σ|model|², Σ|target|².
+    /// Of each point.
+    weights: Vec<f64>,
+    /// Σ weight · |model|², Σ|target|².
     pub model_square: f64,
     target_square: f64,
 }
@@ -91,22 +93,35 @@ impl Centred {
     /// # Errors
     /// [`Undetermined`] with fewer than three points or when one side is collinear.
     pub fn new(pairs: &[PointPair]) -> Result<Self, Undetermined> {
+        Centred::weighted(pairs, vec![1.0; pairs.len()])
+    }
+
+    /// About the weighted centroids.
+    ///
+    /// # Errors
+    /// As [`Centred::new`]; when the weights are not one positive number for each pair.
+    fn weighted(pairs: &[PointPair], weights: Vec<f64>) -> Result<Self, Undetermined> {
         if pairs.len() < 3 {
             return Err(Undetermined::TooFewPoints);
         }
-        let (model, model_centre) = centre(pairs.iter().map(|p| p.model));
-        let (target, target_centre) = centre(pairs.iter().map(|p| p.target));
-        let square = |points: &[Vector3<f64>]| points.iter().map(Vector3::norm_squared).sum::<f64>();
+        if weights.len() != pairs.len() || weights.iter().any(|w| !(*w > 0.0 && w.is_finite())) {
+            return Err(Undetermined::Degenerate);
+        }
+        let (model, model_centre) = centre(pairs.iter().map(|p| p.model), &weights);
+        let (target, target_centre) = centre(pairs.iter().map(|p| p.target), &weights);
+        let square =
+            |points: &[Vector3<f64>]| points.iter().zip(&weights).map(|(p, w)| w * p.norm_squared()).sum::<f64>();
         let (model_square, target_square) = (square(&model), square(&target));
         if !(spans_a_plane(&model, model_square) && spans_a_plane(&target, target_square)) {
             return Err(Undetermined::Degenerate);
         }
-        Ok(Centred { model, target, model_centre, target_centre, model_square, target_square })
+        Ok(Centred { model, target, model_centre, target_centre, weights, model_square, target_square })
     }
 
     /// M = Σ target · modelᵀ, of both sides scaled to unit size (rotations do not change by it).
     fn cross(&self) -> Matrix3<f64> {
-        let sum: Matrix3<f64> = self.target.iter().zip(&self.model).map(|(t, m)| t * m.transpose()).sum();
+        let each = self.target.iter().zip(&self.model).zip(&self.weights);
+        let sum: Matrix3<f64> = each.map(|((t, m), w)| *w * (t * m.transpose())).sum();
         sum / (self.model_square * self.target_square).sqrt()
     }
 
@@ -118,7 +133,8 @@ impl Centred {
     /// Least squares for a given rotation: Σ target · (R model) / Σ|model|². With the best rotation this is eq. 42 of
     /// Umeyama 1991, tr(DS)/σ², in which both the covariance and the variance are means over the *points*.
     fn least_squares_scale(&self, rotation: &Matrix3<f64>) -> f64 {
-        self.target.iter().zip(&self.model).map(|(t, m)| t.dot(&(rotation * m))).sum::<f64>() / self.model_square
+        let each = self.target.iter().zip(&self.model).zip(&self.weights);
+        each.map(|((t, m), w)| w * t.dot(&(rotation * m))).sum::<f64>() / self.model_square
     }
 
     /// Residuals, from the centred points so that coordinates of millions of metres lose no digits.
@@ -136,11 +152,12 @@ impl Centred {
     }
 }
 
-fn centre(points: impl Iterator<Item = Vector3<f64>>) -> (Vec<Vector3<f64>>, Vector3<f64>) {
+fn centre(points: impl Iterator<Item = Vector3<f64>>, weights: &[f64]) -> (Vec<Vector3<f64>>, Vector3<f64>) {
     let points: Vec<Vector3<f64>> = points.collect();
     // About the first point first: a mean of large numbers would be rounded more coarsely than the points.
     let first = points[0];
-    let mean: Vector3<f64> = points.iter().map(|p| p - first).sum::<Vector3<f64>>() / points.len() as f64;
+    let sum: Vector3<f64> = points.iter().zip(weights).map(|(p, w)| *w * (p - first)).sum();
+    let mean = sum / weights.iter().sum::<f64>();
     (points.iter().map(|p| (p - first) - mean).collect(), first + mean)
 }
 
@@ -159,7 +176,28 @@ fn spans_a_plane(centred: &[Vector3<f64>], square: f64) -> bool {
 /// # Errors
 /// [`Undetermined::TooFewPoints`] below three points, [`Undetermined::Degenerate`] when one side is collinear.
 pub fn solve(pairs: &[PointPair], method: Method) -> Result<AbsoluteOrientation, Undetermined> {
-    let centred = Centred::new(pairs)?;
+    by(&Centred::new(pairs)?, method)
+}
+
+/// The same with a weight for each point, as section 2.C of Horn 1987 has them; residuals and RMSE stay unweighted.
+///
+/// # Errors
+/// As [`solve`]; [`Undetermined::Degenerate`] too when the weights are not one positive number for each pair.
+pub fn solve_weighted(
+    pairs: &[PointPair],
+    weights: &[f64],
+    method: Method,
+) -> Result<AbsoluteOrientation, Undetermined> {
+    by(&Centred::weighted(pairs, weights.to_vec())?, method)
+}
+
+/// Rotations about x, y and z in degrees, with R = Rz(yaw) · Ry(pitch) · Rx(roll): roll, pitch, yaw.
+pub fn roll_pitch_yaw_deg(rotation: &Matrix3<f64>) -> [f64; 3] {
+    let (roll, pitch, yaw) = nalgebra::Rotation3::from_matrix_unchecked(*rotation).euler_angles();
+    [roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()]
+}
+
+fn by(centred: &Centred, method: Method) -> Result<AbsoluteOrientation, Undetermined> {
     let cross = centred.cross();
     let rotation = match method {
         Method::Horn => quaternion_rotation(&cross),
@@ -279,6 +317,29 @@ mod tests {
             assert!((solved.rotation.determinant() - 1.0).abs() < 1e-12, "{method:?}");
             assert!((solved.rotation - reference.rotation).norm() < 1e-9, "{method:?}");
         }
+    }
+
+    #[test]
+    fn a_weight_of_two_is_the_point_twice() {
+        let models = [[0.0, 0.0, 0.0], [9.0, 1.0, 3.0], [4.0, 7.0, -2.0], [3.0, 2.0, 8.0], [1.0, 6.0, 4.0]];
+        let mut pairs = moved(&models, Matrix3::identity(), 2.0, Vector3::new(5.7e5, 7.0e6, 80.0));
+        pairs[0].target.x += 0.3;
+        pairs[3].target.z -= 0.2;
+        let twice: Vec<PointPair> = pairs.iter().chain(&pairs[3..4]).copied().collect();
+        for method in METHODS {
+            let weighted = solve_weighted(&pairs, &[1.0, 1.0, 1.0, 2.0, 1.0], method).expect("determined");
+            let doubled = solve(&twice, method).expect("determined");
+            assert!((weighted.rotation - doubled.rotation).norm() < 1e-12, "{method:?}");
+            assert!((weighted.scale - doubled.scale).abs() < 1e-12, "{method:?}");
+        }
+        assert_eq!(solve_weighted(&pairs, &[1.0; 4], Method::Horn).err(), Some(Undetermined::Degenerate));
+    }
+
+    #[test]
+    fn roll_pitch_and_yaw_are_read_back() {
+        let rotation = Rotation3::from_euler_angles(0.02, -0.03, 2.5).into_inner();
+        let [roll, pitch, yaw] = roll_pitch_yaw_deg(&rotation).map(f64::to_radians);
+        assert!((roll - 0.02).abs() < 1e-12 && (pitch + 0.03).abs() < 1e-12 && (yaw - 2.5).abs() < 1e-12);
     }
 
     #[test]

@@ -20,6 +20,7 @@ pub mod absolute;
 pub mod accuracy;
 pub mod heights;
 pub mod kraus;
+pub mod partial;
 pub mod planar;
 pub mod similarity;
 

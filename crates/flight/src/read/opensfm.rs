@@ -38,7 +38,7 @@ fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
 /// When the JSON is of neither kind or is broken.
 pub fn read(path: &Path) -> Result<Reconstruction> {
     let root = json(path)?;
-    if root.get("cameras").is_some_and(Value::is_array) {
+    if root.get("cameras").is_some_and(Value::is_array) || root.get("C").is_some() {
         return own(path, &root);
     }
     let all: Vec<&Value> = match &root {
@@ -189,10 +189,14 @@ pub fn ground_control(path: &Path, of: &Reconstruction) -> Result<Vec<GroundCont
     Ok(points)
 }
 
-/// This program's `cameras.json`.
+/// This program's `cameras.json`, or the one camera of a resection.
 fn own(path: &Path, root: &Value) -> Result<Reconstruction> {
     let mut result = Reconstruction::default();
-    for (i, c) in root.get("cameras").and_then(Value::as_array).into_iter().flatten().enumerate() {
+    let all = match root.get("cameras") {
+        Some(list) => list.as_array().map_or(&[][..], Vec::as_slice),
+        None => std::slice::from_ref(root),
+    };
+    for (i, c) in all.iter().enumerate() {
         let place = format!("camera {}", i + 1);
         let name = c.get("name").and_then(Value::as_str).unwrap_or_default().to_string();
         let rows = c.get("R").and_then(Value::as_array);

@@ -1,6 +1,6 @@
 //! `autoref-stream apply`: outputs from the result of an earlier run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use autoref_raster as raster;
@@ -11,7 +11,7 @@ use autoref_stream::georef::write::Output;
 use autoref_stream::result::RunResult;
 use clap::Args;
 
-use crate::cli::common::{Bytes, threads};
+use crate::cli::common::{Bytes, memory_budget, threads};
 use crate::cli::write::{WarpBar, WriteArgs};
 
 /// Write outputs from the result of an earlier run, without looking for marks again.
@@ -31,7 +31,7 @@ pub struct ApplyArgs {
     #[arg(long, value_name = "N", help_heading = "Reading")]
     pub page: Option<usize>,
     /// Bound on the peak resident memory of the whole program: bytes, or with K, M or G.
-    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    #[arg(long, value_name = "SIZE", default_value = "512M", value_parser = memory_budget, help_heading = "Resources")]
     pub memory: Bytes,
     /// Number of threads that compress a warped copy. Default: one for each core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
@@ -54,6 +54,8 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
         bail!("{}: there is no georeference to apply: {reason}", args.result.display());
     }
     let (image, result, page) = match &args.to {
+        // From lists alone: whatever raster is named is the image.
+        Some(other) if result.image.is_none() && !args.same_extent => (other.clone(), result, args.page.unwrap_or(0)),
         Some(other) => (other.clone(), transfer::carry(&result, other, args.same_extent)?, args.page.unwrap_or(0)),
         None => {
             let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
@@ -84,10 +86,19 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Where the image of a result is: a relative name counts from the folder of the result, not from the working directory; an image
+/// that was moved together with its result lies beside it.
+fn recorded_image(result: &Path, image: &Path) -> PathBuf {
+    let folder = result.parent().unwrap_or(Path::new(""));
+    let beside = [Some(folder.join(image)), image.file_name().map(|name| folder.join(name))];
+    beside.into_iter().flatten().find(|path| path.exists()).unwrap_or_else(|| image.to_path_buf())
+}
+
 /// The image that was solved, of the same size as then.
 fn image_of(args: &ApplyArgs, result: &RunResult, page: usize) -> anyhow::Result<PathBuf> {
     let solved = result.image.as_ref();
-    let Some(image) = args.image.clone().or_else(|| solved.map(|image| PathBuf::from(&image.path))) else {
+    let recorded = || solved.map(|image| recorded_image(&args.result, Path::new(&image.path)));
+    let Some(image) = args.image.clone().or_else(recorded) else {
         bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
     };
     if let Some(solved) = solved

@@ -1,20 +1,19 @@
 //! Flags and helpers that several commands share.
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use autoref_raster::crs::Crs;
-use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
+use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::detector::Detector;
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
-use autoref_stream::pipeline::{MarkDetector, Progress};
-use autoref_stream::profile::Profile;
+use autoref_stream::pipeline::MarkDetector;
+use autoref_stream::profile::{Profile, Rule};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
@@ -31,7 +30,7 @@ pub struct ReadArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
     pub threads: Option<u64>,
     /// Bound on the peak resident memory of the whole program, libraries included: bytes, or with K, M or G. At least 112M.
-    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
+    #[arg(long, value_name = "SIZE", default_value = "512M", value_parser = memory_budget, help_heading = "Resources")]
     pub memory: Bytes,
     /// Which decoder: the native one takes most TIFFs, GDAL everything else.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Reading")]
@@ -74,6 +73,11 @@ pub struct MarkArgs {
     /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.
     #[arg(long, value_name = "SIZE", help_heading = "Marks")]
     pub mark_size: Option<MarkSize>,
+    /// Drop candidates that do not satisfy this rule: `area in [20, 400) and eccentricity <= 0.9`. Properties: area, perimeter,
+    /// width, height, extent, eccentricity, solidity, compactness, mean_distance, min_distance, max_distance. Repeat for more;
+    /// docs/detection-options.md has the grammar.
+    #[arg(long, value_name = "RULE", help_heading = "Marks")]
+    pub gate: Vec<Rule>,
 }
 
 /// A paint by its colour, instead of a profile.
@@ -88,7 +92,7 @@ impl PaintArg {
     /// The marks with this paint in place of the profile.
     pub fn of(&self, marks: &MarkArgs) -> MarkArgs {
         let profile = self.paint.clone().unwrap_or_else(|| marks.profile.clone());
-        MarkArgs { profile, mark_size: marks.mark_size }
+        MarkArgs { profile, mark_size: marks.mark_size, gate: marks.gate.clone() }
     }
 }
 
@@ -259,6 +263,15 @@ impl FromStr for Bytes {
     }
 }
 
+/// A budget that the libraries fit into.
+pub fn memory_budget(text: &str) -> Result<Bytes, String> {
+    let bytes: Bytes = text.parse()?;
+    if bytes.0 < memory_plan::SMALLEST_BUDGET_BYTES {
+        return Err(format!("the least that is allowed is {}M", memory_plan::SMALLEST_BUDGET_BYTES >> 20));
+    }
+    Ok(bytes)
+}
+
 /// Smallest and largest ground size of a pixel, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gsd(pub f64, pub f64);
@@ -388,6 +401,15 @@ fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
         }
         None => {}
     }
+    if !marks.gate.is_empty() && profile.is_target() {
+        bail!("--gate is of paint; `{}` is found by its shape", profile.name);
+    }
+    for rule in &marks.gate {
+        profile.gates.rule = Some(match profile.gates.rule.take() {
+            Some(own) => own.and(rule.clone()),
+            None => rule.clone(),
+        });
+    }
     Ok(profile)
 }
 
@@ -456,96 +478,6 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
         time_limit: time_limit.clone(),
         ..RobustMatcher::default()
     }))
-}
-
-/// A progress bar while the image is read: MB/s, share done, time left. Silent unless stderr is a terminal.
-pub struct Bar {
-    bar: Option<indicatif::ProgressBar>,
-    bytes_per_pixel: u64,
-}
-
-impl Bar {
-    pub fn new(info: &RasterInfo, quiet: bool) -> Self {
-        let bytes_per_pixel = (info.bands * info.sample.bytes()) as u64;
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = indicatif::ProgressBar::new(info.pixels() * bytes_per_pixel);
-            bar.set_style(Bar::reading());
-            bar.set_message("reading");
-            bar
-        });
-        Bar { bar, bytes_per_pixel }
-    }
-
-    fn reading() -> indicatif::ProgressStyle {
-        indicatif::ProgressStyle::with_template(
-            "{msg} {bar:30} {percent:>3} % {decimal_bytes_per_sec:>12} {eta:>4} left",
-        )
-        .expect("the template is well formed")
-    }
-
-    pub fn finish(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
-
-    /// What goes on now: a line that moves, in place of the bar.
-    pub fn stage(&self, what: &str) {
-        tracing::info!("{what}");
-        if let Some(bar) = &self.bar {
-            let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}")
-                .expect("the template is well formed");
-            bar.set_style(style);
-            bar.set_message(what.to_string());
-            bar.enable_steady_tick(std::time::Duration::from_millis(120));
-        }
-    }
-}
-
-impl Progress for Bar {
-    fn scanned(&self, pixels: u64) {
-        if let Some(bar) = &self.bar {
-            bar.inc(pixels * self.bytes_per_pixel);
-        }
-    }
-
-    fn pass(&self, what: &str) {
-        tracing::info!("{what}");
-        if let Some(bar) = &self.bar {
-            bar.disable_steady_tick();
-            bar.reset();
-            bar.set_style(Bar::reading());
-            bar.set_message(what.to_string());
-        }
-    }
-
-    fn stage(&self, what: &str) {
-        Bar::stage(self, what);
-    }
-}
-
-/// A line that moves while something without a measure of its progress goes on; gone when it is dropped. Silent unless
-/// stderr is a terminal.
-pub struct Busy(indicatif::ProgressBar);
-
-impl Busy {
-    pub fn new(what: &str, quiet: bool) -> Self {
-        let bar = indicatif::ProgressBar::new_spinner();
-        if quiet || !std::io::stderr().is_terminal() {
-            bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
-        }
-        let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}");
-        bar.set_style(style.expect("the template is well formed"));
-        bar.set_message(what.to_string());
-        bar.enable_steady_tick(std::time::Duration::from_millis(120));
-        Busy(bar)
-    }
-}
-
-impl Drop for Busy {
-    fn drop(&mut self) {
-        self.0.finish_and_clear();
-    }
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".

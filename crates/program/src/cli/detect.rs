@@ -7,7 +7,8 @@ use autoref_stream::georef::candidate_list;
 use autoref_stream::pipeline::scan;
 use clap::Args;
 
-use crate::cli::common::{self, Bar, Gsd, MarkArgs, PaintArg, ReadArgs};
+use crate::cli::common::{self, Gsd, MarkArgs, PaintArg, ReadArgs};
+use crate::cli::progress::Bar;
 
 /// Find the marks in an image and write the candidates as CSV or GeoJSON.
 #[derive(Args, Debug)]
@@ -59,6 +60,15 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     }
     if args.json {
         let info = prepared.source.info();
+        let candidates: Vec<serde_json::Value> = found
+            .candidates
+            .iter()
+            .map(|candidate| {
+                let mut value = serde_json::to_value(candidate)?;
+                value["probability"] = serde_json::json!(candidate.probability());
+                Ok(value)
+            })
+            .collect::<Result<_, serde_json::Error>>()?;
         let document = serde_json::json!({
             "image": info.path.display().to_string(),
             "width": info.width,
@@ -66,7 +76,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
             "files_written": if to_stdout { Vec::new() } else { vec![args.output.display().to_string()] },
             "regions_examined": found.regions_examined,
             "timings": found.timings,
-            "candidates": found.candidates,
+            "candidates": candidates,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {

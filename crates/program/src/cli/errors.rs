@@ -13,10 +13,25 @@ pub fn document(error: &anyhow::Error, line: &str) -> Value {
         Some(Error::Limit { remedy, .. }) => ("limit", None, None, Some(remedy)),
         Some(Error::Io { path, .. }) => ("io", Some(path), None, None),
         Some(Error::Gdal { path, .. }) => ("gdal", Some(path), None, None),
-        Some(_) | None => ("other", None, None, None),
+        Some(_) => ("other", None, None, None),
+        None => flight(error),
     };
     let file = file.map(|path| path.display().to_string());
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
+}
+
+type Parts<'a> = (&'static str, Option<&'a std::path::PathBuf>, Option<&'a String>, Option<&'a String>);
+
+/// The errors of flights.
+fn flight(error: &anyhow::Error) -> Parts<'_> {
+    use autoref_flight::Error;
+    match error.chain().find_map(|cause| cause.downcast_ref::<Error>()) {
+        Some(Error::Format { path, place, .. }) => ("format", Some(path), Some(place), None),
+        Some(Error::Usage { remedy, .. }) => ("usage", None, None, Some(remedy)),
+        Some(Error::Io { path, .. }) => ("io", Some(path), None, None),
+        Some(Error::NoResult { remedy, .. }) => ("refused", None, None, Some(remedy)),
+        Some(_) | None => ("other", None, None, None),
+    }
 }
 
 #[cfg(test)]

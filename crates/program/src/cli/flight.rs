@@ -2,6 +2,7 @@
 
 mod document;
 mod lists;
+mod ortho;
 mod project;
 
 use std::path::{Path, PathBuf};
@@ -28,6 +29,7 @@ enum FlightCommand {
     Solve(project::SolveArgs),
     Adjust(AdjustArgs),
     Resect(ResectArgs),
+    Orthorectify(ortho::OrthorectifyArgs),
 }
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
@@ -102,19 +104,37 @@ struct ResectArgs {
     json: bool,
 }
 
+impl FlightArgs {
+    /// Whether the result is asked for as JSON.
+    fn json(&self) -> bool {
+        match &self.command {
+            FlightCommand::Init(_) => false,
+            FlightCommand::Solve(args) => args.json,
+            FlightCommand::Adjust(args) => args.json,
+            FlightCommand::Resect(args) => args.json,
+            FlightCommand::Orthorectify(args) => args.json,
+        }
+    }
+}
+
 pub fn run(args: &FlightArgs) -> Result<ExitCode> {
     let done = match &args.command {
         FlightCommand::Init(args) => project::init(args),
         FlightCommand::Solve(args) => project::solve(args),
         FlightCommand::Adjust(args) => run_adjust(args),
         FlightCommand::Resect(args) => run_resect(args),
+        FlightCommand::Orthorectify(args) => ortho::run(args),
     };
     match done {
         Ok(code) => Ok(code),
         // It ran, and the data carry no result.
         Err(error) => match error.downcast_ref::<Error>() {
             Some(no @ Error::NoResult { .. }) => {
-                eprintln!("autoref-stream: {no}");
+                let line = no.to_string();
+                eprintln!("autoref-stream: {line}");
+                if args.json() {
+                    println!("{}", serde_json::to_string_pretty(&super::errors::document(&error, &line))?);
+                }
                 Ok(ExitCode::from(1))
             }
             _ => Err(error),
@@ -149,6 +169,7 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     check_output(args.output.as_deref(), args.overwrite)?;
     let model = read::reconstruction(&args.reconstruction)?;
     let control = args.points.load(Some(&model))?;
+    let notes = control.notes(&model, &args.points, &args.reconstruction)?;
     let world = control.world()?;
     let points = control.in_world(&world, &model, &args.points)?;
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
@@ -175,7 +196,8 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
         rough,
         ..AdjustOptions::default()
     };
-    let found = adjust(&model, &points, &options)?;
+    let mut found = adjust(&model, &points, &options)?;
+    found.notes.extend(notes);
     let listed = model.photographs.len();
     let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;
@@ -210,6 +232,17 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         .iter()
         .flat_map(|p| p.seen.iter().map(|(_, pixel)| Seen { name: p.name.clone(), xyz: p.xyz, pixel: *pixel }))
         .collect();
+    if seen.is_empty() {
+        let list = args.points.gcps.display();
+        return Err(match control.frames().as_slice() {
+            [] => Error::no_result(format!("{list}: says of no point where it was seen"), "name --observations"),
+            names => Error::no_result(
+                format!("{list}: no point is seen in `{name}`; it has points of {}", lists::some_of(names)),
+                "name one of these frames",
+            ),
+        }
+        .into());
+    }
     let options = ResectOptions {
         sigma_px: args.points.sigma_image,
         sigma_ground_m: args.points.sigma_ground.unwrap_or(0.0),
@@ -252,16 +285,7 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
     let file = args.camera.clone().or_else(|| if args.f_px.is_none() { beside() } else { None });
     let mut known = true;
     let mut camera = match file {
-        Some(path) if path.extension().is_some_and(|e| e == "xml") && path.is_file() => {
-            match read::micmac::read_camera(&path) {
-                Ok(camera) => camera,
-                Err(first) => {
-                    let model = read::reconstruction(&path).map_err(|_| first)?;
-                    of_frame(&model, name, &path)?
-                }
-            }
-        }
-        Some(path) => of_frame(&read::reconstruction(&path)?, name, &path)?,
+        Some(path) => camera_file(&path, name)?,
         None => {
             let size = match &args.size {
                 Some(s) => [s[0], s[1]],
@@ -272,13 +296,19 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
             Camera::pinhole(name, size, f, [size[0] / 2.0, size[1] / 2.0])
         }
     };
-    if let Some(f) = args.f_px {
+    set_interior(&mut camera, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    Ok((camera, known))
+}
+
+/// The interior that the command line states.
+fn set_interior(camera: &mut Camera, f_px: Option<f64>, pp_px: Option<&[f64]>, distortion: &[String]) -> Result<()> {
+    if let Some(f) = f_px {
         camera.set(Parameter::F, f);
     }
-    if let Some(pp) = &args.pp_px {
+    if let Some(pp) = pp_px {
         camera.set(Parameter::Cx, pp[0]).set(Parameter::Cy, pp[1]);
     }
-    for term in &args.distortion {
+    for term in distortion {
         let pair =
             term.split_once('=').and_then(|(n, v)| Some((Parameter::by_name(n.trim())?, v.trim().parse().ok()?)));
         let Some((parameter, value)) = pair else { bail!("--distortion: `{term}` is not like k1=-0.1") };
@@ -287,7 +317,18 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
     if !(camera.f_px() > 0.0 && camera.values.iter().all(|v| v.is_finite())) {
         bail!("the focal length must be positive and all parameters finite");
     }
-    Ok((camera, known))
+    Ok(())
+}
+
+/// A camera from a file: MicMac's calibration, or that of a frame of a reconstruction.
+fn camera_file(path: &Path, name: &str) -> Result<Camera> {
+    if path.extension().is_some_and(|e| e == "xml") && path.is_file() {
+        return match read::micmac::read_camera(path) {
+            Ok(camera) => Ok(camera),
+            Err(first) => of_frame(&read::reconstruction(path).map_err(|_| first)?, name, path),
+        };
+    }
+    of_frame(&read::reconstruction(path)?, name, path)
 }
 
 fn of_frame(model: &Reconstruction, name: &str, path: &Path) -> Result<Camera> {

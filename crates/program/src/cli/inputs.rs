@@ -105,6 +105,7 @@ mod tests {
         "gcps",
         "global",
         "image",
+        "input",
         "inputs",
         "mend",
         "model",

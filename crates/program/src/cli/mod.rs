@@ -11,6 +11,7 @@ pub mod cloud;
 mod cloud_clean;
 mod cloud_grid;
 pub mod common;
+pub mod compare_solvers;
 pub mod dem;
 pub mod detect;
 pub mod distance;
@@ -21,11 +22,13 @@ pub mod film_outputs;
 mod film_resample;
 pub mod flight;
 pub mod frame;
+pub mod gcps;
 pub mod inputs;
 pub mod mask;
 pub mod mosaic;
 pub mod plan;
 pub mod positions;
+pub mod progress;
 pub mod replay;
 pub mod report;
 pub mod run;
@@ -34,6 +37,7 @@ pub mod selftest;
 pub mod shell;
 pub mod solve;
 pub mod solving;
+mod summary;
 pub mod synth;
 pub mod synth_film;
 pub mod undo;
@@ -87,6 +91,8 @@ pub enum Command {
     Mosaic(Box<mosaic::MosaicArgs>),
     Flight(Box<flight::FlightArgs>),
     Cloud(cloud::CloudArgs),
+    Gcps(gcps::GcpsArgs),
+    CompareSolvers(Box<compare_solvers::CompareArgs>),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -110,6 +116,8 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Flight(args)) => flight::run(&args),
         Some(Command::Cloud(args)) => cloud::run(&args),
+        Some(Command::Gcps(args)) => gcps::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::CompareSolvers(args)) => compare_solvers::run(&args),
         None => run::run(&cli.run),
     }
 }

@@ -15,7 +15,7 @@ use autoref_stream::report::{self, Gathered, Keeper, Overview, Section, Table};
 use autoref_stream::result::RunResult;
 use clap::Args;
 
-use crate::cli::common::Bar;
+use crate::cli::progress::Bar;
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {

@@ -16,8 +16,8 @@ use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
-use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Run, georeference};
-use autoref_stream::pipeline::reasons::{NotFound, Reason, reasons};
+use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
+use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
@@ -25,10 +25,12 @@ use autoref_stream::result::{
 };
 use clap::Args;
 
-use crate::cli::common::{self, Bar, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
+use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
 use crate::cli::frame;
+use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
+use crate::cli::summary::{Detail, summary};
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, doctor};
 
@@ -61,6 +63,10 @@ pub struct RunArgs {
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
         require_equals = true, help_heading = "Marks")]
     pub second_pass: SecondPassArg,
+    /// Look again, in a window of its own, where every point must be: always; or never, so that the first match stands as it
+    /// is (the tables of the 2016 thesis). `never` looks no second time in any other way either.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "always", help_heading = "Matching")]
+    pub refine: RefineArg,
     /// No progress bar, no summary.
     #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
@@ -74,6 +80,53 @@ pub enum SecondPassArg {
     Never,
     Auto,
     Always,
+}
+
+/// Whether points are looked for again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum RefineArg {
+    Always,
+    Never,
+}
+
+impl RefineArg {
+    fn choice(self) -> Refine {
+        match self {
+            RefineArg::Always => Refine::Always,
+            RefineArg::Never => Refine::Never,
+        }
+    }
+}
+
+/// Scans, matches and solves as [`run`] does at its first look, and writes nothing.
+pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
+    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
+    let image = args.image.as_deref().context("no image: name one")?;
+    let gcp_file = args.gcps.path()?;
+    let marks = args.paint.of(&args.marks);
+    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
+    args.solving.check(false)?;
+    let info = source.info();
+    let priors = common::priors(info, &args.matching);
+    let matcher = common::matcher(&args.matching, priors.len(), &args.matching.limit())?;
+    let bar = Bar::new(info, args.quiet || args.json);
+    let second_look = detector.relaxed();
+    let run = georeference(&Job {
+        source: source.as_ref(),
+        plan: &plan,
+        detector: &detector,
+        second_look: &second_look,
+        gcps: &list.gcps,
+        matcher: matcher.as_ref(),
+        priors: &priors,
+        progress: &bar,
+        refine: args.refine.choice(),
+    })?;
+    bar.finish();
+    let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates);
+    args.solving.apply(&mut document.result, &run.outcome, &list, &solving::ImagePlace::of(info))?;
+    Ok(document.result)
 }
 
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
@@ -96,7 +149,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = common::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident. The first
     // look has half of what is allowed, the second a quarter, all clusters of colour together the last.
-    let learns = matches!(detector, MarkDetector::Paint(_)) && args.second_pass != SecondPassArg::Never;
+    let learns = matches!(detector, MarkDetector::Paint(_))
+        && args.second_pass != SecondPassArg::Never
+        && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
     let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 }, &time_limit)?;
     let learned_matcher = common::matcher(&args.matching, priors.len() * 4, &time_limit)?;
@@ -113,6 +168,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         matcher: matcher.as_ref(),
         priors: &priors,
         progress: &watch,
+        refine: args.refine.choice(),
     };
     let mut run = georeference(&job)?;
     let mut second = None;
@@ -178,6 +234,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     serde_json::json!({
         "profile": args.paint.of(&args.marks).profile,
         "second_pass": format!("{:?}", args.second_pass).to_lowercase(),
+        "refine": format!("{:?}", args.refine).to_lowercase(),
         "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
         "priors": job.priors,
         "max_false_alarms": args.matching.max_false_alarms,
@@ -483,69 +540,7 @@ pub fn print(result: &RunResult, json: bool, quiet: bool) {
     if quiet {
         return;
     }
-    let text = summary(result);
+    let detail = if tracing::enabled!(tracing::Level::INFO) { Detail::Full } else { Detail::Brief };
+    let text = summary(result, detail);
     if json { eprint!("{text}") } else { print!("{text}") }
-}
-
-fn summary(result: &RunResult) -> String {
-    use std::fmt::Write;
-    let mut out = String::new();
-    let mut line = |label: &str, value: String| writeln!(out, "{label:<20}{value}").expect("a string takes all writes");
-    let visible = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} in the image"));
-    line("Marks found", format!("{} candidates", result.candidates_found));
-    if let Some(second) = &result.second_pass {
-        line("Second pass", second.line());
-    }
-    if result.status == Status::Solved {
-        line(
-            "GCPs matched",
-            format!("{}{visible}, {} listed", result.matches.len() + result.check_points.len(), result.gcps_listed),
-        );
-        if !result.not_found.is_empty() {
-            let inside: Vec<String> =
-                result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line).collect();
-            if !inside.is_empty() {
-                line("  not found", inside.join(", "));
-            }
-        }
-        if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
-            line("Scale", format!("{scale:.7} m per pixel"));
-            line("Rotation", format!("{rotation:.5}° anticlockwise from east"));
-        }
-        if let (Some(e), Some(n), Some(all), Some(px)) =
-            (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px)
-        {
-            line("RMSE", format!("E {e:.4} m, N {n:.4} m, together {all:.4} m = {px:.2} px"));
-        }
-        solving::lines(result, &mut line);
-        accuracy::lines(result, &mut line);
-        for diagnosis in &result.diagnoses {
-            line("Mistake?", diagnosis.message.clone());
-        }
-    } else {
-        line("GCPs listed", result.gcps_listed.to_string());
-        line("Not solved", result.reason.clone().unwrap_or_default());
-        for advice in &result.advice {
-            line("  may help", advice.clone());
-        }
-    }
-    if let Some(log10) = result.log10_false_alarms {
-        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
-        line("False alarms", format!("{figure} such patterns expected by chance"));
-    }
-    if let Some(names) = &result.names {
-        let against =
-            if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
-        line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
-    }
-    for warning in &result.warnings {
-        line("Note", warning.clone());
-    }
-    if !result.files_written.is_empty() {
-        line("Written", result.files_written.join(", "));
-    }
-    let memory =
-        result.peak_memory_bytes.map_or(String::new(), |b| format!(", peak memory {:.0} MiB", b as f64 / 1_048_576.0));
-    line("Time", format!("{:.2} s{memory}", result.elapsed_s));
-    out
 }

@@ -12,7 +12,8 @@ use autoref_synth::plant::Cell;
 use autoref_synth::{Paint, Shape};
 use clap::Args;
 
-use crate::cli::common::{self, Bar, Gsd, MarkArgs, ReadArgs};
+use crate::cli::common::{self, Gsd, MarkArgs, ReadArgs};
+use crate::cli::progress::Bar;
 
 /// Plant marks into an image as it is read (the file is not touched), run the detector, and say what it finds of them.
 ///

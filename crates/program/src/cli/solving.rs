@@ -29,9 +29,14 @@ pub struct SolvingArgs {
     /// heights of the survey and the model), which no world file can hold: they are reported beside it.
     #[arg(long, value_enum, default_value = "similarity", help_heading = "Solving")]
     pub model: ModelArg,
-    /// With --model 7-parameter: the method. All have one rotation; those of Horn take the symmetric scale.
-    #[arg(long, value_enum, default_value = "umeyama", help_heading = "Solving")]
-    pub solver: SolverArg,
+    /// With --dem: heights are means over CELLS × CELLS cells around the mark, instead of the height at its very place.
+    #[arg(long, value_name = "CELLS", default_value_t = 1, requires = "dem", value_parser = clap::value_parser!(u32).range(1..=99),
+        help_heading = "Solving")]
+    pub dem_area: u32,
+    /// How similarity and 7-parameter transform are solved. All have one rotation on the same points; those of Horn take the
+    /// symmetric scale. Without it the similarity is the weighted one that expected errors follow from.
+    #[arg(long, value_enum, value_name = "NAME", help_heading = "Solving")]
+    pub solver: Option<SolverArg>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -53,8 +58,26 @@ pub enum SolverArg {
 }
 
 impl SolverArg {
+    pub const ALL: [SolverArg; 5] =
+        [SolverArg::Horn, SolverArg::HornHilden, SolverArg::Umeyama, SolverArg::UmeyamaHornScale, SolverArg::Kraus];
+
+    /// The orientation in space, with the standard deviation of a coordinate where the method has one.
+    ///
+    /// # Errors
+    /// Those of the method.
+    pub fn in_space(self, points: &[PointPair]) -> Result<(AbsoluteOrientation, Option<f64>), absolute::Undetermined> {
+        let method = match self {
+            SolverArg::Horn => Method::Horn,
+            SolverArg::HornHilden => Method::HornHilden,
+            SolverArg::Umeyama => Method::Umeyama,
+            SolverArg::UmeyamaHornScale => Method::UmeyamaSymmetricScale,
+            SolverArg::Kraus => return kraus::adjust(points).map(|a| (a.orientation, a.sigma0)),
+        };
+        absolute::solve(points, method).map(|o| (o, None))
+    }
+
     /// As the JSON of a result writes it.
-    fn json_name(self) -> &'static str {
+    pub fn json_name(self) -> &'static str {
         match self {
             SolverArg::Horn => "Horn",
             SolverArg::HornHilden => "HornHilden",
@@ -118,8 +141,10 @@ impl SolvingArgs {
             }
             atomic::check_outputs(&[copy], overwrite)?;
         }
-        if self.solver != SolverArg::Umeyama && self.model != ModelArg::SevenParameter {
-            bail!("--solver is of --model 7-parameter; a similarity in the plane has one closed form");
+        if self.solver.is_some() && matches!(self.model, ModelArg::Affine | ModelArg::Projective) {
+            bail!(
+                "--solver is of --model similarity and 7-parameter; affine and projective have one least squares each"
+            );
         }
         Ok(())
     }
@@ -136,7 +161,11 @@ impl SolvingArgs {
         let copy = self.heights(result, orientation, list, place)?;
         let pairs = pairs(orientation, list);
         match self.model {
-            ModelArg::Similarity => {}
+            ModelArg::Similarity => {
+                if let Some(solver) = self.solver {
+                    planar_solver(result, &pairs, solver);
+                }
+            }
             ModelArg::Affine => planar_model(result, &pairs, planar::Kind::Affine),
             ModelArg::Projective => planar_model(result, &pairs, planar::Kind::Projective),
             ModelArg::SevenParameter => self.in_space(result, orientation, list),
@@ -146,7 +175,7 @@ impl SolvingArgs {
 
     /// Whether the command line asks for any of it.
     pub fn asked(&self) -> bool {
-        self.dem.is_some() || self.model != ModelArg::Similarity || self.solver != SolverArg::Umeyama
+        self.dem.is_some() || self.model != ModelArg::Similarity || self.solver.is_some()
     }
 
     fn heights(
@@ -162,7 +191,8 @@ impl SolvingArgs {
         };
         let name = dem.display().to_string();
         let model = ElevationModel::open(dem)?;
-        let placed = PlacedModel::new(model, &name, place.size_px, place.georeference, list.crs.as_ref())?;
+        let placed =
+            PlacedModel::new(model, &name, place.size_px, place.georeference, list.crs.as_ref())?.over(self.dem_area);
         let to_map = |p: MapPoint| {
             let mut point = [Coordinate { x: p.easting, y: p.northing, height: None }];
             list.frame.leave(&mut point)?;
@@ -204,17 +234,8 @@ impl SolvingArgs {
                 })
             })
             .collect();
-        let method = match self.solver {
-            SolverArg::Horn => Some(Method::Horn),
-            SolverArg::HornHilden => Some(Method::HornHilden),
-            SolverArg::Umeyama => Some(Method::Umeyama),
-            SolverArg::UmeyamaHornScale => Some(Method::UmeyamaSymmetricScale),
-            SolverArg::Kraus => None,
-        };
-        let solved = match method {
-            Some(method) => absolute::solve(&points, method).map(|o| (o, None)),
-            None => kraus::adjust(&points).map(|a| (a.orientation, a.sigma0)),
-        };
+        let solver = self.solver.unwrap_or(SolverArg::Umeyama);
+        let solved = solver.in_space(&points);
         match solved {
             Ok((space, sigma0)) => {
                 if points.len() < 5 {
@@ -242,10 +263,11 @@ impl SolvingArgs {
         let rows: Vec<Vec<f64>> = space.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
         serde_json::json!({
             "model": "7-parameter",
-            "solver": self.solver.json_name(),
+            "solver": self.solver.unwrap_or(SolverArg::Umeyama).json_name(),
             "from": "similarity's easting and northing of the marks, elevation of the model; metres",
             "scale": space.scale,
             "rotation": rows,
+            "roll_pitch_yaw_deg": absolute::roll_pitch_yaw_deg(&space.rotation),
             "translation_m": space.translation.as_slice(),
             "rmse_m": space.rmse,
             "rmse_e_m": by_axis.x,
@@ -286,13 +308,20 @@ pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orienta
     match model {
         "affine" => planar_model(result, &pairs(orientation, list), planar::Kind::Affine),
         "projective" => planar_model(result, &pairs(orientation, list), planar::Kind::Projective),
+        "similarity" => {
+            let name = recorded.chosen_model.as_ref().map(|model| model["solver"].clone()).unwrap_or_default();
+            if let Some(solver) = SolverArg::ALL.into_iter().find(|s| name == s.json_name()) {
+                planar_solver(result, &pairs(orientation, list), solver);
+            }
+        }
         other => result.warnings.push(format!("the {other} transform was not solved again: it needs heights")),
     }
 }
 
-/// The affine transform that stands in the place of the similarity.
+/// The affine transform, or the similarity of another solver, that stands in the place of the weighted similarity.
 pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
-    let model = result.chosen_model.as_ref().filter(|model| model["model"] == "affine")?;
+    let model =
+        result.chosen_model.as_ref().filter(|model| model["model"] == "affine" || model["model"] == "similarity")?;
     let entry = |row: usize, column: usize| model["matrix"][row][column].as_f64();
     let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
     let (e, n) = (row(0)?, row(1)?);
@@ -331,33 +360,101 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
     // Far arms, so that eastings of millions do not round the coefficients.
     const ARM: f64 = 65_536.0;
     let (Some(o), Some(x), Some(y)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
-    result.geotransform = Some(GeoTransform([
+    let transform = GeoTransform([
         o.easting,
         (x.easting - o.easting) / ARM,
         (y.easting - o.easting) / ARM,
         o.northing,
         (x.northing - o.northing) / ARM,
         (y.northing - o.northing) / ARM,
-    ]));
-    let n = fit.residuals_m.len() as f64;
-    let rms = |axis: usize| (fit.residuals_m.iter().map(|r| r[axis].powi(2)).sum::<f64>() / n).sqrt();
-    (result.rmse_e_m, result.rmse_n_m, result.rmse_m) = (Some(rms(0)), Some(rms(1)), Some(fit.rmse_m));
-    result.rmse_px = result.scale_m_per_px.map(|scale| fit.rmse_m / scale);
-    let scale = result.scale_m_per_px.unwrap_or(1.0);
-    for (i, (row, residual)) in result.matches.iter_mut().zip(&fit.residuals_m).enumerate() {
-        (row.residual_e_m, row.residual_n_m) = (residual[0], residual[1]);
-        row.residual_px = residual[0].hypot(residual[1]) / scale;
-        row.leave_one_out_m = fit.leave_one_out_m.as_ref().map(|left_out| left_out[i][0].hypot(left_out[i][1]));
-    }
-    // What is tested is what is written.
-    for row in &mut result.check_points {
-        let Some(computed) = at(row.x, row.y) else { continue };
-        (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
-        row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
-    }
+    ]);
+    enter_planar(result, transform, &fit.residuals_m, fit.leave_one_out_m.as_deref());
     result.warnings.push(
         "the affine transform is written; expected errors, redundancy and outliers are those of the similarity".into(),
     );
+}
+
+/// The similarity by another solver than the weighted one takes its place in the outputs. Every point counts alike.
+fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: SolverArg) {
+    let flat = flat(pairs);
+    let (space, sigma0) = match solver.in_space(&flat) {
+        Ok(solved) if solved.0.rotation[(2, 2)] > 0.0 => solved,
+        Ok(_) => {
+            result
+                .warnings
+                .push(format!("{}: the points are a mirror image; the similarity is used", solver.json_name()));
+            return;
+        }
+        Err(why) => {
+            let few = pairs.len();
+            result.warnings.push(format!(
+                "{few} points do not support --solver {} ({why:?}); the similarity is used",
+                solver.json_name()
+            ));
+            return;
+        }
+    };
+    let (r, s, t) = (&space.rotation, space.scale, &space.translation);
+    let transform = GeoTransform([t.x, s * r[(0, 0)], -s * r[(0, 1)], t.y, s * r[(1, 0)], -s * r[(1, 1)]]);
+    let g = transform.0;
+    let residuals: Vec<[f64; 2]> = space.residuals.iter().map(|r| [r.x, r.y]).collect();
+    result.chosen_model = Some(serde_json::json!({
+        "model": "similarity",
+        "solver": solver.json_name(),
+        "matrix": [[g[1], g[2], g[0]], [g[4], g[5], g[3]], [0.0, 0.0, 1.0]],
+        "scale_m_per_px": s,
+        "rotation_deg": r[(1, 0)].atan2(r[(0, 0)]).to_degrees(),
+        "rmse_m": space.rmse,
+        "sigma0_m": sigma0,
+        "similarity_rmse_m": result.rmse_m,
+        "residuals_m": residuals,
+    }));
+    result.scale_m_per_px = Some(s);
+    result.rotation_deg = Some(r[(1, 0)].atan2(r[(0, 0)]).to_degrees());
+    enter_planar(result, transform, &residuals, None);
+    result.warnings.push(format!(
+        "the similarity by {} is written, in which every point counts alike; expected errors, redundancy and outliers are \
+         those of the weighted one",
+        solver.json_name()
+    ));
+}
+
+/// Marks as (x, −y, 0) in pixels and GCPs as (easting, northing, 0) in metres.
+pub fn flat(pairs: &[Pair]) -> Vec<PointPair> {
+    pairs
+        .iter()
+        .map(|p| PointPair {
+            model: nalgebra::Vector3::new(p.pixel.x, -p.pixel.y, 0.0),
+            target: nalgebra::Vector3::new(p.map.easting, p.map.northing, 0.0),
+        })
+        .collect()
+}
+
+/// A planar transform takes the similarity's place in the result.
+fn enter_planar(
+    result: &mut RunResult,
+    transform: GeoTransform,
+    residuals_m: &[[f64; 2]],
+    leave_one_out_m: Option<&[[f64; 2]]>,
+) {
+    result.geotransform = Some(transform);
+    let n = residuals_m.len() as f64;
+    let rms = |axis: usize| (residuals_m.iter().map(|r| r[axis].powi(2)).sum::<f64>() / n).sqrt();
+    let (rms_e, rms_n) = (rms(0), rms(1));
+    (result.rmse_e_m, result.rmse_n_m, result.rmse_m) = (Some(rms_e), Some(rms_n), Some(rms_e.hypot(rms_n)));
+    result.rmse_px = result.scale_m_per_px.map(|scale| rms_e.hypot(rms_n) / scale);
+    let scale = result.scale_m_per_px.unwrap_or(1.0);
+    for (i, (row, residual)) in result.matches.iter_mut().zip(residuals_m).enumerate() {
+        (row.residual_e_m, row.residual_n_m) = (residual[0], residual[1]);
+        row.residual_px = residual[0].hypot(residual[1]) / scale;
+        row.leave_one_out_m = leave_one_out_m.map(|left_out| left_out[i][0].hypot(left_out[i][1]));
+    }
+    // What is tested is what is written.
+    for row in &mut result.check_points {
+        let computed = transform.apply(autoref_raster::coords::PixelPoint { x: row.x, y: row.y });
+        (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
+        row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
+    }
 }
 
 /// Lines of the summary.
@@ -365,10 +462,15 @@ pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
     if let Some(model) = &result.chosen_model {
         let figure = |name: &str| model[name].as_f64();
         let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
+        let by = model["solver"].as_str().map_or(String::new(), |solver| format!(" by {solver}"));
+        let turn = |i: usize| model["roll_pitch_yaw_deg"][i].as_f64();
+        let turns = turn(0).zip(turn(1)).zip(turn(2)).map_or(String::new(), |((roll, pitch), yaw)| {
+            format!("; roll {roll:.5}°, pitch {pitch:.5}°, yaw {yaw:.5}°")
+        });
         line(
             "Model",
             format!(
-                "{}: RMSE {:.4} m{heights}",
+                "{}{by}: RMSE {:.4} m{heights}{turns}",
                 model["model"].as_str().unwrap_or_default(),
                 figure("rmse_m").unwrap_or_default()
             ),

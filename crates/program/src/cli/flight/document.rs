@@ -183,27 +183,47 @@ pub fn resection(found: &Resection, name: &str, seen: &[Seen], world: &World, cr
 /// The essence on standard error.
 pub fn say(document: &Value) {
     let get = |k: &str| document.get(k).cloned().unwrap_or(Value::Null);
+    let fixed = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |v| format!("{v:.digits$}"));
+    let several = |v: &Value, digits: usize| -> String {
+        let all = v.as_array().map_or(&[][..], Vec::as_slice);
+        all.iter().map(|v| fixed(v, digits)).collect::<Vec<_>>().join(", ")
+    };
+    let rows = |key: &str| document[key].as_array().cloned().unwrap_or_default();
     if document.get("frames_registered").is_some() {
-        let d = |k: &str| document[k]["d"]["rms"].as_f64().map_or("-".into(), |v| format!("{v:.2} m"));
+        let d = |k: &str| fixed(&document[k]["d"]["rms"], 2);
         eprintln!(
-            "{} of {} frames; ties {} px rms; GCPs {} rms; check points {} rms; blunders {}",
+            "{} of {} frames; ties {} px rms; GCPs {} m rms; check points {} m rms; {} blunders",
             get("frames_registered"),
             get("frames_listed"),
-            document["reprojection_rms_px"].as_f64().map_or("-".into(), |v| format!("{v:.2}")),
+            fixed(&document["reprojection_rms_px"], 2),
             d("gcp_statistics"),
             d("check_point_statistics"),
-            document["blunders"]
+            rows("blunders").len()
         );
+        for b in rows("blunders") {
+            let (gcp, test) = (b["gcp"].as_str().unwrap_or_default(), fixed(&b["test"], 1));
+            match b["frame"].as_str() {
+                Some(frame) => {
+                    eprintln!("blunder: GCP {gcp} in {frame} by ({}) px, {test} sigma", several(&b["by_px"], 1));
+                }
+                None => eprintln!("blunder: GCP {gcp} on the ground by ({}) m, {test} sigma", several(&b["by_m"], 2)),
+            }
+        }
     } else {
         eprintln!(
-            "{}: C {} yaw {:.3} pitch {:.3} roll {:.3} rms {} px; blunders {}",
-            get("name"),
-            get("C"),
-            document["yaw_deg"].as_f64().unwrap_or(f64::NAN),
-            document["pitch_deg"].as_f64().unwrap_or(f64::NAN),
-            document["roll_deg"].as_f64().unwrap_or(f64::NAN),
-            get("rms_px"),
-            get("blunders")
+            "{}: C ({}) yaw {} pitch {} roll {} f {} px; rms {} px",
+            document["name"].as_str().unwrap_or_default(),
+            several(&document["C"], 3),
+            fixed(&document["yaw_deg"], 3),
+            fixed(&document["pitch_deg"], 3),
+            fixed(&document["roll_deg"], 3),
+            fixed(&document["f_px"], 1),
+            fixed(&document["rms_px"], 2),
         );
+        for g in rows("gcps") {
+            let word = if g["blunder"] == true { "  BLUNDER" } else { "" };
+            let name = g["name"].as_str().unwrap_or_default();
+            eprintln!("  {name}: ({}) px, {} px{word}", several(&g["residual_px"], 1), fixed(&g["d_px"], 1));
+        }
     }
 }

@@ -71,6 +71,12 @@ impl Geodesy for Proj {
     }
 }
 
+/// The first names of a list, and how many more there are.
+pub fn some_of(names: &[String]) -> String {
+    let first = names[..names.len().min(5)].join(", ");
+    if names.len() > 5 { format!("{first} and {} more", names.len() - 5) } else { first }
+}
+
 /// Whether the word means a plane.
 pub fn is_local(crs: &str) -> bool {
     crs.trim().eq_ignore_ascii_case("local")
@@ -97,6 +103,45 @@ impl Control {
         let n = self.points.len().max(1) as f64;
         let mean = |a: usize| self.points.iter().map(|p| p.xyz[a]).sum::<f64>() / n;
         world_of(self.crs.as_ref(), [mean(0), mean(1), mean(2)])
+    }
+
+    /// The frames that the list names, in order, each once.
+    pub fn frames(&self) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        for (image, _) in self.points.iter().flat_map(|p| &p.seen) {
+            if !image.is_empty() && !names.contains(image) {
+                names.push(image.clone());
+            }
+        }
+        names
+    }
+
+    /// What the list says of frames that the reconstruction does not have.
+    ///
+    /// # Errors
+    /// When it has none of them, or a check point that is asked for is not in the list.
+    pub fn notes(&self, model: &Reconstruction, args: &PointArgs, reconstruction: &Path) -> Result<Vec<String>> {
+        let list = args.gcps.display();
+        if let Some(lost) = args.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
+            bail!("{list}: has no point `{lost}` to check with; name one of its points");
+        }
+        let known = || model.photographs.iter().map(|p| p.name.as_str());
+        let frames = self.frames();
+        let lost: Vec<String> = frames.iter().filter(|f| same_image(f, known()).is_none()).cloned().collect();
+        if lost.is_empty() {
+            return Ok(Vec::new());
+        }
+        if lost.len() == frames.len() {
+            bail!(
+                "{list}: none of its frames ({}) is in {} ({}); correct the names",
+                some_of(&frames),
+                reconstruction.display(),
+                some_of(&known().map(str::to_string).collect::<Vec<_>>())
+            );
+        }
+        let note = format!("{list}: frames without a camera, whose points are left out: {}", some_of(&lost));
+        eprintln!("autoref-stream: {note}");
+        Ok(vec![note])
     }
 
     pub fn crs_label(&self) -> String {

@@ -56,7 +56,7 @@ pub struct SolveArgs {
     overwrite: bool,
     /// Print cameras.json on standard output.
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// FLIGHT.toml. Paths are taken from the file's folder.
@@ -308,6 +308,17 @@ impl Stages<'_> {
     }
 }
 
+fn no_pair() -> Error {
+    Error::no_result(
+        "COLMAP found no two frames that fit together",
+        "check the focal length and the neighbours, or raise adjust.features",
+    )
+}
+
+fn says(log: &Path, words: &str) -> bool {
+    std::fs::read(log).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words))
+}
+
 fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
     let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
     let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
@@ -318,6 +329,8 @@ fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result
     }
     match run.status() {
         Ok(status) if status.success() => Ok(()),
+        // It says so and fails when no two frames fit together.
+        Ok(status) if status.code() == Some(1) && says(log, "failed to create") => Err(no_pair().into()),
         Ok(status) => bail!(
             "colmap {command} ended with {status}; {} has its words; run the command again to resume",
             log.display()
@@ -372,6 +385,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     for p in &mut control.points {
         p.sigma.get_or_insert([gcps.sigma_ground_m; 3]);
     }
+    let notes = control.notes(&model, &points, &out.join("sparse"))?;
     let world = control.world()?;
     let ground = control.in_world(&world, &model, &points)?;
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
@@ -393,7 +407,8 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         rough,
         ..AdjustOptions::default()
     };
-    let found = adjust(&model, &ground, &options)?;
+    let mut found = adjust(&model, &ground, &options)?;
+    found.notes.extend(notes);
     let document = document::adjustment(&found, &model, &world, names.len(), control.crs_label());
     let text = serde_json::to_string_pretty(&document)? + "\n";
     autoref_raster::atomic::write(&out.join("cameras.json"), text.as_bytes())?;
@@ -482,11 +497,6 @@ fn relative(
         ];
         colmap_run(&out.join("mapper.log"), &a, "mapper")
     })?;
-    let best = colmap::model_folder(&sparse).ok_or_else(|| {
-        Error::no_result(
-            "COLMAP found no two frames that fit together",
-            "check the focal length and the neighbours, or raise adjust.features",
-        )
-    })?;
+    let best = colmap::model_folder(&sparse).ok_or_else(no_pair)?;
     colmap::read(&best).context("COLMAP's model")
 }

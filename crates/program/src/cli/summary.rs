@@ -1,0 +1,146 @@
+//! What a surveyor reads at the end of a run: six to eight lines. With `--verbose` everything that was said, one thing a line.
+
+use std::fmt::Write;
+
+use autoref_stream::pipeline::reasons::{NotFound, Reason};
+use autoref_stream::result::{RunResult, Status};
+
+use crate::cli::{accuracy, solving};
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    Brief,
+    Full,
+}
+
+/// Notes of a brief summary; the others are in the JSON.
+const NOTES: usize = 3;
+/// Points that are named.
+const LOOKED_AT: usize = 3;
+/// A fit through fewer points hides a blunder in one of them.
+const FEW_POINTS: usize = 5;
+
+pub fn summary(result: &RunResult, detail: Detail) -> String {
+    let mut lines = Lines(String::new());
+    match result.status {
+        Status::Solved => solved(result, &mut lines),
+        Status::Refused => refused(result, &mut lines),
+    }
+    if detail == Detail::Full {
+        full(result, &mut lines);
+    }
+    let shown = if detail == Detail::Full { result.warnings.len() } else { NOTES };
+    for note in result.warnings.iter().take(shown) {
+        lines.add("Note", note.clone());
+    }
+    if result.warnings.len() > shown {
+        lines.add("", format!("and {} more notes: --verbose, or the JSON", result.warnings.len() - shown));
+    }
+    if !result.files_written.is_empty() {
+        lines.add("Files", result.files_written.join(", "));
+    }
+    let memory = result
+        .peak_memory_bytes
+        .map_or(String::new(), |b| format!(", at most {:.0} MiB of memory", b as f64 / 1_048_576.0));
+    lines.add("Time", format!("{:.2} s{memory}", result.elapsed_s));
+    lines.0
+}
+
+struct Lines(String);
+
+impl Lines {
+    fn add(&mut self, label: &str, value: String) {
+        writeln!(self.0, "{label:<16}{value}").expect("a string takes all writes");
+    }
+}
+
+/// Millimetres below a metre.
+fn length(metres: f64) -> String {
+    if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
+}
+
+fn solved(result: &RunResult, lines: &mut Lines) {
+    let found = result.matches.len() + result.check_points.len();
+    let inside = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} points in the image"));
+    lines.add("Matched", format!("{found}{inside}, {} listed", result.gcps_listed));
+    if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
+        lines.add("Scale", format!("{scale:.6} m per pixel, turned {rotation:.4}° anticlockwise from east"));
+    }
+    if let (Some(e), Some(n), Some(all), Some(px)) = (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px) {
+        lines.add("RMSE", format!("{} = {px:.2} px (east {}, north {})", length(all), length(e), length(n)));
+    }
+    lines.add("Verdict", verdict(result));
+    let look_at = look_at(result);
+    if !look_at.is_empty() {
+        lines.add("Look at", look_at.join("; "));
+    }
+}
+
+/// One plain sentence.
+fn verdict(result: &RunResult) -> String {
+    let chance = result.log10_false_alarms.map_or(String::new(), |log10| {
+        format!("; chance makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor())
+    });
+    if let Some(diagnosis) = result.diagnoses.first() {
+        return format!("solved, but a mistake in the list is likely: {}", diagnosis.message);
+    }
+    if result.matches.iter().chain(&result.check_points).any(|m| m.outlier) {
+        return format!("solved, but a point does not fit: look at it before you trust the rest{chance}");
+    }
+    let horizontal = result.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
+    if let Some(tested) = horizontal {
+        let points = tested.check_points;
+        return format!("solved, and {points} check points agree within {} (RMSE){chance}", length(tested.rmse_h1_m));
+    }
+    if result.matches.len() < FEW_POINTS {
+        return format!("solved from {} points only: a blunder in one would hardly show{chance}", result.matches.len());
+    }
+    format!("solved; the points agree with each other, no check point tests them{chance}")
+}
+
+/// Points that a person should see, and why.
+fn look_at(result: &RunResult) -> Vec<String> {
+    let unfit =
+        result.matches.iter().filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
+    let missing = result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
+    let mut all: Vec<String> = unfit.chain(missing).collect();
+    let more = all.len().saturating_sub(LOOKED_AT);
+    if more > 0 {
+        all.truncate(LOOKED_AT);
+        all.push(format!("and {more} more (report, JSON)"));
+    }
+    all
+}
+
+fn refused(result: &RunResult, lines: &mut Lines) {
+    lines.add("Not solved", result.reason.clone().unwrap_or_default());
+    for advice in &result.advice {
+        lines.add("  may help", advice.clone());
+    }
+    lines.add("Seen", format!("{} candidates, {} points listed", result.candidates_found, result.gcps_listed));
+}
+
+fn full(result: &RunResult, lines: &mut Lines) {
+    let mut line = |label: &str, value: String| lines.add(label, value);
+    line("Marks found", format!("{} candidates", result.candidates_found));
+    if let Some(second) = &result.second_pass {
+        line("Second pass", second.line());
+    }
+    if result.status == Status::Solved {
+        solving::lines(result, &mut line);
+        accuracy::lines(result, &mut line);
+        for diagnosis in &result.diagnoses {
+            line("Mistake?", diagnosis.message.clone());
+        }
+    }
+    if let Some(log10) = result.log10_false_alarms {
+        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
+        line("False alarms", format!("{figure} such patterns expected by chance"));
+    }
+    if let Some(names) = &result.names {
+        let against =
+            if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
+        line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
+    }
+}

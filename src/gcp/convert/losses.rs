@@ -1,0 +1,195 @@
+//! What a format cannot hold.
+
+use std::path::Path;
+
+use super::{ListFormat, Survey};
+use crate::gcp::raw::RawPoint;
+use crate::gcp::{Gcp, GcpRole, csv_list, text};
+use autoref_raster::error::{Error, Result};
+
+/// Letters of a name in KOF's columns.
+pub(super) const KOF_NAME: usize = 10;
+/// Properties of our own output, which are said in other columns or follow from the result.
+const OWN: [&str; 9] = ["layer", "crs", "x", "y", "pixels", "image", "pixel_x", "pixel_y", "attribute"];
+
+/// What a format has a place for.
+struct Holds {
+    height: bool,
+    sigma: bool,
+    sigma_height: bool,
+    role: bool,
+    crs: bool,
+    /// Places in images for each point: none, one, or any number.
+    pixels: usize,
+    image_name: bool,
+    attributes: bool,
+}
+
+fn holds(format: ListFormat) -> Holds {
+    use ListFormat::{Csv, GeoJson, Gpx, Kof, MetashapeCsv, MicMac, Odm, Pix4d, Qgis};
+    let pixels = match format {
+        GeoJson | Odm => usize::MAX,
+        Csv | Qgis => 1,
+        _ => 0,
+    };
+    Holds {
+        height: format != Qgis,
+        sigma: !matches!(format, Kof | Odm | Qgis | Gpx),
+        sigma_height: !matches!(format, Kof | Odm | Qgis | MetashapeCsv | Gpx),
+        role: !matches!(format, Kof | Pix4d | MicMac | Gpx),
+        crs: !matches!(format, Kof | Pix4d | MicMac),
+        pixels,
+        image_name: matches!(format, GeoJson | Odm | Csv),
+        attributes: matches!(format, GeoJson | Csv),
+    }
+}
+
+/// What the points have that the format has no place for, in plain words.
+pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
+    let holds = holds(format);
+    let mut lost = Vec::new();
+    let mut say = |kept: bool, what: &str, has: &dyn Fn(&RawPoint) -> bool| {
+        let points = survey.points.iter().filter(|p| has(p)).count();
+        if !kept && points > 0 {
+            lost.push(format!("{what} of {points} points"));
+        }
+    };
+    say(holds.height, "height", &|p| p.gcp.height.is_some());
+    say(holds.sigma && all_or_none(survey, format), "sigma_m", &|p| p.gcp.sigma_m.is_some());
+    say(holds.sigma_height && all_or_none(survey, format), "sigma_height_m", &|p| p.gcp.sigma_height_m.is_some());
+    let large = |sigma: Option<f64>| sigma.is_some_and(|s| s >= 1.0);
+    if format == ListFormat::MicMac {
+        say(false, "sigma_m of 1 m or more", &|p| large(p.gcp.sigma_m));
+        say(false, "sigma_height_m of 1 m or more", &|p| large(p.gcp.sigma_height_m));
+    }
+    say(holds.role, "role (check point)", &|p| p.gcp.role == GcpRole::Check);
+    say(holds.pixels > 0, "pixels", &|p| !p.pixels.is_empty());
+    if format == ListFormat::Odm && survey.points.iter().any(|p| !p.pixels.is_empty()) {
+        say(false, "the points without pixels:", &|p| p.pixels.is_empty());
+    }
+    if holds.pixels == 1 {
+        say(false, "pixels in further images", &|p| p.pixels.len() > 1);
+    }
+    say(holds.image_name || holds.pixels == 0, "image name", &|p| p.pixels.iter().any(|s| s.image.is_some()));
+    if let (false, Some(crs)) = (holds.crs, &survey.crs) {
+        lost.push(format!("crs {}", crs.title()));
+    }
+    for column in columns(survey) {
+        if !holds.attributes || has_a_meaning(&column) {
+            lost.push(format!("column `{column}`"));
+        }
+    }
+    if format == ListFormat::Kof {
+        lost.extend(kof(survey));
+    }
+    lost
+}
+
+/// Pix4D's accuracies stand in columns without titles: all points have both, or none has any.
+pub(super) fn all_or_none(survey: &Survey, format: ListFormat) -> bool {
+    format != ListFormat::Pix4d || survey.gcps().all(|g| g.sigma_m.is_some() && g.sigma_height_m.is_some())
+}
+
+/// Titles of what the input says beyond a GCP.
+fn columns(survey: &Survey) -> Vec<String> {
+    let mut titles: Vec<String> = Vec::new();
+    for point in &survey.points {
+        for (title, _) in extra(point) {
+            if !titles.contains(title) {
+                titles.push(title.clone());
+            }
+        }
+    }
+    titles
+}
+
+/// What a point says beyond a GCP: neither empty nor one of its own values again.
+pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)> {
+    let Gcp { name, easting, northing, height, sigma_m, sigma_height_m, .. } = &point.gcp;
+    let values = [Some(*easting), Some(*northing), *height, *sigma_m, *sigma_height_m];
+    point.attributes.iter().filter(move |(title, value)| {
+        let value = value.trim();
+        let said = value == name || (has_a_meaning(title) && values.contains(&text::angle(value)) && !value.is_empty());
+        let tidied = csv_list::tidy(title);
+        let own = OWN.contains(&title.as_str()) || csv_list::is_role(&tidied);
+        !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)
+    })
+}
+
+/// Whether a reader would take the title for a part of a GCP.
+pub(super) fn has_a_meaning(title: &str) -> bool {
+    csv_list::is_known(title)
+}
+
+fn kof(survey: &Survey) -> Vec<String> {
+    let mut lost = Vec::new();
+    let long = survey.gcps().filter(|g| g.name.chars().count() > KOF_NAME).count();
+    if long > 0 {
+        lost.push(format!("letters beyond the {KOF_NAME}th of {long} names"));
+    }
+    let mut worst: f64 = 0.0;
+    for gcp in survey.gcps() {
+        let fields = [(gcp.northing, 12), (gcp.easting, 11)].into_iter().chain(gcp.height.map(|h| (h, 8)));
+        for (value, width) in fields {
+            let written = super::words::fitting(value, width).and_then(|text| text.trim().parse::<f64>().ok());
+            worst = worst.max(written.map_or(0.0, |w| (w - value).abs()));
+        }
+    }
+    if worst > 0.0 {
+        lost.push(format!("digits: coordinates were rounded by up to {worst:.1e}"));
+    }
+    lost
+}
+
+/// Refuses what a format demands and the points do not have.
+///
+/// # Errors
+/// [`Error::Usage`] with the point and the remedy.
+pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Result<()> {
+    let title = format.title();
+    if matches!(format, ListFormat::Pix4d | ListFormat::MicMac)
+        && let Some(point) = survey.points.iter().find(|p| p.gcp.height.is_none())
+    {
+        return Err(Error::format(
+            input,
+            &point.place,
+            format!(
+                "`{}` has no height, which {title} needs; complete the list or write another format",
+                point.gcp.name
+            ),
+        ));
+    }
+    if matches!(format, ListFormat::Odm | ListFormat::Kml | ListFormat::Gpx) && survey.crs.is_none() {
+        return Err(Error::usage(
+            format!("{}: {title} needs a CRS, and the list names none", input.display()),
+            "give --crs",
+        ));
+    }
+    if format != ListFormat::Kof {
+        return Ok(());
+    }
+    let mut names = std::collections::HashMap::new();
+    for point in &survey.points {
+        let cut: String = point.gcp.name.chars().take(KOF_NAME).collect();
+        if let Some(other) = names.insert(cut.clone(), &point.gcp.name) {
+            return Err(Error::format(
+                input,
+                &point.place,
+                format!(
+                    "`{}` and `{other}` are both `{cut}` in KOF, which has {KOF_NAME} letters for a name; rename one",
+                    point.gcp.name
+                ),
+            ));
+        }
+        let gcp = &point.gcp;
+        let fit = [(gcp.northing, 12), (gcp.easting, 11), (gcp.height.unwrap_or(0.0), 8)];
+        if let Some((value, width)) = fit.into_iter().find(|(v, w)| super::words::fitting(*v, *w).is_none()) {
+            return Err(Error::format(
+                input,
+                &point.place,
+                format!("{value} does not fit the {width} columns that KOF has for it; write another format"),
+            ));
+        }
+    }
+    Ok(())
+}

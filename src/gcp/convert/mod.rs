@@ -1,0 +1,258 @@
+//! One list of GCPs into another format, with every loss named.
+//!
+//! Coordinates stay in the CRS of the list, digit by digit where the format allows it; only KML and GPX, which know nothing
+//! but longitude and latitude, change them. What the other format cannot hold is left out and listed in
+//! [`Converted::lost`]; nothing is put in its place.
+
+mod losses;
+mod vectors;
+mod words;
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use crate::gcp::Gcp;
+use crate::gcp::raw::{RawPoint, Seen};
+use crate::gcp::read;
+use autoref_raster::atomic::Transaction;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+/// A format of lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ListFormat {
+    GeoJson,
+    /// A table with a header.
+    Csv,
+    Kof,
+    /// OpenDroneMap's `gcp_list.txt`.
+    Odm,
+    /// The `.points` file of QGIS's Georeferencer.
+    Qgis,
+    /// Metashape's reference list.
+    MetashapeCsv,
+    /// Metashape's markers.
+    MetashapeXml,
+    /// `label,x,y,z[,accuracy,accuracy]` without a header.
+    Pix4d,
+    /// `DicoAppuisFlottant`.
+    MicMac,
+    GeoPackage,
+    Shapefile,
+    FlatGeobuf,
+    Gml,
+    Kml,
+    Gpx,
+    /// Read by GDAL, never written.
+    OtherVector,
+}
+
+impl ListFormat {
+    /// Those that can be written.
+    pub const WRITTEN: [ListFormat; 15] = [
+        ListFormat::GeoJson,
+        ListFormat::Csv,
+        ListFormat::Kof,
+        ListFormat::Odm,
+        ListFormat::Qgis,
+        ListFormat::MetashapeCsv,
+        ListFormat::MetashapeXml,
+        ListFormat::Pix4d,
+        ListFormat::MicMac,
+        ListFormat::GeoPackage,
+        ListFormat::Shapefile,
+        ListFormat::FlatGeobuf,
+        ListFormat::Gml,
+        ListFormat::Kml,
+        ListFormat::Gpx,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            ListFormat::GeoJson => "geojson",
+            ListFormat::Csv => "csv",
+            ListFormat::Kof => "kof",
+            ListFormat::Odm => "odm",
+            ListFormat::Qgis => "qgis",
+            ListFormat::MetashapeCsv => "metashape-csv",
+            ListFormat::MetashapeXml => "metashape-xml",
+            ListFormat::Pix4d => "pix4d",
+            ListFormat::MicMac => "micmac",
+            ListFormat::GeoPackage => "gpkg",
+            ListFormat::Shapefile => "shp",
+            ListFormat::FlatGeobuf => "fgb",
+            ListFormat::Gml => "gml",
+            ListFormat::Kml => "kml",
+            ListFormat::Gpx => "gpx",
+            ListFormat::OtherVector => "vector",
+        }
+    }
+
+    /// For messages.
+    pub fn title(self) -> &'static str {
+        match self {
+            ListFormat::GeoJson => "GeoJSON",
+            ListFormat::Csv => "a table",
+            ListFormat::Kof => "KOF",
+            ListFormat::Odm => "OpenDroneMap's list",
+            ListFormat::Qgis => "QGIS's .points",
+            ListFormat::MetashapeCsv => "Metashape's reference list",
+            ListFormat::MetashapeXml => "Metashape's XML",
+            ListFormat::Pix4d => "Pix4D's list",
+            ListFormat::MicMac => "MicMac's XML",
+            ListFormat::GeoPackage => "GeoPackage",
+            ListFormat::Shapefile => "a Shapefile",
+            ListFormat::FlatGeobuf => "FlatGeobuf",
+            ListFormat::Gml => "GML",
+            ListFormat::Kml => "KML",
+            ListFormat::Gpx => "GPX",
+            ListFormat::OtherVector => "a vector format of GDAL",
+        }
+    }
+
+    /// Read and written here, not by GDAL.
+    pub(super) fn is_text(self) -> bool {
+        use ListFormat::{Csv, GeoJson, Kof, MetashapeCsv, MetashapeXml, MicMac, Odm, Pix4d, Qgis};
+        matches!(self, GeoJson | Csv | Kof | Odm | Qgis | MetashapeCsv | MetashapeXml | Pix4d | MicMac)
+    }
+
+    /// Of a file that GDAL reads, by its name.
+    pub(super) fn of_vectors(path: &Path) -> Self {
+        ListFormat::of_name(path).filter(|format| !format.is_text()).unwrap_or(ListFormat::OtherVector)
+    }
+
+    /// By the name of a file that is to be written. `None` when the name leaves it open.
+    pub fn of_name(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_lowercase();
+        let ends = [
+            ("gcp_list.txt", ListFormat::Odm),
+            ("metashape.csv", ListFormat::MetashapeCsv),
+            ("metashape.xml", ListFormat::MetashapeXml),
+            ("pix4d-gcps.csv", ListFormat::Pix4d),
+            ("pix4d.csv", ListFormat::Pix4d),
+            ("appuis.xml", ListFormat::MicMac),
+            (".geojson", ListFormat::GeoJson),
+            (".json", ListFormat::GeoJson),
+            (".csv", ListFormat::Csv),
+            (".kof", ListFormat::Kof),
+            (".points", ListFormat::Qgis),
+            (".gpkg", ListFormat::GeoPackage),
+            (".shp", ListFormat::Shapefile),
+            (".fgb", ListFormat::FlatGeobuf),
+            (".gml", ListFormat::Gml),
+            (".kml", ListFormat::Kml),
+            (".gpx", ListFormat::Gpx),
+        ];
+        ends.iter().find(|(end, _)| name.ends_with(end)).map(|(_, format)| *format)
+    }
+}
+
+impl FromStr for ListFormat {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let name = text.to_lowercase();
+        let plain = match name.as_str() {
+            "json" => "geojson",
+            "table" | "tsv" | "txt" => "csv",
+            "gcp-list" | "gcp_list" | "opendronemap" => "odm",
+            "points" => "qgis",
+            "metashape" | "photoscan" => "metashape-xml",
+            "geopackage" => "gpkg",
+            "shapefile" => "shp",
+            "flatgeobuf" => "fgb",
+            other => other,
+        };
+        ListFormat::WRITTEN.into_iter().find(|format| format.name() == plain).ok_or_else(|| {
+            let names = ListFormat::WRITTEN.map(ListFormat::name).join(", ");
+            format!("`{text}` is no format of lists; there are {names}")
+        })
+    }
+}
+
+/// What the caller says.
+#[derive(Clone, Debug, Default)]
+pub struct ConvertOptions {
+    /// Format of the input. Default: recognised as everywhere.
+    pub from: Option<ListFormat>,
+    /// Format of the output. Default: by its name.
+    pub to: Option<ListFormat>,
+    /// CRS of the coordinates, over what the list says.
+    pub crs: Option<String>,
+    /// Layer of a file with several.
+    pub layer: Option<String>,
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Converted {
+    pub from: ListFormat,
+    pub to: ListFormat,
+    pub points: usize,
+    pub crs: Option<Crs>,
+    /// What the output does not say any more, in plain words; empty when nothing was lost.
+    pub lost: Vec<String>,
+    pub notes: Vec<String>,
+    pub files: Vec<PathBuf>,
+}
+
+/// A list on its way.
+pub(super) struct Survey {
+    pub points: Vec<RawPoint>,
+    pub crs: Option<Crs>,
+}
+
+impl Survey {
+    fn gcps(&self) -> impl Iterator<Item = &Gcp> {
+        self.points.iter().map(|p| &p.gcp)
+    }
+
+    fn any(&self, has: impl Fn(&Gcp) -> bool) -> bool {
+        self.gcps().any(has)
+    }
+
+    /// One image and one place in it for each point: what flat tables can hold.
+    fn first_seen(point: &RawPoint) -> Option<&Seen> {
+        point.pixels.first()
+    }
+}
+
+/// Reads a list and writes it in another format.
+///
+/// # Errors
+/// When the list cannot be read, the output's format is not known, or the points lack what that format demands.
+pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<Converted> {
+    let to = match options.to.or_else(|| ListFormat::of_name(output)) {
+        Some(to) => to,
+        None => {
+            let names = ListFormat::WRITTEN.map(ListFormat::name).join(", ");
+            return Err(Error::usage(
+                format!("the name {} does not say which format to write", output.display()),
+                format!("give --to with one of {names}"),
+            ));
+        }
+    };
+    let (raw, from) = read::parse(input, options.layer.as_deref(), options.from)?;
+    let (points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
+    let survey = Survey { points, crs };
+    if survey.points.is_empty() {
+        return Err(Error::format(input, "the list", "it holds no points"));
+    }
+    losses::refuse(input, &survey, to)?;
+    let mut lost = losses::of(&survey, to);
+    let mut transaction = Transaction::new();
+    if to.is_text() {
+        let text = words::write(&survey, to)?;
+        transaction.stage_bytes(output, text.as_bytes())?;
+    } else {
+        lost.extend(vectors::write(&survey, to, output, &mut transaction)?);
+    }
+    if to == ListFormat::Odm && survey.points.iter().all(|p| p.pixels.is_empty()) {
+        notes.push(
+            "no point was seen in an image: the list has `label x y z` under its CRS, which OpenDroneMap itself does not take"
+                .into(),
+        );
+    }
+    let files = transaction.paths();
+    transaction.commit()?;
+    Ok(Converted { from, to, points: survey.points.len(), crs: survey.crs, lost, notes, files })
+}

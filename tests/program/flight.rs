@@ -1,0 +1,817 @@
+//! `flight …` through the program: drawn frames with known cameras, a stand-in for COLMAP that fails or is killed on demand, and
+//! COLMAP itself where it is installed.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use autoref_flight::camera::Camera;
+use autoref_flight::pose::{Pose, YawPitchRoll};
+use autoref_flight::read::{Photograph, Reconstruction, TiePoint, colmap};
+use nalgebra::Vector3;
+use serde_json::Value;
+
+use crate::common::{Random, data, skipped};
+
+const SIDE: usize = 480;
+const F_PX: f64 = 500.0;
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("plain")
+}
+
+/// Runs the program with `colmap` taken from `bin` alone, or from where the system has it.
+fn autoref(args: &[&str], bin: Option<&Path>, words: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
+    command.args(args).envs(words.iter().copied());
+    if let Some(bin) = bin {
+        // The shell of the stand-in needs no more.
+        command.env("PATH", format!("{}:/bin", bin.display()));
+    }
+    let output = command.output().expect("the program starts");
+    let said = said(&output);
+    assert!(!said.contains("panicked"), "{args:?}: {said}");
+    output
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).trim().to_string()
+}
+
+/// The exit code, and all that was said has these words.
+#[track_caller]
+fn expect(output: &Output, code: i32, words: &[&str]) {
+    let said = said(output);
+    assert_eq!(output.status.code(), Some(code), "{said}");
+    assert!(words.iter().all(|w| said.contains(w)), "{words:?} in: {said}");
+    if code == 2 {
+        let lines: Vec<&str> = said.lines().filter(|l| l.starts_with("autoref-stream:")).collect();
+        assert_eq!(lines.len(), 1, "one line says what is wrong: {said}");
+    }
+}
+
+#[track_caller]
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {}", said(output)))
+}
+
+/// Height of the ground: hills of 40 m.
+fn ground(x: f64, y: f64) -> f64 {
+    12.0 * (x / 61.0).sin() + 10.0 * (y / 43.0).cos() + 6.0 * ((x + 2.0 * y) / 29.0).sin()
+}
+
+fn noise(x: f64, y: f64, cell: f64, seed: u64) -> f64 {
+    let (u, v) = (x / cell, y / cell);
+    let (i, j) = (u.floor(), v.floor());
+    let (a, b) = (u - i, v - j);
+    let at = |i: f64, j: f64| {
+        let key = (i as i64 as u64).wrapping_mul(0x9E37_79B9) ^ (j as i64 as u64).wrapping_mul(0x85EB_CA6B_0000) ^ seed;
+        Random::new(key).uniform(-1.0, 1.0)
+    };
+    let (a, b) = (a * a * (3.0 - 2.0 * a), b * b * (3.0 - 2.0 * b));
+    (at(i, j) * (1.0 - a) + at(i + 1.0, j) * a) * (1.0 - b)
+        + (at(i, j + 1.0) * (1.0 - a) + at(i + 1.0, j + 1.0) * a) * b
+}
+
+fn brightness(x: f64, y: f64) -> u8 {
+    let octaves = [(29.0, 30.0), (13.0, 30.0), (5.7, 28.0), (2.9, 24.0)];
+    let sum: f64 = octaves.iter().enumerate().map(|(k, (cell, weight))| weight * noise(x, y, *cell, k as u64)).sum();
+    (128.0 + sum).clamp(0.0, 255.0) as u8
+}
+
+/// Where a ray from the camera meets the ground.
+fn meets(camera: &Camera, pose: &Pose, pixel: [f64; 2]) -> Vector3<f64> {
+    let d = pose.rotation.transpose() * Vector3::from(camera.ray(pixel).expect("inside the image"));
+    let mut at = pose.centre - d * (pose.centre.z / d.z);
+    for _ in 0..8 {
+        at = pose.centre + d * ((ground(at.x, at.y) - pose.centre.z) / d.z);
+    }
+    at
+}
+
+/// A line of five frames that look down, 400 m above the ground, with ties and eight GCPs: a truth to compare with.
+struct Flight {
+    model: Reconstruction,
+    /// Name, place, frame and pixel.
+    gcps: Vec<(String, Vector3<f64>, Vec<(usize, [f64; 2])>)>,
+}
+
+impl Flight {
+    fn new() -> Self {
+        let mut draw = Random::new(41);
+        let side = SIDE as f64;
+        let camera = Camera::pinhole("lens", [side, side], F_PX, [side / 2.0, side / 2.0]);
+        let mut model = Reconstruction { cameras: vec![camera.clone()], ..Reconstruction::default() };
+        for i in 0..5 {
+            let centre = Vector3::new(
+                1000.0 + 80.0 * f64::from(i),
+                2000.0 + draw.uniform(-8.0, 8.0),
+                400.0 + draw.uniform(-9.0, 9.0),
+            );
+            let angles = YawPitchRoll {
+                yaw_deg: 90.0 + draw.uniform(-2.0, 2.0),
+                pitch_deg: -85.0 + draw.uniform(-2.0, 2.0),
+                roll_deg: draw.uniform(-2.0, 2.0),
+            };
+            let name = format!("f{i}.png");
+            model.photographs.push(Photograph { name, camera: 0, pose: Pose::looking(centre, angles) });
+        }
+        let mut flight = Flight { model, gcps: Vec::new() };
+        while flight.model.ties.len() < 150 || flight.gcps.len() < 8 {
+            let (x, y) = (draw.uniform(850.0, 1550.0), draw.uniform(1820.0, 2180.0));
+            let xyz = Vector3::new(x, y, ground(x, y));
+            let inside = |at: &[f64; 2]| at.iter().all(|v| (8.0..side - 8.0).contains(v));
+            let project = |p: &Photograph| camera.project(p.pose.to_camera(&xyz).into()).filter(inside);
+            let seen: Vec<(usize, [f64; 2])> =
+                flight.model.photographs.iter().enumerate().filter_map(|(i, p)| Some((i, project(p)?))).collect();
+            if seen.len() < 2 {
+                continue;
+            }
+            if flight.gcps.len() < 8 {
+                flight.gcps.push((format!("G{}", flight.gcps.len()), xyz, seen));
+            } else {
+                flight.model.ties.push(TiePoint { xyz, seen });
+            }
+        }
+        flight
+    }
+
+    fn render(&self, folder: &Path) {
+        std::fs::create_dir_all(folder).expect("a folder");
+        for p in &self.model.photographs {
+            let mut pixels = vec![0u8; SIDE * SIDE];
+            for (k, grey) in pixels.iter_mut().enumerate() {
+                let at = meets(&self.model.cameras[0], &p.pose, [(k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5]);
+                *grey = brightness(at.x, at.y);
+            }
+            write_png(&folder.join(&p.name), &pixels);
+        }
+    }
+
+    fn gcp_list(&self) -> String {
+        let mut list = String::from("local\n");
+        for (name, xyz, seen) in &self.gcps {
+            for (frame, at) in seen {
+                let image = &self.model.photographs[*frame].name;
+                writeln!(list, "{:.4} {:.4} {:.4} {:.3} {:.3} {image} {name}", xyz.x, xyz.y, xyz.z, at[0], at[1])
+                    .expect("text");
+            }
+        }
+        list
+    }
+
+    fn table(&self) -> String {
+        let mut draw = Random::new(5);
+        let mut table = String::from("name,x,y,z,yaw,pitch,roll\n");
+        for p in &self.model.photographs {
+            let (c, a) = (p.pose.centre, p.pose.yaw_pitch_roll());
+            let mut off = |by: f64| draw.uniform(-by, by);
+            writeln!(
+                table,
+                "{},{:.2},{:.2},{:.2},{:.3},{:.3},{:.3}",
+                p.name,
+                c.x + off(15.0),
+                c.y + off(15.0),
+                c.z + off(15.0),
+                a.yaw_deg + off(1.0),
+                a.pitch_deg + off(1.0),
+                a.roll_deg + off(1.0)
+            )
+            .expect("text");
+        }
+        table
+    }
+
+    /// COLMAP's text model in a frame of its own.
+    fn write_model(&self, folder: &Path) {
+        std::fs::create_dir_all(folder).expect("a folder");
+        let by = autoref_flight::Similarity {
+            scale: 0.01,
+            rotation: *nalgebra::Rotation3::from_euler_angles(0.4, -0.2, 1.1).matrix(),
+            shift: Vector3::new(1.0, 2.0, 3.0),
+        };
+        let mut model = self.model.clone();
+        for p in &mut model.photographs {
+            p.pose = p.pose.moved(&by);
+        }
+        for t in &mut model.ties {
+            t.xyz = by.apply(&t.xyz);
+        }
+        for (name, bytes) in colmap::text_model(&model).expect("a plain camera") {
+            std::fs::write(folder.join(name), bytes).expect("written");
+        }
+    }
+
+    /// Largest distance of a camera of the document from the truth.
+    fn worst_camera_m(&self, document: &Value) -> f64 {
+        let cameras = document["cameras"].as_array().expect("cameras");
+        let distance = |c: &Value| {
+            let p = &self.model.photographs[self.model.find(c["name"].as_str().expect("a name")).expect("known")];
+            let at = |k: &str| c[k].as_f64().expect("a number");
+            (Vector3::new(at("e"), at("n"), at("h")) - p.pose.centre).norm()
+        };
+        cameras.iter().map(distance).fold(0.0, f64::max)
+    }
+}
+
+fn write_png(path: &Path, pixels: &[u8]) {
+    let file = std::fs::File::create(path).expect("a new file");
+    let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), SIDE as u32, SIDE as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.write_header().and_then(|mut w| w.write_image_data(pixels)).expect("written");
+}
+
+/// The keys that others rely on.
+#[track_caller]
+fn has_the_keys(document: &Value) {
+    for key in
+        ["frames_registered", "frames_listed", "cameras", "interior", "gcps", "check_points", "reprojection_rms_px"]
+    {
+        assert!(!document[key].is_null(), "{key}");
+    }
+    let camera = &document["cameras"][0];
+    for key in [
+        "name",
+        "e",
+        "n",
+        "h",
+        "yaw_deg",
+        "pitch_deg",
+        "roll_deg",
+        "C",
+        "R",
+        "covariance",
+        "f_px",
+        "pp_px",
+        "distortion",
+        "rms_px",
+    ] {
+        assert!(!camera[key].is_null(), "cameras[0].{key}");
+    }
+    for key in ["sigma_e", "sigma_n", "sigma_h", "sigma_yaw_deg", "sigma_pitch_deg", "sigma_roll_deg"] {
+        assert!(camera[key].as_f64().is_some_and(|s| s > 0.0), "cameras[0].{key}");
+    }
+}
+
+struct Place {
+    folder: tempfile::TempDir,
+    flight: Flight,
+}
+
+impl Place {
+    fn new() -> Self {
+        let place = Place { folder: tempfile::tempdir().expect("a temporary folder"), flight: Flight::new() };
+        place.write("gcps.txt", &place.flight.gcp_list());
+        place.write("table.csv", &place.flight.table());
+        place
+    }
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+    fn write(&self, name: &str, content: &str) -> PathBuf {
+        std::fs::write(self.at(name), content).expect("written");
+        self.at(name)
+    }
+    /// `flight init` on frames that are empty files, or drawn.
+    fn init(&self) -> PathBuf {
+        let toml = self.at("FLIGHT.toml");
+        let (frames, table, gcps) = (self.at("frames"), self.at("table.csv"), self.at("gcps.txt"));
+        let output = autoref(
+            &[
+                "flight",
+                "init",
+                text(&frames),
+                "--cameras",
+                text(&table),
+                "--gcps",
+                text(&gcps),
+                "-o",
+                text(&toml),
+                "--crs",
+                "local",
+                "--f-px",
+                "500",
+            ],
+            None,
+            &[],
+        );
+        expect(&output, 0, &["5 of 5 rows"]);
+        toml
+    }
+    /// A stand-in for COLMAP whose mapper copies the model of the truth.
+    fn stand_in(&self) -> PathBuf {
+        let bin = self.at("bin");
+        std::fs::create_dir_all(&bin).expect("a folder");
+        self.flight.write_model(&self.at("prepared"));
+        let script = format!(
+            "#!/bin/sh\ncommand=$1; shift\nwhile [ $# -gt 0 ]; do case \"$1\" in\n--database_path) db=$2;; --output_path) out=$2;;\n\
+             esac; shift 2; done\nif [ \"$command\" = \"$STAND_IN_FAILS\" ]; then echo half > \"$db\"; exit 3; fi\n\
+             if [ \"$command\" = \"$STAND_IN_KILLS\" ]; then kill -9 $PPID; exit 0; fi\n\
+             case $command in mapper) mkdir -p \"$out/0\"; cp {0}/* \"$out/0/\";; *) echo $command >> \"$db\";; esac\n",
+            self.at("prepared").display()
+        );
+        std::fs::write(bin.join("colmap"), script).expect("written");
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(bin.join("colmap"), std::fs::Permissions::from_mode(0o755)).expect("executable");
+        bin
+    }
+    fn five_frames(&self) {
+        std::fs::create_dir_all(self.at("frames")).expect("a folder");
+        for p in &self.flight.model.photographs {
+            write_png(&self.at("frames").join(&p.name), &vec![100; SIDE * SIDE]);
+        }
+    }
+}
+
+#[test]
+fn init_writes_what_solve_reads_and_refuses_what_is_not_there() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let written: toml::Value = toml::from_str(&std::fs::read_to_string(&toml).expect("there")).expect("TOML");
+    assert_eq!(written["camera"]["f_px"].as_float(), Some(500.0));
+    assert_eq!(
+        (written["gcps"]["sigma_ground_m"].as_float(), written["gcps"]["sigma_image_px"].as_float()),
+        (Some(25.0), Some(5.0))
+    );
+    let (frames, table, gcps) = (place.at("frames"), place.at("table.csv"), place.at("gcps.txt"));
+    let init = |folder: &Path, table: &Path, gcps: &Path, name: &str| {
+        let out = place.at(name);
+        autoref(
+            &["flight", "init", text(folder), "--cameras", text(table), "--gcps", text(gcps), "-o", text(&out)],
+            None,
+            &[],
+        )
+    };
+    expect(&init(&frames, &table, &gcps, "FLIGHT.toml"), 2, &["FLIGHT.toml exists", "--overwrite"]);
+    expect(&init(&place.at("nowhere"), &table, &gcps, "a.toml"), 2, &["nowhere"]);
+    expect(&init(&frames, &table, &place.at("no.txt"), "a.toml"), 2, &["no.txt"]);
+    let others = place.write("others.csv", "name,x,y,z\nQ1,1,2,3\n");
+    expect(&init(&frames, &others, &gcps, "a.toml"), 2, &["others.csv", "none of its 1 names"]);
+    let broken = place.write("broken.csv", "name,x,y,z\nf0,1,two,3\n");
+    expect(&init(&frames, &broken, &gcps, "a.toml"), 2, &["broken.csv", "row 2", "`two`"]);
+    std::fs::create_dir(place.at("empty")).expect("a folder");
+    expect(&init(&place.at("empty"), &table, &gcps, "a.toml"), 2, &["empty", "no frames"]);
+    assert!(!place.at("a.toml").exists());
+}
+
+#[test]
+fn adjust_brings_a_model_to_the_ground() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, gcps, out) = (place.at("model"), place.at("gcps.txt"), place.at("cameras.json"));
+    let arguments = [
+        "flight",
+        "adjust",
+        text(&model),
+        "--gcps",
+        text(&gcps),
+        "--sigma-ground",
+        "0.05",
+        "--check",
+        "G2,G5",
+        "-o",
+        text(&out),
+        "--json",
+    ];
+    let output = autoref(&arguments, None, &[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    has_the_keys(&document);
+    assert!(place.flight.worst_camera_m(&document) < 0.05, "{}", place.flight.worst_camera_m(&document));
+    let checks: Vec<&str> =
+        document["check_points"].as_array().expect("a list").iter().filter_map(|c| c["name"].as_str()).collect();
+    assert_eq!(checks, ["G2", "G5"]);
+    assert!(document["blunders"].as_array().is_some_and(Vec::is_empty), "{}", document["blunders"]);
+    assert_eq!(serde_json::from_slice::<Value>(&std::fs::read(&out).expect("written")).expect("JSON"), document);
+    expect(&autoref(&arguments, None, &[]), 2, &["cameras.json exists", "--overwrite"]);
+    // cameras.json is a reconstruction too; without ties, GCPs alone hold it.
+    expect(
+        &autoref(&["flight", "adjust", text(&out), "--gcps", text(&gcps), "--free", "none", "--json"], None, &[]),
+        0,
+        &[],
+    );
+}
+
+#[test]
+fn adjust_names_the_wrong_gcp_and_frame() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let mut flight = Flight::new();
+    let (frame, pixel) = &mut flight.gcps[3].2[1];
+    pixel[0] += 14.0;
+    let wrong = flight.model.photographs[*frame].name.clone();
+    flight.gcps[6].1.z += 30.0;
+    let list = place.write("wrong.txt", &flight.gcp_list());
+    let output = autoref(
+        &["flight", "adjust", text(&place.at("model")), "--gcps", text(&list), "--sigma-ground", "0.5", "--json"],
+        None,
+        &[],
+    );
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    let named: Vec<(&str, Option<&str>)> = document["blunders"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|b| (b["gcp"].as_str().expect("a name"), b["frame"].as_str()))
+        .collect();
+    assert!(named.len() == 2 && named.contains(&("G3", Some(&wrong))) && named.contains(&("G6", None)), "{named:?}");
+    let output = autoref(
+        &["flight", "adjust", text(&place.at("model")), "--gcps", text(&list), "--sigma-ground", "0.5"],
+        None,
+        &[],
+    );
+    expect(&output, 0, &[&format!("blunder: GCP G3 in {wrong}"), "blunder: GCP G6 on the ground"]);
+}
+
+#[test]
+fn adjust_says_what_is_wrong_with_its_input() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, gcps) = (place.at("model"), place.at("gcps.txt"));
+    let adjust = |model: &Path, gcps: &Path, more: &[&str]| {
+        autoref(&[&["flight", "adjust", text(model), "--gcps", text(gcps), "--json"], more].concat(), None, &[])
+    };
+    // One frame that nobody knows is a note, a list of such frames is an error.
+    let one = place.write("one.txt", &(place.flight.gcp_list() + "1100 2000 5 10 10 other.png G9\n"));
+    let output = adjust(&model, &one, &[]);
+    expect(&output, 0, &["other.png"]);
+    assert!(json(&output)["notes"].to_string().contains("other.png"));
+    let all = place.write("all.txt", &place.flight.gcp_list().replace(" f", " g"));
+    let output = adjust(&model, &all, &[]);
+    expect(&output, 2, &["all.txt", "g0.png"]);
+    assert!(json(&output)["error"]["message"].as_str().is_some_and(|m| m.contains("all.txt")));
+    expect(&adjust(&model, &gcps, &["--check", "G77"]), 2, &["gcps.txt", "G77"]);
+    expect(&adjust(&model, &gcps, &["--free", "q9"]), 2, &["q9"]);
+    expect(&adjust(&place.at("nothing"), &gcps, &[]), 2, &["nothing"]);
+    expect(&adjust(&model, &place.at("nothing.txt"), &[]), 2, &["nothing.txt"]);
+    // Two GCPs do not place a block: it ran, and there is no result.
+    let few: String = place
+        .flight
+        .gcp_list()
+        .lines()
+        .filter(|l| !l.contains("G") || l.ends_with("G0") || l.ends_with("G1"))
+        .fold(String::new(), |all, l| all + l + "\n");
+    let output = adjust(&model, &place.write("few.txt", &few), &[]);
+    expect(&output, 1, &["3 are needed"]);
+    assert_eq!(json(&output)["error"]["kind"], "refused");
+    // Truncated in the middle of a row, of every file.
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        let cut = place.at(&format!("cut-{name}"));
+        place.flight.write_model(&cut);
+        let whole = std::fs::read(cut.join(name)).expect("there");
+        std::fs::write(cut.join(name), &whole[..whole.len() * 7 / 10]).expect("written");
+        let output = adjust(&cut, &gcps, &[]);
+        assert!(matches!(output.status.code(), Some(0 | 2)), "{name}: {}", said(&output));
+        if output.status.code() == Some(2) {
+            expect(&output, 2, &["cut-"]);
+        }
+    }
+}
+
+#[test]
+fn resect_places_a_frame_and_names_the_blunder() {
+    let place = Place::new();
+    let gcps = place.at("gcps.txt");
+    let resect = |frame: &str, gcps: &Path, more: &[&str]| {
+        let some = ["flight", "resect", frame, "--gcps", text(gcps), "--f-px", "500", "--size", "480,480", "--json"];
+        autoref(&[&some, more].concat(), None, &[])
+    };
+    let output = resect("f2.png", &gcps, &[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    let truth = place.flight.model.photographs[2].pose;
+    let off = |d: &Value| {
+        (Vector3::from_iterator((0..3).map(|i| d["C"][i].as_f64().expect("a number"))) - truth.centre).norm()
+    };
+    assert!(off(&document) < 0.1 && document["blunders"].as_array().is_some_and(Vec::is_empty), "{document}");
+    for key in ["name", "e", "n", "h", "yaw_deg", "pitch_deg", "roll_deg", "C", "R", "f_px", "rms_px"] {
+        assert!(!document[key].is_null(), "{key}");
+    }
+    let mut flight = Flight::new();
+    let gcp = flight.gcps.iter_mut().find(|g| g.2.iter().any(|s| s.0 == 2)).expect("seen");
+    gcp.2.iter_mut().find(|s| s.0 == 2).expect("seen").1[1] += 60.0;
+    let wrong = gcp.0.clone();
+    let list = place.write("wrong.txt", &flight.gcp_list());
+    let document = json(&resect("f2.png", &list, &[]));
+    assert!(document["blunders"] == serde_json::json!([wrong]) && off(&document) < 1.0, "{document}");
+    expect(&resect("f9.png", &gcps, &[]), 1, &["f9.png", "gcps.txt"]);
+    let two: String = place
+        .flight
+        .gcp_list()
+        .lines()
+        .filter(|l| l.contains("f2.png"))
+        .take(2)
+        .fold("local\n".into(), |all, l| all + l + "\n");
+    expect(&resect("f2.png", &place.write("two.txt", &two), &[]), 1, &["3 are needed"]);
+    expect(&resect("f2.png", &gcps, &["--pp-px", "1"]), 2, &["--pp-px"]);
+}
+
+/// Ten points clicked in a photograph of a glacier, one of them 150 px off.
+#[test]
+fn the_wrong_point_of_kronebreen_is_named() {
+    let Some(list) = data("oblique_svalbard/KR1_2014.txt") else { return };
+    let interior = ["--f-px", "6248", "--pp-px", "2575.84,1473.41", "--distortion", "k1=-0.1322,k2=0.3939,k3=-0.8149"];
+    let held = ["--position", "447618.893,8759606.114,410.523", "--sigma-position", "20"];
+    for (case, more) in [("position held", [&interior[..], &held[..]].concat()), ("free", interior.to_vec())] {
+        let some = ["flight", "resect", "KR1_2014.JPG", "--gcps", text(&list), "--size", "5184,3456", "--json"];
+        let output = autoref(&[&some, &more[..]].concat(), None, &[]);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        let blunders: Vec<&str> =
+            document["blunders"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+        assert_eq!(blunders, ["4"], "{case}: {document}");
+        assert_eq!(document["gcps"].as_array().map(Vec::len), Some(10));
+    }
+}
+
+#[test]
+fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let bin = place.stand_in();
+    let solve = |out: &str, bin: &Path, words: &[(&str, &str)]| {
+        autoref(&["flight", "solve", text(&toml), "-o", text(&place.at(out)), "--json"], Some(bin), words)
+    };
+    let whole = solve("whole", &bin, &[]);
+    expect(&whole, 0, &[]);
+    let document = json(&whole);
+    has_the_keys(&document);
+    assert_eq!((&document["frames_registered"], &document["frames_listed"]), (&5.into(), &5.into()));
+    let cameras = |out: &str| std::fs::read(place.at(out).join("cameras.json")).expect("written");
+    for command in ["feature_extractor", "matches_importer", "mapper"] {
+        let out = format!("failed-{command}");
+        expect(&solve(&out, &bin, &[("STAND_IN_FAILS", command)]), 2, &[command, "exit status: 3", ".log"]);
+        assert!(!place.at(&out).join("cameras.json").exists());
+        expect(&solve(&out, &bin, &[]), 0, &[]);
+        assert_eq!(cameras(&out), cameras("whole"), "{command}");
+        let out = format!("killed-{command}");
+        assert_eq!(solve(&out, &bin, &[("STAND_IN_KILLS", command)]).status.code(), None, "killed");
+        expect(&solve(&out, &bin, &[]), 0, &[]);
+        assert_eq!(cameras(&out), cameras("whole"), "{command}");
+    }
+    let again = solve("whole", &bin, &[]);
+    expect(&again, 0, &["features.db: taken from before", "sparse: taken from before"]);
+    assert_eq!(again.stdout, whole.stdout);
+    // COLMAP is not there.
+    std::fs::create_dir(place.at("bare")).expect("a folder");
+    let none = solve("none", &place.at("bare"), &[]);
+    if Path::new("/bin/colmap").exists() {
+        // Where /bin is /usr/bin, COLMAP itself answers: these frames have nothing to match.
+        expect(&none, 1, &["no two frames"]);
+    } else {
+        expect(&none, 2, &["`colmap` is not there", "apt-get install colmap"]);
+    }
+    let missing = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .args(["flight", "solve", text(&toml), "-o", text(&place.at("none")), "--overwrite"])
+        .env("PATH", place.at("bare"))
+        .output()
+        .expect("the program starts");
+    expect(&missing, 2, &["`colmap` is not there", "apt-get install colmap"]);
+    // A frame that went missing is one frame less, and the stages are worked anew.
+    std::fs::remove_file(place.at("frames").join("f4.png")).expect("removed");
+    let fewer = solve("whole", &bin, &[]);
+    assert!(!said(&fewer).contains("features.db: taken"), "{}", said(&fewer));
+    for i in 1..4 {
+        std::fs::remove_file(place.at("frames").join(format!("f{i}.png"))).expect("removed");
+    }
+    expect(&solve("one", &bin, &[]), 2, &["frames: 1 frames match"]);
+    let typo = place.write("typo.toml", "[frames]\nfolder = \"frames\"\npattern = [\"*.png\"]\nmask = 1\n");
+    expect(
+        &autoref(&["flight", "solve", text(&typo), "-o", text(&place.at("typo"))], None, &[]),
+        2,
+        &["typo.toml", "mask"],
+    );
+}
+
+/// From drawn frames to cameras, by COLMAP itself; killed before the mapper and resumed: the same cameras.
+#[test]
+fn frames_become_cameras() {
+    if Command::new("colmap").arg("help").output().is_err() {
+        skipped("`colmap` is not installed: no frames were solved");
+        return;
+    }
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let toml = place.init();
+    let written = std::fs::read_to_string(&toml).expect("there");
+    let list = written.replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1\ncheck = [\"G1\", \"G6\"]");
+    let list =
+        list.replace("sigma_image_px = 5.0", "sigma_image_px = 0.5").replace("features = 6000", "features = 1500");
+    std::fs::write(&toml, list).expect("written");
+    let solve = |out: &str, words: &[(&str, &str)], bin: Option<&Path>| {
+        autoref(&["flight", "solve", text(&toml), "-o", text(&place.at(out)), "--json"], bin, words)
+    };
+    let output = solve("out", &[], None);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    has_the_keys(&document);
+    assert_eq!((&document["frames_registered"], &document["frames_listed"]), (&5.into(), &5.into()));
+    assert!(document["reprojection_rms_px"].as_f64().is_some_and(|r| r < 1.0), "{}", document["reprojection_rms_px"]);
+    let worst = place.flight.worst_camera_m(&document);
+    let check = document["check_point_statistics"]["d"]["rms"].as_f64().expect("check points");
+    let f = document["cameras"][0]["f_px"].as_f64().expect("a number");
+    assert!(worst < 4.0 && check < 1.0 && (f / F_PX - 1.0).abs() < 0.01, "{worst:.2} m, {check:.2} m, f {f:.2}");
+    // Killed at the mapper: what was done before is kept, and the end is the same.
+    let bin = place.at("killer");
+    std::fs::create_dir_all(&bin).expect("a folder");
+    let script = "#!/bin/sh\nif [ \"$1\" = mapper ]; then kill -9 $PPID; exit 0; fi\nexec \"$COLMAP\" \"$@\"\n";
+    std::fs::write(bin.join("colmap"), script).expect("written");
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::set_permissions(bin.join("colmap"), std::fs::Permissions::from_mode(0o755)).expect("executable");
+    let path = std::env::var("PATH").unwrap_or_default();
+    let real = std::env::split_paths(&path).map(|p| p.join("colmap")).find(|p| p.is_file()).expect("it answered");
+    assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
+    let resumed = solve("killed", &[], None);
+    expect(&resumed, 0, &["features.db: taken from before", "matches.db: taken from before"]);
+    assert_eq!(resumed.stdout, output.stdout, "resumed or not: the same result");
+    // COLMAP's binary model, cut at many places.
+    let sparse = place.at("out").join("sparse").join("0");
+    let gcps = place.at("gcps.txt");
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let whole = std::fs::read(sparse.join(name)).expect("there");
+        for part in [0, 3, 30, 60, 99] {
+            std::fs::write(sparse.join(name), &whole[..whole.len() * part / 100]).expect("written");
+            let output = autoref(&["flight", "adjust", text(&sparse), "--gcps", text(&gcps)], None, &[]);
+            expect(&output, 2, &[name]);
+        }
+        std::fs::write(sparse.join(name), &whole).expect("written");
+    }
+}
+
+/// A raster of floats on a plane.
+fn write_dem(path: &Path, size: (usize, usize), corner: [f64; 2], cell: f64, height: impl Fn(f64, f64) -> f64) {
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let mut file = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("a new file");
+    file.set_geo_transform(&[corner[0], cell, 0.0, corner[1], 0.0, -cell]).expect("kept");
+    let at = |k: usize| ((k % size.0) as f64 + 0.5, (k / size.0) as f64 + 0.5);
+    let heights = (0..size.0 * size.1).map(|k| height(corner[0] + at(k).0 * cell, corner[1] - at(k).1 * cell) as f32);
+    let mut buffer = gdal::raster::Buffer::new(size, heights.collect());
+    file.rasterband(1).expect("a band").write((0, 0), size, &mut buffer).expect("written");
+    file.close().expect("written");
+}
+
+/// First band and last (alpha) of an orthophoto with its geotransform.
+fn ortho(path: &Path) -> (Vec<u8>, Vec<u8>, (usize, usize), [f64; 6]) {
+    let file = gdal::Dataset::open(path).expect("it opens");
+    let size = file.raster_size();
+    let read = |b: usize| {
+        file.rasterband(b).expect("a band").read_as::<u8>((0, 0), size, size, None).expect("read").data().to_vec()
+    };
+    (read(1), read(file.raster_count()), size, file.geo_transform().expect("georeferenced"))
+}
+
+fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
+    let sum = |f: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();
+    let (a, b) = (sum(&|p| (p.0 - mean.0).powi(2)), sum(&|p| (p.1 - mean.1).powi(2)));
+    sum(&|p| (p.0 - mean.0) * (p.1 - mean.1)) / (a * b).sqrt()
+}
+
+#[test]
+fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    place.flight.write_model(&place.at("model"));
+    let (frame, dem, cameras) = (place.at("frames").join("f2.png"), place.at("dem.tif"), place.at("cameras.json"));
+    // A tower that the frame does not show stands in the model: it covers itself and its shadow, the rest stays as it was.
+    let tower = |x: f64, y: f64| f64::from(u8::from((1290.0..1300.0).contains(&x) && (1990.0..2010.0).contains(&y)));
+    write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
+    let towered = place.at("towered.tif");
+    write_dem(&towered, (400, 250), [800.0, 2250.0], 2.0, |x, y| ground(x, y) + 120.0 * tower(x, y));
+    let adjust = [
+        "flight",
+        "adjust",
+        text(&place.at("model")),
+        "--gcps",
+        text(&place.at("gcps.txt")),
+        "--sigma-ground",
+        "0.01",
+        "--free",
+        "none",
+        "-o",
+        text(&cameras),
+        "--crs",
+        "local",
+    ]
+    .map(str::to_string);
+    expect(&autoref(&adjust.each_ref().map(String::as_str), None, &[]), 0, &[]);
+    let run = |dem: &Path, name: &str, more: &[&str]| {
+        let out = place.at(name);
+        let some = [
+            "flight",
+            "orthorectify",
+            text(&frame),
+            "--dem",
+            text(dem),
+            "--cameras",
+            text(&cameras),
+            "-o",
+            text(&out),
+            "--json",
+        ];
+        (autoref(&[&some, more].concat(), None, &[]), out)
+    };
+    let (output, out) = run(&dem, "a.tif", &[]);
+    expect(&output, 0, &[]);
+    let gsd = json(&output)["gsd"].as_f64().expect("a number");
+    assert!((gsd - 0.8).abs() < 0.1, "{gsd}");
+    let (grey, alpha, size, transform) = ortho(&out);
+    let truth = |k: usize| {
+        (
+            transform[0] + transform[1] * ((k % size.0) as f64 + 0.5),
+            transform[3] + transform[5] * ((k / size.0) as f64 + 0.5),
+        )
+    };
+    let pairs: Vec<(f64, f64)> = (0..grey.len())
+        .filter(|k| alpha[*k] == 255)
+        .map(|k| (f64::from(grey[k]), f64::from(brightness(truth(k).0, truth(k).1))))
+        .collect();
+    let found = correlation(&pairs);
+    assert!(found > 0.97 && pairs.len() > SIDE * SIDE * 9 / 10, "{found:.4} of {} pixels", pairs.len());
+    // Any tiling, the same bytes.
+    let bytes = std::fs::read(&out).expect("there");
+    for (name, more) in
+        [("b.tif", ["--tile", "64", "--threads", "1"]), ("c.tif", ["--tile", "300", "--memory", "112M"])]
+            .map(|(n, m)| (n, m))
+    {
+        let (output, other) = run(&dem, name, &more);
+        expect(&output, 0, &[]);
+        assert!(std::fs::read(other).expect("there") == bytes, "{name}");
+    }
+    // Behind the tower, seen from the camera at x = 1160, nothing is seen; before it, all.
+    let (output, out) = run(&towered, "t.tif", &[]);
+    expect(&output, 0, &[]);
+    let (_, hidden, size, transform) = ortho(&out);
+    let at = |x: f64, y: f64| {
+        hidden[((y - transform[3]) / transform[5]) as usize * size.0 + ((x - transform[0]) / transform[1]) as usize]
+    };
+    assert_eq!((at(1315.0, 2000.0), at(1270.0, 2000.0), at(1315.0, 2060.0)), (0, 255, 255));
+    // What cannot be.
+    expect(&run(&dem, "a.tif", &[]).0, 2, &["a.tif exists", "--overwrite"]);
+    expect(&run(&place.at("no.tif"), "x.tif", &[]).0, 2, &["no.tif"]);
+    let far = place.at("far.tif");
+    write_dem(&far, (20, 20), [90_000.0, 90_000.0], 2.0, |_, _| 0.0);
+    expect(&run(&far, "x.tif", &[]).0, 1, &["far.tif", "none of its rays"]);
+    expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
+    let other = place.at("frames").join("q.png");
+    std::fs::copy(&frame, &other).expect("copied");
+    let unknown = [
+        "flight",
+        "orthorectify",
+        text(&other),
+        "--dem",
+        text(&dem),
+        "--cameras",
+        text(&cameras),
+        "-o",
+        text(&place.at("x.tif")),
+    ];
+    expect(&autoref(&unknown, None, &[]), 2, &["cameras.json", "q.png"]);
+    assert!(!place.at("x.tif").exists());
+}
+
+/// Two frames of an aerial camera and two of a drone: their orthophotos agree where they overlap.
+#[test]
+fn orthophotos_of_neighbours_agree() {
+    let Some(frames) = data("frames") else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let case = |name: &str, images: [&str; 2], dem: &str, more: &[&str]| {
+        let run = |image: &str| {
+            let out = folder.path().join(format!("{name}-{image}.tif"));
+            let (frame, dem) = (frames.join(name).join(image), frames.join(name).join(dem));
+            let some = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "-o", text(&out)];
+            expect(&autoref(&[&some, more].concat(), None, &[]), 0, &[]);
+            ortho(&out)
+        };
+        let (a, b) = (run(images[0]), run(images[1]));
+        let cell = a.3[1];
+        let off = [((a.3[0] - b.3[0]) / cell).round() as i64, ((b.3[3] - a.3[3]) / cell).round() as i64];
+        let mut pairs = Vec::new();
+        for k in 0..a.0.len() {
+            let (x, y) = ((k % a.2.0) as i64 + off[0], (k / a.2.0) as i64 + off[1]);
+            if (0..b.2.0 as i64).contains(&x) && (0..b.2.1 as i64).contains(&y) {
+                let other = y as usize * b.2.0 + x as usize;
+                if a.1[k] == 255 && b.1[other] == 255 {
+                    pairs.push((f64::from(a.0[k]), f64::from(b.0[other])));
+                }
+            }
+        }
+        let found = correlation(&pairs);
+        eprintln!("{name}: correlation {found:.4} of {} pixels of {cell}", pairs.len());
+        assert!(found > 0.75 && pairs.len() > 10_000, "{name}: {found:.3} of {}", pairs.len());
+    };
+    let table = frames.join("ngi/camera_pos_ori.txt");
+    let ngi = ["3324c_2015_1004_05_0182_RGB.tif", "3324c_2015_1004_05_0184_RGB.tif"];
+    case("ngi", ngi, "dem.tif", &["--cameras", text(&table), "--f-px", "833.3333", "--gsd", "8"]);
+    let (table, camera) = (frames.join("odm/odm_xyz_opk.csv"), frames.join("odm/reconstruction.json"));
+    case(
+        "odm",
+        ["100_0005_0018.tif", "100_0005_0136.tif"],
+        "dsm.tif",
+        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.3"],
+    );
+}

@@ -1,0 +1,186 @@
+//! Mistakes that are plain are not written, hostile lists are answered at once, and tables are safe to open.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use autoref_synth::{SynthSpec, random_gcps};
+
+fn program(folder: &Path, arguments: &[&str]) -> Output {
+    let run = Command::new(env!("CARGO_BIN_EXE_autoref-stream")).current_dir(folder).args(arguments).output();
+    run.expect("the program starts")
+}
+
+fn said(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+#[track_caller]
+fn answers(output: &Output, code: i32, words: &[&str]) {
+    let text = said(output);
+    assert_eq!(output.status.code(), Some(code), "{text}");
+    for word in words {
+        assert!(text.contains(word), "no `{word}` in: {text}");
+    }
+}
+
+/// An image of nine marks and its list, both in zone 32.
+fn workplace() -> (tempfile::TempDir, Vec<(String, f64, f64)>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let gcps = random_gcps(9, 24.0, 18.0, 4);
+    let spec = SynthSpec { gcps: gcps.clone(), size_px: Some((960, 720)), ..SynthSpec::default() };
+    autoref_synth::write(&spec, &folder.path().join("a.tif")).expect("a sample");
+    let rows = gcps.iter().map(|g| (g.name.clone(), g.easting, g.northing)).collect();
+    (folder, rows)
+}
+
+fn list(folder: &Path, name: &str, header: &str, rows: impl Iterator<Item = (String, f64, f64)>) {
+    let rows: String = rows.map(|(name, a, b)| format!("{name},{a},{b}\n")).collect();
+    std::fs::write(folder.join(name), format!("{header}\n{rows}")).expect("writable");
+}
+
+const TITLES: &str = "name,easting,northing";
+const ZONE_32: [&str; 2] = ["--crs", "EPSG:25832"];
+
+#[test]
+fn a_wrong_zone_is_refused_unless_it_is_named() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    answers(&program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report"], &ZONE_32[..]].concat()), 0, &["Matched"]);
+    let before = std::fs::read(dir.join("a.tif.aux.xml")).expect("the georeference");
+    let wrong = ["a.tif", "--gcps", "l.csv", "--no-report", "--overwrite", "--crs", "EPSG:25833"];
+    answers(&program(dir, &wrong), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
+    assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a mistake was written");
+    answers(&program(dir, &[&wrong[..], &["--force", "wrong-zone"]].concat()), 0, &["Matched"]);
+    // Another mistake's name is no leave, a bare --force no name.
+    assert_eq!(program(dir, &[&wrong[..], &["--force", "feet"]].concat()).status.code(), Some(1));
+    assert_eq!(program(dir, &[&wrong[..], &["--force"]].concat()).status.code(), Some(2));
+}
+
+#[test]
+fn exchanged_columns_are_told_before_the_image_is_read_and_mended_on_request() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "x.csv", TITLES, rows.iter().map(|(name, e, n)| (name.clone(), *n, *e)));
+    let run =
+        |extra: &[&str]| program(dir, &[&["a.tif", "--gcps", "x.csv", "--no-report"], &ZONE_32[..], extra].concat());
+    answers(&run(&[]), 2, &["x.csv", "exchanged", "--fix-axes"]);
+    assert!(!dir.join("a.autoref.json").exists(), "the image was not looked at");
+    answers(&run(&["--fix-axes"]), 0, &["Matched", "were exchanged in all points"]);
+}
+
+#[test]
+fn points_in_nowhere_are_set_aside_by_name() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    let more = [("NOWHERE".to_owned(), 1e308, 1e308), ("AFAR".to_owned(), 4_000_000.0, 7_000_000.0)];
+    list(dir, "f.csv", TITLES, rows.iter().cloned().chain(more));
+    let run = program(dir, &[&["a.tif", "--gcps", "f.csv", "--no-report"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["Matched", "set aside", "NOWHERE, AFAR"]);
+    // Without a system nothing tells where a point may be, but numbers end somewhere.
+    answers(&program(dir, &["a.tif", "--gcps", "f.csv", "--no-report", "--overwrite"]), 2, &["NOWHERE", "row 11"]);
+    // A list that lies elsewhere as a whole has another system.
+    list(dir, "e.csv", TITLES, rows.iter().map(|(name, e, n)| (name.clone(), e + 3_000_000.0, *n)));
+    let elsewhere = program(dir, &[&["a.tif", "--gcps", "e.csv", "--no-report", "--overwrite"], &ZONE_32[..]].concat());
+    answers(&elsewhere, 2, &["e.csv", "outside the area of use", "--crs"]);
+}
+
+#[test]
+fn unclear_columns_are_told() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "u.csv", "Høyde-navn,easting,northing", rows.into_iter());
+    let run = program(dir, &[&["a.tif", "--gcps", "u.csv", "--no-report"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["columns were taken as", "names: none", "not understood: `Høyde-navn`"]);
+}
+
+#[test]
+fn endless_and_enormous_inputs_are_refused_at_once() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    assert!(Command::new("mkfifo").arg(dir.join("pipe")).status().expect("a system with pipes").success());
+    for endless in ["/dev/zero", "pipe"] {
+        answers(&program(dir, &["a.tif", "--gcps", endless]), 2, &[endless, "a pipe or a device"]);
+        answers(&program(dir, &[endless, "--gcps", "l.csv"]), 2, &[endless, "a pipe or a device"]);
+        answers(&program(dir, &["detect", "a.tif", "--profile", endless]), 2, &[endless, "a pipe or a device"]);
+        answers(&program(dir, &["a.tif", "--gcps", "l.csv", "--accuracy", endless]), 2, &[endless]);
+        answers(&program(dir, &["solve", endless, "--gcps", "l.csv"]), 2, &[endless, "a pipe or a device"]);
+    }
+    let million: String = (0..1_000_000).map(|i| format!("P{i},{},7032000\n", 570_000 + i % 9000)).collect();
+    std::fs::write(dir.join("m.csv"), format!("{TITLES}\n{million}")).expect("room");
+    answers(&program(dir, &[&["a.tif", "--gcps", "m.csv"], &ZONE_32[..]].concat()), 2, &["m.csv", "at most 50000"]);
+    let many = (0..2_500).map(|i| (format!("P{i}"), 570_000.0 + f64::from(i), 7_032_000.0 + f64::from(i * i % 977)));
+    list(dir, "many.csv", TITLES, many);
+    answers(&program(dir, &[&["a.tif", "--gcps", "many.csv"], &ZONE_32[..]].concat()), 2, &["many.csv", "--names"]);
+}
+
+/// Points on a line fit everywhere: the search counts what it does and ends, and a limit of time ends it sooner and says so.
+#[test]
+fn a_line_of_points_ends_and_a_limit_of_time_is_told() {
+    let (folder, _) = workplace();
+    let dir = folder.path();
+    let line = (0..120).map(|i| (format!("P{i}"), 570_000.0 + 7.3 * f64::from(i), 7_032_000.0 + 2.1 * f64::from(i)));
+    list(dir, "line.csv", TITLES, line);
+    let mut random = crate::common::Random::new(5);
+    let rows: String =
+        (0..40).map(|_| format!("{:.2},{:.2}\n", random.uniform(0.0, 6000.0), random.uniform(0.0, 4500.0))).collect();
+    std::fs::write(dir.join("c.csv"), format!("x,y\n{rows}")).expect("writable");
+    let solve = ["solve", "c.csv", "--gcps", "line.csv", "--crs", "EPSG:25832", "--size", "6000,4500", "--json"];
+    let cut = program(dir, &[&solve[..], &["--time-limit", "0"]].concat());
+    assert_eq!(cut.status.code(), Some(1), "{}", said(&cut));
+    let cut: serde_json::Value = serde_json::from_slice(&cut.stdout).expect("one document");
+    assert_eq!(cut["search_cut"], true);
+    assert!(cut["warnings"].to_string().contains("--time-limit"), "{}", cut["warnings"]);
+}
+
+#[test]
+fn a_table_of_candidates_from_a_german_spreadsheet_is_read() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    answers(&program(dir, &["detect", "a.tif", "-o", "c.csv"]), 0, &[]);
+    let text = std::fs::read_to_string(dir.join("c.csv")).expect("the candidates");
+    let german = text.replace(',', ";").replace('.', ",").replace('\n', "\r\n");
+    std::fs::write(dir.join("de.csv"), format!("\u{feff}{german}")).expect("writable");
+    let solve = |table: &str| {
+        let run =
+            program(dir, &["solve", table, "--gcps", "l.csv", "--crs", "EPSG:25832", "--json", "--gsd", "0.01..0.1"]);
+        assert_eq!(run.status.code(), Some(0), "{}", said(&run));
+        let json: serde_json::Value = serde_json::from_slice(&run.stdout).expect("one document");
+        json["geotransform"].clone()
+    };
+    assert_eq!(solve("c.csv"), solve("de.csv"));
+}
+
+/// Another image of the same name in the working directory is not touched.
+#[test]
+fn apply_finds_the_image_beside_the_result() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    answers(&program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report"], &ZONE_32[..]].concat()), 0, &["Matched"]);
+    let elsewhere = tempfile::tempdir().expect("a folder");
+    std::fs::write(elsewhere.path().join("a.tif"), "no image").expect("writable");
+    let result = dir.join("a.autoref.json");
+    let apply = program(elsewhere.path(), &["apply", result.to_str().expect("plain"), "--write", "vrt"]);
+    answers(&apply, 0, &["a.vrt"]);
+    assert!(dir.join("a.vrt").exists() && !elsewhere.path().join("a.vrt").exists());
+}
+
+/// A name that a spreadsheet would calculate is a text in every table, and reads back as it was.
+#[test]
+fn names_are_no_formulas_in_tables() {
+    let (folder, mut rows) = workplace();
+    let dir = folder.path();
+    rows[0].0 = "=1+1".into();
+    rows[1].0 = "-P2".into();
+    list(dir, "l.csv", TITLES, rows.iter().cloned());
+    let run = program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report", "--write", "csv"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["Matched"]);
+    let table = std::fs::read_to_string(dir.join("a.gcps.csv")).expect("the table");
+    assert!(table.contains("'=1+1") && table.contains("'-P2"), "{table}");
+    let options = autoref_stream::gcp::GcpOptions { crs: Some("EPSG:25832".into()), ..Default::default() };
+    let back = autoref_stream::gcp::read(&dir.join("a.gcps.csv"), &options).expect("our own table");
+    assert!(["=1+1", "-P2"].iter().all(|name| back.gcps.iter().any(|g| g.name == *name)), "{:?}", back.gcps);
+}

@@ -1,0 +1,164 @@
+//! All solvers on one set of points, from the command line; `gcps convert` as a command.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::common::data;
+use serde_json::Value;
+
+fn program(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_autoref-stream")).args(arguments).output().expect("it runs")
+}
+
+fn document(arguments: &[&str]) -> Value {
+    let finished = program(arguments);
+    assert_eq!(finished.status.code(), Some(0), "{}", String::from_utf8_lossy(&finished.stderr));
+    serde_json::from_slice(&finished.stdout).expect("one document")
+}
+
+fn found<'a>(document: &'a Value, space: &str, solver: &str, units: &str) -> &'a Value {
+    let list = document["solvers"].as_array().expect("a list");
+    list.iter()
+        .find(|s| s["space"] == space && s["solver"] == solver && s["units"] == units)
+        .unwrap_or_else(|| panic!("no {space} {solver} {units}"))
+}
+
+fn near(value: &Value, expected: f64, tolerance: f64) {
+    let value = value.as_f64().expect("a number");
+    assert!((value - expected).abs() <= tolerance, "{value}, expected {expected}");
+}
+
+/// Equations B.23 to B.25 and Table B.23 by the command: units mixed, symmetric scale, fourteen points.
+#[test]
+fn the_thesiss_tables_by_one_command() {
+    let Some(table) = data("thesis/b8_cm.csv") else { return };
+    let document = document(&["compare-solvers", table.to_str().expect("UTF-8"), "--json"]);
+    assert_eq!((&document["points"], &document["points_in_space"]), (&Value::from(14), &Value::from(14)));
+    for solver in ["Horn", "HornHilden", "UmeyamaHornScale"] {
+        let mixed = found(&document, "space", solver, "mixed");
+        near(&mixed["scale"], 0.032_018_454_468_9, 1e-12);
+        near(&mixed["rmse_m"], 0.847_475_468_634_218, 1e-8);
+        near(&mixed["rmse_h_m"], 0.844_255_142_341_283, 1e-8);
+    }
+    near(&found(&document, "space", "Umeyama", "mixed")["rmse_m"], 0.847_466, 1e-6);
+    near(&found(&document, "plane", "Similarity", "pixels to metres")["rmse_m"], 0.06410, 5e-6);
+    near(&found(&document, "plane", "Umeyama", "pixels to metres")["rmse_m"], 0.06410, 5e-6);
+    let metric = found(&document, "space", "Umeyama", "metres");
+    for turn in ["roll_deg", "pitch_deg", "yaw_deg"] {
+        assert!(metric[turn].as_f64().expect("a number").abs() < 2.0, "{metric}");
+    }
+    let (least, most) = (metric["min_residual_m"].as_f64(), metric["max_residual_m"].as_f64());
+    assert!(least < most, "{metric}");
+}
+
+#[test]
+fn points_known_only_in_plan_or_height_are_used_for_what_they_know() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let table = folder.path().join("matched.csv");
+    let mut text = String::from("name,x,y,elevation,easting,northing,height\n");
+    for (i, (x, y)) in [(0, 0), (4000, 100), (200, 3000), (3900, 3100), (2000, 1500), (1000, 2500)].iter().enumerate() {
+        let z = 80.0 + f64::from(i as u32 % 3);
+        let (e, n) = (570_000.0 + 0.03 * f64::from(*x), 7_032_000.0 - 0.03 * f64::from(*y));
+        let (plan, height) = match i {
+            4 => (format!("{e},{n}"), String::new()),
+            5 => (",".to_owned(), (z + 0.5).to_string()),
+            _ => (format!("{e},{n}"), (z + 0.5).to_string()),
+        };
+        text.push_str(&format!("P{i},{x},{y},{z},{plan},{height}\n"));
+    }
+    std::fs::write(&table, text).expect("writable");
+    let document = document(&["compare-solvers", table.to_str().expect("UTF-8"), "--json"]);
+    let partial = found(&document, "space", "KrausPartial", "metres");
+    assert_eq!((&partial["plan_only"], &partial["height_only"]), (&Value::from(1), &Value::from(1)));
+    near(&partial["rmse_m"], 0.0, 1e-6);
+    near(&partial["scale"], 1.0, 1e-9);
+    assert_eq!(partial["residuals"][5]["e_m"], Value::Null);
+}
+
+#[test]
+fn bad_tables_and_lists_get_one_line() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(path("a.csv"), "name,x,y,easting,northing\nA,1,2,570000,7032000\nB,1,z,570100,7032000\n")
+        .expect("writable");
+    std::fs::write(path("b.csv"), "name,x,y\nA,1,2\n").expect("writable");
+    for (arguments, words) in [
+        (vec!["compare-solvers".to_owned(), path("a.csv")], ["row 3", "`z`"]),
+        (vec!["compare-solvers".to_owned(), path("b.csv")], ["row 1", "easting"]),
+        (vec!["gcps".into(), "convert".into(), path("b.csv"), "-o".into(), path("b.kof")], ["b.csv", "easting"]),
+        (vec!["gcps".into(), "convert".into(), path("a.csv"), "-o".into(), path("b.none")], ["b.none", "--to"]),
+    ] {
+        let finished = program(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+        let said = String::from_utf8_lossy(&finished.stderr);
+        assert_eq!(finished.status.code(), Some(2), "{said}");
+        assert!(words.iter().all(|w| said.contains(w)), "{said}");
+        assert_eq!(said.trim_end().lines().count(), 1, "{said}");
+    }
+}
+
+#[test]
+fn a_list_is_converted_and_its_losses_are_listed() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(
+        path("a.kof"),
+        " 05 P1                   7032516.804  570406.861   80.318\n 05 P2                   7032503.482  570413.367\n",
+    )
+    .expect("writable");
+    let (input, output) = (path("a.kof"), path("a.geojson"));
+    let said = document(&["gcps", "convert", &input, "-o", &output, "--crs", "EPSG:25832", "--json"]);
+    assert_eq!((&said["lost"], &said["points"]), (&Value::Array(Vec::new()), &Value::from(2)));
+    assert_eq!((&said["from"], &said["to"]), (&Value::from("kof"), &Value::from("geojson")));
+    assert!(Path::new(&output).exists());
+    let again = program(&["gcps", "convert", &input, "-o", &output]);
+    assert_eq!(again.status.code(), Some(2), "an output that exists");
+    let back = document(&["gcps", "convert", &output, "-o", &path("b.kof"), "--json"]);
+    assert!(back["lost"].to_string().contains("crs EPSG:25832"), "{back}");
+    let text = program(&["gcps", "convert", &output, "-o", &path("c.kof")]);
+    assert!(String::from_utf8_lossy(&text.stdout).contains("Lost: crs EPSG:25832"));
+}
+
+/// `--refine never` keeps the first match; every `--solver` writes a similarity of its own.
+#[test]
+fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {
+    use autoref_synth::{self as synth, MarkSize, MarkStyle, SynthSpec, Visible};
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let spec = SynthSpec {
+        gcps: synth::random_gcps(9, 40.0, 30.0, 5),
+        size_px: Some((1400, 1100)),
+        visible: Visible::All,
+        mark: MarkStyle { size: MarkSize::Px(14.0), ..MarkStyle::default() },
+        ..SynthSpec::default()
+    };
+    synth::write(&spec, Path::new(&path("a.tif"))).expect("a sample");
+    synth::write_gcp_geojson(Path::new(&path("a.geojson")), &spec.gcps, Some(25832)).expect("a list");
+    let (image, list) = (path("a.tif"), path("a.geojson"));
+    let run = |extra: &[&str]| {
+        let fixed = [&image, "--gcps", &list, "--overwrite", "--no-report", "--json"];
+        document(&fixed.iter().copied().chain(extra.iter().copied()).collect::<Vec<_>>())
+    };
+    let never = run(&["--refine", "never"]);
+    let looks = never["matches"].as_array().expect("matches").iter().map(|m| m["found_by"].clone());
+    assert!(looks.into_iter().all(|look| look == "scan"), "{never}");
+    let plain = run(&[]);
+    for solver in ["horn", "horn-hilden", "umeyama", "umeyama-horn-scale", "kraus"] {
+        let solved = run(&["--solver", solver]);
+        assert_eq!(solved["chosen_model"]["model"], "similarity");
+        near(&solved["scale_m_per_px"], plain["scale_m_per_px"].as_f64().expect("a scale"), 1e-5);
+        let residuals = solved["matches"].as_array().expect("matches");
+        let squares: f64 = residuals
+            .iter()
+            .map(|m| m["residual_e_m"].as_f64().expect("e").powi(2) + m["residual_n_m"].as_f64().expect("n").powi(2))
+            .sum();
+        near(&solved["rmse_m"], (squares / residuals.len() as f64).sqrt(), 1e-9);
+    }
+    let compared = document(&["compare-solvers", &image, "--gcps", &list, "--json"]);
+    near(
+        &found(&compared, "plane", "Similarity", "pixels to metres")["scale"],
+        plain["scale_m_per_px"].as_f64().expect("a scale"),
+        1e-9,
+    );
+    let again = document(&["compare-solvers", &path("a.autoref.json"), "--json"]);
+    assert_eq!(again["from"], "result");
+}
