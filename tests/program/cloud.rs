@@ -194,15 +194,15 @@ fn bad_clouds_are_refused_in_one_line() {
     refuse("e57.e57", b"ASTM-E57 and more", "E57");
     // A LAS file with its scale set to 0, and cut files.
     let las = folder.text("good.las");
-    done(&["clean", &folder.put("good.ply", &whole), "-o", &las, "--json"]);
+    done(&["clean", &folder.put("plain.ply", &whole), "-o", &las, "--json"]);
     let good = std::fs::read(&las).expect("readable");
     let mut bad = good.clone();
     bad[131..139].copy_from_slice(&0f64.to_le_bytes());
     refuse("scale.las", &bad, "scale factor of x is 0");
     refuse("cut.las", &good[..good.len() - 10], "truncated");
     refuse("short.las", &good[..100], "no whole header");
-    let laz = folder.text("good.laz");
-    done(&["clean", &folder.text("good.ply"), "-o", &laz, "--json"]);
+    let laz = folder.text("packed.laz");
+    done(&["clean", &folder.text("plain.ply"), "-o", &laz, "--json"]);
     let packed = std::fs::read(&laz).expect("readable");
     refuse("cut.laz", &packed[..packed.len() / 2], "cut.laz");
     for seed in 0..40usize {
@@ -235,7 +235,8 @@ fn options_that_make_no_sense_name_their_remedy() {
         ("--outliers", "k=2,m=nan", "nan"),
         ("--z", "5,1", "above"),
         ("--ground", "cell=0", "cell"),
-        ("--ground", "cell=1e-9", "--memory"),
+        ("--ground", "cell=1e-9", "window"),
+        ("--ground", "cell=1e-6,window=1e-5", "--memory"),
         ("--ground", "window=1e9", "window"),
         ("--low", "foo", "foo"),
         ("--drop", "tree", "tree"),

@@ -158,7 +158,7 @@ fn samples_that_teach_nothing_are_named() {
     let a = frame(&folder, "a.tif");
     let out = folder.text("masks");
     for (arguments, word) in [
-        (&["--sample", "ground=300,20,100,100@a.tif"][..], "outside"),
+        (&["--sample", "ground=300,20,100,100@a.tif"][..], "inside the frame"),
         (&["--sample", "ground=20,20,0,100@a.tif"], "sample"),
         (&["--sample", "ground=20,20,50,50@z.tif"], "z.tif"),
         (&["--sample", "unicorn=20,20,50,50@a.tif"], "unicorn"),

@@ -214,7 +214,7 @@ fn shade(east: f64, north: f64, azimuth_deg: f64, altitude_deg: f64) -> f64 {
     if cosine <= 0.0 { 1.0 } else { 1.0 + 254.0 * cosine }
 }
 
-/// Shades from 225°, 270°, 315° and 360°, each weighed by the square of the sine between aspect and light.
+/// Shades from 225°, 270°, 315° and 360°, each weighed by the square of the cosine between aspect and light, as GDAL does.
 fn four_sides(east: f64, north: f64, altitude_deg: f64) -> f64 {
     let altitude = altitude_deg.to_radians();
     let steepness = east * east + north * north;
@@ -226,8 +226,8 @@ fn four_sides(east: f64, north: f64, altitude_deg: f64) -> f64 {
         .map(|azimuth| {
             let (sine, cosine) = azimuth.to_radians().sin_cos();
             let value = altitude.sin() - altitude.cos() * (east * sine + north * cosine);
-            let across = (east * cosine - north * sine).powi(2);
-            across * value.max(0.0)
+            let along = (east * sine + north * cosine).powi(2);
+            along * value.max(0.0)
         })
         .sum();
     1.0 + 127.0 * sum / steepness / (1.0 + steepness).sqrt()
