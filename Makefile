@@ -80,9 +80,12 @@ bench: build
 	$(CARGO) bench -p autoref-benches --bench decode --bench detection
 	benches/compare.sh
 
+# `make fuzz TARGET=native_tiff SECONDS=600`
+TARGET ?= native_tiff
+SECONDS ?= 600
 fuzz:
-	mkdir -p fuzz/corpus/native_tiff
-	cd fuzz && $(CARGO) +nightly fuzz run native_tiff corpus/native_tiff $(FUZZ_SEEDS) -- -max_total_time=600 -rss_limit_mb=1024 -timeout=10
+	mkdir -p fuzz/corpus/$(TARGET)
+	cd fuzz && $(CARGO) +nightly fuzz run $(TARGET) corpus/$(TARGET) $(FUZZ_SEEDS) -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 -timeout=10
 
 check-large: build
 	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
