@@ -736,7 +736,6 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     let bytes = std::fs::read(&out).expect("there");
     for (name, more) in
         [("b.tif", ["--tile", "64", "--threads", "1"]), ("c.tif", ["--tile", "300", "--memory", "112M"])]
-            .map(|(n, m)| (n, m))
     {
         let (output, other) = run(&dem, name, &more);
         expect(&output, 0, &[]);
@@ -759,6 +758,7 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
     let other = place.at("frames").join("q.png");
     std::fs::copy(&frame, &other).expect("copied");
+    let x = place.at("x.tif");
     let unknown = [
         "flight",
         "orthorectify",
@@ -768,7 +768,7 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
         "--cameras",
         text(&cameras),
         "-o",
-        text(&place.at("x.tif")),
+        text(&x),
     ];
     expect(&autoref(&unknown, None, &[]), 2, &["cameras.json", "q.png"]);
     assert!(!place.at("x.tif").exists());
