@@ -736,7 +736,6 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     let bytes = std::fs::read(&out).expect("there");
     for (name, more) in
         [("b.tif", ["--tile", "64", "--threads", "1"]), ("c.tif", ["--tile", "300", "--memory", "112M"])]
-            .map(|(n, m)| (n, m))
     {
         let (output, other) = run(&dem, name, &more);
         expect(&output, 0, &[]);

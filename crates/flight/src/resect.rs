@@ -282,23 +282,31 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
     let unknowns = 6 + usize::from(options.focal == Focal::Sought);
     let mut kept: Vec<usize> = (0..seen.len()).collect();
     let mut blunders = Vec::new();
+    // A known position may be what is wrong: where the points can do without it, they are tested without it.
+    let mut position_counts = options.position.is_none() || 2 * seen.len() < unknowns + 4;
     loop {
         let subset: Vec<Seen> = kept.iter().map(|i| seen[*i].clone()).collect();
-        let mut at = problem(&camera, &pose, &subset, options, Trust::Full);
+        let now = ResectOptions { position: options.position.filter(|_| position_counts), ..options.clone() };
+        let mut at = problem(&camera, &pose, &subset, &now, Trust::Full);
         let plain = Options { loss: Loss::Squared, ..Options::default() };
         let summary = solve(&mut at, &plain)?;
         (camera, pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
-        let known = 2 * kept.len() + if options.position.is_some() { 3 } else { 0 };
+        let known = 2 * kept.len() + if now.position.is_some() { 3 } else { 0 };
         let redundancy = known.saturating_sub(unknowns);
         let sigma0 = (redundancy > 0).then(|| (2.0 * summary.cost / redundancy as f64).sqrt());
         let factored = factor(&at, Loss::Squared);
-        // The worst normalised residual, as long as the rest still fixes the pose with something to spare.
-        let spare = known >= unknowns + 3 && kept.len() > 4;
-        let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options));
-        let worst = worst.map(|(index, _)| index);
-        let apart = || outlying(&camera, &pose, &subset, options, 2.0 * summary.cost, redundancy);
-        if let Some(index) = worst.or_else(|| if spare { apart() } else { None }) {
+        // The worst normalised residual, as long as the rest still fixes the pose with something to spare, and only where the
+        // points are judged: later on, a wrong position would make some of them look wrong.
+        let judged = options.position.is_none() || !position_counts || 2 * seen.len() < unknowns + 4;
+        let spare = known >= unknowns + 3 && kept.len() > 4 && judged;
+        let left = (2.0 * summary.cost, redundancy);
+        let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options, left));
+        if let Some((index, _)) = worst {
             blunders.push(kept.remove(index));
+            continue;
+        }
+        if !position_counts {
+            position_counts = true;
             continue;
         }
         let residuals_px: Vec<Option<[f64; 2]>> = seen
@@ -323,45 +331,17 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
     }
 }
 
-/// The point without which the others agree so much better that chance hardly explains it, whatever the σ that were stated: each
-/// point is left out in turn, and F = ((Ω − Ωᵢ) / 2) / (Ωᵢ / (r − 2)) is tested over all of them (W. Baarda, "A testing procedure for
-/// use in geodetic networks", 1968, with the variance of the others in place of a known one, as A. J. Pope, "The statistics of
-/// residuals and the detection of outliers", 1976). `square_sum` is Ω, the weighted square sum of all; `redundancy` is r.
-fn outlying(
-    camera: &Camera,
-    pose: &Pose,
-    seen: &[Seen],
-    options: &ResectOptions,
-    square_sum: f64,
-    redundancy: usize,
-) -> Option<usize> {
-    /// Chance of naming a point of a net without blunders, over all points.
-    const SIGNIFICANCE: f64 = 0.05;
-    if redundancy < 5 {
-        return None;
-    }
-    let plain = Options { loss: Loss::Squared, ..Options::default() };
-    let without = |i: usize| {
-        let others: Vec<Seen> = seen.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, s)| s.clone()).collect();
-        let mut at = problem(camera, pose, &others, options, Trust::Full);
-        solve(&mut at, &plain).ok().map(|summary| (2.0 * summary.cost, i))
-    };
-    let (left, index) = (0..seen.len()).filter_map(without).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let freedom = (redundancy - 2) as f64;
-    let gain = square_sum - left;
-    let f = gain / 2.0 / (left / freedom).max(f64::MIN_POSITIVE);
-    // The tail of F with 2 and d degrees of freedom is (1 + 2F/d)^(−d/2).
-    let chance = (1.0 + 2.0 * f / freedom).powf(-freedom / 2.0) * seen.len() as f64;
-    (chance < SIGNIFICANCE && gain.sqrt() > options.critical).then_some(index)
-}
-
 /// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated may be
-/// too small for the whole net: the spread of the others (their median) is the unit when it is larger.
+/// too small for the whole net: then a point is wrong when it is beyond the critical value in units of the others' spread (by
+/// their median: several may be wrong), or when the others fit so much better without it as chance would have it for the worst
+/// of them once in twenty sets (Fisher's test on the sum of squares that it accounts for, with Bonferroni's bound). `left` is
+/// the sum of squares of all and the redundancy.
 fn worst_point(
     at: &Problem,
     factored: &crate::bundle::Factored,
     seen: &[Seen],
     options: &ResectOptions,
+    left: (f64, usize),
 ) -> Option<(usize, f64)> {
     let mut tests = Vec::new();
     for (i, o) in at.observations.iter().enumerate() {
@@ -379,5 +359,10 @@ fn worst_point(
     // The median length of a normal 2-vector is 1.1774 σ.
     let unit = (sorted[sorted.len() / 2] / 1.1774).max(1.0);
     let (index, worst) = tests.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    (worst > options.critical * unit).then_some((index, worst / unit))
+    let rest = left.1.saturating_sub(2) as f64;
+    // Of F with 2 and n degrees of freedom: P(F > x) = (1 + 2x/n)^(−n/2).
+    let ratio = worst * worst / (left.0 - worst * worst).max(f64::MIN_POSITIVE);
+    let by_chance = if rest > 0.0 { (1.0 + ratio).powf(-rest / 2.0) * tests.len() as f64 } else { 1.0 };
+    let wrong = worst > options.critical && (worst > options.critical * unit || by_chance < 0.05);
+    wrong.then_some((index, worst / unit))
 }

@@ -209,6 +209,9 @@ fn place(dem: &Dem, pose: &Pose, crs: Option<&str>) -> Result<(World, Pose, [f64
         Some(word) => Crs::parse(word).with_context(|| format!("the CRS of the cameras, `{word}`; give --crs"))?,
         None => target.clone(),
     };
+    if from.is_geographic() {
+        bail!("{}: cameras in degrees; give their table in a projected CRS", from.title());
+    }
     let mut at = [Coordinate { x: eye[0], y: eye[1], height: None }];
     from.transform(&mut at, target, 100.0)?;
     let there = [at[0].x, at[0].y, eye[2]];

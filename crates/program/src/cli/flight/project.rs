@@ -433,7 +433,7 @@ fn relative(
     let stages = Stages { folder: out, anew: args.overwrite };
     let size = image_size(&folder.join(&names[0]), None)?;
     let pp = project.camera.pp_px.unwrap_or([size[0] / 2.0, size[1] / 2.0]);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from).to_string();
+    // One thread throughout: with more, the order of images and of random draws differs from run to run.
     let list = out.join("frames.txt");
     let ordered: Vec<&str> = order.iter().map(|i| names[*i].as_str()).collect();
     autoref_raster::atomic::write(&list, (ordered.join("\n") + "\n").as_bytes())?;
@@ -451,7 +451,7 @@ fn relative(
             ("ImageReader.single_camera", "1".into()),
             ("ImageReader.camera_model", "SIMPLE_RADIAL".into()),
             ("SiftExtraction.use_gpu", "0".into()),
-            ("SiftExtraction.num_threads", threads.clone()),
+            ("SiftExtraction.num_threads", "1".into()),
             ("SiftExtraction.max_num_features", project.adjust.features.to_string()),
         ];
         if let Some(f) = project.camera.f_px {
@@ -476,7 +476,7 @@ fn relative(
             ("match_list_path", text(&pair_list)),
             ("match_type", "pairs".into()),
             ("SiftMatching.use_gpu", "0".into()),
-            ("SiftMatching.num_threads", threads.clone()),
+            ("SiftMatching.num_threads", "1".into()),
         ];
         colmap_run(&out.join("matches.log"), &a, "matches_importer")
     })?;
