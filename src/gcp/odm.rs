@@ -40,7 +40,14 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     let mut list = if rows.first().is_some_and(|row| observation(&fields(row.text)).is_some()) {
         observations(path, &rows)?
     } else {
-        csv_list::parse(path, &rows)?
+        let mut list = csv_list::parse(path, &rows)?;
+        for point in &mut list.points {
+            if let Some(rest) = point.gcp.name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty()) {
+                point.gcp.name = rest.to_string();
+                point.gcp.role = GcpRole::Check;
+            }
+        }
+        list
     };
     list.crs = crs;
     Ok(list)

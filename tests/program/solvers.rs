@@ -93,10 +93,11 @@ fn bad_tables_and_lists_get_one_line() {
     std::fs::write(path("a.csv"), "name,x,y,easting,northing\nA,1,2,570000,7032000\nB,1,z,570100,7032000\n")
         .expect("writable");
     std::fs::write(path("b.csv"), "name,x,y\nA,1,2\n").expect("writable");
+    std::fs::write(path("c.csv"), "name,left,right\nA,1,2\n").expect("writable");
     for (arguments, words) in [
         (vec!["compare-solvers".to_owned(), path("a.csv")], ["row 3", "`z`"]),
         (vec!["compare-solvers".to_owned(), path("b.csv")], ["row 1", "easting"]),
-        (vec!["gcps".into(), "convert".into(), path("b.csv"), "-o".into(), path("b.kof")], ["b.csv", "easting"]),
+        (vec!["gcps".into(), "convert".into(), path("c.csv"), "-o".into(), path("b.kof")], ["c.csv", "easting"]),
         (vec!["gcps".into(), "convert".into(), path("a.csv"), "-o".into(), path("b.none")], ["b.none", "--to"]),
     ] {
         let finished = program(&arguments.iter().map(String::as_str).collect::<Vec<_>>());

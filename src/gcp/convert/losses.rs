@@ -33,7 +33,7 @@ fn holds(format: ListFormat) -> Holds {
         _ => 0,
     };
     Holds {
-        height: format != Qgis,
+        height: !matches!(format, Qgis | Gpx),
         sigma: !matches!(format, Kof | Odm | Qgis | Gpx),
         sigma_height: !matches!(format, Kof | Odm | Qgis | MetashapeCsv | Gpx),
         role: !matches!(format, Kof | Pix4d | MicMac | Gpx),

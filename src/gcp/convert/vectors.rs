@@ -74,7 +74,12 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
     let mut dataset = driver.create_vector_only(path).map_err(failed)?;
     let name = if format == ListFormat::Gpx { "waypoints" } else { "gcps" };
     // UTF-8 names in the table of a Shapefile.
-    let options: Option<&[&str]> = (format == ListFormat::Shapefile).then_some(&["ENCODING=UTF-8"]);
+    let options: Option<&[&str]> = match format {
+        ListFormat::Shapefile => Some(&["ENCODING=UTF-8"]),
+        // Its index would put the points in another order.
+        ListFormat::FlatGeobuf => Some(&["SPATIAL_INDEX=NO"]),
+        _ => None,
+    };
     let layer =
         dataset.create_layer(LayerOptions { name, srs: reference.as_ref(), ty: kind, options }).map_err(failed)?;
     if format != ListFormat::Gpx {
@@ -118,10 +123,6 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
         feature.create(&layer).map_err(failed)?;
     }
     dataset.close().map_err(failed)?;
-    let mut lost = lost;
-    if format == ListFormat::Gpx && !in_space && survey.any(|g| g.height.is_some()) {
-        lost.push("height: GPX has it for all points or for none".into());
-    }
     Ok(lost)
 }
 

@@ -1,6 +1,6 @@
 //! Lists as text.
 
-use quick_xml::escape::escape;
+use quick_xml::escape::{escape, partial_escape};
 use serde_json::{Map, Value, json};
 
 use super::losses::{KOF_NAME, all_or_none, extra, has_a_meaning};
@@ -248,7 +248,7 @@ fn metashape_xml(survey: &Survey) -> String {
     }
     text.push_str("    </markers>\n");
     if let Some(crs) = &survey.crs {
-        text.push_str(&format!("    <reference>{}</reference>\n", escape(crs.wkt())));
+        text.push_str(&format!("    <reference>{}</reference>\n", partial_escape(crs.wkt())));
     }
     text + "  </chunk>\n</document>\n"
 }
