@@ -18,6 +18,8 @@ const FAR_ARM: f64 = 4.0;
 /// The same of the first pair: how much looser than a mark itself.
 const FAR_SPREAD: f64 = 8.0;
 const FAR_CHANCE: f64 = 0.003;
+/// The same for a pattern that is believed by its neighbours alone.
+const NEAR_ARM: f64 = 1.0;
 /// Fewer pairs than these are weighed against all points in the image.
 const FEWEST_NEAR: usize = 5;
 
@@ -97,7 +99,7 @@ impl Search<'_> {
                 ((p.x - centre.x).powi(2) + (p.y - centre.y).powi(2)) / spread
             };
             let farthest = (0..near.len()).map(|i| (i, far(i))).max_by(|a, b| a.1.total_cmp(&b.1))?;
-            if farthest.1 <= FAR_ARM {
+            if farthest.1 <= NEAR_ARM {
                 break;
             }
             near.remove(farthest.0);
