@@ -186,13 +186,19 @@ impl Looks<'_> {
             };
             let scene = Scene::of_pixels(&even, own.clone(), &own.or(&scene.other));
             // The blocks of a JPEG hold the uneven light: without them.
-            // How far the line may be off moves the centre by as much as a tenth of a pixel.
-            const LINE_PX2: f64 = 0.01;
-            let evidence = widen(self.measured(&scene, None), [LINE_PX2, 0.0, LINE_PX2]);
-            if self.score(&evidence) > self.score(&best).max(self.profile.examine.min_score)
-                || better_fit(&evidence, &best)
-            {
+            /// How far off the border of the shadow may be moves the centre by so large a share of a side.
+            const LINE_OF_SIDE: f64 = 0.06;
+            /// Where even light makes no mark of it, the centre lies this share of a side off the fitted part's.
+            const PART_OF_SIDE: f64 = 0.15;
+            let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;
+            let evidence = widen(self.measured(&scene, None), [line, 0.0, line]);
+            // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
+            if self.score(&evidence) >= self.profile.examine.min_score || better_fit(&evidence, &best) {
                 best = evidence;
+            } else {
+                // Of a mark in two lights it is not known where it ends.
+                let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
+                best = widen(best, [open, 0.0, open]);
             }
         }
         Some(best)

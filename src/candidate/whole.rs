@@ -158,13 +158,15 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
 }
 
 /// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted by a line. The
-/// line, its width and the ratio of the two lights, band by band, follow from the paint alone; everything beyond the line is
-/// divided by the ratio. `None` where the light is even already.
+/// line and its width follow from paint and ground together, the ratio of the two lights, band by band, from the paint alone;
+/// everything beyond the line is divided by the ratio. `None` where the light is even already.
 pub(super) fn relit(scene: &Scene<'_>) -> Option<Patch> {
     /// Lights that differ by less are one.
     const LEAST_RATIO: f64 = 1.25;
     /// Least share of the region on either side.
     const LEAST_SHARE: f64 = 0.08;
+    /// Even light must explain most of what differs: a mark of two paints is not made one.
+    const MOST_LEFT_OVER: f64 = 0.35;
     // Pixels that the border is mixed into have a brightness of their own.
     let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| core.count() >= 20)?;
     let mut seen: Vec<Seen> = Vec::with_capacity(core.count());
@@ -178,25 +180,27 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Patch> {
     if at(0.92) < LEAST_RATIO * at(0.08).max(1.0) {
         return None;
     }
-    let line = Line::through(&seen)?;
+    let first = Line::through(&seen, Grid::FINE)?;
+    let paint = lit_paint(&seen, &first)?;
+    // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the mark.
+    let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
+    // The paint alone is asked whether that is its border too.
+    let own = |line: &Line| line.left_over(&seen) <= MOST_LEFT_OVER && line.parts(&seen) >= LEAST_SHARE;
+    let line = line.into_iter().chain([first]).find(own)?;
     let (lit, dark): (Vec<Seen>, Vec<Seen>) =
         seen.iter().copied().filter(|s| line.out(s.0, s.1).abs() > 1.0).partition(|s| line.out(s.0, s.1) > 0.0);
-    let least = (LEAST_SHARE * seen.len() as f64).max(3.0) as usize;
-    if lit.len() < least || dark.len() < least {
+    if lit.len() < 3 || dark.len() < 3 {
         return None;
     }
     let middle = |side: &[Seen], c: usize| super::patch::median(side.iter().map(|s| s.3[c]).collect());
     let pairs: [(f64, f64); 3] = std::array::from_fn(|c| (middle(&lit, c), middle(&dark, c)));
-    let all = (pairs.iter().map(|p| p.1).sum::<f64>() / pairs.iter().map(|p| p.0).sum::<f64>()).clamp(0.05, 1.0);
+    let of_paint = pairs.iter().map(|p| p.1).sum::<f64>() / pairs.iter().map(|p| p.0).sum::<f64>();
+    let all = of_paint.clamp(0.05, 1.0);
     if all > 1.0 / LEAST_RATIO {
         return None;
     }
     // A band that the paint hardly has tells nothing of the light in it.
     let ratio = pairs.map(|(lit, dark)| if lit > 60.0 { (dark / lit).clamp(0.7 * all, 1.4 * all) } else { all });
-    // Even light must explain most of what differs: a mark of two paints is not made one.
-    if line.left_over > 0.35 {
-        return None;
-    }
     let mut patch = scene.patch.clone();
     let white = f64::from(patch.white);
     for (i, rgb) in patch.rgb.iter_mut().enumerate() {
@@ -218,8 +222,6 @@ struct Line {
     direction: (f64, f64),
     offset: f64,
     width: f64,
-    /// Share of the brightness's variance that the line does not explain.
-    left_over: f64,
 }
 
 impl Line {
@@ -232,33 +234,36 @@ impl Line {
         x * self.direction.0 + y * self.direction.1 - self.offset
     }
 
-    /// The line that explains the brightnesses best: every direction and width is tried, then the best made finer.
-    fn through(seen: &[Seen]) -> Option<Line> {
+    /// Share of the brightness's variance that the line does not explain, the best pair of lights being a regression.
+    fn left_over(&self, seen: &[Seen]) -> f64 {
+        let lights = seen.iter().map(|s| (self.light(s.0, s.1), s.2));
+        let (left, total) = unexplained(lights);
+        if total > 0.0 { left / total } else { 1.0 }
+    }
+
+    /// The smaller share of the pixels on either side.
+    fn parts(&self, seen: &[Seen]) -> f64 {
+        let lit = seen.iter().filter(|s| self.out(s.0, s.1) > 0.0).count() as f64 / seen.len() as f64;
+        lit.min(1.0 - lit)
+    }
+
+    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, then the best made
+    /// finer.
+    fn through(seen: &[Seen], grid: Grid) -> Option<Line> {
         let n = seen.len() as f64;
         let (cx, cy) = (seen.iter().map(|s| s.0).sum::<f64>() / n, seen.iter().map(|s| s.1).sum::<f64>() / n);
-        let mean = seen.iter().map(|s| s.2).sum::<f64>() / n;
-        let total: f64 = seen.iter().map(|s| (s.2 - mean).powi(2)).sum();
-        let reach = seen.iter().map(|s| (s.0 - cx).hypot(s.1 - cy)).fold(0.0, f64::max);
+        let reach = seen.iter().map(|s| (s.0 - cx).hypot(s.1 - cy)).fold(0.0, f64::max) * grid.reach;
         let try_one = |angle: f64, off: f64, width: f64| {
             let (sin, cos) = angle.sin_cos();
-            // Brightness is linear in the light: the best pair of lights is a regression.
-            let (mut s1, mut s2, mut sb) = (0.0, 0.0, 0.0);
-            for s in seen {
-                let l = ramp(((s.0 - cx) * cos + (s.1 - cy) * sin - off) / width);
-                s1 += l;
-                s2 += l * l;
-                sb += l * (s.2 - mean);
-            }
-            let var = s2 - s1 * s1 / n;
-            // The light lies on the bright side.
-            if var > 1e-6 && sb > 0.0 { total - sb * sb / var } else { total }
+            let light = |s: &Seen| ramp(((s.0 - cx) * cos + (s.1 - cy) * sin - off) / width);
+            unexplained(seen.iter().map(|s| (light(s), s.2))).0
         };
         let mut best: (f64, f64, f64, f64) = (f64::INFINITY, 0.0, 0.0, 1.2);
-        let steps = (reach * 2.0).ceil() as i32;
-        for k in 0..32 {
-            let angle = f64::from(k) * std::f64::consts::TAU / 32.0;
+        let steps = (reach / grid.step_px).ceil() as i32;
+        for k in 0..grid.angles {
+            let angle = f64::from(k) * std::f64::consts::TAU / f64::from(grid.angles);
             for j in -steps..=steps {
-                let off = f64::from(j) * 0.5;
+                let off = f64::from(j) * grid.step_px;
                 let cost = try_one(angle, off, 1.2);
                 if cost < best.0 {
                     best = (cost, angle, off, 1.2);
@@ -283,13 +288,75 @@ impl Line {
         }
         let (cost, angle, off, width) = best;
         let (sin, cos) = angle.sin_cos();
-        (total > 0.0).then(|| Line {
-            direction: (cos, sin),
-            offset: off + cx * cos + cy * sin,
-            width,
-            left_over: cost / total,
-        })
+        cost.is_finite().then(|| Line { direction: (cos, sin), offset: off + cx * cos + cy * sin, width })
     }
+}
+
+/// Which lines are tried first.
+#[derive(Clone, Copy)]
+struct Grid {
+    angles: u32,
+    step_px: f64,
+    /// Share of the pixels' own reach that the line may lie off their middle.
+    reach: f64,
+}
+
+impl Grid {
+    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0 };
+    /// For many pixels about the mark, through which the line goes.
+    const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4 };
+}
+
+/// Sum of squares of what a line in the first does not explain of the second, and all of it. The light lies on the bright side.
+fn unexplained(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
+    let (mut n, mut s1, mut s2, mut b1, mut b2, mut sb) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for (l, b) in pairs {
+        n += 1.0;
+        s1 += l;
+        s2 += l * l;
+        b1 += b;
+        b2 += b * b;
+        sb += l * b;
+    }
+    let (total, var, both) = (b2 - b1 * b1 / n, s2 - s1 * s1 / n, sb - s1 * b1 / n);
+    (if var > 1e-6 && both > 0.0 { (total - both * both / var).max(0.0) } else { total }, total)
+}
+
+/// Colour of the paint in the light.
+fn lit_paint(seen: &[Seen], line: &Line) -> Option<Vector3<f64>> {
+    let lit: Vec<&Seen> = seen.iter().filter(|s| line.out(s.0, s.1) > 1.0).collect();
+    let band = |c: usize| super::patch::median(lit.iter().map(|s| s.3[c]).collect());
+    (lit.len() >= 3).then(|| Vector3::new(band(0), band(1), band(2)))
+}
+
+/// Colour of the ground in the light, in the ring around the mark.
+fn lit_ground(scene: &Scene<'_>, line: &Line) -> Option<Vector3<f64>> {
+    let ring = scene.ring(RING_PX);
+    let lit = |i: usize| ring.has(i) && line.out((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5) > 2.0;
+    scene.statistics(&PixelSet::from_fn(scene.width, scene.height, lit)).map(|ground| ground.mean)
+}
+
+/// The light on each pixel about the mark, which is 1 where the two colours were seen: what it takes of both of them to make the
+/// pixel's colour (non-negative least squares).
+fn lights(scene: &Scene<'_>, paint: Vector3<f64>, ground: Vector3<f64>) -> Vec<Seen> {
+    let (pp, pg, gg) = (paint.dot(&paint), paint.dot(&ground), ground.dot(&ground));
+    let det = pp * gg - pg * pg;
+    let hidden = scene.beside_other().minus(&scene.own);
+    let mut seen = Vec::new();
+    scene.own.grown(RING_PX.1).and(&scene.valid).minus(&hidden).for_each(|i| {
+        let colour = scene.colour(i);
+        let (p, g) = (colour.dot(&paint), colour.dot(&ground));
+        let (of_paint, of_ground) = ((gg * p - pg * g) / det, (pp * g - pg * p) / det);
+        let light = match (of_paint > 0.0, of_ground > 0.0) {
+            (true, true) => of_paint + of_ground,
+            (true, false) => p / pp,
+            _ => g / gg,
+        };
+        if light.is_finite() {
+            seen.push(((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5, light.min(2.0), colour));
+        }
+    });
+    seen
 }
 
 /// From 0 to 1 about 0, as a blurred edge.
