@@ -759,17 +759,8 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     let other = place.at("frames").join("q.png");
     std::fs::copy(&frame, &other).expect("copied");
     let x = place.at("x.tif");
-    let unknown = [
-        "flight",
-        "orthorectify",
-        text(&other),
-        "--dem",
-        text(&dem),
-        "--cameras",
-        text(&cameras),
-        "-o",
-        text(&x),
-    ];
+    let unknown =
+        ["flight", "orthorectify", text(&other), "--dem", text(&dem), "--cameras", text(&cameras), "-o", text(&x)];
     expect(&autoref(&unknown, None, &[]), 2, &["cameras.json", "q.png"]);
     assert!(!place.at("x.tif").exists());
 }
