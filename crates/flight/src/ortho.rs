@@ -170,9 +170,6 @@ impl Surface {
         let mut above: Option<f64> = None;
         while across * s <= far + self.cell() {
             let x = at(s);
-            if x[2] < self.range[0] - 2.0 * self.cell() {
-                return None;
-            }
             match self.height(x[0], x[1]) {
                 Some(h) if x[2] <= h => {
                     let (mut low, mut high) = (above?, s);
@@ -186,6 +183,10 @@ impl Surface {
                 Some(_) => above = Some(s),
                 // A ray may enter the grid from its side, above ground.
                 None => above = None,
+            }
+            // After the ground, not before: a steep step may cross it and come out below the lowest.
+            if direction[2] < 0.0 && x[2] < self.range[0] {
+                return None;
             }
             s += step;
         }
