@@ -759,6 +759,7 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
     let other = place.at("frames").join("q.png");
     std::fs::copy(&frame, &other).expect("copied");
+    let picture = place.at("x.tif");
     let unknown = [
         "flight",
         "orthorectify",
@@ -768,7 +769,7 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
         "--cameras",
         text(&cameras),
         "-o",
-        text(&place.at("x.tif")),
+        text(&picture),
     ];
     expect(&autoref(&unknown, None, &[]), 2, &["cameras.json", "q.png"]);
     assert!(!place.at("x.tif").exists());
