@@ -121,6 +121,10 @@ impl Job<'_> {
                         for (index, cell) in cells.iter_mut().enumerate() {
                             *cell = at(index / 3, index % 3);
                         }
+                        if self.edges == Edges::Extrapolated {
+                            let (x, y) = (window.x + column as u64, window.y + row as u64);
+                            repeat_corner(&mut cells, (x, y), (form.grid.width, form.grid.height));
+                        }
                         values.push(cast(self.value(cells, sides)));
                     }
                 }
@@ -192,6 +196,21 @@ impl Job<'_> {
                 let (east, north) = (east * exaggeration, north * exaggeration);
                 Some(four_sides(east, north, altitude_deg))
             }
+        }
+    }
+}
+
+/// In the four corners GDAL extrapolates along the column alone and repeats it beyond the side.
+fn repeat_corner(cells: &mut [f64; 9], (x, y): (u64, u64), (width, height): (u64, u64)) {
+    if y != 0 && y + 1 != height {
+        return;
+    }
+    for row in cells.chunks_exact_mut(3) {
+        if x == 0 {
+            row[0] = row[1];
+        }
+        if x + 1 == width {
+            row[2] = row[1];
         }
     }
 }
