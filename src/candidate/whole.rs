@@ -288,7 +288,7 @@ impl Line {
         }
         let (cost, angle, off, width) = best;
         let (sin, cos) = angle.sin_cos();
-        cost.is_finite().then(|| Line { direction: (cos, sin), offset: off + cx * cos + cy * sin, width })
+        cost.is_finite().then_some(Line { direction: (cos, sin), offset: off + cx * cos + cy * sin, width })
     }
 }
 

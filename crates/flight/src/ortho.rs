@@ -170,6 +170,9 @@ impl Surface {
         let mut above: Option<f64> = None;
         while across * s <= far + self.cell() {
             let x = at(s);
+            if direction[2] >= 0.0 && x[2] > self.range[1] {
+                return None;
+            }
             match self.height(x[0], x[1]) {
                 Some(h) if x[2] <= h => {
                     let (mut low, mut high) = (above?, s);
