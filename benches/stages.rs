@@ -82,7 +82,7 @@ fn merge(c: &mut Criterion) {
     group.throughput(Throughput::Elements(SIDE * SIDE));
     group.bench_function("labels and seams of 64 tiles", |b| {
         b.iter(|| {
-            let (mut labeller, mut merger, mut found) = (Labeller::new(), RegionMerger::new(grid.clone()), 0u64);
+            let (mut labeller, mut merger, mut found) = (Labeller::new(), RegionMerger::new(grid), 0u64);
             for tile in grid.iter() {
                 let regions = labeller.label(&mask, tile.core, whole, |_| true);
                 found += regions.finished.len() as u64;

@@ -85,11 +85,11 @@ fn every_pair_of_formats_returns_what_it_did_not_name_as_lost() {
             let what = format!("{} to {} and back", first.name(), second.name());
             let b = named(folder.path(), &format!("b-{}", first.name()), second);
             let on = to(&a, &b, second, crs);
-            let crs = on
-                .lost
-                .iter()
-                .any(|l| l.starts_with("crs") && !l.contains("brought"))
-                .then(|| if degrees { "EPSG:4326" } else { CRS });
+            let crs = on.lost.iter().any(|l| l.starts_with("crs") && !l.contains("brought")).then_some(if degrees {
+                "EPSG:4326"
+            } else {
+                CRS
+            });
             let lost = [there.lost.clone(), on.lost.clone()].concat();
             let near = if degrees || matches!(second, ListFormat::Kml | ListFormat::Gpx) { 0.002 } else { 1e-9 };
             // KOF has no columns for so many digits of degrees.

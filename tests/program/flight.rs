@@ -89,11 +89,14 @@ fn meets(camera: &Camera, pose: &Pose, pixel: [f64; 2]) -> Vector3<f64> {
     at
 }
 
+/// Name, place, and where which frames see it.
+type DrawnGcp = (String, Vector3<f64>, Vec<(usize, [f64; 2])>);
+
 /// A line of five frames that look down, 400 m above the ground, with ties and eight GCPs: a truth to compare with.
 struct Flight {
     model: Reconstruction,
     /// Name, place, frame and pixel.
-    gcps: Vec<(String, Vector3<f64>, Vec<(usize, [f64; 2])>)>,
+    gcps: Vec<DrawnGcp>,
 }
 
 impl Flight {
