@@ -12,17 +12,6 @@ const MOST_BASES: usize = 48;
 const FEW_BASES: usize = 4;
 const MANY: usize = 200;
 
-/// Points so far outside the pattern (square of the distance from its middle over the sum of its own) are placed by it so loosely
-/// that what is found there is chance, unless chance seldom puts anything there.
-const FAR_ARM: f64 = 4.0;
-/// The same of the first pair: how much looser than a mark itself.
-const FAR_SPREAD: f64 = 8.0;
-const FAR_CHANCE: f64 = 0.003;
-/// The same for a pattern that is believed by its neighbours alone.
-const NEAR_ARM: f64 = 1.0;
-/// Fewer pairs than these are weighed against all points in the image.
-const FEWEST_NEAR: usize = 5;
-
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
     pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
@@ -30,25 +19,16 @@ impl Search<'_> {
         let ends = [points[hypothesis.i as usize], points[hypothesis.j as usize]];
         let similarity = Similarity::through(ends, [self.gcps[pair.a], self.gcps[pair.b]])?;
         let spread = |k: usize| spread_from_pair(self.gcps[pair.a], self.gcps[pair.b], self.gcps[k]);
-        // A short pair says so little of points far away that somebody is always there.
-        let pairs = self.assign(&similarity, |k, _| {
-            let radius_px = self.tolerance_px * spread(k);
-            if spread(k) > FAR_SPREAD { radius_px.min(self.chance_radius_px(FAR_CHANCE)) } else { radius_px }
-        });
+        let pairs = self.assign(&similarity, |k, _| self.tolerance_px * spread(k));
         self.settle(similarity, pairs)
-    }
-
-    /// The radius of a circle that holds a candidate by chance so often.
-    fn chance_radius_px(&self, chance: f64) -> f64 {
-        let density = self.field.points().len() as f64 / self.field.area_px2();
-        (chance / (std::f64::consts::PI * density)).sqrt()
     }
 
     /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
     pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
         // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
         // pairs would tilt the whole pattern.
-        let (widest_px, far_px) = (self.chance_radius_px(0.003), self.chance_radius_px(FAR_CHANCE));
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let widest_px = (0.003 / (std::f64::consts::PI * density)).sqrt();
         let mut noise_px = 2.0;
         for _ in 0..16 {
             if pairs.len() < 3 {
@@ -64,8 +44,6 @@ impl Search<'_> {
             // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from them.
             let few = 1.0 + 8.0 / (fitted.len() as f64 - 2.0).powi(2);
             let next = self.assign(&similarity, |_, p| {
-                let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
-                let widest_px = if arm > FAR_ARM * spread { far_px } else { widest_px };
                 tolerance_px(few * noise_px, fitted.len(), centre, spread, p).min(widest_px)
             });
             if next == pairs {
@@ -79,39 +57,7 @@ impl Search<'_> {
             similarity = fit_equal_weights(&fitted)?;
             noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
         }
-        let pattern = self.weigh(similarity, pairs, noise_px)?;
-        // What makes it no accident lies close together: what was taken in far from there is one, as often as not.
-        if pattern.log10_false_alarms < pattern.log10_whole_false_alarms - 1.0 {
-            return Some(self.without_far(&pattern).unwrap_or(pattern));
-        }
-        Some(pattern)
-    }
-
-    /// The pattern without the pairs far from all others; `None` when there are none, or too few others.
-    fn without_far(&self, pattern: &Pattern) -> Option<Pattern> {
-        let mut near = pattern.pairs.clone();
-        loop {
-            let far = |i: usize| {
-                let others: Vec<Pair> =
-                    near.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, &(c, g))| self.pair(c, g)).collect();
-                let (centre, spread) = centre_and_spread(&others);
-                let p = self.field.points()[near[i].0];
-                ((p.x - centre.x).powi(2) + (p.y - centre.y).powi(2)) / spread
-            };
-            let farthest = (0..near.len()).map(|i| (i, far(i))).max_by(|a, b| a.1.total_cmp(&b.1))?;
-            if farthest.1 <= NEAR_ARM {
-                break;
-            }
-            near.remove(farthest.0);
-        }
-        if near.len() == pattern.pairs.len() || near.len() < FEWEST_NEAR {
-            return None;
-        }
-        let fitted: Vec<Pair> = near.iter().map(|&(c, g)| self.pair(c, g)).collect();
-        let similarity = fit_equal_weights(&fitted)?;
-        let noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
-        let without = self.weigh(similarity, near, noise_px)?;
-        (without.log10_false_alarms <= pattern.log10_false_alarms + 1.0).then_some(without)
+        self.weigh(similarity, pairs, noise_px)
     }
 
     /// The pair that the others, fitted without it, put farthest beyond where they would look for it.
@@ -130,13 +76,6 @@ impl Search<'_> {
             let (centre, spread) = centre_and_spread(&others);
             let (p, q) = (similarity.invert(self.gcps[pairs[i].1]), self.field.points()[pairs[i].0]);
             let allowed = tolerance_px(noise_px, others.len(), centre, spread, p);
-            let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
-            let near_px = tolerance_px(noise_px, others.len(), centre, spread, centre);
-            let allowed = if arm > FAR_ARM * spread {
-                allowed.min(near_px.max(self.chance_radius_px(FAR_CHANCE)))
-            } else {
-                allowed
-            };
             Some((p.x - q.x).hypot(p.y - q.y) / allowed)
         };
         (0..pairs.len())
@@ -190,25 +129,18 @@ impl Search<'_> {
         let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
         bases.truncate(if gcps_in_image <= MANY { MOST_BASES } else { FEW_BASES });
         let mut best: Option<(f64, usize)> = None;
-        let mut whole = f64::INFINITY;
         for (_, i, j) in bases {
             let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
             for level in LEVELS_PX {
                 let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
                 let bases = (pairs[i].1, pairs[j].1);
                 let evidence = evidence_of(&self.field, self.gcps, bases, ends, level, self.log10_tests, &may);
-                whole = evidence.map_or(whole, |e| whole.min(e.log10_whole_false_alarms));
                 if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
                     best = Some((e.log10_false_alarms, e.gcps_in_image));
                 }
             }
         }
-        best.map(|(near, _)| {
-            // Of four any one can be a wrong row that happens to fit its neighbours.
-            let log10_false_alarms = if pairs.len() < FEWEST_NEAR { whole } else { near };
-            let log10_whole_false_alarms = whole;
-            Pattern { pairs, similarity, log10_false_alarms, log10_whole_false_alarms, noise_px, gcps_in_image }
-        })
+        best.map(|(log10_false_alarms, _)| Pattern { pairs, similarity, log10_false_alarms, noise_px, gcps_in_image })
     }
 }
 
