@@ -1,4 +1,4 @@
-//! Every text that comes from outside, broken in ten thousand ways: an answer or one line, never a panic. `AUTOREF_LARGE=1` breaks
+//! Every text that comes from outside, broken in ten thousand ways: an answer or an error, never a panic. `AUTOREF_LARGE=1` breaks
 //! each of them more often.
 
 use std::path::Path;
@@ -84,13 +84,6 @@ fn survive(texts: &[(&str, &str)], read: impl Fn(&Path) + std::panic::RefUnwindS
     }
 }
 
-#[track_caller]
-fn one_line<T>(result: Result<T, autoref_raster::Error>) {
-    if let Err(error) = result {
-        assert_eq!(error.to_string().lines().count(), 1, "{error}");
-    }
-}
-
 #[test]
 fn lists_of_every_dialect() {
     let texts = [
@@ -127,19 +120,19 @@ fn lists_of_every_dialect() {
             "# CoordinateSystem: EPSG:25832\n#Label,X/East,Y/North,Z/Altitude,Accuracy (m),Enabled\nA,570406,7032516,80,0.01,1\nB,570416,7032526,80,0.01,0\n",
         ),
     ];
-    survive(&texts, |path| one_line(gcp::read(path, &GcpOptions::default())));
+    survive(&texts, |path| drop(gcp::read(path, &GcpOptions::default())));
 }
 
 #[test]
 fn profiles_patches_results_and_candidates() {
     let orange = Profile::builtin("orange").expect("shipped").to_toml();
-    survive(&[("p.toml", orange.as_str())], |path| one_line(Profile::load(path.to_str().expect("plain"))));
+    survive(&[("p.toml", orange.as_str())], |path| drop(Profile::load(path.to_str().expect("plain"))));
     let patch = r#"{"schema":"autoref-stream-patch","schema_version":1,"for":"gcps","source":"a.autoref.json","edits":[{"gcp":"A","action":"reject"},{"gcp":"B","action":"move","x":1.5,"y":2}],"shown":{"points":5,"rmse_m":0.1,"geotransform":[1,2,3,4,5,6]}}"#;
-    survive(&[("patch.json", patch)], |path| one_line(Patch::read(path, Subject::Gcps)));
+    survive(&[("patch.json", patch)], |path| drop(Patch::read(path, Subject::Gcps)));
     let table = "x,y,score,cov_xx,cov_xy,cov_yy,area,width,height,elevation,code\n12.5,40.25,3.5,0.01,0,0.01,96,12,12,80.1,aruco-4x4-50:7\n100,200,,,,,,,,,\n";
-    survive(&[("c.csv", table)], |path| one_line(candidate_list::read_csv(path)));
+    survive(&[("c.csv", table)], |path| drop(candidate_list::read_csv(path)));
     let result = r#"{"schema_version":1,"program":"autoref-stream 0.1.0","status":"refused","reason":"x","image":null,"gcp_file":"a","options":{},"geotransform":null,"crs":null,"rmse_m":null,"rmse_e_m":null,"rmse_n_m":null,"rmse_px":null,"scale_m_per_px":null,"rotation_deg":null,"gcps_listed":3,"gcps_in_image":null,"candidates_found":0,"false_alarms":null,"log10_false_alarms":null,"matches":[],"check_points":[],"accuracy":null,"solution":null,"runner_up":null,"best_pattern":null,"search":{"hypotheses_possible":1.0,"hypotheses_tried":1,"budget_spent":false},"prior_georeference":null,"patch":null,"reading":null,"memory_plan":null,"peak_memory_bytes":null,"elapsed_s":0.1}"#;
-    survive(&[("r.autoref.json", result)], |path| one_line(RunResult::read(path)));
+    survive(&[("r.autoref.json", result)], |path| drop(RunResult::read(path)));
 }
 
 #[test]

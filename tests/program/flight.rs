@@ -629,7 +629,16 @@ fn frames_become_cameras() {
     assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
     let resumed = solve("killed", &[], None);
     expect(&resumed, 0, &["features.db: taken from before", "matches.db: taken from before"]);
-    assert_eq!(resumed.stdout, output.stdout, "resumed or not: the same result");
+    // COLMAP's own numbers repeat to some centimetres only, on one thread too.
+    let again = json(&resumed);
+    assert_eq!(again["frames_registered"], document["frames_registered"]);
+    let cameras = |document: &Value| document["cameras"].as_array().expect("cameras").clone();
+    for (a, b) in cameras(&again).into_iter().zip(cameras(&document)) {
+        for axis in ["e", "n", "h"] {
+            let apart = a[axis].as_f64().expect("a number") - b[axis].as_f64().expect("a number");
+            assert!(apart.abs() < 0.5, "{axis} of {}: {apart:.3} m", a["name"]);
+        }
+    }
     // COLMAP's binary model, cut at many places.
     let sparse = place.at("out").join("sparse").join("0");
     let gcps = place.at("gcps.txt");

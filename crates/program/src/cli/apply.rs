@@ -11,7 +11,7 @@ use autoref_stream::georef::write::Output;
 use autoref_stream::result::RunResult;
 use clap::Args;
 
-use crate::cli::common::{Bytes, memory_budget, threads};
+use crate::cli::common::{Bytes, threads};
 use crate::cli::write::{WarpBar, WriteArgs};
 
 /// Write outputs from the result of an earlier run, without looking for marks again.
@@ -31,7 +31,7 @@ pub struct ApplyArgs {
     #[arg(long, value_name = "N", help_heading = "Reading")]
     pub page: Option<usize>,
     /// Bound on the peak resident memory of the whole program: bytes, or with K, M or G.
-    #[arg(long, value_name = "SIZE", default_value = "512M", value_parser = memory_budget, help_heading = "Resources")]
+    #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
     pub memory: Bytes,
     /// Number of threads that compress a warped copy. Default: one for each core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
