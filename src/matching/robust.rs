@@ -44,7 +44,7 @@ const MOST_CHALLENGES: usize = 3;
 pub struct RobustMatcher {
     /// A pattern is believed when chance alone would produce no more than this many.
     pub max_false_alarms: f64,
-    /// The search ends here, found or not; with few candidates after [`ROUNDS`] times their pairs.
+    /// The search ends here, found or not; with few candidates sooner (`docs/decisions/search-work.md`).
     pub budget_hypotheses: u64,
     /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
