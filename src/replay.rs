@@ -6,7 +6,7 @@ use crate::candidate::Candidate;
 use crate::gcp::GcpRole;
 use crate::matching::{Effort, Pattern, Solved};
 use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation};
-use crate::result::{RunResult, Status};
+use crate::result::RunResult;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
@@ -39,7 +39,7 @@ struct Held {
 /// names a GCP or candidate that the result does not have, accepts a GCP that has no mark, puts one outside the image, or when
 /// one candidate ends as the mark of two GCPs.
 pub fn replay(recorded: &RunResult, patch: &Patch, patch_path: &Path) -> Result<Replayed> {
-    let pairs = recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs);
+    let pairs = recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs);
     if pairs.into_iter().any(|&(c, g)| c >= recorded.candidates.len() || g >= recorded.gcps.len()) {
         return Err(Error::usage(
             "the result's best pattern refers to a candidate or GCP that it does not have",
@@ -69,7 +69,7 @@ pub fn replay(recorded: &RunResult, patch: &Patch, patch_path: &Path) -> Result<
 /// The marks as the run left them; those of a refused run's best pattern are proposals until somebody accepts them.
 fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
     let mut held: Vec<Option<Held>> = vec![None; recorded.gcps.len()];
-    for row in recorded.matches.iter().chain(&recorded.check_points) {
+    for row in recorded.matches().iter().chain(recorded.check_points()) {
         let Some(gcp) = recorded.gcps.iter().position(|gcp| gcp.name == row.gcp) else { continue };
         let centre = PixelPoint { x: row.x, y: row.y };
         let known = recorded.candidates.iter().find(|c| c.centre == centre).cloned();
@@ -85,11 +85,9 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
         });
         held[gcp] = Some(Held { mark, found_by: row.found_by, used: true });
     }
-    if recorded.status == Status::Refused {
-        for &(candidate, gcp) in recorded.best_pattern.iter().flat_map(|pattern| &pattern.pairs) {
-            let mark = recorded.candidates[candidate].clone();
-            held[gcp] = Some(Held { mark, found_by: FoundBy::Scan, used: false });
-        }
+    for &(candidate, gcp) in recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs) {
+        let mark = recorded.candidates[candidate].clone();
+        held[gcp] = Some(Held { mark, found_by: FoundBy::Scan, used: false });
     }
     held
 }

@@ -20,8 +20,10 @@ use autoref_raster::error::{Error, Result};
 /// [`Error::Usage`] when none of these holds, or when what `other` has may be our own output; [`Error::Gdal`] when it cannot
 /// be opened.
 pub fn carry(result: &RunResult, other: &Path, same_extent: bool) -> Result<RunResult> {
-    let transform =
-        result.geotransform.ok_or_else(|| Error::usage("the result holds no georeference", "it was not solved"))?;
+    let mut carried = result.clone();
+    let solved =
+        carried.solved_mut().ok_or_else(|| Error::usage("the result holds no georeference", "it was not solved"))?;
+    let transform = solved.geotransform;
     let image = result.image.as_ref().ok_or_else(|| {
         Error::usage("the result tells nothing of its image", "make it with an image, not by `solve`")
     })?;
@@ -59,10 +61,10 @@ pub fn carry(result: &RunResult, other: &Path, same_extent: bool) -> Result<RunR
             ));
         }
     };
-    let mut carried = result.clone();
     let new = to_image.then(&transform);
-    carried.geotransform = Some(new);
-    for row in carried.matches.iter_mut().chain(&mut carried.check_points) {
+    solved.geotransform = new;
+    solved.solution = None;
+    for row in solved.matches.iter_mut().chain(&mut solved.check_points) {
         let place = to_image.invert(PixelPoint { x: row.x, y: row.y }).ok_or_else(singular)?;
         (row.x, row.y) = (place.x, place.y);
         row.residual_px *= transform.scale() / new.scale();
@@ -77,7 +79,6 @@ pub fn carry(result: &RunResult, other: &Path, same_extent: bool) -> Result<RunR
         description: dataset.driver().short_name(),
     });
     carried.candidates.clear();
-    carried.solution = None;
     carried.prior_georeference = None;
     Ok(carried)
 }

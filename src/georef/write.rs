@@ -236,7 +236,7 @@ impl WriteRequest {
         transaction: &mut Transaction,
         progress: &dyn Fn(f64) -> bool,
     ) -> Result<Vec<String>> {
-        let transform = result.geotransform.ok_or_else(|| {
+        let transform = result.geotransform().ok_or_else(|| {
             Error::usage("the result holds no georeference: it was not solved", "run again with better marks or GCPs")
         })?;
         let crs = result.crs.as_deref().map(Crs::parse).transpose()?;

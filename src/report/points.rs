@@ -12,7 +12,7 @@ use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
 use crate::report::kept_pixels::Keeper;
 use crate::report::overview::Overview;
-use crate::result::{MatchRow, RunResult, Status};
+use crate::result::{MatchRow, RunOutcome, RunResult};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
@@ -104,7 +104,10 @@ pub struct Gathered {
 
 /// The transform that places GCPs in the image: the solution's, or that of a refused run's best pattern.
 pub(super) fn similarity(result: &RunResult) -> Option<Similarity> {
-    result.solution.as_ref().map(|s| s.similarity).or_else(|| result.best_pattern.as_ref().map(|p| p.similarity))
+    match &result.outcome {
+        RunOutcome::Solved(solved) => solved.solution.as_ref().map(|s| s.similarity),
+        RunOutcome::Refused(refused) => refused.best_pattern.as_ref().map(|p| p.similarity),
+    }
 }
 
 /// Works out what to show, cuts the windows, and encodes the pictures.
@@ -121,7 +124,7 @@ pub fn gather(
     let (picture, stretch) = overview.picture();
     let mut plan = Plan::new(result);
     plan.points(source.info().width as f64, source.info().height as f64);
-    if result.status == Status::Refused && result.best_pattern.is_none() {
+    if result.refused().is_some_and(|refused| refused.best_pattern.is_none()) {
         plan.gallery();
     }
     let Plan { points, candidates, spots, .. } = plan;
@@ -162,7 +165,7 @@ impl<'a> Plan<'a> {
         let key = |p: PixelPoint| (p.x.to_bits(), p.y.to_bits());
         let by_centre: HashMap<_, _> = result.candidates.iter().enumerate().map(|(i, c)| (key(c.centre), i)).collect();
         let longest = |c: &Candidate| c.size_px.map(|[w, h]| w.max(h));
-        let matched = result.matches.iter().filter_map(|row| by_centre.get(&(row.x.to_bits(), row.y.to_bits())));
+        let matched = result.matches().iter().filter_map(|row| by_centre.get(&(row.x.to_bits(), row.y.to_bits())));
         let mut sizes: Vec<f64> = matched.filter_map(|&i| longest(&result.candidates[i])).collect();
         if sizes.is_empty() {
             sizes = result.candidates.iter().take(1000).filter_map(longest).collect();
@@ -178,13 +181,13 @@ impl<'a> Plan<'a> {
         let result = self.result;
         let similarity = similarity(result);
         let rows: HashMap<&str, &MatchRow> =
-            result.matches.iter().chain(&result.check_points).map(|row| (row.gcp.as_str(), row)).collect();
-        let proposed: HashMap<usize, usize> = match (&result.best_pattern, result.status) {
-            (Some(pattern), Status::Refused) => {
-                pattern.pairs.iter().map(|&(candidate, gcp)| (gcp, candidate)).collect()
-            }
-            _ => HashMap::new(),
-        };
+            result.matches().iter().chain(result.check_points()).map(|row| (row.gcp.as_str(), row)).collect();
+        let proposed: HashMap<usize, usize> = result
+            .best_pattern()
+            .into_iter()
+            .flat_map(|pattern| &pattern.pairs)
+            .map(|&(candidate, gcp)| (gcp, candidate))
+            .collect();
         for (i, gcp) in result.gcps.iter().enumerate() {
             let expected = similarity.map(|s| s.invert(gcp.position()));
             let inside = |p: PixelPoint| p.x >= 0.0 && p.y >= 0.0 && p.x < width && p.y < height;

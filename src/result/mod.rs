@@ -1,4 +1,7 @@
-//! The result of a run as JSON: everything that was asked, seen, solved and written. `docs/formats.md` documents it.
+//! The result of a run: everything that was asked, seen, solved and written. `docs/formats.md` documents its JSON,
+//! `docs/result.schema.json` is the JSON Schema of it.
+
+mod document;
 
 use std::path::Path;
 
@@ -24,102 +27,121 @@ pub enum Status {
     Refused,
 }
 
-/// The document. Absent values are `null`; no number is ever NaN or infinite. Lists that an older program did not write are
-/// empty when it is read.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+/// A run: what was asked and seen, and what came of it. As JSON it is one flat object; what an outcome does not
+/// have is `null` there, and no number is ever NaN or infinite.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "document::Document<'_>")]
 pub struct RunResult {
-    pub schema_version: u32,
+    /// Name and version of the program.
     pub program: String,
-    pub status: Status,
-    /// Why it was refused, in plain words.
-    pub reason: Option<String>,
+    pub outcome: RunOutcome,
     /// What would help.
-    #[serde(default)]
     pub advice: Vec<String>,
+    /// `None` when candidates were solved without an image.
     pub image: Option<ImageInfo>,
     pub gcp_file: String,
     pub options: serde_json::Value,
-    /// GDAL's six numbers; pixel corners.
-    pub geotransform: Option<GeoTransform>,
-    /// "EPSG:n", WKT, or null for local coordinates.
+    /// "EPSG:n", WKT, or `None` for local coordinates.
     pub crs: Option<String>,
-    /// √(mean(dE² + dN²)), unweighted, metres.
-    pub rmse_m: Option<f64>,
-    pub rmse_e_m: Option<f64>,
-    pub rmse_n_m: Option<f64>,
-    pub rmse_px: Option<f64>,
-    pub scale_m_per_px: Option<f64>,
-    /// Anticlockwise from east.
-    pub rotation_deg: Option<f64>,
     pub gcps_listed: usize,
     /// The whole list as it was used in the fit, in the order of the file.
-    #[serde(default)]
     pub gcps: Vec<Gcp>,
     /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
-    #[serde(default)]
     pub delivered: bool,
-    /// GCPs that the transform puts inside the image.
-    pub gcps_in_image: Option<usize>,
     pub candidates_found: usize,
-    /// Patterns as good as this that chance alone would produce; see `log10_false_alarms` when it is too small for a double.
-    pub false_alarms: Option<f64>,
+    pub candidates: Vec<Candidate>,
+    /// log₁₀ of the patterns as good as the best that chance alone would produce.
     pub log10_false_alarms: Option<f64>,
-    #[serde(default)]
-    pub matches: Vec<MatchRow>,
-    #[serde(default)]
-    pub check_points: Vec<MatchRow>,
-    /// What may be claimed of the accuracy; null when nothing was solved.
-    pub accuracy: Option<autoref_solve::accuracy::AccuracyStatement>,
-    /// Expected errors in the image's corners; empty when nothing is known of them.
-    #[serde(default)]
-    pub expected_errors: Vec<autoref_solve::accuracy::CornerError>,
-    /// GCPs inside the image of which no mark was found.
-    #[serde(default)]
-    pub not_found: Vec<crate::pipeline::reasons::NotFound>,
-    /// GCPs that lie outside the image.
-    #[serde(default)]
-    pub outside: Vec<String>,
-    pub solution: Option<Solution>,
     pub runner_up: Option<Pattern>,
-    /// The best partial pattern of a refused run.
-    pub best_pattern: Option<Pattern>,
     pub search: Option<Effort>,
     /// `--time-limit` ended the search before its work was done.
-    #[serde(default)]
     pub search_cut: bool,
-    /// How the names of coded targets agree with the match, when they were heeded.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub names: Option<NamesAgree>,
     pub prior_georeference: Option<PriorGeoreference>,
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
-    #[serde(default)]
     pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
-    /// What was solved of an elevation model.
-    #[serde(default)]
-    pub heights: Option<crate::pipeline::heights::HeightResult>,
-    /// The transform of `--model`, beside the similarity.
-    #[serde(default)]
-    pub chosen_model: Option<serde_json::Value>,
-    #[serde(default)]
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::Patch>,
-    #[serde(default)]
-    pub candidates: Vec<Candidate>,
-    #[serde(default)]
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,
     /// What the self-taught second pass did, when there was one.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
     /// Objects that look like marks in any colour, when nothing was solved by the profile's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub colour_search: Option<crate::pipeline::colour_search::ColourSearch>,
     pub memory_plan: Option<autoref_raster::memory_plan::ScanPlan>,
-    #[serde(default)]
     pub timings: Timings,
     pub peak_memory_bytes: Option<u64>,
     pub elapsed_s: f64,
+}
+
+/// What came of a run.
+#[derive(Clone, Debug)]
+pub enum RunOutcome {
+    Solved(Box<SolvedRun>),
+    Refused(Box<RefusedRun>),
+}
+
+/// A georeference with all that speaks for it.
+#[derive(Clone, Debug)]
+pub struct SolvedRun {
+    /// GDAL's six numbers; pixel corners.
+    pub geotransform: GeoTransform,
+    pub fit: FitFigures,
+    /// The similarity in the metres of the fit; `None` after the transform was carried to another raster.
+    pub solution: Option<Solution>,
+    /// The transform of `--model`, beside the similarity.
+    pub chosen_model: Option<serde_json::Value>,
+    pub matches: Vec<MatchRow>,
+    pub check_points: Vec<MatchRow>,
+    /// GCPs that the transform puts inside the image.
+    pub gcps_in_image: usize,
+    /// GCPs inside the image of which no mark was found.
+    pub not_found: Vec<crate::pipeline::reasons::NotFound>,
+    /// GCPs that lie outside the image.
+    pub outside: Vec<String>,
+    /// How the names of coded targets agree with the match, when they were heeded.
+    pub names: Option<NamesAgree>,
+    /// What may be claimed of the accuracy; `None` until it is stated.
+    pub accuracy: Option<autoref_solve::accuracy::AccuracyStatement>,
+    /// Expected errors in the image's corners; empty when nothing is known of them.
+    pub expected_errors: Vec<autoref_solve::accuracy::CornerError>,
+    /// What was solved of an elevation model.
+    pub heights: Option<crate::pipeline::heights::HeightResult>,
+}
+
+/// Residuals and size of the transform that is written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitFigures {
+    /// √(mean(dE² + dN²)), unweighted, metres.
+    pub rmse_m: f64,
+    pub rmse_e_m: f64,
+    pub rmse_n_m: f64,
+    pub rmse_px: f64,
+    pub scale_m_per_px: f64,
+    /// Anticlockwise from east.
+    pub rotation_deg: f64,
+}
+
+impl From<&Solution> for FitFigures {
+    fn from(solution: &Solution) -> Self {
+        FitFigures {
+            rmse_m: solution.rmse_m,
+            rmse_e_m: solution.rmse_e_m,
+            rmse_n_m: solution.rmse_n_m,
+            rmse_px: solution.rmse_px,
+            scale_m_per_px: solution.scale_m_per_px,
+            rotation_deg: solution.rotation_deg,
+        }
+    }
+}
+
+/// Why nothing is claimed.
+#[derive(Clone, Debug)]
+pub struct RefusedRun {
+    /// In plain words.
+    pub reason: String,
+    /// The best partial pattern.
+    pub best_pattern: Option<Pattern>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -195,7 +217,61 @@ pub struct Timings {
     pub write_s: f64,
 }
 
+impl Serialize for RunResult {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        document::Document::of(self).serialize(serializer)
+    }
+}
+
 impl RunResult {
+    pub fn status(&self) -> Status {
+        match self.outcome {
+            RunOutcome::Solved(_) => Status::Solved,
+            RunOutcome::Refused(_) => Status::Refused,
+        }
+    }
+
+    pub fn solved(&self) -> Option<&SolvedRun> {
+        match &self.outcome {
+            RunOutcome::Solved(solved) => Some(solved),
+            RunOutcome::Refused(_) => None,
+        }
+    }
+
+    pub fn solved_mut(&mut self) -> Option<&mut SolvedRun> {
+        match &mut self.outcome {
+            RunOutcome::Solved(solved) => Some(solved),
+            RunOutcome::Refused(_) => None,
+        }
+    }
+
+    pub fn refused(&self) -> Option<&RefusedRun> {
+        match &self.outcome {
+            RunOutcome::Refused(refused) => Some(refused),
+            RunOutcome::Solved(_) => None,
+        }
+    }
+
+    /// The georeference of a solved run.
+    pub fn geotransform(&self) -> Option<GeoTransform> {
+        self.solved().map(|solved| solved.geotransform)
+    }
+
+    /// Control points with their marks; none when the run was refused.
+    pub fn matches(&self) -> &[MatchRow] {
+        self.solved().map_or(&[], |solved| &solved.matches)
+    }
+
+    /// Check points with their marks; none when the run was refused.
+    pub fn check_points(&self) -> &[MatchRow] {
+        self.solved().map_or(&[], |solved| &solved.check_points)
+    }
+
+    /// The best partial pattern of a refused run.
+    pub fn best_pattern(&self) -> Option<&Pattern> {
+        self.refused()?.best_pattern.as_ref()
+    }
+
     /// Reads a document that a run has written.
     ///
     /// # Errors

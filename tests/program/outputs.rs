@@ -47,6 +47,7 @@ impl Sample {
             "image": {"path": self.path("e6.tif"), "width": SIZE.0, "height": SIZE.1, "bands": 1, "reader": "native",
                       "description": ""},
             "gcp_file": "e6.csv", "options": {"page": 0}, "geotransform": self.transform, "crs": crs, "rmse_m": 0.013,
+            "rmse_e_m": 0.011, "rmse_n_m": 0.007, "rmse_px": 0.4, "scale_m_per_px": 0.03, "rotation_deg": 0.0,
             "gcps_listed": 5, "gcps_in_image": 5, "candidates_found": 9,
             "matches": [row("P1", 100.123456789, 50.1 + 0.2), row("P-ø 2", 620.5, 60.25), row("P3", 333.333, 450.0625)],
             "check_points": [row("K9", 512.75, 222.125)],
@@ -230,8 +231,8 @@ fn gcps_come_back(sample: &Sample) {
     assert!(dataset.geo_transform().is_err(), "tie points, no transform");
     let result = RunResult::read(&sample.path("e6.autoref.json")).expect("our own");
     let gcps = dataset.gcps();
-    assert_eq!(gcps.len(), result.matches.len(), "check points are left out");
-    for (gcp, row) in gcps.iter().zip(&result.matches) {
+    assert_eq!(gcps.len(), result.matches().len(), "check points are left out");
+    for (gcp, row) in gcps.iter().zip(result.matches()) {
         assert_eq!(gcp.id(), row.gcp);
         let read = (gcp.pixel(), gcp.line(), gcp.x(), gcp.y(), Some(gcp.z()));
         assert_eq!(read, (row.x, row.y, row.easting, row.northing, row.height));
@@ -252,6 +253,8 @@ fn a_result_reads_back_to_itself() {
         ("{}", "no result of a run"),
         ("{\"schema_version\": 1", "line 1"),
         ("{\"schema_version\": 1}", "missing field"),
+        (&result.to_json().replace("\"rmse_e_m\": 0.011", "\"rmse_e_m\": null"), "missing field `rmse_e_m`"),
+        (&result.to_json().replace("\"solved\"", "\"refused\""), "field `geotransform` holds a value"),
     ] {
         std::fs::write(&again, text).expect("written");
         let output = autoref(&["apply", again.to_str().expect("plain")]);
@@ -535,7 +538,7 @@ fn tiles_with_world_files_are_one_raster() {
     synth.extend(size.iter().chain(&marks));
     succeeded(&autoref(&synth));
     succeeded(&autoref(&[&whole, "--gcps", &list, "--quiet"]));
-    let expected = RunResult::read(&at("e6.autoref.json")).expect("written").geotransform.expect("solved");
+    let expected = RunResult::read(&at("e6.autoref.json")).expect("written").geotransform().expect("solved");
     // Local coordinates with another origin and unit.
     let local = GeoTransform([1000.0, 0.5, 0.0, 5000.0, 0.0, -0.5]);
     let tiles = cut(Path::new(&whole), &at("tiles"), 400, &local);
@@ -545,7 +548,7 @@ fn tiles_with_world_files_are_one_raster() {
     let result = RunResult::read(&at("tiles.autoref.json")).expect("written");
     let image = result.image.as_ref().expect("described");
     assert_eq!((image.width, image.height), (1500, 1100));
-    let solved = result.geotransform.expect("solved");
+    let solved = result.geotransform().expect("solved");
     assert_eq!(solved, expected, "tiles or not, the same answer");
     assert!(difference_px(&solved, &transform_of(&at("tiles.vrt"))) < 1e-6);
     assert_eq!(gdal::Dataset::open(at("tiles.vrt")).expect("opens").raster_size(), (1500, 1100));

@@ -57,9 +57,9 @@ pub struct TiePoint {
 impl TiePoints {
     /// Those of a result. `image` gives the name.
     pub fn of(result: &RunResult, image: &Path, crs: Option<&Crs>) -> Self {
-        let rows = result.matches.iter().map(|row| (row, false));
+        let rows = result.matches().iter().map(|row| (row, false));
         let pairs = rows
-            .chain(result.check_points.iter().map(|row| (row, true)))
+            .chain(result.check_points().iter().map(|row| (row, true)))
             .map(|(row, check)| TiePoint {
                 name: row.gcp.clone(),
                 pixel: PixelPoint { x: row.x, y: row.y },
@@ -77,7 +77,7 @@ impl TiePoints {
             image_size_px: result.image.as_ref().map(|image| (image.width, image.height)),
             crs: crs.cloned(),
             pairs,
-            transform: result.geotransform,
+            transform: result.geotransform(),
         }
     }
 }

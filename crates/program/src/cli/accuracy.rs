@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::result::{RunResult, Status};
+use autoref_stream::result::{RunResult, SolvedRun};
 use clap::Args;
 
 /// Survey errors and the statement.
@@ -30,8 +30,9 @@ fn positive(text: &str) -> Result<f64, String> {
 
 /// Adds statement and expected errors to a solved result. `size_px` is the image's.
 pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_px: (f64, f64)) {
-    let Some(solution) = result.solution.as_ref().filter(|_| result.status == Status::Solved) else { return };
-    let checks: Vec<CheckError> = result
+    let Some(solved) = result.solved_mut() else { return };
+    let Some(solution) = &solved.solution else { return };
+    let checks: Vec<CheckError> = solved
         .check_points
         .iter()
         .map(|row| {
@@ -47,7 +48,7 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
             }
         })
         .collect();
-    let affine = result.chosen_model.as_ref().filter(|model| model["model"] == "affine");
+    let affine = solved.chosen_model.as_ref().filter(|model| model["model"] == "affine");
     let leave_one_out: Vec<(f64, f64)> = match affine {
         // What is written, not the similarity beside it.
         Some(affine) => serde_json::from_value(affine["leave_one_out_m"].clone()).unwrap_or_default(),
@@ -55,8 +56,8 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     };
     let options =
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
-    result.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
-    result.expected_errors = accuracy::error_map::corners(solution, size_px);
+    solved.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
+    solved.expected_errors = accuracy::error_map::corners(solution, size_px);
 }
 
 /// The image's size, or how far the candidates reach.
@@ -67,8 +68,8 @@ pub fn extent(size: Option<(f64, f64)>, candidates: &[Candidate]) -> (f64, f64) 
 }
 
 /// The lines of the summary.
-pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
-    let Some(statement) = &result.accuracy else { return };
+pub fn lines(solved: &SolvedRun, line: &mut impl FnMut(&str, String)) {
+    let Some(statement) = &solved.accuracy else { return };
     let cm = |metres: f64| format!("{:.1} cm", 100.0 * metres);
     if let Some(h) = &statement.figures.horizontal {
         let survey = h
@@ -77,7 +78,7 @@ pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
         line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, cm(h.rmse_h1_m)));
     }
     let by_size = |a: &&CornerError, b: &&CornerError| a.expected.point_95_m.total_cmp(&b.expected.point_95_m);
-    let corners = result.expected_errors.iter();
+    let corners = solved.expected_errors.iter();
     if let (Some(best), Some(worst)) = (corners.clone().min_by(by_size), corners.max_by(by_size)) {
         let at = |c: &CornerError| format!("{} in the {} corner", cm(c.expected.point_95_m), c.direction);
         line("Expected error", format!("of a point, 95 %: {}, {}", at(best), at(worst)));

@@ -49,9 +49,8 @@ pub struct ApplyArgs {
 pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.memory.0));
     let result = RunResult::read(&args.result)?;
-    if result.geotransform.is_none() {
-        let reason = result.reason.as_deref().unwrap_or("it was not solved");
-        bail!("{}: there is no georeference to apply: {reason}", args.result.display());
+    if let Some(refused) = result.refused() {
+        bail!("{}: there is no georeference to apply: {}", args.result.display(), refused.reason);
     }
     let (image, result, page) = match &args.to {
         // From lists alone: whatever raster is named is the image.

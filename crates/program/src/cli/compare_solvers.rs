@@ -58,8 +58,8 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         (of_table(input)?, "table")
     } else {
         let result = run::first_look(&args.run)?;
-        if result.geotransform.is_none() {
-            let reason = result.reason.clone().unwrap_or_else(|| "nothing was solved".into());
+        if let Some(refused) = result.refused() {
+            let reason = &refused.reason;
             if args.run.json {
                 let document = json!({"input": input.display().to_string(), "status": "refused", "reason": reason});
                 println!("{}", serde_json::to_string_pretty(&document)?);
@@ -121,10 +121,12 @@ fn analysis(rows: &[Row], solved: &Value, tail_cut: f64) -> Option<Value> {
 
 /// Control points of a result in the metres of its fit, with the heights that its elevation model or list brought.
 fn of_result(result: &RunResult, path: &Path) -> anyhow::Result<Vec<Row>> {
-    if result.matches.is_empty() {
+    if result.matches().is_empty() {
         bail!("{}: the result has no matched points to solve by", path.display());
     }
-    let model = |name: &str| result.heights.as_ref()?.points.iter().find(|row| row.gcp == name).map(|row| row.model_m);
+    let model = |name: &str| {
+        result.solved()?.heights.as_ref()?.points.iter().find(|row| row.gcp == name).map(|row| row.model_m)
+    };
     let row = |m: &autoref_stream::result::MatchRow| {
         // In the list they are in metres, whatever the outputs count in.
         let gcp = result.gcps.iter().find(|g| g.name == m.gcp);
@@ -139,7 +141,7 @@ fn of_result(result: &RunResult, path: &Path) -> anyhow::Result<Vec<Row>> {
             sigma_m: m.survey_sigma_m,
         }
     };
-    Ok(result.matches.iter().map(row).collect())
+    Ok(result.matches().iter().map(row).collect())
 }
 
 fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {

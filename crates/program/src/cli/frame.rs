@@ -94,24 +94,21 @@ pub fn of_image(info: &RasterInfo) -> Option<ImageGeoreference> {
 /// Brings transform and points of a result from the metres of the fit into the units and CRS of the outputs. Residuals,
 /// scale and the solution itself stay in metres.
 pub fn deliver(result: &mut RunResult, list: &GcpList, size_px: Option<(f64, f64)>) -> anyhow::Result<()> {
-    let Some(fitted) = result.geotransform else { return Ok(()) };
-    if list.frame.is_plain() {
-        return Ok(());
-    }
-    let mut points: Vec<Coordinate> = result
+    let Some(solved) = result.solved_mut().filter(|_| !list.frame.is_plain()) else { return Ok(()) };
+    let mut points: Vec<Coordinate> = solved
         .matches
         .iter()
-        .chain(&result.check_points)
+        .chain(&solved.check_points)
         .map(|row| Coordinate { x: row.easting, y: row.northing, height: row.height })
         .collect();
     // Without an image the marks tell how far the transform has to hold.
-    let marks = result.matches.iter().fold((1.0, 1.0), |(w, h): (f64, f64), row| (w.max(row.x), h.max(row.y)));
-    let delivered = list.frame.deliver(&fitted, size_px.unwrap_or(marks))?;
+    let marks = solved.matches.iter().fold((1.0, 1.0), |(w, h): (f64, f64), row| (w.max(row.x), h.max(row.y)));
+    let delivered = list.frame.deliver(&solved.geotransform, size_px.unwrap_or(marks))?;
     list.frame.leave(&mut points)?;
-    for (row, point) in result.matches.iter_mut().chain(&mut result.check_points).zip(points) {
+    for (row, point) in solved.matches.iter_mut().chain(&mut solved.check_points).zip(points) {
         (row.easting, row.northing, row.height) = (point.x, point.y, point.height);
     }
-    result.geotransform = Some(delivered.transform);
+    solved.geotransform = delivered.transform;
     result.warnings.extend(delivered.notes);
     Ok(())
 }

@@ -63,12 +63,15 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     let extent = accuracy::extent(size, &result.candidates);
     accuracy::state(result, &list, &args.gcps.accuracy, extent);
-    if let (Some(solution), Some(image)) = (&result.solution, &recorded.image) {
-        let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
-        result.warnings.extend(report::plain_warnings(solution, &marks, image.width as f64, image.height as f64));
+    if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
+        && let Some(solution) = &solved.solution
+    {
+        let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
+        let notes = report::plain_warnings(solution, &marks, image.width as f64, image.height as f64);
+        result.warnings.extend(notes);
     }
     result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
-    if differs(&patch, document.result.geotransform.map(|g| g.0)) {
+    if differs(&patch, document.result.geotransform().map(|g| g.0)) {
         bail!(
             "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or              remove `shown` from the patch to replay it all the same",
             patch_path.display(),
@@ -111,7 +114,8 @@ impl Delivery {
         if !recorded.delivered {
             return Ok(None);
         }
-        let (Some(solution), Some(delivered)) = (&recorded.solution, recorded.geotransform) else {
+        let solved = recorded.solved().and_then(|solved| Some((solved.solution.as_ref()?, solved.geotransform)));
+        let Some((solution, delivered)) = solved else {
             bail!(
                 "{}: the run was refused and its outputs are in other units or another CRS than its points; \
                  run it again with points in metres, without --to-crs",
@@ -131,20 +135,20 @@ impl Delivery {
 
     fn apply(&self, result: &mut RunResult) {
         result.delivered = true;
-        result.geotransform = result.geotransform.map(|fitted| {
-            let (width, height) = self.size_px;
-            let at = |x: f64, y: f64| self.point(fitted.apply(PixelPoint { x, y }));
-            let (origin, right, down) = (at(0.0, 0.0), at(width, 0.0), at(0.0, height));
-            GeoTransform([
-                origin.easting,
-                (right.easting - origin.easting) / width,
-                (down.easting - origin.easting) / height,
-                origin.northing,
-                (right.northing - origin.northing) / width,
-                (down.northing - origin.northing) / height,
-            ])
-        });
-        for row in result.matches.iter_mut().chain(&mut result.check_points) {
+        let Some(solved) = result.solved_mut() else { return };
+        let (width, height) = self.size_px;
+        let fitted = solved.geotransform;
+        let at = |x: f64, y: f64| self.point(fitted.apply(PixelPoint { x, y }));
+        let (origin, right, down) = (at(0.0, 0.0), at(width, 0.0), at(0.0, height));
+        solved.geotransform = GeoTransform([
+            origin.easting,
+            (right.easting - origin.easting) / width,
+            (down.easting - origin.easting) / height,
+            origin.northing,
+            (right.northing - origin.northing) / width,
+            (down.northing - origin.northing) / height,
+        ]);
+        for row in solved.matches.iter_mut().chain(&mut solved.check_points) {
             let point = self.point(MapPoint { easting: row.easting, northing: row.northing });
             (row.easting, row.northing) = (point.easting, point.northing);
         }

@@ -50,8 +50,10 @@ impl<'a> Watch<'a> {
 
     /// Adds what the places of the marks mean to the warnings, and cuts the pictures of the report, when one is wanted.
     pub fn gather(&self, result: &mut RunResult) -> anyhow::Result<Option<Gathered>> {
-        if let Some(solution) = &result.solution {
-            let marks: Vec<PixelPoint> = result.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
+        if let Some(solved) = result.solved()
+            && let Some(solution) = &solved.solution
+        {
+            let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
             let info = self.source.info();
             let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
             result.warnings.extend(words);
@@ -97,7 +99,9 @@ pub fn page(result: &RunResult, gathered: &Gathered, json: &Path) -> autoref_ras
 
 /// Parts that other rooms word.
 fn sections(result: &RunResult) -> Vec<Section> {
-    result.accuracy.iter().map(accuracy_section).chain(result.heights.iter().map(heights_section)).collect()
+    let accuracy = result.solved().and_then(|solved| solved.accuracy.as_ref());
+    let heights = result.solved().and_then(|solved| solved.heights.as_ref());
+    accuracy.into_iter().map(accuracy_section).chain(heights.into_iter().map(heights_section)).collect()
 }
 
 fn heights_section(heights: &HeightResult) -> Section {

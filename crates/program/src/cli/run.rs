@@ -14,6 +14,8 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
+use autoref_stream::matching::doctor::Diagnosis;
+use autoref_stream::matching::{Effort, Evidence, Pattern};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
@@ -21,7 +23,8 @@ use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
-    ImageInfo, MatchRow, PriorGeoreference, Reading, RunResult, SCHEMA_VERSION, Status, Timings,
+    FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult, SolvedRun, Status,
+    Timings,
 };
 use clap::Args;
 
@@ -196,8 +199,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         &args.gcps.frame.force,
     );
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
-    if let Outcome::Solved(orientation) = &run.outcome {
-        document.result.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
+    if let (Outcome::Solved(orientation), Some(solved)) = (&run.outcome, document.result.solved_mut()) {
+        solved.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
     }
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
@@ -264,7 +267,7 @@ fn write_outputs(
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let mut transaction = Transaction::new();
-    if document.result.geotransform.is_some() {
+    if document.result.solved().is_some() {
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
         document.result.warnings.extend(warnings);
@@ -296,49 +299,37 @@ pub struct Document {
 
 impl Document {
     pub fn new(list: &GcpList, gcp_file: &Path, outcome: &Outcome, candidates: Vec<Candidate>) -> Self {
+        let (came_of_it, evidence) = match outcome {
+            Outcome::Solved(orientation) => {
+                let solved = solved(orientation, list, &candidates);
+                (RunOutcome::Solved(Box::new(solved)), Searched::of_solved(orientation))
+            }
+            Outcome::Refused(evidence) => {
+                let refused = RefusedRun { reason: evidence.reason.clone(), best_pattern: evidence.best.clone() };
+                (RunOutcome::Refused(Box::new(refused)), Searched::of_refused(evidence))
+            }
+        };
         let mut result = RunResult {
-            schema_version: SCHEMA_VERSION,
             program: format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
-            status: Status::Refused,
-            reason: None,
-            advice: Vec::new(),
+            outcome: came_of_it,
+            advice: evidence.advice,
             image: None,
             gcp_file: gcp_file.display().to_string(),
             options: serde_json::Value::Null,
-            geotransform: None,
             crs: list.crs.as_ref().map(autoref_raster::crs::Crs::label),
-            rmse_m: None,
-            rmse_e_m: None,
-            rmse_n_m: None,
-            rmse_px: None,
-            scale_m_per_px: None,
-            rotation_deg: None,
             gcps_listed: list.gcps.len(),
             gcps: list.gcps.clone(),
             delivered: !list.frame.is_plain(),
-            gcps_in_image: None,
             candidates_found: candidates.len(),
-            false_alarms: None,
-            log10_false_alarms: None,
-            matches: Vec::new(),
-            check_points: Vec::new(),
-            accuracy: None,
-            expected_errors: Vec::new(),
-            not_found: Vec::new(),
-            outside: Vec::new(),
-            solution: None,
-            runner_up: None,
-            best_pattern: None,
-            search: None,
-            search_cut: false,
-            names: None,
+            candidates,
+            log10_false_alarms: evidence.log10_false_alarms,
+            runner_up: evidence.runner_up,
+            search_cut: evidence.search.search_cut,
+            search: Some(evidence.search),
             prior_georeference: None,
-            diagnoses: Vec::new(),
-            heights: None,
-            chosen_model: None,
+            diagnoses: evidence.diagnoses,
             warnings: list.notes.clone(),
             patch: None,
-            candidates,
             files_written: Vec::new(),
             reading: None,
             second_pass: None,
@@ -348,26 +339,16 @@ impl Document {
             peak_memory_bytes: None,
             elapsed_s: 0.0,
         };
-        match outcome {
-            Outcome::Solved(orientation) => solved(&mut result, orientation, list),
-            Outcome::Refused(evidence) => {
-                result.reason = Some(evidence.reason.clone());
-                result.advice = evidence.advice.clone();
-                result.search = Some(evidence.effort.clone());
-                result.log10_false_alarms = evidence.best.as_ref().map(|p| p.log10_false_alarms);
-                result.best_pattern = evidence.best.clone();
-                result.runner_up = evidence.runner_up.clone();
-                result.diagnoses = evidence.diagnoses.clone();
-            }
+        if let Outcome::Solved(orientation) = outcome {
+            let notes = fit_notes(&result, orientation, list);
+            result.warnings.extend(notes);
         }
-        result.search_cut = result.search.as_ref().is_some_and(|effort| effort.search_cut);
         if let Some(effort) = result.search.as_ref().filter(|effort| effort.search_cut) {
             result.warnings.push(format!(
                 "--time-limit ended the search after {} of {:.3e} hypotheses",
                 effort.hypotheses_tried, effort.hypotheses_possible
             ));
         }
-        result.false_alarms = result.log10_false_alarms.map(|log10| 10f64.powf(log10));
         Document { result }
     }
 
@@ -407,12 +388,12 @@ impl Document {
             _ => false,
         };
         let centre = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
-        let moved_m = self.result.geotransform.filter(|_| same_crs).map(|new| {
+        let moved_m = self.result.geotransform().filter(|_| same_crs).map(|new| {
             let (a, b) = (old.apply(centre), new.apply(centre));
             (a.easting - b.easting).hypot(a.northing - b.northing)
                 * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
         });
-        if self.result.geotransform.is_some() {
+        if self.result.solved().is_some() {
             self.result.warnings.push(match moved_m {
                 Some(moved) => format!("the image's own georeference is overridden; its centre moves by {moved:.3} m"),
                 None => "the image's own georeference is overridden".into(),
@@ -428,29 +409,47 @@ impl Document {
     }
 
     pub fn exit_code(&self) -> ExitCode {
-        match self.result.status {
+        match self.result.status() {
             Status::Solved => ExitCode::SUCCESS,
             Status::Refused => ExitCode::from(1),
         }
     }
 }
 
-fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
+/// What the search leaves on record, whether it was believed or not.
+struct Searched {
+    advice: Vec<String>,
+    log10_false_alarms: Option<f64>,
+    runner_up: Option<Pattern>,
+    search: Effort,
+    diagnoses: Vec<Diagnosis>,
+}
+
+impl Searched {
+    fn of_solved(orientation: &Orientation) -> Self {
+        Searched {
+            advice: orientation.diagnoses.iter().map(|d| d.message.clone()).collect(),
+            log10_false_alarms: Some(orientation.evidence.pattern.log10_false_alarms),
+            runner_up: orientation.evidence.runner_up.clone(),
+            search: orientation.evidence.effort.clone(),
+            diagnoses: orientation.diagnoses.clone(),
+        }
+    }
+
+    fn of_refused(evidence: &Evidence) -> Self {
+        Searched {
+            advice: evidence.advice.clone(),
+            log10_false_alarms: evidence.best.as_ref().map(|p| p.log10_false_alarms),
+            runner_up: evidence.runner_up.clone(),
+            search: evidence.effort.clone(),
+            diagnoses: evidence.diagnoses.clone(),
+        }
+    }
+}
+
+fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -> SolvedRun {
     let solution = &orientation.solution;
-    result.status = Status::Solved;
-    result.geotransform = Some(solution.geotransform);
-    result.rmse_m = Some(solution.rmse_m);
-    result.rmse_e_m = Some(solution.rmse_e_m);
-    result.rmse_n_m = Some(solution.rmse_n_m);
-    result.rmse_px = Some(solution.rmse_px);
-    result.scale_m_per_px = Some(solution.scale_m_per_px);
-    result.rotation_deg = Some(solution.rotation_deg);
-    let pattern = &orientation.evidence.pattern;
-    result.log10_false_alarms = Some(pattern.log10_false_alarms);
-    result.runner_up = orientation.evidence.runner_up.clone();
-    result.search = Some(orientation.evidence.effort.clone());
-    result.names = orientation.evidence.names;
-    result.matches = orientation
+    let matches = orientation
         .marks
         .iter()
         .zip(&solution.pairs)
@@ -463,24 +462,37 @@ fn solved(result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
             row
         })
         .collect();
-    result.check_points = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
     let name = |&i: &usize| list.gcps[i].name.clone();
-    result.not_found = reasons(None, orientation, &list.gcps, &result.candidates).unwrap_or_default();
-    result.outside = orientation.outside.iter().map(name).collect();
-    result.gcps_in_image = Some(orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len());
-    result.warnings.extend(solution.warnings.iter().cloned());
-    let outliers: Vec<&str> = result.matches.iter().filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
-    if !outliers.is_empty() {
-        result.warnings.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+    SolvedRun {
+        geotransform: solution.geotransform,
+        fit: FitFigures::from(solution),
+        chosen_model: None,
+        matches,
+        check_points: orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect(),
+        gcps_in_image: orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len(),
+        not_found: reasons(None, orientation, &list.gcps, candidates).unwrap_or_default(),
+        outside: orientation.outside.iter().map(name).collect(),
+        names: orientation.evidence.names,
+        accuracy: None,
+        expected_errors: Vec::new(),
+        heights: None,
+        solution: Some(solution.clone()),
     }
-    result.warnings.extend(near_misses(result, orientation, list));
-    result.diagnoses = orientation.diagnoses.clone();
-    result.advice.extend(result.diagnoses.iter().map(|d| d.message.clone()));
-    result.solution = Some(solution.clone());
+}
+
+/// What a person should know of the fit.
+fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
+    let mut notes = orientation.solution.warnings.clone();
+    let outliers: Vec<&str> = result.matches().iter().filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
+    if !outliers.is_empty() {
+        notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+    }
+    notes.extend(near_misses(&result.candidates, orientation, list));
+    notes
 }
 
 /// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
-fn near_misses(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
+fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<String> {
     const NEAR_PX: f64 = 60.0;
     let solution = &orientation.solution;
     let taken = |c: &Candidate| orientation.marks.iter().any(|mark| mark.mark.centre == c.centre);
@@ -490,8 +502,7 @@ fn near_misses(result: &RunResult, orientation: &Orientation, list: &GcpList) ->
         .filter_map(|&gcp| {
             let place = solution.similarity.invert(list.gcps[gcp].position());
             let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
-            let nearest = result
-                .candidates
+            let nearest = candidates
                 .iter()
                 .filter(|c| !taken(c))
                 .map(distance)

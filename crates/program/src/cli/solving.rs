@@ -13,7 +13,7 @@ use autoref_stream::gcp::GcpList;
 use autoref_stream::georef::heights::{CopyPlace, write_corrected};
 use autoref_stream::pipeline::georeference::{Orientation, Outcome};
 use autoref_stream::pipeline::heights::{self, HeightResult, ModelFrame, PlacedModel};
-use autoref_stream::result::RunResult;
+use autoref_stream::result::{RunResult, SolvedRun};
 use clap::{Args, ValueEnum};
 
 #[derive(Args, Debug)]
@@ -114,7 +114,7 @@ impl DemCopy {
         let to_positions = self.placed.to_positions(&self.fitted);
         let own = self.placed.frame == ModelFrame::Map;
         // The delivered transform counts in the outputs' units, the positions of the surface in metres of the fit.
-        let delivered = result.geotransform.map_or(to_positions, |g| self.placed.to_positions(&g));
+        let delivered = result.geotransform().map_or(to_positions, |g| self.placed.to_positions(&g));
         let place = CopyPlace {
             to_positions,
             geotransform: if own { to_positions } else { delivered },
@@ -186,7 +186,7 @@ impl SolvingArgs {
         place: &ImagePlace,
     ) -> anyhow::Result<Option<DemCopy>> {
         let Some(dem) = &self.dem else {
-            result.heights = heights::from_list(orientation, &list.gcps)?;
+            enter_heights(result, heights::from_list(orientation, &list.gcps)?);
             return Ok(None);
         };
         let name = dem.display().to_string();
@@ -202,7 +202,7 @@ impl SolvingArgs {
         if solved.position_crs.is_none() {
             solved.position_crs = list.crs.as_ref().map(autoref_raster::crs::Crs::label);
         }
-        result.heights = Some(solved.clone());
+        enter_heights(result, Some(solved.clone()));
         Ok(self.write_dem.clone().map(|target| DemCopy {
             placed,
             heights: solved,
@@ -215,7 +215,7 @@ impl SolvingArgs {
     /// Seven parameters in metres: the image points are brought to metres by the similarity first, so that one scale
     /// serves planimetry and heights.
     fn in_space(&self, result: &mut RunResult, orientation: &Orientation, list: &GcpList) {
-        let Some(heights) = &result.heights else {
+        let Some(heights) = result.solved().and_then(|solved| solved.heights.as_ref()) else {
             result.warnings.push("--model 7-parameter needs heights: give --dem, and heights in the list".into());
             return;
         };
@@ -235,8 +235,7 @@ impl SolvingArgs {
             })
             .collect();
         let solver = self.solver.unwrap_or(SolverArg::Umeyama);
-        let solved = solver.in_space(&points);
-        match solved {
+        match solver.in_space(&points) {
             Ok((space, sigma0)) => {
                 if points.len() < 5 {
                     let few = points.len();
@@ -244,7 +243,7 @@ impl SolvingArgs {
                         .warnings
                         .push(format!("only {few} points with heights: seven parameters are hardly checked"));
                 }
-                result.chosen_model = Some(self.describe(&space, sigma0, &names));
+                enter_model(result, self.describe(&space, sigma0, &names));
             }
             Err(why) => result.warnings.push(format!(
                 "no 7-parameter solution from {} points with heights ({why:?}): the similarity stands alone",
@@ -301,6 +300,7 @@ fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
 
 /// Solves again, from the marks that a review left, the model that the recorded run had.
 pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orientation, list: &GcpList) {
+    let Some(recorded) = recorded.solved() else { return };
     if recorded.heights.is_some() {
         result.warnings.push("heights were not compared again: a replay does not read the elevation model".into());
     }
@@ -320,8 +320,11 @@ pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orienta
 
 /// The affine transform, or the similarity of another solver, that stands in the place of the weighted similarity.
 pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
-    let model =
-        result.chosen_model.as_ref().filter(|model| model["model"] == "affine" || model["model"] == "similarity")?;
+    let model = result
+        .solved()?
+        .chosen_model
+        .as_ref()
+        .filter(|model| model["model"] == "affine" || model["model"] == "similarity")?;
     let entry = |row: usize, column: usize| model["matrix"][row][column].as_f64();
     let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
     let (e, n) = (row(0)?, row(1)?);
@@ -341,15 +344,19 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
     };
     result.warnings.extend(fit.warnings.iter().cloned());
     let matrix: Vec<Vec<f64>> = fit.matrix().row_iter().map(|row| row.iter().copied().collect()).collect();
-    result.chosen_model = Some(serde_json::json!({
-        "model": if kind == planar::Kind::Affine { "affine" } else { "projective" },
-        "matrix": matrix,
-        "rmse_m": fit.rmse_m,
-        "leave_one_out_rmse_m": fit.leave_one_out_rmse_m,
-        "similarity_rmse_m": result.rmse_m,
-        "residuals_m": fit.residuals_m,
-        "leave_one_out_m": fit.leave_one_out_m,
-    }));
+    let similarity_rmse_m = result.solved().map(|solved| solved.fit.rmse_m);
+    enter_model(
+        result,
+        serde_json::json!({
+            "model": if kind == planar::Kind::Affine { "affine" } else { "projective" },
+            "matrix": matrix,
+            "rmse_m": fit.rmse_m,
+            "leave_one_out_rmse_m": fit.leave_one_out_rmse_m,
+            "similarity_rmse_m": similarity_rmse_m,
+            "residuals_m": fit.residuals_m,
+            "leave_one_out_m": fit.leave_one_out_m,
+        }),
+    );
     if kind == planar::Kind::Projective {
         result
             .warnings
@@ -398,19 +405,25 @@ fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: SolverArg) {
     let transform = GeoTransform([t.x, s * r[(0, 0)], -s * r[(0, 1)], t.y, s * r[(1, 0)], -s * r[(1, 1)]]);
     let g = transform.0;
     let residuals: Vec<[f64; 2]> = space.residuals.iter().map(|r| [r.x, r.y]).collect();
-    result.chosen_model = Some(serde_json::json!({
-        "model": "similarity",
-        "solver": solver.json_name(),
-        "matrix": [[g[1], g[2], g[0]], [g[4], g[5], g[3]], [0.0, 0.0, 1.0]],
-        "scale_m_per_px": s,
-        "rotation_deg": r[(1, 0)].atan2(r[(0, 0)]).to_degrees(),
-        "rmse_m": space.rmse,
-        "sigma0_m": sigma0,
-        "similarity_rmse_m": result.rmse_m,
-        "residuals_m": residuals,
-    }));
-    result.scale_m_per_px = Some(s);
-    result.rotation_deg = Some(r[(1, 0)].atan2(r[(0, 0)]).to_degrees());
+    let similarity_rmse_m = result.solved().map(|solved| solved.fit.rmse_m);
+    enter_model(
+        result,
+        serde_json::json!({
+            "model": "similarity",
+            "solver": solver.json_name(),
+            "matrix": [[g[1], g[2], g[0]], [g[4], g[5], g[3]], [0.0, 0.0, 1.0]],
+            "scale_m_per_px": s,
+            "rotation_deg": r[(1, 0)].atan2(r[(0, 0)]).to_degrees(),
+            "rmse_m": space.rmse,
+            "sigma0_m": sigma0,
+            "similarity_rmse_m": similarity_rmse_m,
+            "residuals_m": residuals,
+        }),
+    );
+    if let Some(solved) = result.solved_mut() {
+        solved.fit.scale_m_per_px = s;
+        solved.fit.rotation_deg = r[(1, 0)].atan2(r[(0, 0)]).to_degrees();
+    }
     enter_planar(result, transform, &residuals, None);
     result.warnings.push(format!(
         "the similarity by {} is written, in which every point counts alike; expected errors, redundancy and outliers are \
@@ -430,6 +443,20 @@ pub fn flat(pairs: &[Pair]) -> Vec<PointPair> {
         .collect()
 }
 
+/// Enters the heights of a solved run.
+fn enter_heights(result: &mut RunResult, heights: Option<heights::HeightResult>) {
+    if let Some(solved) = result.solved_mut() {
+        solved.heights = heights;
+    }
+}
+
+/// Enters the transform that was asked for beside the similarity.
+fn enter_model(result: &mut RunResult, model: serde_json::Value) {
+    if let Some(solved) = result.solved_mut() {
+        solved.chosen_model = Some(model);
+    }
+}
+
 /// A planar transform takes the similarity's place in the result.
 fn enter_planar(
     result: &mut RunResult,
@@ -437,20 +464,22 @@ fn enter_planar(
     residuals_m: &[[f64; 2]],
     leave_one_out_m: Option<&[[f64; 2]]>,
 ) {
-    result.geotransform = Some(transform);
+    let Some(solved) = result.solved_mut() else { return };
+    solved.geotransform = transform;
     let n = residuals_m.len() as f64;
     let rms = |axis: usize| (residuals_m.iter().map(|r| r[axis].powi(2)).sum::<f64>() / n).sqrt();
     let (rms_e, rms_n) = (rms(0), rms(1));
-    (result.rmse_e_m, result.rmse_n_m, result.rmse_m) = (Some(rms_e), Some(rms_n), Some(rms_e.hypot(rms_n)));
-    result.rmse_px = result.scale_m_per_px.map(|scale| rms_e.hypot(rms_n) / scale);
-    let scale = result.scale_m_per_px.unwrap_or(1.0);
-    for (i, (row, residual)) in result.matches.iter_mut().zip(residuals_m).enumerate() {
+    let fit = &mut solved.fit;
+    (fit.rmse_e_m, fit.rmse_n_m, fit.rmse_m) = (rms_e, rms_n, rms_e.hypot(rms_n));
+    let scale = fit.scale_m_per_px;
+    fit.rmse_px = fit.rmse_m / scale;
+    for (i, (row, residual)) in solved.matches.iter_mut().zip(residuals_m).enumerate() {
         (row.residual_e_m, row.residual_n_m) = (residual[0], residual[1]);
         row.residual_px = residual[0].hypot(residual[1]) / scale;
         row.leave_one_out_m = leave_one_out_m.map(|left_out| left_out[i][0].hypot(left_out[i][1]));
     }
     // What is tested is what is written.
-    for row in &mut result.check_points {
+    for row in &mut solved.check_points {
         let computed = transform.apply(autoref_raster::coords::PixelPoint { x: row.x, y: row.y });
         (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
         row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
@@ -458,8 +487,8 @@ fn enter_planar(
 }
 
 /// Lines of the summary.
-pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
-    if let Some(model) = &result.chosen_model {
+pub fn lines(solved: &SolvedRun, line: &mut impl FnMut(&str, String)) {
+    if let Some(model) = &solved.chosen_model {
         let figure = |name: &str| model[name].as_f64();
         let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
         let by = model["solver"].as_str().map_or(String::new(), |solver| format!(" by {solver}"));
@@ -476,7 +505,7 @@ pub fn lines(result: &RunResult, line: &mut impl FnMut(&str, String)) {
             ),
         );
     }
-    let Some(heights) = &result.heights else { return };
+    let Some(heights) = &solved.heights else { return };
     let from = match heights.frame {
         ModelFrame::Image => "model in the image's grid",
         ModelFrame::Map => "model in map coordinates",

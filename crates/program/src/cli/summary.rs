@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{RunResult, Status};
+use autoref_stream::result::{RefusedRun, RunOutcome, RunResult, SolvedRun};
 
 use crate::cli::{accuracy, solving};
 
@@ -23,9 +23,9 @@ const FEW_POINTS: usize = 5;
 
 pub fn summary(result: &RunResult, detail: Detail) -> String {
     let mut lines = Lines(String::new());
-    match result.status {
-        Status::Solved => solved(result, &mut lines),
-        Status::Refused => refused(result, &mut lines),
+    match &result.outcome {
+        RunOutcome::Solved(run) => solved(result, run, &mut lines),
+        RunOutcome::Refused(run) => refused(result, run, &mut lines),
     }
     if detail == Detail::Full {
         full(result, &mut lines);
@@ -60,50 +60,50 @@ fn length(metres: f64) -> String {
     if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
 }
 
-fn solved(result: &RunResult, lines: &mut Lines) {
-    let found = result.matches.len() + result.check_points.len();
-    let inside = result.gcps_in_image.map_or(String::new(), |n| format!(" of {n} points in the image"));
-    lines.add("Matched", format!("{found}{inside}, {} listed", result.gcps_listed));
-    if let (Some(scale), Some(rotation)) = (result.scale_m_per_px, result.rotation_deg) {
-        lines.add("Scale", format!("{scale:.6} m per pixel, turned {rotation:.4}° anticlockwise from east"));
-    }
-    if let (Some(e), Some(n), Some(all), Some(px)) = (result.rmse_e_m, result.rmse_n_m, result.rmse_m, result.rmse_px) {
-        lines.add("RMSE", format!("{} = {px:.2} px (east {}, north {})", length(all), length(e), length(n)));
-    }
-    lines.add("Verdict", verdict(result));
-    let look_at = look_at(result);
+fn solved(result: &RunResult, run: &SolvedRun, lines: &mut Lines) {
+    let found = run.matches.len() + run.check_points.len();
+    let inside = run.gcps_in_image;
+    lines.add("Matched", format!("{found} of {inside} points in the image, {} listed", result.gcps_listed));
+    let fit = &run.fit;
+    lines.add(
+        "Scale",
+        format!("{:.6} m per pixel, turned {:.4}° anticlockwise from east", fit.scale_m_per_px, fit.rotation_deg),
+    );
+    let (all, e, n) = (length(fit.rmse_m), length(fit.rmse_e_m), length(fit.rmse_n_m));
+    lines.add("RMSE", format!("{all} = {:.2} px (east {e}, north {n})", fit.rmse_px));
+    lines.add("Verdict", verdict(result, run));
+    let look_at = look_at(run);
     if !look_at.is_empty() {
         lines.add("Look at", look_at.join("; "));
     }
 }
 
 /// One plain sentence.
-fn verdict(result: &RunResult) -> String {
+fn verdict(result: &RunResult, run: &SolvedRun) -> String {
     let chance = result.log10_false_alarms.map_or(String::new(), |log10| {
         format!("; chance makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor())
     });
     if let Some(diagnosis) = result.diagnoses.first() {
         return format!("solved, but a mistake in the list is likely: {}", diagnosis.message);
     }
-    if result.matches.iter().chain(&result.check_points).any(|m| m.outlier) {
+    if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
         return format!("solved, but a point does not fit: look at it before you trust the rest{chance}");
     }
-    let horizontal = result.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
+    let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
     if let Some(tested) = horizontal {
         let points = tested.check_points;
         return format!("solved, and {points} check points agree within {} (RMSE){chance}", length(tested.rmse_h1_m));
     }
-    if result.matches.len() < FEW_POINTS {
-        return format!("solved from {} points only: a blunder in one would hardly show{chance}", result.matches.len());
+    if run.matches.len() < FEW_POINTS {
+        return format!("solved from {} points only: a blunder in one would hardly show{chance}", run.matches.len());
     }
     format!("solved; the points agree with each other, no check point tests them{chance}")
 }
 
 /// Points that a person should see, and why.
-fn look_at(result: &RunResult) -> Vec<String> {
-    let unfit =
-        result.matches.iter().filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
-    let missing = result.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
+fn look_at(run: &SolvedRun) -> Vec<String> {
+    let unfit = run.matches.iter().filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
+    let missing = run.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);
     if more > 0 {
@@ -113,8 +113,8 @@ fn look_at(result: &RunResult) -> Vec<String> {
     all
 }
 
-fn refused(result: &RunResult, lines: &mut Lines) {
-    lines.add("Not solved", result.reason.clone().unwrap_or_default());
+fn refused(result: &RunResult, run: &RefusedRun, lines: &mut Lines) {
+    lines.add("Not solved", run.reason.clone());
     for advice in &result.advice {
         lines.add("  may help", advice.clone());
     }
@@ -127,9 +127,9 @@ fn full(result: &RunResult, lines: &mut Lines) {
     if let Some(second) = &result.second_pass {
         line("Second pass", second.line());
     }
-    if result.status == Status::Solved {
-        solving::lines(result, &mut line);
-        accuracy::lines(result, &mut line);
+    if let Some(run) = result.solved() {
+        solving::lines(run, &mut line);
+        accuracy::lines(run, &mut line);
         for diagnosis in &result.diagnoses {
             line("Mistake?", diagnosis.message.clone());
         }
@@ -138,7 +138,7 @@ fn full(result: &RunResult, lines: &mut Lines) {
         let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
         line("False alarms", format!("{figure} such patterns expected by chance"));
     }
-    if let Some(names) = &result.names {
+    if let Some(names) = result.solved().and_then(|run| run.names.as_ref()) {
         let against =
             if names.contradict > 0 { format!(", {} of another's place", names.contradict) } else { String::new() };
         line("Names on targets", format!("{} of {} agree{against}", names.agree, names.named));
