@@ -34,9 +34,9 @@ test-deps:
 	@command -v colmap >/dev/null || { echo "Will install with apt-get: colmap"; \
 	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 600 $(SUDO) apt-get install -y -qq \
 	    --no-install-recommends colmap >/dev/null; } || echo "No colmap: the test that solves a flight is skipped."; }
-	@$(PEERS)/bin/python -c "import rasterio" 2>/dev/null || { echo "Will install with pip, under $(PEERS): rasterio, rio-cogeo"; \
-	  { python3 -m venv $(PEERS) && timeout 300 $(PEERS)/bin/python -m pip install -q --timeout 15 --retries 1 rasterio rio-cogeo; } \
-	    >/dev/null 2>&1 || echo "No rasterio: the test that reads the outputs with it is skipped."; }
+	@$(PEERS)/bin/python -c "import rasterio, jsonschema" 2>/dev/null || { echo "Will install with pip, under $(PEERS): rasterio, rio-cogeo, jsonschema"; \
+	  { python3 -m venv $(PEERS) && timeout 300 $(PEERS)/bin/python -m pip install -q --timeout 15 --retries 1 rasterio rio-cogeo jsonschema; } \
+	    >/dev/null 2>&1 || echo "No rasterio, no jsonschema: the tests that need them are skipped."; }
 
 build: deps
 	$(CARGO) build --release

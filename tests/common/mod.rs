@@ -1,6 +1,7 @@
 //! What several test files share.
 #![allow(dead_code)] // each test file uses its own part
 
+pub mod python;
 mod random;
 mod skipped;
 pub mod tiles;

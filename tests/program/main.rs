@@ -36,6 +36,7 @@ mod planning;
 mod pumpkins;
 mod report;
 mod robustness;
+mod schema;
 mod second_pass;
 mod selftest;
 mod solvers;

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output as Ran};
 
+use crate::common::python::python_with;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_stream::result::RunResult;
 use gdal::Metadata;
@@ -604,21 +605,9 @@ fn tiles_that_do_not_fit(folder: &Path, list: &Path) {
     std::fs::remove_file(list).expect("there");
 }
 
-/// A Python that has rasterio: the one of AUTOREF_PYTHON (`make test` makes it), or the system's.
-fn python_with_rasterio() -> Option<PathBuf> {
-    let imports = |python: &Path| {
-        Command::new(python).args(["-c", "import rasterio"]).output().is_ok_and(|output| output.status.success())
-    };
-    let given = std::env::var_os("AUTOREF_PYTHON").map(PathBuf::from);
-    given.into_iter().chain([PathBuf::from("python3")]).find(|python| imports(python))
-}
-
 #[test]
 fn rasterio_reads_every_output_alike() {
-    let Some(python) = python_with_rasterio() else {
-        crate::common::skipped("rasterio is not installed");
-        return;
-    };
+    let Some(python) = python_with("rasterio") else { return };
     for transform in [TURNED, NORTH_UP] {
         let sample = Sample::new(transform);
         for alone in ["world", "tags"] {
