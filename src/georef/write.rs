@@ -10,7 +10,7 @@ use std::str::FromStr;
 use crate::georef::dialects::{self, TiePoints};
 use crate::georef::{gcps_vrt, sidecar, tags, warp};
 use crate::result::RunResult;
-use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -132,14 +132,14 @@ pub struct WriteRequest {
     /// The other folder.
     pub out: Option<PathBuf>,
     pub kinds: Vec<Output>,
-    pub overwrite: bool,
+    pub existing: Existing,
     pub tags: tags::TagOptions,
     pub warp: warp::WarpOptions,
 }
 
 impl WriteRequest {
     /// Outputs beside the image, or in the folder `out`.
-    pub fn new(image: &Path, out: Option<&Path>, kinds: &[Output], overwrite: bool) -> Self {
+    pub fn new(image: &Path, out: Option<&Path>, kinds: &[Output], existing: Existing) -> Self {
         let mosaic = mosaic::is_mosaic(image);
         // `tiles/` and `tiles.txt` are written as `tiles.vrt` is.
         let own = if mosaic { image.with_extension("vrt") } else { image.to_path_buf() };
@@ -156,7 +156,7 @@ impl WriteRequest {
             base: out.map_or(own, |folder| folder.join(name)),
             out: out.map(Path::to_path_buf),
             kinds: unique,
-            overwrite,
+            existing,
             tags: tags::TagOptions::default(),
             warp: warp::WarpOptions::default(),
         }
@@ -200,7 +200,7 @@ impl WriteRequest {
     /// Refuses, before any work, what cannot be written.
     ///
     /// # Errors
-    /// [`Error::Usage`] for outputs that exist (without `overwrite`) or that are the image itself; whatever speaks against
+    /// [`Error::Usage`] for outputs that exist and are to be kept or that are the image itself; whatever speaks against
     /// tags in this file or against a warped copy.
     pub fn check(&self) -> Result<()> {
         let parts = self.parts()?;
@@ -213,7 +213,7 @@ impl WriteRequest {
                 ));
             }
         }
-        atomic::check_outputs(&files.iter().map(PathBuf::as_path).collect::<Vec<_>>(), self.overwrite)?;
+        atomic::check_outputs(&files.iter().map(PathBuf::as_path).collect::<Vec<_>>(), self.existing)?;
         if self.wants(Output::Tags) {
             for part in &parts {
                 tags::check(&part.path, self.page, &self.tags)?;

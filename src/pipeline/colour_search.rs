@@ -75,7 +75,7 @@ pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSea
         return Ok((first, None));
     };
     job.progress.pass("looking for marks of any colour");
-    let seen = scan(job.source, job.plan, &detector, job.progress)?;
+    let seen = scan(job.source, job.plan, detector.as_detector(), job.progress)?;
     let mut search = ColourSearch { objects: seen.candidates.len(), clusters: Vec::new(), elapsed_s: 0.0 };
     let mut solved = None;
     for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
@@ -110,8 +110,8 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     let profile = taught(job.source, &teachers)?.unwrap_or_else(|| Profile::of_paint(colour));
     let Ok(detector) = MarkDetector::new(profile, job.source.info(), None) else { return Ok(None) };
     let second_look = detector.relaxed();
-    let job = Job { second_look: &second_look, ..*job };
-    let outcome = orient_again(&job, candidates, *solved, &second_look)?;
+    let job = Job { second_look: second_look.as_detector(), ..*job };
+    let outcome = orient_again(&job, candidates, *solved, second_look.as_detector())?;
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
 }
 

@@ -1,18 +1,14 @@
 //! The detector that a profile asks for: paint by its colour, black and white targets by their shape, or coded targets.
 
 use crate::black_white::TargetDetector;
-use crate::candidate::Candidate;
 #[cfg(feature = "coded")]
 use crate::coded::CodedDetector;
 use crate::detector::Detector;
 use crate::pipeline::PaintDetector;
 use crate::profile::Profile;
 use crate::segment::classify::PaintColours;
-use crate::segment::label::Region;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::RasterInfo;
 use autoref_raster::error::Result;
-use autoref_raster::mask::Mask;
-use autoref_raster::{Block, Piece, Pixels, RasterInfo};
 
 /// Finds the marks of any profile.
 pub enum MarkDetector {
@@ -67,7 +63,8 @@ impl MarkDetector {
         }
     }
 
-    fn inner(&self) -> &dyn Detector {
+    /// What every kind of mark can be asked.
+    pub fn as_detector(&self) -> &dyn Detector {
         match self {
             MarkDetector::Paint(paint) => paint,
             MarkDetector::Target(target) => target,
@@ -88,45 +85,6 @@ fn coded(profile: Profile, _info: &RasterInfo, _gsd_m: Option<f64>) -> Result<Ma
         format!("profile \"{}\" asks for coded targets, and this program was built without them", profile.name),
         "build it with `cargo build --release --features coded`",
     ))
-}
-
-impl Detector for MarkDetector {
-    fn halo_px(&self) -> u64 {
-        self.inner().halo_px()
-    }
-    fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
-        self.inner().segment_piece(piece, mask);
-    }
-    fn segment_block(&self, block: &Block, mask: &mut Mask) {
-        self.inner().segment_block(block, mask);
-    }
-    fn gate(&self, region: &Region) -> bool {
-        self.inner().gate(region)
-    }
-    fn patch_margin_px(&self) -> u64 {
-        self.inner().patch_margin_px()
-    }
-    fn largest_mark_px(&self) -> u64 {
-        self.inner().largest_mark_px()
-    }
-    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        self.inner().examine(region, pixels)
-    }
-    fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        self.inner().outline(region, pixels)
-    }
-    fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
-        self.inner().examine_all(region, pixels)
-    }
-    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
-        self.inner().second_look(region, pixels)
-    }
-    fn stricter(&self) -> Option<Box<dyn Detector>> {
-        self.inner().stricter()
-    }
-    fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
-        self.inner().finish(list)
-    }
 }
 
 #[cfg(all(test, not(feature = "coded")))]

@@ -101,7 +101,7 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let relaxed = detector.relaxed();
     // The plan's halo was made for the first profile; a taught one has no filters and needs none.
     job.progress.pass("second pass, with the colours learned");
-    let second = georeference(&Job { detector: &detector, second_look: &relaxed, ..*job })?;
+    let second = georeference(&Job { detector: detector.as_detector(), second_look: relaxed.as_detector(), ..*job })?;
     let (before, after) = (matched(&first), matched(&second));
     let adopted = after > before;
     let report = SecondPass {
@@ -133,7 +133,7 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
-    let outcome = orient_again(job, &first.scan.candidates, orientation.evidence.clone(), &relaxed)?;
+    let outcome = orient_again(job, &first.scan.candidates, orientation.evidence.clone(), relaxed.as_detector())?;
     let before = matched(&first);
     let second = Run { outcome, ..first.clone() };
     let after = matched(&second);

@@ -12,7 +12,7 @@ use std::collections::HashSet;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
@@ -36,7 +36,7 @@ pub struct Freedom {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ambiguity {
     /// It is a mirroring: only a mirrored image could be taken so, and would not be noticed.
-    pub mirrored: bool,
+    pub mirrored: Handedness,
     pub scale: f64,
     /// Anticlockwise; of a mirroring, twice the direction of its axis from east.
     pub turn_deg: f64,
@@ -54,7 +54,7 @@ impl Ambiguity {
     /// "turned by 90°, moved by 10 m".
     pub fn words(&self) -> String {
         let mut parts = Vec::new();
-        if self.mirrored {
+        if self.mirrored.is_mirrored() {
             parts.push("mirrored".to_string());
         } else if self.turn_deg.abs() > 0.5 {
             parts.push(format!("turned by {:.0}°", self.turn_deg));
@@ -62,7 +62,7 @@ impl Ambiguity {
         if (self.scale - 1.0).abs() > 0.005 {
             parts.push(format!("at {:.2} times the size", self.scale));
         }
-        if self.shift_m > 0.1 && !self.mirrored {
+        if self.shift_m > 0.1 && !self.mirrored.is_mirrored() {
             parts.push(format!("its middle moved by {:.1} m", self.shift_m));
         }
         if parts.is_empty() { "slightly displaced".into() } else { parts.join(", ") }
@@ -104,8 +104,8 @@ impl Sorted {
 }
 
 /// A point as the image side of a similarity; mirrored or not.
-fn source(p: MapPoint, mirrored: bool) -> PixelPoint {
-    PixelPoint { x: p.easting, y: if mirrored { p.northing } else { -p.northing } }
+fn source(p: MapPoint, mirrored: Handedness) -> PixelPoint {
+    PixelPoint { x: p.easting, y: -mirrored.sign() * p.northing }
 }
 
 /// Every ambiguity that the freedom allows, the worst (fewest missed, then nearest) first. Of a similarity and its inverse
@@ -123,7 +123,7 @@ pub fn find(places: &[MapPoint], freedom: &Freedom) -> Vec<Ambiguity> {
             let sorted = &sorted;
             (0..n).flat_map(move |c| {
                 (0..n).filter(move |&d| d != c).flat_map(move |d| {
-                    [false, true]
+                    Handedness::BOTH
                         .into_iter()
                         .filter_map(move |mirrored| settle(sorted, freedom, base, (c, d), mirrored))
                 })
@@ -160,7 +160,7 @@ fn settle(
     freedom: &Freedom,
     (a, b): (usize, usize),
     (c, d): (usize, usize),
-    mirrored: bool,
+    mirrored: Handedness,
 ) -> Option<Ambiguity> {
     let points = &sorted.points;
     let mut similarity =
@@ -184,7 +184,9 @@ fn settle(
     let land = |i: usize| similarity.apply(source(points[i], mirrored));
     let off = |i: usize, j: usize| (land(i).easting - points[j].easting).hypot(land(i).northing - points[j].northing);
     // The identity, or so near to it that it makes no difference.
-    if (!mirrored && pairs.iter().all(|(i, j)| i == j)) || (0..points.len()).all(|i| off(i, i) < freedom.tolerance_m) {
+    if (!mirrored.is_mirrored() && pairs.iter().all(|(i, j)| i == j))
+        || (0..points.len()).all(|i| off(i, i) < freedom.tolerance_m)
+    {
         return None;
     }
     allowed(&similarity, freedom, mirrored).then_some(())?;
@@ -202,10 +204,10 @@ fn settle(
     })
 }
 
-fn allowed(similarity: &Similarity, freedom: &Freedom, mirrored: bool) -> bool {
+fn allowed(similarity: &Similarity, freedom: &Freedom, mirrored: Handedness) -> bool {
     let scale = similarity.scale_m_per_px();
     freedom.scale_ratio.is_none_or(|ratio| scale.max(1.0 / scale) <= ratio)
-        && (mirrored || freedom.turn_deg.is_none_or(|most| similarity.rotation_deg().abs() <= most))
+        && (mirrored.is_mirrored() || freedom.turn_deg.is_none_or(|most| similarity.rotation_deg().abs() <= most))
 }
 
 /// Which point lands on which, each taken once; `None` when more than `most_missed` land on none.
@@ -214,7 +216,7 @@ fn hits(
     similarity: &Similarity,
     reach_m: f64,
     most_missed: usize,
-    mirrored: bool,
+    mirrored: Handedness,
 ) -> Option<Vec<(usize, usize)>> {
     // The tolerance is one of the image: a coarser scale makes it longer on the ground.
     let reach_m = reach_m * similarity.scale_m_per_px();
@@ -245,7 +247,7 @@ fn distinct(mut found: Vec<Ambiguity>) -> Vec<Ambiguity> {
             .then(s.worst_m.total_cmp(&t.worst_m))
             .then_with(|| s.pairs.cmp(&t.pairs))
     });
-    let mut seen: HashSet<(bool, Vec<(usize, usize)>)> = HashSet::new();
+    let mut seen: HashSet<(Handedness, Vec<(usize, usize)>)> = HashSet::new();
     found.retain(|ambiguity| {
         let mut inverse: Vec<(usize, usize)> = ambiguity.pairs.iter().map(|&(i, j)| (j, i)).collect();
         inverse.sort_unstable();
@@ -269,13 +271,14 @@ mod tests {
         let square = places(&[(0.0, 0.0), (50.0, 0.0), (50.0, 50.0), (0.0, 50.0)]);
         let found = find(&square, &Freedom { lose: 0, ..FREE });
         // Turns by 90° (its inverse left out) and 180°, four mirrorings.
-        let turns: Vec<f64> = found.iter().filter(|a| !a.mirrored).map(|a| a.turn_deg.abs().round()).collect();
+        let turns: Vec<f64> =
+            found.iter().filter(|a| !a.mirrored.is_mirrored()).map(|a| a.turn_deg.abs().round()).collect();
         assert_eq!((found.len(), turns.len()), (6, 2), "{found:?}");
         assert!(turns.contains(&90.0) && turns.contains(&180.0));
         assert!(found.iter().all(|a| a.unmatched.is_empty() && a.worst_m < 1e-9 && (a.scale - 1.0).abs() < 1e-12));
         // North up within 15 degrees: no turn is left.
         let turned = find(&square, &Freedom { lose: 0, turn_deg: Some(30.0), ..FREE });
-        assert!(turned.iter().all(|a| a.mirrored));
+        assert!(turned.iter().all(|a| a.mirrored.is_mirrored()));
     }
 
     #[test]
@@ -288,7 +291,7 @@ mod tests {
             })
             .collect();
         let found = find(&places(&spiral), &Freedom { lose: 1, ..FREE });
-        assert!(found.iter().any(|a| !a.mirrored && a.unmatched.len() == 1), "{found:?}");
+        assert!(found.iter().any(|a| !a.mirrored.is_mirrored() && a.unmatched.len() == 1), "{found:?}");
         let known = find(&places(&spiral), &Freedom { lose: 1, scale_ratio: Some(1.22), ..FREE });
         assert!(known.is_empty(), "{known:?}");
     }

@@ -6,7 +6,6 @@ use autoref_raster::memory_plan::PlanOptions;
 use autoref_raster::memory_plan::plan;
 use autoref_raster::window::TileGrid;
 use autoref_stream::candidate::Candidate;
-use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::{MarkDetector, NoProgress, scan};
 use autoref_stream::profile::Profile;
 use autoref_synth::plant::Picture;
@@ -20,10 +19,11 @@ pub fn find(source: &dyn RasterSource, profile: &Profile, tile_px: u64, threads:
         baseline_bytes: 0,
         cache_bytes: 16 << 20,
     };
-    let mut plan = plan(source.info(), detector.halo_px(), &options).expect("it fits");
+    let mut plan = plan(source.info(), detector.as_detector().halo_px(), &options).expect("it fits");
     // Strips are cut into bands; squares are the harder case.
-    plan.grid = TileGrid::new(source.info().width, source.info().height, tile_px, tile_px, detector.halo_px());
-    scan(source, &plan, &detector, &NoProgress).expect("readable").candidates
+    plan.grid =
+        TileGrid::new(source.info().width, source.info().height, tile_px, tile_px, detector.as_detector().halo_px());
+    scan(source, &plan, detector.as_detector(), &NoProgress).expect("readable").candidates
 }
 
 pub fn memory(picture: &Picture) -> MemorySource {

@@ -200,7 +200,6 @@ mod options {
     use autoref_raster::memory_plan::PlanOptions;
     use autoref_raster::memory_plan::plan;
     use autoref_raster::window::TileGrid;
-    use autoref_stream::detector::Detector;
     use autoref_stream::georef::candidate_list;
     use autoref_stream::pipeline::{MarkDetector, NoProgress, scan};
     use autoref_stream::profile::colour::{Metric, Space};
@@ -307,7 +306,7 @@ mod options {
 
     fn list(source: &MemorySource, profile: &Profile, tile: (u64, u64), threads: usize) -> Vec<u8> {
         let detector = MarkDetector::new(profile.clone(), source.info(), None).expect("a sound profile");
-        let halo_px = detector.halo_px();
+        let halo_px = detector.as_detector().halo_px();
         let options = PlanOptions {
             tile_px: Some(SIZE.0),
             threads,
@@ -317,7 +316,7 @@ mod options {
         };
         let mut plan = plan(source.info(), halo_px, &options).expect("a small picture fits");
         plan.grid = TileGrid::new(SIZE.0, SIZE.1, tile.0, tile.1, halo_px);
-        let found = scan(source, &plan, &detector, &NoProgress).expect("memory can be read");
+        let found = scan(source, &plan, detector.as_detector(), &NoProgress).expect("memory can be read");
         let mut text = Vec::new();
         candidate_list::write_csv(&found.candidates, &mut text).expect("memory takes all");
         text

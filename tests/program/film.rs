@@ -10,7 +10,7 @@ use autoref_film::{
     Camera, FindOptions, Finder, FrameResult, FrameStatus, MarkKind, MarkStatus, Method, find_frame, load_camera,
 };
 use autoref_raster::RasterSource;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use rayon::prelude::*;
 
 const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
@@ -113,7 +113,7 @@ fn score(scene: &FilmScene, found: &FrameResult) -> Tally {
                 mark.status,
                 mark.reason,
                 scene.truth().quarters,
-                scene.truth().mirrored,
+                scene.truth().mirrored.is_mirrored(),
                 found.notes
             );
         }
@@ -134,7 +134,7 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, how: &FindOptions) -> Tally {
             let seed = first_seed() + k;
             let mut spec = FilmSpec::archive(&camera, pixel_um, seed);
             spec.quarters = (seed / 3 % 4) as u8;
-            spec.mirrored = seed % 5 == 4;
+            spec.mirrored = (seed % 5 == 4).into();
             let scene = FilmScene::new(&spec, &ground).expect("drawable");
             let mut options = how.clone();
             if !tells_turns {
@@ -228,7 +228,7 @@ fn whole_marks_at_the_edge_of_the_scan_are_found() {
         let mut spec = FilmSpec::plain(&camera, pixel_um, 7);
         (spec.jitter_um, spec.crop_mm[0]) = (0.0, 0.5 * camera.film_size_mm[0] + leftmost_mm - reach_mm - 0.005);
         let scene = FilmScene::new(&spec, &FilmGround::default()).expect("drawable");
-        let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(false), ..FindOptions::default() };
+        let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(Handedness::AsIs), ..FindOptions::default() };
         let found = Finder::new(&camera).expect("drawn shapes").find(&scene, &options).expect("in memory");
         assert!(found.is_ok(), "{name}: {:?}", found.status);
         let t = score(&scene, &found);
@@ -329,7 +329,7 @@ fn real_windows_are_found_by_a_template_learned_on_other_placements() {
             .iter()
             .map(|m| Pointed { mark: m.mark.clone(), at: PixelPoint { x: m.x, y: m.y } })
             .collect();
-        let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(false), ..FindOptions::default() };
+        let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(Handedness::AsIs), ..FindOptions::default() };
         let templates = learn(&sources, &camera, &pointed, window_mm, &options).expect("learns");
         let mut learned = camera.clone();
         for (mark, template) in learned.marks.iter_mut().zip(templates) {
@@ -407,7 +407,7 @@ fn the_search_grows_and_three_marks_solve_with_the_reservation() {
     let camera = load_camera("svalbard-zeiss-1936").expect("built in");
     let finder = Finder::new(&camera).expect("drawn shapes");
     let ground = ground();
-    let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(false), ..FindOptions::default() };
+    let options = FindOptions { turn_deg: Some(0.0), mirrored: Some(Handedness::AsIs), ..FindOptions::default() };
     let mut spec = FilmSpec::plain(&camera, 27.0, 5);
     (spec.margin_mm, spec.offset_mm) = (14.0, [12.0, -11.0]);
     let scene = FilmScene::new(&spec, &ground).expect("drawable");

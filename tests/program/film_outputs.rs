@@ -13,7 +13,7 @@ use autoref_film::resample::{self, Light, ResampleOptions, lighting};
 use autoref_film::{
     Camera, FrameResult, FrameStatus, InnerModel, InnerOrientation, MarkStatus, contact_sheet, load_camera,
 };
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use serde_json::Value;
 
 fn autoref(args: &[&str]) -> Output {
@@ -621,7 +621,7 @@ fn scene(spec: &FilmSpec, ground: &FilmGround) -> (FilmScene, InnerOrientation) 
             covariance_px2: [0.01, 0.0, 0.01],
         })
         .collect();
-    let inner = solve(&spec.camera, &marks, InnerModel::Affine, false).expect("solved");
+    let inner = solve(&spec.camera, &marks, InnerModel::Affine, Handedness::AsIs).expect("solved");
     (scene, inner)
 }
 
@@ -871,7 +871,7 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
         })
         .collect();
     for (model, free) in [(InnerModel::Similarity, 4), (InnerModel::Affine, 6), (InnerModel::Projective, 8)] {
-        let inner = solve(&camera, &marks, model, false).expect("solved");
+        let inner = solve(&camera, &marks, model, Handedness::AsIs).expect("solved");
         // Similarity: a = h0, b = −h1, X₀, Y₀; the others: h0 and on.
         let free_of =
             |h: &[f64; 9]| -> Vec<f64> { if free == 4 { vec![h[0], -h[1], h[2], h[5]] } else { h[..free].to_vec() } };
@@ -883,7 +883,7 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
                     let mut next = marks.clone();
                     // An error of a millimetre coordinate: the program takes a pixel's error for one on the film.
                     next[i].mm[axis] += by;
-                    free_of(&solve(&camera, &next, model, false).expect("solved").pixel_to_mm)
+                    free_of(&solve(&camera, &next, model, Handedness::AsIs).expect("solved").pixel_to_mm)
                 };
                 let (up, down) = (moved(step), moved(-step));
                 let sigma_mm = sigma_px * inner.pixel_um / 1e3;
@@ -903,10 +903,10 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
             }
         }
         // One mark fewer than the model needs to be left out: the corners are enough for a similarity and an affine only.
-        let four = solve(&camera, &marks[..4], model, false).expect("solved");
+        let four = solve(&camera, &marks[..4], model, Handedness::AsIs).expect("solved");
         assert!(four.leave_one_out_um.iter().all(Option::is_some) && four.leave_one_out_rmse_um.is_some());
         assert_ne!(four.model, InnerModel::Projective, "four marks leave a projective unchecked");
-        let two = solve(&camera, &marks[..2], model, false).expect("solved");
+        let two = solve(&camera, &marks[..2], model, Handedness::AsIs).expect("solved");
         assert!(two.leave_one_out_um.iter().all(Option::is_none) && two.leave_one_out_rmse_um.is_none());
     }
 }

@@ -62,8 +62,13 @@ fn planted_ambiguities_are_found_and_the_moves_cure_them() {
     {
         let found = plan(&points, &request());
         assert!(!found.unique && found.enough_points, "{name}");
-        assert_eq!(found.ambiguities.iter().any(|a| a.mirrored), mirror, "{name}");
-        assert_eq!(found.ambiguities.iter().any(|a| !a.mirrored), turned, "{name}: {:?}", found.ambiguities);
+        assert_eq!(found.ambiguities.iter().any(|a| a.mirrored.is_mirrored()), mirror, "{name}");
+        assert_eq!(
+            found.ambiguities.iter().any(|a| !a.mirrored.is_mirrored()),
+            turned,
+            "{name}: {:?}",
+            found.ambiguities
+        );
         assert!(found.ambiguities[0].unmatched.is_empty(), "{name}");
         println!("{name}: {:?}", found.moves.iter().map(|m| m.words()).collect::<Vec<_>>());
         assert!(found.moves_suffice && !found.moves.is_empty() && found.moves.len() <= 4, "{name}: {:?}", found.moves);
@@ -76,7 +81,12 @@ fn a_shift_by_one_place_is_found_where_it_matters() {
     // Twelve points on a line, evenly: one place on, only one end is missed.
     let line = points((0..12).map(|i| (f64::from(i) * 30.0, 0.0)));
     let found = plan(&line, &request());
-    assert!(found.ambiguities.iter().any(|a| !a.mirrored && a.unmatched.len() == 1 && (a.shift_m - 30.0).abs() < 0.01));
+    assert!(
+        found
+            .ambiguities
+            .iter()
+            .any(|a| !a.mirrored.is_mirrored() && a.unmatched.len() == 1 && (a.shift_m - 30.0).abs() < 0.01)
+    );
     assert!(found.strength.expect("twelve points").advice.iter().any(|a| a.contains("one line")));
 }
 

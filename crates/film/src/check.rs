@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::inner::{distance, fit_pose};
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// What the comparison says of one mark.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +20,7 @@ pub struct Agreement {
 /// With four or more, marks are left out one at a time, the worst first, until the rest agree; with three left nothing
 /// more can be left out, since two always agree. Where leaving out either of two marks would make the rest agree, nobody
 /// can tell which is wrong, and none is passed.
-pub fn agreement(points: &[([f64; 2], PixelPoint)], mirrored: bool, tolerance_px: f64) -> Vec<Agreement> {
+pub fn agreement(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, tolerance_px: f64) -> Vec<Agreement> {
     let all: Vec<usize> = (0..points.len()).collect();
     let mut kept = all.clone();
     let mut undecided = false;
@@ -57,7 +57,7 @@ pub fn agreement(points: &[([f64; 2], PixelPoint)], mirrored: bool, tolerance_px
 }
 
 /// The largest distance of one of `kept` from where the others of `kept` put it; infinite when it cannot be told.
-fn misfit(points: &[([f64; 2], PixelPoint)], kept: &[usize], mirrored: bool) -> f64 {
+fn misfit(points: &[([f64; 2], PixelPoint)], kept: &[usize], mirrored: Handedness) -> f64 {
     kept.iter()
         .map(|&k| {
             let others: Vec<_> = kept.iter().filter(|i| **i != k).map(|i| points[*i]).collect();
@@ -69,7 +69,7 @@ fn misfit(points: &[([f64; 2], PixelPoint)], kept: &[usize], mirrored: bool) -> 
 /// Where `others` put the film point `mm`. Three or more say it by an affine transform, since film and scanners shear and
 /// shrink by a tenth of a per cent (the public Wild frame: 0.13 mm at the corners, by hand as by this program); two by a
 /// similarity.
-fn predict(others: &[([f64; 2], PixelPoint)], mm: [f64; 2], mirrored: bool) -> Option<PixelPoint> {
+fn predict(others: &[([f64; 2], PixelPoint)], mm: [f64; 2], mirrored: Handedness) -> Option<PixelPoint> {
     let pose = fit_pose(others, mirrored)?;
     let similar = pose.apply(mm);
     let Some(affine) = affine(others) else { return Some(similar) };
@@ -123,14 +123,14 @@ mod tests {
 
     #[test]
     fn marks_without_error_agree() {
-        assert!(agreement(&frame(&[]), false, 3.0).iter().all(|a| a.agrees && a.reason.is_none()));
+        assert!(agreement(&frame(&[]), Handedness::AsIs, 3.0).iter().all(|a| a.agrees && a.reason.is_none()));
     }
 
     #[test]
     fn a_gross_error_is_never_passed() {
         for k in 0..4 {
             for (dx, dy) in [(5.0, 0.0), (0.0, -5.0), (4.0, 4.0), (40.0, 3.0), (0.0, 300.0)] {
-                let found = agreement(&frame(&[(k, dx, dy)]), false, 3.0);
+                let found = agreement(&frame(&[(k, dx, dy)]), Handedness::AsIs, 3.0);
                 assert!(!found[k].agrees, "mark {k} off by {dx},{dy}: {found:?}");
             }
         }
@@ -143,11 +143,11 @@ mod tests {
             p.x += 0.06 * (mm[1] - 90.0);
             p.y += 0.03 * (mm[0] - 90.0);
         }
-        assert!(agreement(&points, false, 3.0).iter().all(|a| a.agrees));
+        assert!(agreement(&points, Handedness::AsIs, 3.0).iter().all(|a| a.agrees));
     }
 
     #[test]
     fn two_marks_check_nothing() {
-        assert!(agreement(&frame(&[])[..2], false, 3.0).iter().all(|a| !a.agrees));
+        assert!(agreement(&frame(&[])[..2], Handedness::AsIs, 3.0).iter().all(|a| !a.agrees));
     }
 }

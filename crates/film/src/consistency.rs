@@ -8,7 +8,7 @@
 use super::inner::distance;
 use super::look::median;
 use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// Fewer solved frames than this say nothing of each other.
 const LEAST_FRAMES: usize = 5;
@@ -27,7 +27,7 @@ pub struct Facts {
     pixel_um: f64,
     /// Turn of the frame in the scan, quarters, and whether it is mirrored.
     quarters: u8,
-    mirrored: bool,
+    mirrored: Handedness,
     /// Distances between the marks that were found, pixels: two indices of the camera's marks and the length.
     lengths_px: Vec<(usize, usize, f64)>,
     /// Middle of the camera's marks from the middle of the scan, in the scan's axes, millimetres.
@@ -102,8 +102,9 @@ pub fn unlike(camera: &Camera, roll: &[Option<Facts>]) -> Vec<Vec<String>> {
             reasons.push(format!("its pixels are {:.3} µm, those of the roll {:.3} µm", f.pixel_um, u.0));
         }
         if let Some((quarters, mirrored)) = lie.filter(|l| *l != (f.quarters, f.mirrored)) {
-            let text =
-                |q: u8, m: bool| format!("turned by {}°{}", 90 * u32::from(q), if m { ", mirrored" } else { "" });
+            let text = |q: u8, m: Handedness| {
+                format!("turned by {}°{}", 90 * u32::from(q), if m.is_mirrored() { ", mirrored" } else { "" })
+            };
             let (this, others) = (text(f.quarters, f.mirrored), text(quarters, mirrored));
             reasons.push(format!("it lies {this}, the roll {others}"));
         }
@@ -154,15 +155,16 @@ pub fn lowered(frame: &FrameResult, reasons: &[String]) -> FrameResult {
 mod tests {
     use super::*;
     use crate::load_camera;
+    use Handedness::{AsIs, Mirrored};
 
-    fn facts(pixel_um: f64, quarters: u8, mirrored: bool, offset_mm: [f64; 2], stretch_px: f64) -> Option<Facts> {
+    fn facts(pixel_um: f64, quarters: u8, mirrored: Handedness, offset_mm: [f64; 2], stretch_px: f64) -> Option<Facts> {
         let lengths_px = vec![(0, 1, 3500.0 * 50.0 / pixel_um + stretch_px), (1, 2, 2470.0 * 50.0 / pixel_um)];
         Some(Facts { pixel_um, quarters, mirrored, lengths_px, offset_mm, size_px: [3600, 3600] })
     }
 
     fn roll(odd: Option<Facts>) -> Vec<Option<Facts>> {
         let wobble = |k: usize| 1.0 + 1e-4 * (k as f64 * 2.4).sin();
-        let mut all: Vec<_> = (0..8).map(|k| facts(50.0 * wobble(k), 0, false, [0.1 * wobble(k), -0.2], 0.0)).collect();
+        let mut all: Vec<_> = (0..8).map(|k| facts(50.0 * wobble(k), 0, AsIs, [0.1 * wobble(k), -0.2], 0.0)).collect();
         all.insert(3, odd);
         all
     }
@@ -171,27 +173,27 @@ mod tests {
     fn only_the_odd_frame_is_unlike_and_says_why() {
         let camera = load_camera("svalbard-zeiss-1936").expect("built in");
         let cases = [
-            (facts(50.6, 0, false, [0.1, -0.2], 0.0), "µm"),
-            (facts(50.0, 2, false, [0.1, -0.2], 0.0), "turned by 180°, the roll turned by 0°"),
-            (facts(50.0, 0, true, [0.1, -0.2], 0.0), "mirrored"),
-            (facts(50.0, 0, false, [4.1, -0.2], 0.0), "4.0, 0.0 mm"),
-            (facts(50.0, 0, false, [0.1, -0.2], 15.0), "from TOP to BOTTOM are 3515.0 px"),
+            (facts(50.6, 0, AsIs, [0.1, -0.2], 0.0), "µm"),
+            (facts(50.0, 2, AsIs, [0.1, -0.2], 0.0), "turned by 180°, the roll turned by 0°"),
+            (facts(50.0, 0, Mirrored, [0.1, -0.2], 0.0), "mirrored"),
+            (facts(50.0, 0, AsIs, [4.1, -0.2], 0.0), "4.0, 0.0 mm"),
+            (facts(50.0, 0, AsIs, [0.1, -0.2], 15.0), "from TOP to BOTTOM are 3515.0 px"),
         ];
         for (odd, said) in cases {
             let reasons = unlike(&camera, &roll(odd));
             assert!(reasons[3].join("; ").contains(said), "{said}: {:?}", reasons[3]);
             assert!(reasons.iter().enumerate().all(|(k, r)| k == 3 || r.is_empty()), "{reasons:?}");
         }
-        assert!(unlike(&camera, &roll(facts(50.02, 0, false, [0.9, -0.2], 3.0))).iter().all(Vec::is_empty));
+        assert!(unlike(&camera, &roll(facts(50.02, 0, AsIs, [0.9, -0.2], 3.0))).iter().all(Vec::is_empty));
         assert!(unlike(&camera, &roll(None)).iter().all(Vec::is_empty));
     }
 
     #[test]
     fn four_frames_or_a_roll_turned_half_and_half_say_nothing() {
         let camera = load_camera("svalbard-zeiss-1936").expect("built in");
-        let four: Vec<_> = (0..4).map(|k| facts(50.0 + f64::from(k), k as u8, false, [0.0; 2], 0.0)).collect();
+        let four: Vec<_> = (0..4).map(|k| facts(50.0 + f64::from(k), k as u8, AsIs, [0.0; 2], 0.0)).collect();
         assert!(unlike(&camera, &four).iter().all(Vec::is_empty));
-        let half: Vec<_> = (0..10).map(|k| facts(50.0, 2 * (k % 2), false, [0.0; 2], 0.0)).collect();
+        let half: Vec<_> = (0..10).map(|k| facts(50.0, 2 * (k % 2), AsIs, [0.0; 2], 0.0)).collect();
         assert!(unlike(&camera, &half).iter().all(Vec::is_empty));
     }
 }

@@ -6,7 +6,7 @@
 
 use super::inner::{Pose, distance, fit_pose, rms_px};
 use super::search::Peak;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// How far a peak may lie from where two others put the mark, millimetres: the coarse pictures' error, stretched.
 const REACH_MM: f64 = 0.4;
@@ -23,7 +23,7 @@ pub struct Assembly {
     /// Sum of the chosen peaks' scores, less for peaks that lie off.
     pub score: f64,
     /// The ways in which a frame may lie (turn, mirrored) that fit the scan as well as this one, which is the first.
-    pub rivals: Vec<(f64, bool)>,
+    pub rivals: Vec<(f64, Handedness)>,
 }
 
 impl Assembly {
@@ -88,7 +88,7 @@ fn gather(film: &[[f64; 2]], peaks: &[Vec<Peak>], pose: Pose) -> Assembly {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Naming {
     pub turn_deg: f64,
-    pub mirrored: bool,
+    pub mirrored: Handedness,
     /// For every place found: which of the camera's marks it is.
     pub names: Vec<usize>,
     /// How badly the calibrated positions fit, pixels.
@@ -99,7 +99,7 @@ pub struct Naming {
 
 impl Naming {
     pub fn is_upright(&self) -> bool {
-        self.turn_deg == 0.0 && !self.mirrored
+        self.turn_deg == 0.0 && !self.mirrored.is_mirrored()
     }
 }
 
@@ -111,7 +111,7 @@ pub fn namings(
     centre: [f64; 2],
     places: &[(usize, PixelPoint)],
     now: &Pose,
-    allowed: &[(f64, bool)],
+    allowed: &[(f64, Handedness)],
     same: impl Fn(usize, usize) -> bool,
 ) -> Vec<Naming> {
     let middle = now.apply(centre);
@@ -145,7 +145,7 @@ pub fn namings(
 const ONE_WRONG_PX: f64 = 2.5;
 
 /// And whether the worst is left out.
-fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: bool) -> Option<(f64, bool)> {
+fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<(f64, bool)> {
     let whole = rms_px(&fit_pose(points, mirrored)?, points);
     if points.len() < 4 || whole < ONE_WRONG_PX {
         return Some((whole, false));
@@ -173,8 +173,8 @@ mod tests {
             [at(355.758, 4526.718), at(9171.843, 4612.629), at(4794.409, 176.687), at(4712.540, 8977.922)];
         let places: Vec<(usize, PixelPoint)> = top_bottom_right_left.into_iter().enumerate().collect();
         let points: Vec<_> = places.iter().map(|(k, p)| (film[*k], *p)).collect();
-        let now = fit_pose(&points, false).expect("four places");
-        let allowed = [0.0, 180.0, 90.0, 270.0].map(|turn| (turn, false));
+        let now = fit_pose(&points, Handedness::AsIs).expect("four places");
+        let allowed = [0.0, 180.0, 90.0, 270.0].map(|turn| (turn, Handedness::AsIs));
         let all = namings(&film, camera.film_centre(), &places, &now, &allowed, |_, _| true);
         let (best, others) = all.split_first().expect("every turn names all four");
         assert!(!best.leaves_out && best.turn_deg == 270.0 && best.names == [0, 1, 2, 3], "{best:?}");

@@ -83,7 +83,7 @@ fn entry(camera: &Camera, frame: &FrameResult, folder: &Path) -> Result<Value> {
                 "y": m.centre.map(|c| c.y), "left": left, "top": top, "step": step, "col": col})
         })
         .collect();
-    let mirrored = frame.inner.as_ref().is_some_and(|i| i.mirrored);
+    let mirrored = frame.inner.as_ref().is_some_and(|i| i.mirrored.is_mirrored());
     Ok(json!({"name": frame.name, "status": status, "reasons": reasons, "marks": marks, "columns": columns,
         "flip": mirrored != (camera.y_sign() < 0.0), "worst": frame.inner.as_ref().map_or(0.0, |i| i.rmse_um)}))
 }

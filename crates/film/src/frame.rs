@@ -13,7 +13,7 @@ use super::template::Model;
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
 use super::window::{around, open_scan};
 use autoref_raster::RasterSource;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::Result;
 
 /// How marks are found.
@@ -37,7 +37,7 @@ pub struct FindOptions {
     /// Clockwise turn of the frames in the scans, 0, 90, 180 or 270; `None`: found.
     pub turn_deg: Option<f64>,
     /// Whether the scans show the film from the wrong side; `None`: found.
-    pub mirrored: Option<bool>,
+    pub mirrored: Option<Handedness>,
     /// Side of the search box as a share of the frame's longer side.
     pub box_share: f64,
     /// How far a mark may lie from where the others put it: micrometres on the film, but never below `agreement_px`.
@@ -175,9 +175,9 @@ impl Finder {
     }
 
     /// Turns and mirrorings to try, the usual first.
-    pub(super) fn orientations(&self, options: &FindOptions) -> Vec<(f64, bool)> {
+    pub(super) fn orientations(&self, options: &FindOptions) -> Vec<(f64, Handedness)> {
         let turns = options.turn_deg.map_or(vec![0.0, 180.0, 90.0, 270.0], |t| vec![t]);
-        let mirrors = options.mirrored.map_or(vec![false, true], |m| vec![m]);
+        let mirrors = options.mirrored.map_or(Handedness::BOTH.to_vec(), |m| vec![m]);
         mirrors.iter().flat_map(|m| turns.iter().map(move |t| (*t, *m))).collect()
     }
 
@@ -201,8 +201,8 @@ impl Finder {
         let wanted = self.film.len().min(3);
         let mut best: Option<Assembly> = None;
         // How well each way of lying fits: marks found and the score, the best of all boxes.
-        let mut ways: Vec<((f64, bool), usize, f64)> = vec![];
-        let rank = |best: Option<Assembly>, ways: &[((f64, bool), usize, f64)]| {
+        let mut ways: Vec<((f64, Handedness), usize, f64)> = vec![];
+        let rank = |best: Option<Assembly>, ways: &[((f64, Handedness), usize, f64)]| {
             best.map(|b| Assembly { rivals: rivals(&b, ways), ..b })
         };
         for growth in GROWTH {
@@ -361,7 +361,7 @@ impl Finder {
         if observations.len() < self.film.len() {
             reasons.insert(0, format!("solved with {} of {} marks", observations.len(), self.film.len()));
         }
-        if inner.mirrored {
+        if inner.mirrored.is_mirrored() {
             result.notes.push("the scan shows the film from the wrong side (mirrored)".into());
         }
         result.inner = Some(inner);
@@ -389,11 +389,11 @@ fn keep_chosen(mut assembly: Assembly, peaks: &[Vec<Peak>]) -> Assembly {
 }
 
 /// The ways in which the frame may lie that fit nearly as well as the assembly taken, its own first.
-fn rivals(best: &Assembly, ways: &[((f64, bool), usize, f64)]) -> Vec<(f64, bool)> {
-    let good = |w: &&((f64, bool), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
+fn rivals(best: &Assembly, ways: &[((f64, Handedness), usize, f64)]) -> Vec<(f64, Handedness)> {
+    let good = |w: &&((f64, Handedness), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
     let mut all: Vec<_> = ways.iter().filter(good).collect();
     all.sort_by(|a, b| b.2.total_cmp(&a.2));
-    let mut rivals: Vec<(f64, bool)> = vec![];
+    let mut rivals: Vec<(f64, Handedness)> = vec![];
     for way in all {
         if !rivals.contains(&way.0) {
             rivals.push(way.0);

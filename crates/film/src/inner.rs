@@ -4,7 +4,7 @@
 use nalgebra::DMatrix;
 
 use super::types::{Camera, InnerModel, InnerOrientation};
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::planar;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
@@ -15,14 +15,14 @@ pub struct Pose {
     pub linear: [f64; 4],
     /// Where the film's origin lies in the scan.
     pub offset: [f64; 2],
-    pub mirrored: bool,
+    pub mirrored: Handedness,
 }
 
 impl Pose {
     /// The film's `centre_mm` on `centre`, turned clockwise by `turn_deg` after mirroring left to right.
-    pub fn about(centre_mm: [f64; 2], centre: PixelPoint, px_per_mm: f64, turn_deg: f64, mirrored: bool) -> Pose {
+    pub fn about(centre_mm: [f64; 2], centre: PixelPoint, px_per_mm: f64, turn_deg: f64, mirrored: Handedness) -> Pose {
         let (s, c) = turn_deg.to_radians().sin_cos();
-        let m = if mirrored { -1.0 } else { 1.0 };
+        let m = mirrored.sign();
         let linear = [c * m, -s, s * m, c].map(|v| v * px_per_mm);
         let [x, y] = centre_mm;
         let offset = [centre.x - linear[0] * x - linear[1] * y, centre.y - linear[2] * x - linear[3] * y];
@@ -52,8 +52,8 @@ impl Pose {
     }
 }
 
-fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: bool) -> Pair {
-    let sign = if mirrored { -1.0 } else { 1.0 };
+fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: Handedness) -> Pair {
+    let sign = mirrored.sign();
     Pair {
         pixel: PixelPoint { x: sign * pixel.x, y: pixel.y },
         covariance_px2: None,
@@ -63,10 +63,10 @@ fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: bool) -> Pair {
 }
 
 /// The pose through film points (y down) and their places in the scan; `None` below two or when they coincide.
-pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: bool) -> Option<Pose> {
+pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<Pose> {
     let pairs: Vec<Pair> = points.iter().map(|(mm, p)| pair(*mm, *p, mirrored)).collect();
     let similarity = fit_equal_weights(&pairs)?;
-    let sign = if mirrored { -1.0 } else { 1.0 };
+    let sign = mirrored.sign();
     let to_scan = |x: f64, y: f64| {
         let p = similarity.invert(MapPoint { easting: x, northing: -y });
         [sign * p.x, p.y]
@@ -99,7 +99,12 @@ pub struct Observation {
 /// Solves `model`, or the next simpler one that the number of marks determines with redundancy where there is one.
 ///
 /// `None` below two marks or when they are degenerate.
-pub fn solve(camera: &Camera, marks: &[Observation], model: InnerModel, mirrored: bool) -> Option<InnerOrientation> {
+pub fn solve(
+    camera: &Camera,
+    marks: &[Observation],
+    model: InnerModel,
+    mirrored: Handedness,
+) -> Option<InnerOrientation> {
     let model = match (model, marks.len()) {
         (_, 0..=1) => return None,
         (_, 2..=3) => InnerModel::Similarity,
@@ -147,7 +152,7 @@ pub fn residual_um(inner: &InnerOrientation, mm: [f64; 2], pixel: PixelPoint) ->
 }
 
 /// Pixels → millimetres of the camera; `None` when the marks do not determine the model.
-fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: Handedness) -> Option<[f64; 9]> {
     match model {
         InnerModel::Similarity => similarity_matrix(marks, sign, mirrored),
         InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
@@ -156,7 +161,7 @@ fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -
 }
 
 /// Every mark against the model solved from the others.
-fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: bool) -> Vec<Option<[f64; 2]>> {
+fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: Handedness) -> Vec<Option<[f64; 2]>> {
     let of = |i: usize| {
         let others = [&marks[..i], &marks[i + 1..]].concat();
         let h = matrix(&others, model, sign, mirrored)?;
@@ -169,10 +174,10 @@ fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: 
 }
 
 /// The fitted similarity itself, in the camera's axes: turning it over to a pose and back would cost digits.
-fn similarity_matrix(marks: &[Observation], sign: f64, mirrored: bool) -> Option<[f64; 9]> {
+fn similarity_matrix(marks: &[Observation], sign: f64, mirrored: Handedness) -> Option<[f64; 9]> {
     let pairs: Vec<Pair> = marks.iter().map(|m| pair([m.mm[0], sign * m.mm[1]], m.pixel, mirrored)).collect();
     let g = fit_equal_weights(&pairs)?.geotransform().0;
-    let m = if mirrored { -1.0 } else { 1.0 };
+    let m = mirrored.sign();
     // Northing is −y of the film.
     Some([m * g[1], g[2], g[0], -sign * m * g[4], -sign * g[5], -sign * g[3], 0.0, 0.0, 1.0])
 }
@@ -205,7 +210,7 @@ fn covariance(inner: &InnerOrientation, marks: &[Observation], sign: f64) -> Opt
     let mut misfit = 0.0;
     // Pixels are scaled so that the normal matrix keeps its digits.
     let unit = marks.iter().map(|m| m.pixel.x.abs().max(m.pixel.y.abs())).fold(1.0, f64::max);
-    let mirror = if inner.mirrored { -1.0 } else { 1.0 };
+    let mirror = inner.mirrored.sign();
     for m in marks {
         let (x, y) = (m.pixel.x / unit, m.pixel.y / unit);
         let w = h[6] * m.pixel.x + h[7] * m.pixel.y + h[8];
@@ -267,7 +272,8 @@ mod tests {
     fn every_model_gives_back_an_exact_frame_turned_and_mirrored() {
         for name in ["svalbard-zeiss-1936", "wild-15-4"] {
             let camera = load_camera(name).expect("built in");
-            for (turn, mirrored) in [(0.0, false), (91.0, false), (-178.0, true)] {
+            for (turn, mirrored) in [(0.0, Handedness::AsIs), (91.0, Handedness::AsIs), (-178.0, Handedness::Mirrored)]
+            {
                 let pose = Pose::about(camera.film_centre(), PixelPoint { x: 6000.0, y: 5900.0 }, 70.0, turn, mirrored);
                 let marks = observed(&camera, &pose);
                 for model in [InnerModel::Similarity, InnerModel::Affine, InnerModel::Projective] {

@@ -209,7 +209,7 @@ fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(u
         places.push((k, p.at));
     }
     let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
-    let pose = (points.len() >= 2).then(|| fit_pose(&points, false)).flatten();
+    let pose = (points.len() >= 2).then(|| fit_pose(&points, autoref_raster::coords::Handedness::AsIs)).flatten();
     pose.map(|pose| (pose, places)).ok_or_else(|| {
         Error::usage(
             "one mark does not say how the frame lies",

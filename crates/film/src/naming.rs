@@ -5,6 +5,7 @@ use super::frame::{FindOptions, Finder};
 use super::inner::{Pose, distance, fit_pose};
 use super::look::{Measured, located};
 use super::template::Model;
+use autoref_raster::coords::Handedness;
 
 /// Names whose calibrated positions fit worse than the best by no more than this fit as well: errors of certificate and film,
 /// micrometres, and of measuring, pixels.
@@ -40,14 +41,14 @@ impl Finder {
         options: &FindOptions,
         pose: &mut Pose,
         measured: &mut Vec<Option<Measured>>,
-        rivals: &[(f64, bool)],
+        rivals: &[(f64, Handedness)],
     ) -> Named {
         let mut named = Named::default();
         // Shapes that are not their own mirror images tell by themselves, unless another way round looks as good.
         if !self.models.iter().all(Model::is_symmetric) {
             if rivals.len() > 1 {
                 let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
-                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, false));
+                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
             }
             return named;
         }
@@ -101,7 +102,7 @@ fn orientation_text(naming: &Naming) -> String {
     lies(naming.turn_deg, naming.mirrored)
 }
 
-fn lies(turn_deg: f64, mirrored: bool) -> String {
-    let mirrored = if mirrored { ", mirrored" } else { "" };
+fn lies(turn_deg: f64, mirrored: Handedness) -> String {
+    let mirrored = if mirrored.is_mirrored() { ", mirrored" } else { "" };
     format!("turned by {turn_deg:.0}°{mirrored}")
 }

@@ -4,7 +4,7 @@ use super::check::agreement;
 use super::frame::FindOptions;
 use super::inner::{Observation, residual_um, solve};
 use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus};
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
 use autoref_review::{Action, Edit, Patch, Target};
@@ -61,7 +61,7 @@ pub fn replay(camera: &Camera, frame: &FrameResult, patch: &Patch, model: InnerM
 }
 
 /// A hand can err too: marks that a review calls good are compared with each other as found ones are.
-fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: bool) -> Vec<String> {
+fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness) -> Vec<String> {
     let film = camera.film_points();
     let used: Vec<usize> = (0..frame.marks.len().min(film.len()))
         .filter(|&k| frame.marks[k].status == MarkStatus::Ok && frame.marks[k].centre.is_some())
@@ -89,7 +89,7 @@ fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
             Some(Observation { name: m.mark.clone(), mm: place(&m.mark)?, pixel: m.centre?, covariance_px2 })
         })
         .collect();
-    let mirrored = frame.inner.as_ref().is_some_and(|i| i.mirrored);
+    let mirrored = frame.inner.as_ref().map_or(Handedness::AsIs, |i| i.mirrored);
     frame.inner = solve(camera, &used, model, mirrored);
     for m in &mut frame.marks {
         m.residual_um = match (&frame.inner, m.centre, place(&m.mark)) {

@@ -79,7 +79,13 @@ mod tests {
             lines_deg: 30.0,
         };
         let model = Model::Drawn(kind);
-        let pose = Pose::about([0.0, 0.0], autoref_raster::coords::PixelPoint { x: 0.0, y: 0.0 }, 17.0, 3.0, false);
+        let pose = Pose::about(
+            [0.0, 0.0],
+            autoref_raster::coords::PixelPoint { x: 0.0, y: 0.0 },
+            17.0,
+            3.0,
+            autoref_raster::coords::Handedness::AsIs,
+        );
         let mut sketches = Sketches::default();
         let first = sketches.of(&model, upright(pose.shape_linear(0.0)));
         let expected = draw(&model, pose.shape_linear(0.0), 1.0, None).expect("has contrast");

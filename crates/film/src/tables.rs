@@ -173,7 +173,7 @@ pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {
                     digits(inner.leave_one_out_rmse_um, 3),
                     digits(Some(inner.pixel_um), 5),
                     digits(Some(inner.rotation_deg), 5),
-                    inner.mirrored.to_string(),
+                    inner.mirrored.is_mirrored().to_string(),
                     digits(form.map(|f| 1e6 * f[0]), 1),
                     digits(form.map(|f| 1e6 * f[1]), 1),
                 ]);

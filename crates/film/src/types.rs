@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// Where the y axis of a camera's millimetres points when the film is looked at the right way round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -210,7 +210,7 @@ pub struct InnerOrientation {
     /// Clockwise turn of the frame in the scan, degrees: 0 when the film's right is the scan's right.
     pub rotation_deg: f64,
     /// The scan shows the film from the wrong side.
-    pub mirrored: bool,
+    pub mirrored: Handedness,
 }
 
 impl InnerOrientation {

@@ -264,12 +264,27 @@ fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error 
     }
 }
 
+/// What becomes of an output that exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// The command is refused.
+    Keep,
+    Replace,
+}
+
+impl Existing {
+    /// As `--overwrite` says.
+    pub fn of_flag(overwrite: bool) -> Self {
+        if overwrite { Existing::Replace } else { Existing::Keep }
+    }
+}
+
 /// Refuses, before any work, to write over what is there.
 ///
 /// # Errors
-/// [`Error::Usage`] naming the first file that exists when `overwrite` is false, or that is a directory or an input of the
+/// [`Error::Usage`] naming the first file that exists and is to be kept, or that is a directory or an input of the
 /// command; [`Error::Io`] when a folder does not exist.
-pub fn check_outputs(paths: &[&Path], overwrite: bool) -> Result<()> {
+pub fn check_outputs(paths: &[&Path], existing: Existing) -> Result<()> {
     for path in paths {
         refuse_input(path)?;
         if is_special(path) {
@@ -278,7 +293,7 @@ pub fn check_outputs(paths: &[&Path], overwrite: bool) -> Result<()> {
         if path.is_dir() {
             return Err(Error::usage(format!("the output {} is a directory", path.display()), "name a file"));
         }
-        if !overwrite && path.exists() {
+        if existing == Existing::Keep && path.exists() {
             return Err(Error::usage(
                 format!("the output {} exists", path.display()),
                 "give --overwrite to replace it, or --out DIR to write elsewhere",
@@ -375,7 +390,7 @@ mod tests {
     #[test]
     fn an_existing_output_is_refused_before_any_work() {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        assert!(check_outputs(&[file.path()], false).is_err());
-        assert!(check_outputs(&[file.path()], true).is_ok());
+        assert!(check_outputs(&[file.path()], Existing::Keep).is_err());
+        assert!(check_outputs(&[file.path()], Existing::Replace).is_ok());
     }
 }

@@ -68,6 +68,43 @@ impl GeoTransform {
     }
 }
 
+/// Whether a picture shows its object as it is, or as a mirror does. In JSON it is `true` when mirrored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(from = "bool", into = "bool")]
+pub enum Handedness {
+    #[default]
+    AsIs,
+    Mirrored,
+}
+
+impl Handedness {
+    pub const BOTH: [Handedness; 2] = [Handedness::AsIs, Handedness::Mirrored];
+
+    pub fn is_mirrored(self) -> bool {
+        self == Handedness::Mirrored
+    }
+
+    /// −1 when mirrored: the factor of the axis that is turned over.
+    pub fn sign(self) -> f64 {
+        match self {
+            Handedness::AsIs => 1.0,
+            Handedness::Mirrored => -1.0,
+        }
+    }
+}
+
+impl From<bool> for Handedness {
+    fn from(mirrored: bool) -> Self {
+        if mirrored { Handedness::Mirrored } else { Handedness::AsIs }
+    }
+}
+
+impl From<Handedness> for bool {
+    fn from(handedness: Handedness) -> bool {
+        handedness.is_mirrored()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -79,7 +79,7 @@ mod tests {
         for name in ["list.csv", "hard.csv", "soft.csv"] {
             assert!(refuse_input(&at(name)).is_err(), "{name}");
             assert!(crate::atomic::write(&at(name), b"lost").is_err(), "{name}");
-            assert!(crate::atomic::check_outputs(&[&at(name)], true).is_err(), "{name}");
+            assert!(crate::atomic::check_outputs(&[&at(name)], crate::atomic::Existing::Replace).is_err(), "{name}");
         }
         assert!(refuse_input(&at("other.csv")).is_ok() && refuse_input(&at("new.csv")).is_ok());
         assert_eq!(std::fs::read_to_string(at("list.csv")).expect("there"), "a");

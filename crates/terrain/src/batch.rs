@@ -336,7 +336,10 @@ pub fn mask_frame(
         return Ok(Done { report: again(frame, &names, &report, fingerprint), picture: None });
     }
     // With --resume, what is there belongs to a frame that has changed, or to a run that was stopped.
-    autoref_raster::atomic::check_outputs(&[&names.mask, &names.xml], options.overwrite || options.resume)?;
+    autoref_raster::atomic::check_outputs(
+        &[&names.mask, &names.xml],
+        autoref_raster::atomic::Existing::of_flag(options.overwrite || options.resume),
+    )?;
     let source = options.open(frame)?;
     let reading = options.reading(source.as_ref());
     let reduced = reduce_frame(&source, &reading)?;

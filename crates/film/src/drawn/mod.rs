@@ -15,7 +15,7 @@ use crate::inner::Pose;
 use crate::template::Model;
 use crate::types::Camera;
 use crate::window::grey_info;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
 use autoref_raster::{Block, Piece, PieceData, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType};
@@ -82,7 +82,7 @@ pub struct FilmSpec {
     pub bits: u8,
     /// Quarters of a turn, clockwise.
     pub quarters: u8,
-    pub mirrored: bool,
+    pub mirrored: Handedness,
     /// Further small turn, degrees clockwise.
     pub rotation_deg: f64,
     /// Shift of the film in the scan, millimetres, right and down.
@@ -118,7 +118,7 @@ impl FilmSpec {
             pixel_um,
             bits: 8,
             quarters: 0,
-            mirrored: false,
+            mirrored: Handedness::AsIs,
             rotation_deg: 0.0,
             offset_mm: [0.0; 2],
             margin_mm: 0.0,
@@ -190,7 +190,7 @@ pub struct FilmTruth {
     pub height: u64,
     pub pixel_um: f64,
     pub quarters: u8,
-    pub mirrored: bool,
+    pub mirrored: Handedness,
     pub gain: f64,
     pub marks: Vec<FilmMark>,
 }

@@ -15,7 +15,7 @@ use gdal::{Dataset, DriverManager, Metadata};
 
 use super::types::{Camera, InnerOrientation};
 use super::window::{Grey, read_grey};
-use autoref_raster::atomic;
+use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
@@ -67,9 +67,9 @@ pub fn description(camera: &Camera, inner: &InnerOrientation, options: &Resample
 /// Whether `image` and `mask` are there already and made alike.
 ///
 /// # Errors
-/// [`Error::Usage`] when one of them is there and differs (or is no such file), unless `overwrite`.
-pub fn is_done(image: &Path, mask: &Path, description: &str, overwrite: bool) -> Result<bool> {
-    if overwrite || !(image.exists() || mask.exists()) {
+/// [`Error::Usage`] when one of them is there, is to be kept and differs (or is no such file).
+pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing) -> Result<bool> {
+    if existing == Existing::Replace || !(image.exists() || mask.exists()) {
         return Ok(false);
     }
     let said = |path: &Path| Dataset::open(path).ok()?.metadata_item("TIFFTAG_IMAGEDESCRIPTION", "");

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
 use autoref_cloud::crop::{Crop, Polygon};
 use autoref_cloud::{io, isolated, page, params, smrf};
-use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use clap::{Args, CommandFactory};
 use gdal::vector::{Geometry, LayerAccess};
 use serde_json::{Value, json};
@@ -244,7 +244,7 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
             if !args.no_report {
                 outputs.push(&page);
             }
-            atomic::check_outputs(&outputs, args.means.overwrite)?;
+            atomic::check_outputs(&outputs, Existing::of_flag(args.means.overwrite))?;
         }
         todo.push((cloud, target, identity, done));
     }

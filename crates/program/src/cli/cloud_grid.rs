@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context, bail};
 use autoref_cloud::grid::{self, Dimension, Manner, Noise, Options, Stat};
 use autoref_cloud::params;
-use autoref_raster::atomic;
+use autoref_raster::atomic::{self, Existing};
 use clap::Args;
 
 use super::cloud::{Cameras, MeansArgs};
@@ -138,7 +138,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
             bail!("two clouds would both become {}; grid them into folders of their own", twice.display());
         }
         let borrowed: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-        atomic::check_outputs(&borrowed, args.means.overwrite)?;
+        atomic::check_outputs(&borrowed, Existing::of_flag(args.means.overwrite))?;
         all.extend(paths);
     }
     let mut reports = Vec::new();

@@ -5,10 +5,10 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
+use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
-use autoref_stream::detector::Detector;
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
@@ -374,7 +374,7 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
         baseline_bytes: autoref_raster::memory_plan::baseline_bytes(),
         cache_bytes,
     };
-    let plan = autoref_raster::memory_plan::plan(info, detector.halo_px(), &options)?;
+    let plan = autoref_raster::memory_plan::plan(info, detector.as_detector().halo_px(), &options)?;
     tracing::info!(
         "{}: {}×{} px, {} bands, {} ({})",
         image.display(),
@@ -481,13 +481,13 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".
-pub fn write_text(path: &Path, text: &[u8], overwrite: bool) -> anyhow::Result<()> {
+pub fn write_text(path: &Path, text: &[u8], existing: Existing) -> anyhow::Result<()> {
     use std::io::Write;
     if path.as_os_str() == "-" {
         crate::out::keep(std::io::stdout().write_all(text));
         return Ok(());
     }
-    autoref_raster::atomic::check_outputs(&[path], overwrite)?;
+    autoref_raster::atomic::check_outputs(&[path], existing)?;
     Ok(autoref_raster::atomic::write(path, text)?)
 }
 

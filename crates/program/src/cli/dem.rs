@@ -11,7 +11,7 @@ use autoref_elevation::files::{AlignJob, Resources};
 use autoref_elevation::gradient::{self, Edges, Kernel, Picture};
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
-use autoref_raster::atomic;
+use autoref_raster::atomic::{self, Existing};
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::{Map, Value, json};
 
@@ -335,7 +335,7 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         }
         DemCommand::Tpi(args) => draw(args, "TPI", Vec::new(), None)?,
         DemCommand::Contour(args) => {
-            atomic::check_outputs(&[&args.out], args.overwrite)?;
+            atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
             atomic::with_temporary(&args.out, |path| derive::contour(&args.model, path, args.interval, args.base))?;
         }
         DemCommand::Profile(args) => line(args)?,
@@ -346,7 +346,7 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
-    atomic::check_outputs(&[&args.out], args.overwrite)?;
+    atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
     let job = AlignJob {
         a: &args.a,
         b: &args.to,
@@ -542,7 +542,7 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
     if !gradient::needs_true_sides(&args.draw.model)? {
         return draw(&args.draw, kind, options, None);
     }
-    atomic::check_outputs(&[&args.draw.out], args.draw.overwrite)?;
+    atomic::check_outputs(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;
     let resources = args.draw.resources.resources();
     resources.check()?;
     let kernel = match args.alg {
@@ -558,7 +558,7 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
 }
 
 fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {
-    atomic::check_outputs(&[&args.out], args.overwrite)?;
+    atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     if args.compute_edges {
         options.push("-compute_edges".into());
@@ -571,7 +571,7 @@ fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&
 
 fn line(args: &ProfileArgs) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
-        atomic::check_outputs(&[out], args.overwrite)?;
+        atomic::check_outputs(&[out], Existing::of_flag(args.overwrite))?;
     }
     let stations = profile::along(&args.models, &args.line.0, args.step)?;
     let mut text = String::from("distance_m,x,y");
@@ -602,7 +602,7 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     }
     let outs: Vec<PathBuf> =
         args.resolution.iter().map(|r| PathBuf::from(args.out.replace("{res}", &r.to_string()))).collect();
-    atomic::check_outputs(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), args.overwrite)?;
+    atomic::check_outputs(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {
         let side = resolution.to_string();

@@ -1,5 +1,6 @@
 //! `autoref-stream detect`: the candidates of an image as a list.
 
+use autoref_raster::atomic::Existing;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -40,11 +41,11 @@ pub struct DetectArgs {
 
 pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     if args.output.as_os_str() != "-" {
-        autoref_raster::atomic::check_outputs(&[&args.output], args.overwrite)?;
+        autoref_raster::atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     }
     let prepared = common::prepare(&args.image, &args.read, &args.paint.of(&args.marks), args.gsd)?;
     let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
-    let found = scan(prepared.source.as_ref(), &prepared.plan, &prepared.detector, &bar)?;
+    let found = scan(prepared.source.as_ref(), &prepared.plan, prepared.detector.as_detector(), &bar)?;
     bar.finish();
     let geojson =
         args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("geojson") || e.eq_ignore_ascii_case("json"));
@@ -56,7 +57,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     }
     let to_stdout = args.output.as_os_str() == "-";
     if !(args.json && to_stdout) {
-        common::write_text(&args.output, &text, args.overwrite)?;
+        common::write_text(&args.output, &text, Existing::of_flag(args.overwrite))?;
     }
     if args.json {
         let info = prepared.source.info();

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use autoref_raster::atomic::Existing;
 use autoref_raster::error::Error;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, Written, atomic};
@@ -38,7 +39,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    atomic::check_outputs(&[&args.output], args.overwrite)?;
+    atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     let profile = Profile::load(&args.profile)?;
     let source = args.samples.open(&args.image, 128 << 20)?;
     let info = source.info();

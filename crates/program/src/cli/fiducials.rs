@@ -129,7 +129,7 @@ impl FiducialsArgs {
                 Turn::Down => 180.0,
                 Turn::Left => 270.0,
             }),
-            mirrored: self.mirrored,
+            mirrored: self.mirrored.map(autoref_raster::coords::Handedness::from),
             box_share: self.box_share,
             agreement_um: self.agreement_um,
             ..FindOptions::default()

@@ -1,5 +1,6 @@
 //! `fiducials --resample`: every frame of a roll on the film's own grid.
 
+use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
@@ -112,7 +113,7 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
         let Some(inner) = &frame.inner else { continue };
         let outputs = outputs(dir, frame);
         let description = resample::description(camera, inner, &options, &light);
-        if !resample::is_done(&outputs[0], &outputs[1], &description, args.overwrite)? {
+        if !resample::is_done(&outputs[0], &outputs[1], &description, Existing::of_flag(args.overwrite))? {
             missing.push((frame, inner, outputs, description));
         }
     }

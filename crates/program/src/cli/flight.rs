@@ -5,6 +5,7 @@ mod lists;
 mod ortho;
 mod project;
 
+use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -166,7 +167,7 @@ fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
 }
 
 fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
-    check_output(args.output.as_deref(), args.overwrite)?;
+    check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
     let model = read::reconstruction(&args.reconstruction)?;
     let control = args.points.load(Some(&model))?;
     let notes = control.notes(&model, &args.points, &args.reconstruction)?;
@@ -213,7 +214,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
             bail!("--{name}: {count} numbers with commas between them are expected");
         }
     }
-    check_output(args.output.as_deref(), args.overwrite)?;
+    check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let (camera, known) = frame_camera(args, &name)?;
     let stub = Reconstruction {
@@ -351,9 +352,9 @@ fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
     }
 }
 
-fn check_output(output: Option<&Path>, overwrite: bool) -> Result<()> {
+fn check_output(output: Option<&Path>, existing: Existing) -> Result<()> {
     match output {
-        Some(path) if path.exists() && !overwrite => {
+        Some(path) if path.exists() && existing == Existing::Keep => {
             bail!("{} exists; give --overwrite to replace it", path.display())
         }
         _ => Ok(()),

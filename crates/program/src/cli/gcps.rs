@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use autoref_raster::atomic;
+use autoref_raster::atomic::{self, Existing};
 use autoref_raster::crs::Crs;
 use autoref_stream::gcp::convert::{ConvertOptions, ListFormat, convert};
 use clap::{Args, Subcommand};
@@ -50,7 +50,7 @@ pub struct ConvertArgs {
 
 pub fn run(args: &GcpsArgs) -> anyhow::Result<()> {
     let GcpsCommand::Convert(args) = &args.command;
-    atomic::check_outputs(&[&args.output], args.overwrite)?;
+    atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     let options = ConvertOptions { from: args.from, to: args.to, crs: args.crs.clone(), layer: args.gcp_layer.clone() };
     let done = convert(&args.input, &args.output, &options)?;
     let files: Vec<String> = done.files.iter().map(|path| path.display().to_string()).collect();

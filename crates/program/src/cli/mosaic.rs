@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use autoref_elevation::mosaic::{Choice, MosaicJob};
-use autoref_raster::atomic;
+use autoref_raster::atomic::{self, Existing};
 use clap::Args;
 
 use crate::cli::dem::{ResamplingArg, ResourceArgs};
@@ -49,7 +49,7 @@ pub struct MosaicArgs {
 
 pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
     let outputs: Vec<&Path> = std::iter::once(&args.out).chain(&args.write_index).map(PathBuf::as_path).collect();
-    atomic::check_outputs(&outputs, args.overwrite)?;
+    atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
     let job = MosaicJob {
         inputs: &args.inputs,
         out: &args.out,

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use anyhow::bail;
+use autoref_raster::atomic::Existing;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_review::{Patch, Subject};
@@ -28,7 +29,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         bail!("--patch solves again what the recorded run solved; leave --model, --solver and --dem away");
     }
     if let Some(output) = &args.output {
-        autoref_raster::atomic::check_outputs(&[output], args.overwrite)?;
+        autoref_raster::atomic::check_outputs(&[output], Existing::of_flag(args.overwrite))?;
     }
     let recorded = RunResult::read(&args.candidates)?;
     let patch = Patch::read(patch_path, Subject::Gcps)?;
@@ -85,7 +86,11 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());
-        crate::cli::common::write_text(output, document.result.to_json().as_bytes(), args.overwrite)?;
+        crate::cli::common::write_text(
+            output,
+            document.result.to_json().as_bytes(),
+            Existing::of_flag(args.overwrite),
+        )?;
     }
     run::print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use autoref_raster::RasterInfo;
-use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan;
@@ -109,7 +109,7 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let marks = args.paint.of(&args.marks);
     let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
-    args.solving.check(false)?;
+    args.solving.check(Existing::Keep)?;
     let info = source.info();
     let priors = common::priors(info, &args.matching);
     let matcher = common::matcher(&args.matching, priors.len(), &args.matching.limit())?;
@@ -118,8 +118,8 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let run = georeference(&Job {
         source: source.as_ref(),
         plan: &plan,
-        detector: &detector,
-        second_look: &second_look,
+        detector: detector.as_detector(),
+        second_look: second_look.as_detector(),
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,
@@ -145,8 +145,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let json = json_path(&request);
     let report = args.report.wanted().then(|| report::path(&json));
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
-    atomic::check_outputs(&outputs, args.write.overwrite)?;
-    args.solving.check(args.write.overwrite)?;
+    atomic::check_outputs(&outputs, Existing::of_flag(args.write.overwrite))?;
+    args.solving.check(Existing::of_flag(args.write.overwrite))?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -160,13 +160,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let learned_matcher = common::matcher(&args.matching, priors.len() * 4, &time_limit)?;
     let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS, &time_limit)?;
     let bar = Bar::new(info, args.quiet || args.json);
-    let watch = Watch::new(&bar, source.as_ref(), &detector, &args.report);
+    let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let second_look = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
         plan: &plan,
-        detector: &detector,
-        second_look: &second_look,
+        detector: detector.as_detector(),
+        second_look: second_look.as_detector(),
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,

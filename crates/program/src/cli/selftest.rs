@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::bail;
-use autoref_stream::detector::Detector;
 use autoref_stream::profile::{self, Profile};
 use autoref_stream::selftest::{self, Selftest, SelftestOptions, WANTED_RECALL};
 use autoref_synth::plant::Cell;
@@ -72,7 +71,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     let conditions = conditions(args)?;
     let prepared = common::prepare(&args.image, &args.read, &args.profile, args.gsd)?;
     let info = prepared.source.info().clone();
-    let sizes_px = sizes(args, prepared.detector.largest_mark_px() as f64)?;
+    let sizes_px = sizes(args, prepared.detector.as_detector().largest_mark_px() as f64)?;
     let bar = Bar::new(&info, args.quiet || args.json);
     // What is above the smallest budget is shared with tiles and cache.
     let spare = args.read.memory.0.saturating_sub(autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES);
@@ -84,7 +83,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
         seed: args.seed,
         chip_budget_bytes,
     };
-    let halo_px = prepared.detector.halo_px();
+    let halo_px = prepared.detector.as_detector().halo_px();
     let planner = |info: &autoref_raster::RasterInfo| {
         let baseline_bytes = autoref_raster::memory_plan::baseline_bytes();
         autoref_raster::memory_plan::plan(
@@ -93,7 +92,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
             &autoref_raster::memory_plan::PlanOptions { baseline_bytes, ..prepared.options.clone() },
         )
     };
-    let result = selftest::selftest(&prepared.source, &prepared.detector, &planner, &options, &bar)?;
+    let result = selftest::selftest(&prepared.source, prepared.detector.as_detector(), &planner, &options, &bar)?;
     bar.finish();
     if args.json {
         let document = serde_json::json!({

@@ -1,5 +1,6 @@
 //! `autoref-stream solve`: from two lists to an orientation, without an image.
 
+use autoref_raster::atomic::Existing;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -67,9 +68,9 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         _ => anyhow::bail!("--size takes width and height in pixels: --size 22039,20051"),
     };
     if let Some(output) = &args.output {
-        autoref_raster::atomic::check_outputs(&[output], args.overwrite)?;
+        autoref_raster::atomic::check_outputs(&[output], Existing::of_flag(args.overwrite))?;
     }
-    args.solving.check(args.overwrite)?;
+    args.solving.check(Existing::of_flag(args.overwrite))?;
     let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
@@ -108,7 +109,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());
-        common::write_text(output, document.result.to_json().as_bytes(), args.overwrite)?;
+        common::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
     run::print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())

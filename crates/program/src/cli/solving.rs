@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use autoref_raster::atomic::{self, Transaction};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::{GeoTransform, MapPoint};
 use autoref_raster::crs::Coordinate;
 use autoref_raster::{ElevationModel, RasterInfo};
@@ -131,7 +131,7 @@ impl SolvingArgs {
     ///
     /// # Errors
     /// An elevation model that cannot be opened, a copy that would be written over something.
-    pub fn check(&self, overwrite: bool) -> anyhow::Result<()> {
+    pub fn check(&self, existing: Existing) -> anyhow::Result<()> {
         if let Some(dem) = &self.dem {
             ElevationModel::open(dem)?;
         }
@@ -139,7 +139,7 @@ impl SolvingArgs {
             if self.dem.as_deref().is_some_and(|dem| same_file(dem, copy)) {
                 bail!("--write-dem {} is the elevation model itself; name another file", copy.display());
             }
-            atomic::check_outputs(&[copy], overwrite)?;
+            atomic::check_outputs(&[copy], existing)?;
         }
         if self.solver.is_some() && matches!(self.model, ModelArg::Affine | ModelArg::Projective) {
             bail!(

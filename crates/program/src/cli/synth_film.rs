@@ -67,7 +67,7 @@ pub fn run(args: &SynthFilmArgs) -> anyhow::Result<()> {
             FilmSpec::plain(&camera, args.pixel_um, seed)
         };
         spec.quarters = args.quarters;
-        spec.mirrored = args.mirrored;
+        spec.mirrored = args.mirrored.into();
         spec.offset_mm[0] += args.offset_mm.0;
         spec.offset_mm[1] += args.offset_mm.1;
         let scene = FilmScene::new(&spec, &ground)?;

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use autoref_raster::atomic::Existing;
 use autoref_raster::mosaic;
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
 use autoref_stream::georef::write::{Output, WriteRequest};
@@ -93,7 +94,8 @@ impl WriteArgs {
             std::fs::create_dir_all(folder)
                 .map_err(|e| autoref_raster::Error::io(folder, "create the output folder", e))?;
         }
-        let mut request = WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), self.overwrite);
+        let mut request =
+            WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), Existing::of_flag(self.overwrite));
         request.page = page;
         request.tags.break_cog = self.break_cog;
         request.warp = WarpOptions {

@@ -43,6 +43,27 @@ pub fn open_pixels(all: &Directories, index: usize, cache_bytes: u64) -> Result<
     Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, false)?, cache_bytes))
 }
 
+/// Whether the file holds any block of a chunk; a sparse file leaves blocks out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stored {
+    InFile,
+    Nowhere,
+}
+
+impl Stored {
+    fn of(held: bool) -> Self {
+        if held { Stored::InFile } else { Stored::Nowhere }
+    }
+}
+
+impl std::ops::BitOrAssign for Stored {
+    fn bitor_assign(&mut self, other: Self) {
+        if other == Stored::InFile {
+            *self = Stored::InFile;
+        }
+    }
+}
+
 #[derive(Default)]
 struct Scratch {
     /// Bytes as the file has them.
@@ -237,7 +258,7 @@ impl TiffDecoder {
             start..start + window.height as usize * row_bytes
         };
         let run = self.run_of(chunk).filter(|&(_, length)| length <= 2 * out.len() as u64 + (1 << 20));
-        let mut any = run.is_some();
+        let mut stored = Stored::of(run.is_some());
         match run {
             Some((start, length)) if self.layout.codec == Codec::None => {
                 self.pread(&mut out, start)?;
@@ -258,30 +279,30 @@ impl TiffDecoder {
             })?,
             None => {
                 for (block, window) in self.blocks_of(chunk) {
-                    any |= self.block_u8(block, &mut out[place(window)], counters)?;
+                    stored |= self.block_u8(block, &mut out[place(window)], counters)?;
                 }
             }
         }
-        Ok(self.chunk_u8(out, any, row_bytes))
+        Ok(self.chunk_u8(out, stored, row_bytes))
     }
 
     /// A whole interleaved 8-bit block, ready for use.
-    fn block_u8(&self, block: u64, out: &mut [u8], counters: &Counters) -> Result<bool> {
+    fn block_u8(&self, block: u64, out: &mut [u8], counters: &Counters) -> Result<Stored> {
         let held = self.block(block, out, counters)?;
         if held {
             self.undo_predictor_u8(out);
         } else {
             out.fill(self.fill as u8);
         }
-        Ok(held)
+        Ok(Stored::of(held))
     }
 
     /// One interleaved 8-bit tile, with its padding.
     fn tile_u8(&self, block: u64, counters: &Counters) -> Result<Chunk> {
         let row_bytes = self.layout.block_row_bytes() as usize;
         let mut out = self.pool.take(row_bytes * self.layout.block_height as usize);
-        let any = self.block_u8(block, &mut out, counters)?;
-        Ok(self.chunk_u8(out, any, row_bytes))
+        let stored = self.block_u8(block, &mut out, counters)?;
+        Ok(self.chunk_u8(out, stored, row_bytes))
     }
 
     /// A view of the file, where the chunk's blocks lie in it as they are wanted.
@@ -295,7 +316,7 @@ impl TiffDecoder {
             .map_err(|e| Error::io(&self.info.path, format!("map {length} bytes at {start}"), e));
         Some(view.map(|map| {
             let data = PieceData::Mapped(map, 0);
-            self.finish(data, true, self.layout.block_row_bytes() as usize, length)
+            self.finish(data, Stored::InFile, self.layout.block_row_bytes() as usize, length)
         }))
     }
 
@@ -323,17 +344,17 @@ impl TiffDecoder {
         }))
     }
 
-    pub(super) fn chunk_u8(&self, out: Vec<u8>, any: bool, row_stride: usize) -> Chunk {
+    pub(super) fn chunk_u8(&self, out: Vec<u8>, stored: Stored, row_stride: usize) -> Chunk {
         let bytes = out.len() as u64;
         let data = PieceData::U8(self.pool.share(out));
-        self.finish(data, any, row_stride, bytes)
+        self.finish(data, stored, row_stride, bytes)
     }
 
     /// A chunk without a block in the file is handed out as empty only where its pixels count as holding nothing; zeros
     /// that are valid pixels are given as such.
-    pub(super) fn finish(&self, data: PieceData, any: bool, row_stride: usize, bytes: u64) -> Chunk {
+    pub(super) fn finish(&self, data: PieceData, stored: Stored, row_stride: usize, bytes: u64) -> Chunk {
         let transparent = self.info.alpha.is_some() && self.fill == 0;
-        let hollow = !any && (self.info.nodata_sample() == Some(self.fill) || transparent);
+        let hollow = stored == Stored::Nowhere && (self.info.nodata_sample() == Some(self.fill) || transparent);
         let (data, bytes) = if hollow { (None, 0) } else { (Some(data), bytes) };
         Chunk { data, offset: 0, row_stride, pixel_stride: self.samples(), bytes }
     }
@@ -343,19 +364,19 @@ impl TiffDecoder {
         let row_stride = chunk.width as usize * self.samples();
         let count = row_stride * chunk.height as usize;
         let bytes = (count * self.layout.sample.bytes()) as u64;
-        let (data, any) = match self.layout.sample {
+        let (data, stored) = match self.layout.sample {
             SampleType::U8 => {
                 let mut out = self.pool.take(count);
-                let any = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u8(raw, row))?;
-                (PieceData::U8(self.pool.share(out)), any)
+                let stored = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u8(raw, row))?;
+                (PieceData::U8(self.pool.share(out)), stored)
             }
             SampleType::U16 => {
                 let mut out = vec![0; count];
-                let any = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u16(raw, row))?;
-                (PieceData::U16(out.into()), any)
+                let stored = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u16(raw, row))?;
+                (PieceData::U16(out.into()), stored)
             }
         };
-        Ok(self.finish(data, any, row_stride, bytes))
+        Ok(self.finish(data, stored, row_stride, bytes))
     }
 
     /// Samples of one decoded row of a block.
@@ -378,13 +399,13 @@ impl TiffDecoder {
         counters: &Counters,
         out: &mut [T],
         convert: impl Fn(&[u8], &mut [T]),
-    ) -> Result<bool> {
-        let (samples, stored) = (self.samples(), self.layout.block_samples());
+    ) -> Result<Stored> {
+        let (samples, per_block) = (self.samples(), self.layout.block_samples());
         let fill = T::try_from(self.fill).unwrap_or_default();
         let row_bytes = self.layout.block_row_bytes() as usize;
         let row_stride = chunk.width as usize * samples;
-        let mut line = vec![T::default(); self.layout.block_width as usize * stored];
-        let mut any = false;
+        let mut line = vec![T::default(); self.layout.block_width as usize * per_block];
+        let mut stored = Stored::Nowhere;
         // Taken out of the cell: decoding a block borrows the cell too.
         let mut raw = SCRATCH.with_borrow_mut(|scratch| std::mem::take(&mut scratch.block));
         for plane in 0..if self.layout.planar { samples } else { 1 } {
@@ -393,7 +414,7 @@ impl TiffDecoder {
                 let rows = self.layout.block_rows(window.y / self.layout.block_height) as usize;
                 raw.resize(row_bytes * rows, 0);
                 let held = self.block(first + block, &mut raw, counters)?;
-                any |= held;
+                stored |= Stored::of(held);
                 line.fill(fill);
                 for y in 0..window.height as usize {
                     let row = (window.y - chunk.y) as usize + y;
@@ -402,7 +423,7 @@ impl TiffDecoder {
                     if held {
                         convert(&raw[y * row_bytes..][..row_bytes], &mut line);
                     }
-                    if stored == samples {
+                    if per_block == samples {
                         to.copy_from_slice(&line[..to.len()]);
                     } else {
                         to[plane..].iter_mut().step_by(samples).zip(&line).for_each(|(to, &from)| *to = from);
@@ -411,7 +432,7 @@ impl TiffDecoder {
             }
         }
         SCRATCH.with_borrow_mut(|scratch| scratch.block = raw);
-        Ok(any)
+        Ok(stored)
     }
 
     /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as possible.

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io::Read;
 use std::sync::{Mutex, PoisonError};
 
-use super::decoder::TiffDecoder;
+use super::decoder::{Stored, TiffDecoder};
 use super::stream;
 use crate::cache::Chunk;
 use crate::chunked::Counters;
@@ -80,31 +80,31 @@ impl TiffDecoder {
         let row_bytes = self.layout.block_row_bytes() as usize;
         let row_stride = chunk.width as usize * self.samples();
         let mut raw = self.pool.take(row_bytes * chunk.height as usize);
-        let any = self.next_rows(stream, &mut raw, counters)?;
+        let stored = self.next_rows(stream, &mut raw, counters)?;
         let bytes = raw.len() as u64;
         if self.layout.sample == SampleType::U8 {
-            if any {
+            if stored == Stored::InFile {
                 self.undo_predictor_u8(&mut raw);
             } else {
                 raw.fill(self.fill as u8);
             }
-            return Ok(self.chunk_u8(raw, any, row_stride));
+            return Ok(self.chunk_u8(raw, stored, row_stride));
         }
         let mut out = vec![self.fill; raw.len() / 2];
-        if any {
+        if stored == Stored::InFile {
             for (from, to) in raw.chunks_exact(row_bytes).zip(out.chunks_exact_mut(row_stride)) {
                 self.row_u16(from, to);
             }
         }
         self.pool.put(raw);
-        Ok(self.finish(PieceData::U16(out.into()), any, row_stride, bytes))
+        Ok(self.finish(PieceData::U16(out.into()), stored, row_stride, bytes))
     }
 
     /// The rows that come next, whole rows of bytes as the codec gives them; whether the file holds any of them.
-    fn next_rows(&self, stream: &mut Stream, raw: &mut [u8], counters: &Counters) -> Result<bool> {
+    fn next_rows(&self, stream: &mut Stream, raw: &mut [u8], counters: &Counters) -> Result<Stored> {
         let row_bytes = self.layout.block_row_bytes() as usize;
         let height = (raw.len() / row_bytes) as u64;
-        let (mut done, mut any) = (0, false);
+        let (mut done, mut stored) = (0, Stored::Nowhere);
         while done < height {
             let strip = stream.row / self.layout.block_height;
             let left = (strip + 1) * self.layout.block_height - stream.row;
@@ -126,12 +126,12 @@ impl TiffDecoder {
                 Some(reader) => {
                     let row = stream.row;
                     reader.read_exact(to).map_err(|e| self.broken(strip, format!("near row {row}: {e}")))?;
-                    any = true;
+                    stored = Stored::InFile;
                 }
             }
             stream.row += rows;
             done += rows;
         }
-        Ok(any)
+        Ok(stored)
     }
 }

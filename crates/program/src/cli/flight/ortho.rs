@@ -10,6 +10,7 @@ use autoref_flight::ortho::{Place, Surface, View};
 use autoref_flight::read::{self, same_image, tables};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose};
+use autoref_raster::atomic::Existing;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
 use autoref_raster::window::Window;
@@ -294,7 +295,7 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
         let stem = args.frame.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         PathBuf::from(format!("{stem}_ortho.tif"))
     });
-    check_output(Some(&out), args.overwrite)?;
+    check_output(Some(&out), Existing::of_flag(args.overwrite))?;
     let frame = open(&args.frame)?;
     let (columns, rows) = frame.raster_size();
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());

@@ -1,5 +1,6 @@
 //! FLIGHT.toml, and the chain that it describes: features, matches, relative orientation (COLMAP), adjustment.
 
+use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
@@ -197,7 +198,7 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     if args.pp_px.as_ref().is_some_and(|p| p.len() != 2) {
         bail!("--pp-px: 2 numbers with a comma between them are expected");
     }
-    check_output(Some(&args.output), args.overwrite)?;
+    check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
     let folder = absolute(&args.folder)?;
     let all = frames(&folder, &["*".into()])?;
     let extension = |n: &str| n.rsplit_once('.').map(|(_, e)| e.to_lowercase());
