@@ -8,6 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Motif;
+use crate::candidate::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
@@ -25,8 +26,6 @@ const MOST_UNLIKE: f64 = 0.96;
 const MOST_LEFT_EARLY: f64 = 0.85;
 const MOST_LEFT: f64 = 0.6;
 const EARLY_ROUNDS: usize = 4;
-/// Of a descent's first step.
-const FIRST_DAMPING: f64 = 1e-3;
 
 /// One cell: its middle in cells from the patch's corner, and its grey level, 0..=255.
 #[derive(Clone, Copy, Debug)]
@@ -202,7 +201,7 @@ impl Problem<'_> {
         1.0 - ab * ab / (aa * bb).max(1e-9)
     }
 
-    fn normal_equations(&self, p: &Vector) -> (Matrix, Vector, f64) {
+    fn normal_equations(&self, p: &Vector) -> Normal<PARAMETERS> {
         let (mut upper, mut g, mut cost) = ([[0.0; PARAMETERS]; PARAMETERS], [0.0; PARAMETERS], 0.0);
         let pose = Posed::new(p);
         for (s, &w) in self.samples.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0) {
@@ -220,41 +219,7 @@ impl Problem<'_> {
         let mut h = Matrix::from_fn(|a, b| upper[a.min(b)][a.max(b)]);
         let mut g = Vector::from(g);
         add_priors(self.priors(p), &mut h, &mut g, &mut cost);
-        (h, g, cost)
-    }
-
-    /// Levenberg–Marquardt from `p`, at most `rounds` accepted or refused steps; `damping` is that of the last. `true` when it has
-    /// come to rest.
-    fn descend(&self, mut p: Vector, rounds: usize, damping: &mut f64) -> Option<(Vector, bool)> {
-        let (mut h, mut g, mut cost) = self.normal_equations(&p);
-        for _ in 0..rounds {
-            let mut damped = h;
-            for i in 0..PARAMETERS {
-                damped[(i, i)] *= 1.0 + *damping;
-            }
-            let step = damped.cholesky()?.solve(&g);
-            let next = p + step;
-            let q = &self.start;
-            let inside = (next[0] - q.x).hypot(next[1] - q.y) < 4.0 * q.width + 4.0
-                && next[6].abs() < 4.0
-                && (next[4] - q.width.ln()).abs() < 2.0
-                && (next[5] - q.width.ln()).abs() < 2.0;
-            let next_cost = if inside { self.cost(&next) } else { f64::INFINITY };
-            if next_cost <= cost {
-                p = next;
-                *damping = (*damping * 0.2).max(1e-9);
-                if step[0].hypot(step[1]) < 2e-4 && cost - next_cost < 1e-4 * cost {
-                    return Some((p, true));
-                }
-                (h, g, cost) = self.normal_equations(&p);
-            } else {
-                *damping *= 6.0;
-                if *damping > 1e9 {
-                    return Some((p, true));
-                }
-            }
-        }
-        Some((p, false))
+        Normal { h, g, cost }
     }
 
     /// Tukey's biweight about the fit `p`, with the noise that the residuals show.
@@ -262,6 +227,27 @@ impl Problem<'_> {
         let pose = Posed::new(p);
         let residuals: Vec<f64> = self.samples.iter().map(|s| s.level - self.value(&pose, s.x, s.y)).collect();
         self.weights = tukey_weights(&residuals, p[8]);
+    }
+}
+
+impl Surface<PARAMETERS> for Problem<'_> {
+    type Looked = ();
+
+    fn look(&self, p: &Vector) -> Option<(f64, ())> {
+        let q = &self.start;
+        let inside = (p[0] - q.x).hypot(p[1] - q.y) < 4.0 * q.width + 4.0
+            && p[6].abs() < 4.0
+            && (p[4] - q.width.ln()).abs() < 2.0
+            && (p[5] - q.width.ln()).abs() < 2.0;
+        inside.then(|| (self.cost(p), ()))
+    }
+
+    fn normal(&self, p: &Vector, (): ()) -> Option<Normal<PARAMETERS>> {
+        Some(self.normal_equations(p))
+    }
+
+    fn rests(&self, step: &Vector, (before, after): (f64, f64), (): &()) -> bool {
+        step[0].hypot(step[1]) < STILL && before - after < SHARE_STILL * before
     }
 }
 
@@ -311,19 +297,22 @@ pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<
     }
     // The two parts are one descent; most of what is no target shows it after the first.
     let mut damping = FIRST_DAMPING;
-    let (early, at_rest) = problem.descend(p, EARLY_ROUNDS, &mut damping)?;
-    if problem.left_over(&early) > MOST_LEFT_EARLY * total {
+    let early = descend(&problem, p, (), EARLY_ROUNDS, &mut damping)?;
+    if problem.left_over(early.at()) > MOST_LEFT_EARLY * total {
         return None;
     }
-    p = if at_rest { early } else { problem.descend(early, 20 - EARLY_ROUNDS, &mut damping)?.0 };
+    p = match early {
+        End::AtRest(p) => p,
+        End::OnItsWay(p) => descend(&problem, p, (), 20 - EARLY_ROUNDS, &mut damping)?.place(),
+    };
     if problem.left_over(&p) > MOST_LEFT * total {
         return None;
     }
     for _ in 0..2 {
         problem.reweigh(&p);
-        p = problem.descend(p, 8, &mut { FIRST_DAMPING })?.0;
+        p = descend(&problem, p, (), 8, &mut { FIRST_DAMPING })?.place();
     }
-    let inverse = problem.normal_equations(&p).0.cholesky()?.inverse();
+    let inverse = problem.normal_equations(&p).h.cholesky()?.inverse();
     let pose = Posed::new(&p);
     let pushes: Vec<_> = samples
         .iter()

@@ -8,6 +8,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
+use super::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
 use super::kernels::{self, Model, PARAMETERS, Samples};
 use autoref_raster::coords::PixelPoint;
 
@@ -117,11 +118,9 @@ impl Seen {
     }
 }
 
-/// The normal equations at a place, with the cost there and the root mean square of what is left over, all samples alike.
-struct Normal {
-    h: Matrix,
-    g: Vector,
-    cost: f64,
+/// The normal equations at a place with the root mean square of what is left over, all samples alike.
+struct Equations {
+    normal: Normal<PARAMETERS>,
     rms: f64,
 }
 
@@ -138,6 +137,36 @@ struct Problem<'a> {
     edge_sd: f64,
     /// Of each sample, set between rounds and constant inside one.
     weights: Vec<f64>,
+}
+
+/// A problem with the limit that decides whether it is worth descending on.
+struct Slope<'a> {
+    problem: &'a Problem<'a>,
+    rms_limit: f64,
+}
+
+impl Surface<PARAMETERS> for Slope<'_> {
+    // Most steps are taken: the equations are set up with the cost that decides it.
+    type Looked = Equations;
+
+    fn look(&self, p: &Vector) -> Option<(f64, Equations)> {
+        let Problem { start, side_px, .. } = self.problem;
+        let inside =
+            p[5].abs() < 2.0 && (p[0] - start.0).abs() < side_px + 2.0 && (p[1] - start.1).abs() < side_px + 2.0;
+        inside.then(|| self.problem.normal_equations(p)).map(|there| (there.normal.cost, there))
+    }
+
+    fn normal(&self, _p: &Vector, looked: Equations) -> Option<Normal<PARAMETERS>> {
+        Some(looked.normal)
+    }
+
+    fn rests(&self, step: &Vector, (before, after): (f64, f64), there: &Equations) -> bool {
+        // No fit of 20,000 to planted marks, nor of 740 to clutter, that stood still so far above its limit came below it.
+        const FAR: f64 = 1.5;
+        const SLOW: f64 = 0.95;
+        let small = step[0].abs().max(step[1].abs()) < STILL && (before - after) < SHARE_STILL * before;
+        small || (there.rms > FAR * self.rms_limit && after > SLOW * before)
+    }
 }
 
 impl Problem<'_> {
@@ -166,7 +195,7 @@ impl Problem<'_> {
         ]
     }
 
-    fn normal_equations(&self, p: &Vector) -> Normal {
+    fn normal_equations(&self, p: &Vector) -> Equations {
         let sums = kernels::equations(&self.model(p), self.samples, &self.weights);
         let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::from(sums.pushes), sums.cost);
         let mut squares = sums.squares.into_iter();
@@ -177,46 +206,14 @@ impl Problem<'_> {
             }
         }
         add_priors(self.priors(p), &mut h, &mut g, &mut cost);
-        Normal { h, g, cost, rms: (sums.left2 / self.samples.count() as f64).sqrt() }
+        Equations { normal: Normal { h, g, cost }, rms: (sums.left2 / self.samples.count() as f64).sqrt() }
     }
 
-    /// Levenberg–Marquardt from `p`, at most `rounds` accepted or refused steps; fewer where what is left over would have to fall
-    /// far to reach `rms_limit` and has almost come to rest.
-    fn descend(&self, mut p: Vector, rounds: usize, rms_limit: f64) -> Option<Vector> {
-        // No fit of 20,000 to planted marks, nor of 740 to clutter, that stood still so far above its limit came below it.
-        const FAR: f64 = 1.5;
-        const STILL: f64 = 0.95;
-        let mut damping = 1e-3;
-        let mut here = self.normal_equations(&p);
-        for _ in 0..rounds {
-            let mut damped = here.h;
-            for i in 0..PARAMETERS {
-                damped[(i, i)] *= 1.0 + damping;
-            }
-            let step = damped.cholesky()?.solve(&here.g);
-            let next = p + step;
-            let inside = next[5].abs() < 2.0
-                && (next[0] - self.start.0).abs() < self.side_px + 2.0
-                && (next[1] - self.start.1).abs() < self.side_px + 2.0;
-            // Most steps are taken: the next equations are set up with the cost that decides it.
-            let there = inside.then(|| self.normal_equations(&next));
-            if let Some(there) = there.filter(|there| there.cost <= here.cost) {
-                p = next;
-                damping = (damping * 0.2).max(1e-9);
-                let small = step[0].abs().max(step[1].abs()) < 2e-4 && (here.cost - there.cost) < 1e-4 * here.cost;
-                let hopeless = there.rms > FAR * rms_limit && there.cost > STILL * here.cost;
-                if small || hopeless {
-                    return Some(p);
-                }
-                here = there;
-            } else {
-                damping *= 6.0;
-                if damping > 1e9 {
-                    return Some(p);
-                }
-            }
-        }
-        Some(p)
+    /// Descends from `p`, at most `rounds` steps; fewer where what is left over would have to fall far to reach `rms_limit` and has
+    /// almost come to rest.
+    fn descend(&self, p: Vector, rounds: usize, rms_limit: f64) -> Option<Vector> {
+        let slope = Slope { problem: self, rms_limit };
+        descend(&slope, p, self.normal_equations(&p), rounds, &mut { FIRST_DAMPING }).map(End::place)
     }
 
     /// Sets the weights from the noise model and Tukey's biweight of what the fit leaves over.
@@ -307,7 +304,7 @@ pub fn fit(
 }
 
 fn report(problem: &Problem<'_>, p: &Vector, seen: &Seen) -> Option<Fit> {
-    let inverse = problem.normal_equations(p).h.cholesky()?.inverse();
+    let inverse = problem.normal_equations(p).normal.h.cholesky()?.inverse();
     let scatter = edge_scatter(problem, p, &inverse);
     let (mut chi2, mut lost, mut all) = (0.0, 0.0, 0.0);
     for ((r, v), &w) in seen.left.iter().zip(&seen.values).zip(&problem.weights) {

@@ -12,6 +12,7 @@
 //! ```
 
 mod code;
+pub(crate) mod descent;
 pub mod examine;
 pub mod fit;
 pub mod gates;

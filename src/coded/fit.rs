@@ -8,6 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::black_white::fit::{Sample, tukey_weights};
+use crate::candidate::descent::{FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
@@ -189,7 +190,7 @@ impl Problem<'_> {
         data + self.priors(p).iter().map(|(r, _)| r * r).sum::<f64>()
     }
 
-    fn normal_equations(&self, p: &Vector) -> Option<(Matrix, Vector, f64)> {
+    fn normal_equations(&self, p: &Vector) -> Option<Normal<PARAMETERS>> {
         let inverse = Self::pose(p).inverse()?;
         let (mut h, mut g, mut cost) = (Matrix::zeros(), Vector::zeros(), 0.0);
         for (s, &w) in self.samples.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0) {
@@ -201,39 +202,7 @@ impl Problem<'_> {
         }
         h.fill_upper_triangle_with_lower_triangle();
         add_priors(self.priors(p), &mut h, &mut g, &mut cost);
-        Some((h, g, cost))
-    }
-
-    /// Levenberg–Marquardt from `p`, at most `rounds` steps.
-    fn descend(&self, mut p: Vector, rounds: usize) -> Option<Vector> {
-        let module = Self::pose(&self.start).module();
-        let mut damping = 1e-3;
-        let (mut h, mut g, mut cost) = self.normal_equations(&p)?;
-        for _ in 0..rounds {
-            let mut damped = h;
-            for i in 0..PARAMETERS {
-                damped[(i, i)] *= 1.0 + damping;
-            }
-            let step = damped.cholesky()?.solve(&g);
-            let next = p + step;
-            let near = (next[0] - self.start[0]).hypot(next[1] - self.start[1]) < module
-                && (next[6] - self.start[6]).abs() < 2.5;
-            let next_cost = if near { self.cost(&next) } else { f64::INFINITY };
-            if next_cost <= cost {
-                p = next;
-                damping = (damping * 0.2f64).max(1e-9);
-                if step[0].hypot(step[1]) < 2e-4 && cost - next_cost < 1e-4 * cost {
-                    break;
-                }
-                (h, g, cost) = self.normal_equations(&p)?;
-            } else {
-                damping *= 6.0;
-                if damping > 1e9 {
-                    break;
-                }
-            }
-        }
-        Some(p)
+        Some(Normal { h, g, cost })
     }
 
     fn residuals(&self, p: &Vector) -> Option<Vec<f64>> {
@@ -245,6 +214,24 @@ impl Problem<'_> {
     fn reweigh(&mut self, p: &Vector) -> Option<()> {
         self.weights = tukey_weights(&self.residuals(p)?, p[8]);
         Some(())
+    }
+}
+
+impl Surface<PARAMETERS> for Problem<'_> {
+    type Looked = ();
+
+    fn look(&self, p: &Vector) -> Option<(f64, ())> {
+        let module = Self::pose(&self.start).module();
+        let near = (p[0] - self.start[0]).hypot(p[1] - self.start[1]) < module && (p[6] - self.start[6]).abs() < 2.5;
+        near.then(|| (self.cost(p), ()))
+    }
+
+    fn normal(&self, p: &Vector, (): ()) -> Option<Normal<PARAMETERS>> {
+        self.normal_equations(p)
+    }
+
+    fn rests(&self, step: &Vector, (before, after): (f64, f64), (): &()) -> bool {
+        step[0].hypot(step[1]) < STILL && before - after < SHARE_STILL * before
     }
 }
 
@@ -271,12 +258,12 @@ pub fn fit(
     let noise = (0.1 * height).max(2.0);
     let weights = vec![1.0 / (noise * noise); samples.len()];
     let mut problem = Problem { samples, modules, black, weights, start: p };
-    let mut p = problem.descend(p, 20)?;
+    let mut p = descend(&problem, p, (), 20, &mut { FIRST_DAMPING })?.place();
     for _ in 0..2 {
         problem.reweigh(&p)?;
-        p = problem.descend(p, 8)?;
+        p = descend(&problem, p, (), 8, &mut { FIRST_DAMPING })?.place();
     }
-    let covariance_of = problem.normal_equations(&p)?.0.cholesky()?.inverse();
+    let covariance_of = problem.normal_equations(&p)?.h.cholesky()?.inverse();
     let inverse = Problem::pose(&p).inverse()?;
     let pushes: Vec<_> = samples
         .iter()
