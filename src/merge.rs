@@ -313,11 +313,10 @@ mod tests {
             density in 1u64..7, seed in any::<u64>(), shuffle in any::<u64>(),
         ) {
             let mut mask = Mask::new(Window::whole(width, height));
-            let mut state = seed;
+            let mut random = autoref_raster::random::SplitMix64(seed);
             for y in 0..height {
                 for x in 0..width {
-                    state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                    mask.set(x, y, (state >> 33) % 8 < density);
+                    mask.set(x, y, random.next_u64() % 8 < density);
                 }
             }
             let expected = flood_fill(&mask);

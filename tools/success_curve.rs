@@ -8,6 +8,10 @@
 //! `cargo run --release -p autoref-tools --bin success_curve -- FOLDER [TRIALS [FROM]]` writes `matching-success.csv` and `.svg` there. With
 //! FROM the fields of fewer false candidates are taken over from the table in FOLDER; beyond all of them it is only drawn.
 
+#[path = "../tests/common/random.rs"]
+mod random;
+
+use random::Random;
 use std::fmt::Write;
 use std::time::Instant;
 
@@ -28,23 +32,6 @@ const SIGMA_PX: [f64; 4] = [0.5, 1.0, 2.0, 5.0];
 const NORTH_KNOWN_FROM: usize = 20_000;
 const NORTH_UP_DEG: f64 = 15.0;
 const COLOURS: [&str; 6] = ["#1b6ca8", "#2a9d8f", "#8a9a2b", "#e9a23b", "#d1495b", "#6d3b8e"];
-
-/// splitmix64
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 * (high - low)
-    }
-    fn normal(&mut self) -> f64 {
-        let (u, v) = (self.uniform(f64::MIN_POSITIVE, 1.0), self.uniform(0.0, 1.0));
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-    }
-}
 
 /// 36 GCPs around the image, the first `visible` of those inside marked (candidates 0..visible), then false candidates.
 struct Case {
@@ -136,7 +123,7 @@ struct Cell {
 
 fn cell(visible: usize, false_candidates: usize, sigma_px: f64, trials: usize) -> Cell {
     let seed = (visible * 1_000_003 + false_candidates * 97) as u64 + (sigma_px * 10.0) as u64;
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let matcher = RobustMatcher::default();
     let rotation_deg = (false_candidates >= NORTH_KNOWN_FROM).then_some((0.0, NORTH_UP_DEG));
     let priors = Priors { gsd_m_per_px: Some((0.9 * GSD, 1.1 * GSD)), rotation_deg, image_size_px: Some(SIZE) };

@@ -382,11 +382,10 @@ mod tests {
     fn noise_needs_no_more_nodes_than_two_rows() {
         let (width, height) = (256u64, 200u64);
         let mut mask = Mask::new(Window::whole(width, height));
-        let mut state = 1u64;
+        let mut random = autoref_raster::random::SplitMix64(1);
         for y in 0..height {
             for x in 0..width {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                mask.set(x, y, state >> 61 == 0);
+                mask.set(x, y, random.next_u64() >> 61 == 0);
             }
         }
         let mut labeller = Labeller::new();

@@ -1,19 +1,17 @@
-//! The one random generator of the tests; crates' own tests share it by path.
+//! Random numbers of the tests; crates' own tests share this file by path.
 #![allow(dead_code)] // each test file uses its own part
 
-/// Random numbers that are the same everywhere (splitmix64).
-pub struct Random(u64);
+use autoref_raster::random::SplitMix64;
+
+/// Random numbers that are the same everywhere.
+pub struct Random(SplitMix64);
 
 impl Random {
     pub fn new(seed: u64) -> Self {
-        Random(seed)
+        Random(SplitMix64(seed))
     }
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        self.0.next_u64()
     }
     /// Uniform in [low, high).
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {

@@ -64,10 +64,10 @@ impl Detector for RedPaint {
 }
 
 fn picture(width: u64, height: u64) -> MemorySource {
-    let mut state = 7u64;
+    let mut random = crate::common::Random::new(7);
     let mut rgb = Vec::new();
     for _ in 0..width * height {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        let state = random.bits();
         let red = if (state >> 40).is_multiple_of(5) { 220 } else { 40 };
         rgb.extend([red, (state >> 48) as u8, (state >> 56) as u8]);
     }
@@ -210,11 +210,8 @@ mod options {
 
     /// Squares, discs and rings of orange that stand alone, touch, overlap, and lie over edges; some faded; specks and lines.
     fn picture(seed: u64) -> MemorySource {
-        let mut state = seed | 1;
-        let mut random = move |below: u64| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) % below
-        };
+        let mut bits = crate::common::Random::new(seed);
+        let mut random = move |below: u64| bits.bits() % below;
         let (width, height) = (SIZE.0 as i64, SIZE.1 as i64);
         let mut rgb: Vec<u8> = (0..width * height)
             .flat_map(|_| {

@@ -53,7 +53,7 @@ fn tiles_and_order_change_nothing() {
 
     let mut random = Random(5);
     for at in (1..points.len()).rev() {
-        points.swap(at, (random.next() % (at as u64 + 1)) as usize);
+        points.swap(at, (random.next_u64() % (at as u64 + 1)) as usize);
     }
     write_ply(&path, &points);
     let (_, shuffled_xyz, shuffled) = run(&path, &with(500), "ply");

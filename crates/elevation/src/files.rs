@@ -1,6 +1,6 @@
 //! From files to files: `dem align`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use gdal::raster::GdalDataType;
 use gdal::spatial_ref::SpatialRef;
@@ -81,17 +81,7 @@ pub struct Couple {
     pub b: Model,
     /// A is seen through a projection: its cells are resampled.
     pub projected: bool,
-    _warped: Option<Warped>,
-}
-
-/// A file in GDAL's memory, removed at the end.
-struct Warped(PathBuf);
-
-impl Drop for Warped {
-    fn drop(&mut self) {
-        // Nothing depends on it any more.
-        let _ = std::fs::remove_file(&self.0);
-    }
+    _warped: Option<tempfile::TempPath>,
 }
 
 /// Opens two models and brings A into B's CRS where they differ.
@@ -131,7 +121,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         ));
     }
     let warped = warp(a, mb.wkt())?;
-    let ma = Model::open(&warped.0)?;
+    let ma = Model::open(&warped)?;
     Ok(Couple { a: ma, b: mb, projected: true, _warped: Some(warped) })
 }
 
@@ -140,15 +130,13 @@ fn text(vertical: &Option<String>) -> &str {
 }
 
 /// A virtual raster of A in another CRS.
-fn warp(a: &Path, wkt: &str) -> Result<Warped> {
-    static COUNT: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
-    let number = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    let path = std::env::temp_dir().join(format!("autoref-elevation.{}.{number}.vrt", std::process::id()));
+fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
+    let file = tempfile::Builder::new().prefix("autoref-elevation.").suffix(".vrt").tempfile();
+    let path = file.map_err(|e| Error::io(std::env::temp_dir(), "make a temporary file in", e))?.into_temp_path();
     let source = a.canonicalize().map_err(|e| Error::io(a, "find", e))?;
-    let made = Warped(path);
     let options = ["-of", "VRT", "-t_srs", wkt, "-r", "cubic", "-overwrite", "-dstnodata", "-9999", "-ot", "Float32"];
-    crate::derive::warp(&source, &made.0, &options)?;
-    Ok(made)
+    crate::derive::warp(&source, &path, &options)?;
+    Ok(path)
 }
 
 fn same_reference(a: &str, b: &str) -> bool {

@@ -5,37 +5,21 @@ use autoref_elevation::grid::{Grid, GroundUnit};
 use autoref_elevation::source::MemoryHeights;
 use autoref_elevation::stream::Means;
 use autoref_elevation::zones::Zones;
+use autoref_raster::random::SplitMix64;
 
 const CELL_M: f64 = 10.0;
-
-/// Random numbers that are the same in every run.
-struct Dice(u64);
-
-impl Dice {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
-    }
-}
 
 /// Hills of all sizes from 120 m to some kilometres, as a formula, so that they can be read anywhere.
 struct Terrain(Vec<[f64; 4]>);
 
 impl Terrain {
     fn new(seed: u64) -> Self {
-        let mut dice = Dice(seed);
+        let mut dice = SplitMix64(seed);
         let waves = (0..40).map(|i| {
             let length_m = 120.0 * 1.1f64.powi(i);
-            let direction = dice.uniform() * std::f64::consts::TAU;
+            let direction = dice.unit() * std::f64::consts::TAU;
             let k = std::f64::consts::TAU / length_m;
-            [k * direction.cos(), k * direction.sin(), dice.uniform() * 6.3, 0.012 * length_m]
+            [k * direction.cos(), k * direction.sin(), dice.unit() * 6.3, 0.012 * length_m]
         });
         Terrain(waves.collect())
     }
@@ -59,7 +43,7 @@ struct View {
 const PLAIN: View =
     View { width: 200, height: 160, error: (0.0, 0.0, 0.0), tilt: (0.0, 0.0), noise_m: 0.0, cell_m: CELL_M };
 
-fn draw(terrain: &Terrain, view: &View, dice: &mut Dice) -> MemoryHeights {
+fn draw(terrain: &Terrain, view: &View, dice: &mut SplitMix64) -> MemoryHeights {
     let grid = Grid {
         x0: 500_000.0,
         y0: 8_700_000.0,
@@ -91,7 +75,7 @@ fn aligned(a: &MemoryHeights, b: &MemoryHeights, options: &Options<'_>) -> Align
 
 #[test]
 fn a_sub_pixel_shift_is_found_to_a_thousandth_of_a_cell() {
-    let (terrain, mut dice) = (Terrain::new(1), Dice(1));
+    let (terrain, mut dice) = (Terrain::new(1), SplitMix64(1));
     let b = draw(&terrain, &PLAIN, &mut dice);
     let a = draw(&terrain, &View { error: (13.7, -22.1, 3.3), ..PLAIN }, &mut dice);
     for method in [Method::Auto, Method::Lzd] {
@@ -107,7 +91,7 @@ fn a_sub_pixel_shift_is_found_to_a_thousandth_of_a_cell() {
 
 #[test]
 fn shift_and_tilt_are_found_together() {
-    let (terrain, mut dice) = (Terrain::new(2), Dice(2));
+    let (terrain, mut dice) = (Terrain::new(2), SplitMix64(2));
     let b = draw(&terrain, &PLAIN, &mut dice);
     let a = draw(&terrain, &View { error: (-27.4, 44.2, -7.0), tilt: (0.001, -0.0005), ..PLAIN }, &mut dice);
     let found = aligned(&a, &b, &Options::default());
@@ -127,7 +111,7 @@ fn shift_and_tilt_are_found_together() {
 
 #[test]
 fn hundreds_of_metres_and_a_fifth_of_the_ground_changed() {
-    let (terrain, mut dice) = (Terrain::new(3), Dice(3));
+    let (terrain, mut dice) = (Terrain::new(3), SplitMix64(3));
     let b = draw(&terrain, &PLAIN, &mut dice);
     let noisy = View { error: (412.0, -333.0, 25.0), noise_m: 0.5, ..PLAIN };
     let a = draw(&terrain, &noisy, &mut dice);
@@ -146,7 +130,7 @@ fn hundreds_of_metres_and_a_fifth_of_the_ground_changed() {
 
 #[test]
 fn finer_and_coarser_models_meet() {
-    let (terrain, mut dice) = (Terrain::new(4), Dice(4));
+    let (terrain, mut dice) = (Terrain::new(4), SplitMix64(4));
     let b = draw(&terrain, &PLAIN, &mut dice);
     let fine = View { width: 760, height: 600, cell_m: 2.5, error: (7.3, 11.9, -1.0), noise_m: 0.1, ..PLAIN };
     let a = draw(&terrain, &fine, &mut dice);
@@ -160,7 +144,7 @@ fn finer_and_coarser_models_meet() {
 
 #[test]
 fn any_tiling_and_any_number_of_threads_gives_the_same_bits() {
-    let (terrain, mut dice) = (Terrain::new(5), Dice(5));
+    let (terrain, mut dice) = (Terrain::new(5), SplitMix64(5));
     let small = View { width: 140, height: 100, ..PLAIN };
     let b = draw(&terrain, &small, &mut dice);
     let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), noise_m: 1.0, ..small }, &mut dice);
@@ -184,7 +168,7 @@ fn any_tiling_and_any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn flat_or_unlike_ground_is_refused() {
-    let (terrain, mut dice) = (Terrain::new(6), Dice(6));
+    let (terrain, mut dice) = (Terrain::new(6), SplitMix64(6));
     let grid = Grid { x0: 500_000.0, y0: 8_700_000.0, step_x: 10.0, step_y: -10.0, width: 150, height: 150 };
     let mut noise = |slope: f64| {
         let values = (0..150 * 150).map(|i| slope * (i % 150) as f64 + 0.3 * dice.normal()).collect();
@@ -200,14 +184,14 @@ fn flat_or_unlike_ground_is_refused() {
     let constant = MemoryHeights::new(grid, vec![3.0; 150 * 150]);
     let outcome = align(&constant, &constant.clone(), &Options::default()).expect("memory");
     assert!(matches!(outcome, Outcome::Refused(_)), "{outcome:?}");
-    let far = draw(&terrain, &PLAIN, &mut Dice(1));
+    let far = draw(&terrain, &PLAIN, &mut SplitMix64(1));
     let error = align(&far, &MemoryHeights::new(Grid { x0: 0.0, ..grid }, vec![1.0; 150 * 150]), &Options::default());
     assert!(error.is_err(), "no common ground");
 }
 
 #[test]
 fn stable_ground_can_be_given() {
-    let (terrain, mut dice) = (Terrain::new(7), Dice(7));
+    let (terrain, mut dice) = (Terrain::new(7), SplitMix64(7));
     let b = draw(&terrain, &PLAIN, &mut dice);
     let a = draw(&terrain, &View { error: (4.0, 3.0, 2.0), ..PLAIN }, &mut dice);
     use autoref_elevation::source::Heights;
@@ -251,8 +235,8 @@ fn stated_errors_are_the_real_ones() {
     let small = View { width: 128, height: 128, noise_m: 1.5, ..PLAIN };
     let mut squares = [0.0; 3];
     for trial in 0..trials {
-        let mut dice = Dice(1000 + trial);
-        let error = (dice.uniform() * 20.0 - 10.0, dice.uniform() * 20.0 - 10.0, 1.0);
+        let mut dice = SplitMix64(1000 + trial);
+        let error = (dice.unit() * 20.0 - 10.0, dice.unit() * 20.0 - 10.0, 1.0);
         let b = draw(&terrain, &small, &mut dice);
         let a = draw(&terrain, &View { error, ..small }, &mut dice);
         let found = aligned(&a, &b, &Options { method: Method::Lzd, ..Options::default() });

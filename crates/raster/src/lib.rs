@@ -39,6 +39,7 @@ mod open;
 mod patch;
 mod pool;
 pub mod protected;
+pub mod random;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;

@@ -5,7 +5,6 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdal::Dataset;
 use gdal::raster::{GdalDataType, ResampleAlg};
@@ -45,7 +44,8 @@ impl PhotoStore {
         if paths.is_empty() {
             return Err(Error::usage("no photograph is given", "name at least one"));
         }
-        let (file, path) = scratch_file()?;
+        let path = std::env::temp_dir();
+        let file = tempfile::tempfile().map_err(|e| Error::io(&path, "make a scratch file in", e))?;
         let mut store = PhotoStore { file, path, photos: vec![] };
         let mut offset = 0;
         for path in paths {
@@ -206,21 +206,6 @@ fn stretch(dataset: &Dataset, path: &Path, bands: &[usize]) -> Result<f64> {
     values.sort_unstable();
     let high = values[(values.len() - 1) * 995 / 1000];
     Ok(250.0 / f64::from(high.max(1)))
-}
-
-/// A file without a name: it cannot be left behind.
-fn scratch_file() -> Result<(File, PathBuf)> {
-    static COUNT: AtomicU64 = AtomicU64::new(0);
-    let n = COUNT.fetch_add(1, Ordering::Relaxed);
-    let path = std::env::temp_dir().join(format!("autoref-synth-{}-{n}.rgb", std::process::id()));
-    let file = File::options()
-        .read(true)
-        .write(true)
-        .create_new(true)
-        .open(&path)
-        .map_err(|e| Error::io(&path, "create", e))?;
-    std::fs::remove_file(&path).map_err(|e| Error::io(&path, "unlink", e))?;
-    Ok((file, path))
 }
 
 /// Photographs laid out over an endless plane like bricks: each brick is a piece of a photograph, which goes on

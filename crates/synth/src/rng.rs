@@ -1,14 +1,8 @@
 //! Random numbers that depend on a seed and a place, never on who asks first: the picture is the same for every thread
 //! count and every cut into windows.
 
-/// The finaliser of SplitMix64 (G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators",
-/// OOPSLA 2014): a bijection of 64 bits in which every input bit moves about half of the output bits.
-#[inline]
-pub fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
+use autoref_raster::random::SplitMix64;
+pub use autoref_raster::random::mix;
 
 /// A hash of a place on an integer lattice.
 #[inline]
@@ -16,24 +10,24 @@ pub fn hash2(seed: u64, x: i64, y: i64) -> u64 {
     mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f))
 }
 
-/// SplitMix64 as a sequence.
+/// A sequence of its own for every purpose.
 #[derive(Clone, Debug)]
-pub struct Rng(u64);
+pub struct Rng(SplitMix64);
 
 impl Rng {
     /// One independent stream per (seed, purpose, index).
     pub fn new(seed: u64, purpose: u64, index: u64) -> Self {
-        Rng(mix(mix(seed ^ 0x5851_f42d_4c95_7f2d) ^ mix(purpose.wrapping_mul(0x1405_7b7e_f767_814f)) ^ index))
+        let state = mix(mix(seed ^ 0x5851_f42d_4c95_7f2d) ^ mix(purpose.wrapping_mul(0x1405_7b7e_f767_814f)) ^ index);
+        Rng(SplitMix64(state))
     }
 
     pub fn next_u64(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        mix(self.0)
+        self.0.next_u64()
     }
 
     /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f64 {
-        (self.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     pub fn range(&mut self, low: f64, high: f64) -> f64 {
@@ -49,10 +43,9 @@ impl Rng {
         self.unit() < share
     }
 
-    /// Standard normal, by Box and Muller (1958).
+    /// Standard normal.
     pub fn normal(&mut self) -> f64 {
-        let u = 1.0 - self.unit();
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * self.unit()).cos()
+        self.0.normal()
     }
 
     pub fn shuffle<T>(&mut self, items: &mut [T]) {

@@ -4,6 +4,7 @@
 //! samples carry whole-number weights, and all draws come from one fixed generator, so that a forest taught twice with
 //! the same samples is the same. Counts are integers; nothing depends on the number of threads.
 
+use autoref_raster::random::SplitMix64;
 use rayon::prelude::*;
 
 /// A taught pixel.
@@ -48,21 +49,9 @@ pub struct Forest<const N: usize> {
     trees: Vec<Tree>,
 }
 
-/// SplitMix64 (Steele, Lea and Flood, 2014).
-pub(crate) struct Draws(pub u64);
-
-impl Draws {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    pub(crate) fn below(&mut self, n: usize) -> usize {
-        ((u128::from(self.next()) * n as u128) >> 64) as usize
-    }
+/// Uniform below `n`.
+fn below(draws: &mut SplitMix64, n: usize) -> usize {
+    ((u128::from(draws.next_u64()) * n as u128) >> 64) as usize
 }
 
 impl<const N: usize> Forest<N> {
@@ -73,11 +62,11 @@ impl<const N: usize> Forest<N> {
             return None;
         }
         let tree = |seed: usize| {
-            let mut draws = Draws(seed as u64 + 1);
+            let mut draws = SplitMix64(seed as u64 + 1);
             // Each example as often as it is drawn, times its weight.
             let mut drawn = vec![0u32; examples.len()];
             for _ in 0..examples.len() {
-                drawn[draws.below(examples.len())] += 1;
+                drawn[below(&mut draws, examples.len())] += 1;
             }
             let mut rows: Vec<(u32, u32)> = drawn
                 .iter()
@@ -117,7 +106,7 @@ fn split<const N: usize>(
     at: usize,
     depth: usize,
     growth: Growth,
-    draws: &mut Draws,
+    draws: &mut SplitMix64,
     nodes: &mut Vec<Node>,
 ) {
     let weight = |rows: &[(u32, u32)]| {
@@ -160,12 +149,12 @@ fn best_split<const N: usize>(
     rows: &[(u32, u32)],
     all: [u64; 2],
     growth: Growth,
-    draws: &mut Draws,
+    draws: &mut SplitMix64,
 ) -> Option<(usize, u8)> {
     let mut order: [usize; N] = std::array::from_fn(|i| i);
     let mut best: Option<(f64, usize, u8)> = None;
     for tried in 0..growth.tried.min(N) {
-        order.swap(tried, tried + draws.below(N - tried));
+        order.swap(tried, tried + below(draws, N - tried));
         let feature = order[tried];
         let (mut weights, mut counts) = ([[0u64; 2]; 256], [0usize; 256]);
         for &(i, weight) in rows {
@@ -202,9 +191,9 @@ mod tests {
     use super::*;
 
     fn examples(seed: u64, n: usize) -> Vec<Example<5>> {
-        let mut draws = Draws(seed);
+        let mut draws = SplitMix64(seed);
         let one = |_| {
-            let features: [u8; 5] = std::array::from_fn(|_| draws.next() as u8);
+            let features: [u8; 5] = std::array::from_fn(|_| draws.next_u64() as u8);
             let keep = (u32::from(features[0]) + u32::from(features[3]) > 256) ^ (features[4] < 40);
             Example { features, keep, weight: 1 }
         };

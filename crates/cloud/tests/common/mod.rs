@@ -62,21 +62,7 @@ pub fn read(path: &Path) -> (Vec<[f64; 3]>, Vec<u8>) {
     }
 }
 
-/// A small random number generator (Steele, Lea & Flood's SplitMix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
+pub use autoref_raster::random::SplitMix64 as Random;
 
 /// Writes points as binary PLY of doubles.
 pub fn write_ply(path: &Path, points: &[[f64; 3]]) {

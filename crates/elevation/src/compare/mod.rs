@@ -11,6 +11,7 @@ pub use variogram::Variogram;
 use std::collections::BinaryHeap;
 use std::path::Path;
 
+use autoref_raster::random::mix;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -292,10 +293,7 @@ impl Groups {
 
 /// A number that scatters positions.
 fn hash(x: u64, y: u64) -> u64 {
-    let mut z = x.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ y.wrapping_mul(0xc2b2_ae3d_27d4_eb4f).rotate_left(31);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    mix(x.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ y.wrapping_mul(0xc2b2_ae3d_27d4_eb4f).rotate_left(31))
 }
 
 /// The first pass: what decides the groups, and what stands for the zones.

@@ -1,5 +1,6 @@
 //! Every n-th cell of both models, for the page's map.
 
+use base64::prelude::{BASE64_STANDARD as BASE64, Engine as _};
 use serde_json::json;
 
 use super::Scan;
@@ -62,19 +63,10 @@ impl Sampling {
     }
 }
 
-/// RFC 4648, of the values' little-endian bytes.
+/// The values' little-endian bytes as base64.
 fn base64(values: &[f32]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for part in bytes.chunks(3) {
-        let word = part.iter().fold(0u32, |word, byte| word << 8 | u32::from(*byte)) << (8 * (3 - part.len()));
-        for place in 0..4 {
-            let letter = LETTERS[(word >> (18 - 6 * place) & 63) as usize];
-            out.push(if place <= part.len() { char::from(letter) } else { '=' });
-        }
-    }
-    out
+    BASE64.encode(bytes)
 }
 
 #[cfg(test)]

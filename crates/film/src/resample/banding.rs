@@ -12,7 +12,7 @@
 
 use nalgebra::{Matrix5, Vector5};
 
-use super::fft::{cosine, cosine_back};
+use super::cosine::{cosine, cosine_back};
 use crate::window::{Grey, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;

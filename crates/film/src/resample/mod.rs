@@ -3,7 +3,7 @@
 //! need. Bands are taken out of what was read ([`banding`]), light is evened in what is written ([`lighting`]).
 
 pub mod banding;
-mod fft;
+mod cosine;
 pub mod kernel;
 pub mod lighting;
 
