@@ -101,10 +101,11 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let scan = scan(job.source, job.plan, job.detector, job.progress)?;
     let started = Instant::now();
     job.progress.stage("matching the marks to the list");
-    let outcome = find(job, &scan.candidates);
+    let outcome = tracing::info_span!("match").in_scope(|| find(job, &scan.candidates));
     let match_s = started.elapsed().as_secs_f64();
     let started = Instant::now();
     job.progress.stage("looking again where every point must be");
+    let _span = tracing::info_span!("solve and look again").entered();
     let outcome = match outcome {
         MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
         MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| match job.refine {

@@ -109,12 +109,14 @@ pub fn scan(
     progress: &dyn Progress,
 ) -> Result<ScanOutcome> {
     let started = Instant::now();
+    let _span = tracing::info_span!("scan").entered();
     let before = source.stats();
     let collected = scan_tiles(source, plan, detector, progress)?;
     let scan_time = started.elapsed();
     let scanned = source.stats();
     let mut examined = collected.examined;
     let mut straddling = collected.straddling;
+    let _span = tracing::info_span!("examine straddlers").entered();
     let examine_started = Instant::now();
     if !straddling.is_empty() {
         progress.stage("looking at marks that straddle tiles");
@@ -174,6 +176,7 @@ fn scan_tiles(
     let tile_bytes = plan.grid.tile_width() * plan.grid.tile_height() * (info.bands * info.sample.bytes()) as u64;
     let pace = Pace::of(plan.workers, FETCH_AHEAD_BYTES.div_ceil(tile_bytes.max(1)));
     let next_tile = AtomicU64::new(0);
+    let span = tracing::Span::current();
     let (straddler_sender, straddlers) = crossbeam_channel::bounded::<Straddler>(STRADDLERS_PER_WORKER * plan.workers);
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
@@ -194,9 +197,9 @@ fn scan_tiles(
         for index in 0..plan.workers {
             let straddlers = straddlers.clone();
             let bands = bands.clone();
-            let (next_tile, in_order) = (&next_tile, &in_order);
+            let (next_tile, in_order, span) = (&next_tile, &in_order, &span);
             let worker =
-                Worker { source, plan, detector, progress, next_tile, pace, stop, in_order, straddlers, bands };
+                Worker { source, plan, detector, progress, next_tile, pace, stop, in_order, straddlers, bands, span };
             let outputs = output_sender.clone();
             spawn_named(scope, format!("worker {index}"), move || {
                 let _rest = pace.lifted_by_panic();
@@ -283,6 +286,7 @@ impl<'a> Collector<'a> {
             self.collected.examined.extend(output.examined.into_iter().filter(|(_, found)| !found.is_empty()));
             self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
             let mut complete = output.straddling;
+            let _span = tracing::info_span!("merge").entered();
             let detector = self.detector;
             self.merger.feed(id, output.open, &mut |region| {
                 if detector.gate(&region) {
@@ -384,6 +388,8 @@ struct Worker<'a> {
     straddlers: crossbeam_channel::Receiver<Straddler>,
     /// For what is kept of tiles.
     bands: BufferPool,
+    /// The scan's, of which those of the worker's steps are parts.
+    span: &'a tracing::Span,
 }
 
 impl Worker<'_> {
@@ -426,6 +432,7 @@ impl Worker<'_> {
     fn next_block(&self, mask: &mut Mask) -> Option<(Tile, Result<Block>)> {
         if !self.source.info().sequential {
             let tile = self.next_tile()?;
+            let _span = tracing::info_span!(parent: self.span, "read and classify").entered();
             mask.reset(tile.read);
             return Some((
                 tile,
@@ -435,6 +442,7 @@ impl Worker<'_> {
         // Only the reading takes turns.
         let turn = self.in_order.lock().unwrap_or_else(PoisonError::into_inner);
         let tile = self.next_tile()?;
+        let _span = tracing::info_span!(parent: self.span, "read and classify").entered();
         let block = self.source.read(tile.read);
         drop(turn);
         mask.reset(tile.read);
@@ -445,8 +453,12 @@ impl Worker<'_> {
     /// Block → Mask → TileRegions, and what can be examined at once. The mask holds what [`Detector::segment_piece`] set.
     fn process(&self, tile: &Tile, block: &Block, mask: &mut Mask, labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
-        self.detector.segment_block(block, mask);
-        let mut regions = labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region));
+        let mut regions = {
+            let _span = tracing::info_span!(parent: self.span, "segment").entered();
+            self.detector.segment_block(block, mask);
+            labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region))
+        };
+        let _span = tracing::info_span!(parent: self.span, "examine").entered();
         let mut output = TileOutput {
             id: tile.id,
             examined: Vec::new(),

@@ -299,3 +299,35 @@ fn every_list_format_gives_the_same_run() {
 fn decimal_comma(value: f64) -> String {
     value.to_string().replace('.', ",")
 }
+
+#[test]
+fn a_profile_says_where_the_time_went() {
+    let sample = Sample::new(|spec| spec.size_px = Some((1200, 900)));
+    let profile = sample.path("profile.json");
+    let at = profile.to_str().expect("plain");
+    for _ in 0..2 {
+        // The second run replaces the first one's profile.
+        let output = sample.run(&["--profile-json", at, "--quiet", "--overwrite", "--second-pass=never"]);
+        assert!(output.status.code() != Some(2), "{}", stderr(&output));
+    }
+    let document: Value = serde_json::from_slice(&std::fs::read(&profile).expect("written")).expect("JSON");
+    let seconds = |path: &str, key: &str| {
+        let spans = document["spans"].as_array().expect("a list");
+        let span = spans.iter().find(|span| span["path"] == path);
+        span.unwrap_or_else(|| panic!("no {path} in {document}"))[key].as_f64().expect("a number")
+    };
+    let whole = seconds("command", "open_s");
+    for path in ["open", "scan", "scan/read and classify", "scan/segment", "scan/examine", "scan/merge", "match"] {
+        let stage = seconds(&format!("command/{path}"), "busy_s");
+        assert!(stage >= 0.0 && seconds(&format!("command/{path}"), "count") >= 1.0, "{path}");
+    }
+    assert!(seconds("command/scan", "open_s") <= whole && whole <= document["elapsed_s"].as_f64().expect("a number"));
+    // Nothing else is written over, and a list is no profile.
+    let list = sample.path("e6.geojson");
+    let before = std::fs::read(&list).expect("there");
+    let output = sample.run(&["--profile-json", list.to_str().expect("plain"), "--quiet"]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert_eq!(std::fs::read(&list).expect("there"), before);
+    let said = stderr(&sample.run(&["-v", "--overwrite", "--second-pass=never"]));
+    assert!(said.contains("read and classify") && said.contains("s in threads"), "{said}");
+}

@@ -145,12 +145,13 @@ impl Plan {
 /// temporary name.
 pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<CleanReport> {
     let began = Instant::now();
-    let (header, mut tiles, invalid) = spool(input, plan)?;
+    let (header, mut tiles, invalid) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
     let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);
     let mut steps = Vec::new();
     let mut active = tiles.points;
     for (index, step) in plan.steps.iter().enumerate() {
-        let report = run_step(&mut tiles, step, (index + 1) as u8, active, shift, plan)?;
+        let span = tracing::info_span!("step");
+        let report = span.in_scope(|| run_step(&mut tiles, step, (index + 1) as u8, active, shift, plan))?;
         tracing::info!(step = report.step, points_in = report.points_in, classified = report.classified, "step");
         active -= if matches!(step, Step::Ground(_)) { report.dropped } else { report.classified };
         steps.push(report);

@@ -404,6 +404,7 @@ fn rivals(best: &Assembly, ways: &[((f64, Handedness), usize, f64)]) -> Vec<(f64
 
 /// Opens and examines one scan; what goes wrong with it becomes its status.
 pub fn find_frame(finder: &Finder, path: &Path, options: &FindOptions) -> FrameResult {
+    let _span = tracing::info_span!("frame").entered();
     let started = Instant::now();
     let result = open_scan(path).and_then(|source| finder.find(source.as_ref(), options));
     match result {

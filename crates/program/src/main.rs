@@ -11,8 +11,21 @@ mod cli;
 fn main() -> ExitCode {
     let matches = cli::Cli::command().get_matches_from(cli::joined(std::env::args_os()));
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    cli::init_log(cli.verbose);
-    let result = cli::inputs::guard(&matches).map_err(anyhow::Error::from).and_then(|()| cli::dispatch(cli));
+    let profile = cli::init_log(&cli);
+    let profile_json = cli.profile_json.clone();
+    let result = cli::inputs::guard(&matches)
+        .map_err(anyhow::Error::from)
+        .and_then(|()| profile_json.iter().try_for_each(cli::profile::check))
+        .and_then(|()| {
+            let code = tracing::info_span!("command").in_scope(|| cli::dispatch(cli))?;
+            if let (Some(profile), Some(path)) = (&profile, &profile_json) {
+                profile.write(path)?;
+            }
+            Ok(code)
+        });
+    for line in profile.iter().flat_map(cli::profile::Profile::lines) {
+        tracing::info!("{line}");
+    }
     let code = result.unwrap_or_else(|error| {
         let line = one_line(&error);
         eprintln!("autoref-stream: {line}");

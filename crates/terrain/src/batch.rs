@@ -178,6 +178,7 @@ fn frame_of(shape: &Shape, frames: &[PathBuf]) -> Result<PathBuf> {
 /// # Errors
 /// When a frame or mask cannot be read, a sample lies outside its frame, or a class has no samples.
 pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Classifier> {
+    let _span = tracing::info_span!("teach").entered();
     let mut by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)> = Vec::new();
     let entry = |path: &Path, list: &mut Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>| -> usize {
         list.iter().position(|(known, ..)| known == path).unwrap_or_else(|| {
@@ -328,6 +329,7 @@ pub fn mask_frame(
     given: &Given,
     options: &Options,
 ) -> Result<Done> {
+    let _span = tracing::info_span!("frame").entered();
     let names = Names::of(frame, folder);
     let fingerprint = fingerprint(frame, given, options);
     if options.resume

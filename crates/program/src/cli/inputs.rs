@@ -12,7 +12,7 @@ use autoref_raster::protected::{is_input, protect, same_file};
 use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.
-const OUTPUTS: &[&str] = &["output", "out", "scratch", "write_dem", "write_gcps", "write_index"];
+const OUTPUTS: &[&str] = &["output", "out", "scratch", "write_dem", "write_gcps", "write_index", "profile_json"];
 
 /// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
@@ -51,7 +51,10 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
         for value in values {
             let named = named(value);
             if OUTPUTS.contains(&id.as_str()) {
-                outputs.push(named);
+                // A global option stands in the matches of the subcommand too.
+                if id.as_str() != "profile_json" || !outputs.contains(&named) {
+                    outputs.push(named);
+                }
             } else if named.is_file() {
                 inputs.push(named);
             }

@@ -28,7 +28,8 @@ pub mod mask;
 pub mod mosaic;
 pub mod plan;
 pub mod positions;
-pub mod progress;
+pub mod profile;
+mod progress;
 pub mod replay;
 pub mod report;
 mod residual_analysis;
@@ -67,6 +68,10 @@ pub struct Cli {
     /// Say more on stderr: -v what is done, -vv every step (RUST_LOG has the last word).
     #[arg(short, long, global = true, action = clap::ArgAction::Count, help_heading = "Messages")]
     pub verbose: u8,
+
+    /// Write where the time went, stage by stage, as JSON; an older profile is replaced.
+    #[arg(long, global = true, value_name = "FILE", help_heading = "Messages")]
+    pub profile_json: Option<std::path::PathBuf>,
 }
 
 #[derive(Subcommand, Debug)]
@@ -123,11 +128,17 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
     }
 }
 
-pub fn init_log(verbose: u8) {
-    let default = ["warn", "info", "debug"][usize::from(verbose.min(2))];
+/// Where messages go, and the clock of the stages when `--verbose` or `--profile-json` asks for it.
+pub fn init_log(cli: &Cli) -> Option<profile::Profile> {
+    use tracing_subscriber::prelude::*;
+    let default = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    let messages = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    let profile = (cli.verbose > 0 || cli.profile_json.is_some()).then(profile::Profile::new);
+    let clock = profile.clone().map(|profile| profile.with_filter(tracing::level_filters::LevelFilter::INFO));
+    tracing_subscriber::registry().with(messages.with_filter(filter)).with(clock).init();
+    profile
 }
 
 /// The arguments with `--second-pass WHEN` as one word: alone it means `always`, and must not swallow the image.

@@ -138,8 +138,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
     let marks = args.paint.of(&args.marks);
+    let opening = tracing::info_span!("open").entered();
     let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
+    drop(opening);
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
@@ -177,6 +179,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let mut second = None;
     let mut colours = None;
     if learns {
+        let _span = tracing::info_span!("second pass and colour search").entered();
         let learned = Job { matcher: learned_matcher.as_ref(), ..job };
         let refused = matches!(run.outcome, Outcome::Refused(_));
         if refused || args.second_pass == SecondPassArg::Always {
@@ -189,15 +192,17 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         }
     }
     let known = doctor::known_place(info, &list);
-    doctor::examine(
-        &mut run.outcome,
-        &run.scan.candidates,
-        &list,
-        &priors[0],
-        known,
-        (&args.matching, &time_limit),
-        &args.gcps.frame.force,
-    );
+    tracing::info_span!("gross-error diagnosis").in_scope(|| {
+        doctor::examine(
+            &mut run.outcome,
+            &run.scan.candidates,
+            &list,
+            &priors[0],
+            known,
+            (&args.matching, &time_limit),
+            &args.gcps.frame.force,
+        );
+    });
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     if let (Outcome::Solved(orientation), Some(solved)) = (&run.outcome, document.result.solved_mut()) {
         solved.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
@@ -218,7 +223,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     let report_started = Instant::now();
-    let gathered = watch.gather(&mut document.result)?;
+    let gathered = tracing::info_span!("report").in_scope(|| watch.gather(&mut document.result))?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
     bar.finish();
     // Its caches make room for what writing needs.
@@ -266,6 +271,7 @@ fn write_outputs(
     dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
+    let _span = tracing::info_span!("write").entered();
     let mut transaction = Transaction::new();
     if document.result.solved().is_some() {
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
