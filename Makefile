@@ -2,6 +2,7 @@
 # make test          everything needed to pass the whole test suite
 # make check         what CI runs: formatting, lints, documentation, tests
 # make bench         stage by stage and against other programs (minutes)
+# make fixtures      draws the small images of fixtures/ anew
 # make fuzz          ten minutes of the native reader under cargo-fuzz (needs a nightly toolchain)
 # make check-large   the checks that take minutes or gigabytes
 SHELL := /bin/bash
@@ -17,7 +18,7 @@ PEERS := target/peers
 # Odd, old and corrupt files to begin with, where they are there.
 FUZZ_SEEDS := $(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio))
 
-.PHONY: all deps test-deps build demo test check lint doc bench fuzz check-large clean
+.PHONY: all fixtures deps test-deps build demo test check lint doc bench fuzz check-large clean
 
 all: build
 
@@ -48,6 +49,10 @@ demo: build
 	  --write-gcps $(DEMO)/e6.geojson
 	target/release/autoref-stream $(DEMO)/e6.tif --gcps $(DEMO)/e6.geojson --tile 4096
 	@echo "--- GDAL sees:" && gdalinfo $(DEMO)/e6.tif | grep -E "^Size|UTM zone|GeoTransform|^  +-?[0-9]" | head -5
+
+# Draws fixtures/ anew (a test compares).
+fixtures: build
+	fixtures/make.sh target/release/autoref-stream fixtures
 
 # The system's libzstd, which GDAL's packages bring, saves a compilation; a release is built with its own.
 lint doc test: export ZSTD_SYS_USE_PKG_CONFIG ?= 1

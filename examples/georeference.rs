@@ -1,6 +1,6 @@
 //! Opens a raster, finds the marks, matches them to a list of GCPs, solves the orientation and writes a world file.
 //!
-//! `cargo run --release --example georeference -- IMAGE GCPS OUT.tfw`; without arguments on a sample of its own.
+//! `cargo run --release --example georeference -- IMAGE GCPS OUT.tfw`; without arguments on `fixtures/field.tif`.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,13 @@ use autoref_stream::matching::{Priors, RobustMatcher};
 use autoref_stream::pipeline::georeference::{Job, Outcome, Refine, georeference};
 use autoref_stream::pipeline::{NoProgress, PaintDetector};
 use autoref_stream::profile::Profile;
-use autoref_synth::{SynthSpec, random_gcps, write, write_gcp_geojson};
 
 type AnyError = Box<dyn std::error::Error>;
 
 pub fn main() -> Result<(), AnyError> {
     let folder = tempfile::tempdir()?;
     let given: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let [image, list, out] = <[PathBuf; 3]>::try_from(given).or_else(|_| sample(folder.path()))?;
+    let [image, list, out] = <[PathBuf; 3]>::try_from(given).unwrap_or_else(|_| sample(folder.path()));
     println!("{}", run(&image, &list, &out)?);
     Ok(())
 }
@@ -63,11 +62,8 @@ pub fn run(image: &Path, list: &Path, out: &Path) -> Result<String, AnyError> {
     }
 }
 
-/// A drawn orthophoto of eight marks, with its list.
-pub fn sample(folder: &Path) -> Result<[PathBuf; 3], AnyError> {
-    let spec = SynthSpec { gcps: random_gcps(8, 30.0, 24.0, 5), size_px: Some((1200, 900)), ..SynthSpec::default() };
-    let [image, list, out] = ["sample.tif", "sample.geojson", "sample.tfw"].map(|name| folder.join(name));
-    write(&spec, &image)?;
-    write_gcp_geojson(&list, &spec.gcps, Some(32632))?;
-    Ok([image, list, out])
+/// The drawn orthophoto of the fixtures, with its list, and a name for the world file.
+pub fn sample(folder: &Path) -> [PathBuf; 3] {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures");
+    [fixtures.join("field.tif"), fixtures.join("field.geojson"), folder.join("field.tfw")]
 }

@@ -24,6 +24,7 @@ mod elevation;
 mod film;
 mod film_outputs;
 mod film_rolls;
+mod fixtures;
 mod flight;
 mod heights;
 mod inputs;
