@@ -70,7 +70,7 @@ fn every_pair_of_formats_returns_what_it_did_not_name_as_lost() {
     std::fs::write(&source, SOURCE).expect("writable");
     let truth = points(&source, None);
     assert_eq!(truth[1].role, GcpRole::Check);
-    for first in ListFormat::WRITTEN {
+    for (row, first) in ListFormat::WRITTEN.into_iter().enumerate() {
         let a = named(folder.path(), "a", first);
         let there = to(&source, &a, first, None);
         // What a format cannot say is said again by the caller.
@@ -78,7 +78,11 @@ fn every_pair_of_formats_returns_what_it_did_not_name_as_lost() {
         let degrees = matches!(first, ListFormat::Kml | ListFormat::Gpx);
         let near = if degrees { 0.002 } else { 1e-9 };
         assert_same(first.name(), &truth, &points(&a, crs), &there.lost, near);
-        for second in ListFormat::WRITTEN {
+        for (column, second) in ListFormat::WRITTEN.into_iter().enumerate() {
+            // Each format comes first once and second about four times; all pairs with AUTOREF_LARGE=1.
+            if !crate::common::large() && (row + column) % 4 != 0 {
+                continue;
+            }
             if is_lost(&there.lost, "height") && matches!(second, ListFormat::Pix4d | ListFormat::MicMac) {
                 continue;
             }

@@ -50,8 +50,7 @@ fn the_fixtures_are_what_the_generator_makes_and_hold_what_they_say() {
             pixels(&file(&committed, ".tif")) == pixels(&file(folder.path(), ".tif")),
             "{name}.tif: run `make fixtures`"
         );
-        let (expected, found) =
-            (rows(&file(&committed, ".expected.csv")), rows(&file(folder.path(), ".expected.csv")));
+        let (expected, found) = (rows(&file(&committed, ".expected.csv")), rows(&file(folder.path(), ".expected.csv")));
         assert_eq!(expected.len(), marks);
         let truth: Value = serde_json::from_slice(&read(&committed, ".truth.json")).expect("JSON");
         let painted = truth["gcps"].as_array().expect("a list");
