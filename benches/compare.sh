@@ -8,7 +8,7 @@
 # The sample (22,039 × 20,051 px, 20 marks) is made in FOLDER (default: a temporary one, deleted again); photographs from
 # ../shared/data when there, else the drawn landscape. The programs take turns, five rounds, and the best of each counts:
 # wall seconds, and processor milliseconds for machines on which other work runs. --python wants an interpreter with
-# numpy, scikit-image, tifffile and pyvips in AUTOREF_BENCH_PYTHON.
+# numpy, scikit-image, tifffile and pyvips in AUTOREF_BENCH_PYTHON. The warm rounds go to benches/record/whole-job.csv.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 mode=warm
@@ -86,6 +86,12 @@ while read -r name options; do
     "$(wall ours)" "$(wall gdal2)" "$(wall gdal1)" "$(wall codec2)" "$(wall cat)" "$(ratio "$(wall ours)" "$(wall gdal2)")" \
     "$(ratio "$(wall ours)" "$(wall codec2)")" "$(ratio "$(wall ours)" "$(wall cat)")" \
     "$(least "$times/ours" 2)" "$(least "$times/gdal2" 2)" "$(least "$times/codec2" 2)" "$(least "$times/cat" 2)" "$peak"
+  {
+    for program in ours gdal2 gdal1 codec2 cat; do
+      printf '%s %s wall;%s;s\n%s %s processor;%s;ms\n' "$name" $program "$(wall $program)" "$name" $program "$(least "$times/$program" 2)"
+    done
+    printf '%s ours peak;%s;MiB\n' "$name" "$peak"
+  } | benches/record.sh whole-job "benches/compare.sh, least of $rounds"
   rm -r "$times"
 done <<'LAYOUTS'
 none_tiles512 --compress none --tiles 512
