@@ -44,7 +44,7 @@ pub fn run(image: &Path, list: &Path, out: &Path) -> Result<String, AnyError> {
         source: source.as_ref(),
         plan: &plan,
         detector: &detector,
-        second_look: &detector,
+        refiner: &detector,
         gcps: &gcps,
         matcher: &RobustMatcher::default(),
         priors: &[priors],

@@ -39,7 +39,7 @@ pub trait Detector: Sync {
         self.examine(region, pixels).into_iter().collect()
     }
     /// Region → Candidates where a mark must be, in a window of its own.
-    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+    fn refine(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.examine(region, pixels).into_iter().collect()
     }
     /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken

@@ -1,4 +1,4 @@
-//! The second look: where every GCP must be, in a window of its own.
+//! The refinement: where every GCP must be, in a window of its own.
 //!
 //! The scan's candidates already have sub-pixel centres, so a GCP that has a candidate close to where the transform
 //! puts it keeps that one. The others are looked for again in a small window with a detector that takes less for
@@ -10,12 +10,12 @@
 //! use autoref_stream::profile::Profile;
 //! use autoref_raster::RasterSource;
 //! use autoref_raster::memory::MemorySource;
-//! use autoref_stream::rematch::{Expected, SecondLook, rematch};
+//! use autoref_stream::rematch::{Expected, Refinement, rematch};
 //! let bare_ground = MemorySource::rgb8(64, 64, vec![90; 64 * 64 * 3]);
 //! let detector = PaintDetector::new(Profile::load("orange")?, bare_ground.info(), None)?;
 //! let at = |x: f64| Expected { gcp: 0, position: PixelPoint { x, y: 32.0 }, radius_px: 4.0 };
 //! let seen = rematch(&bare_ground, &detector, &[], &[at(32.0), at(900.0)])?;
-//! assert!(matches!(seen[..], [SecondLook::NotFound, SecondLook::Outside]));
+//! assert!(matches!(seen[..], [Refinement::NotFound, Refinement::Outside]));
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
@@ -40,9 +40,9 @@ pub struct Expected {
     pub radius_px: f64,
 }
 
-/// What the second look saw of one GCP.
+/// What the refinement saw of one GCP.
 #[derive(Clone, Debug)]
-pub enum SecondLook {
+pub enum Refinement {
     /// A candidate of the scan is close enough: its index in the list.
     Kept { candidate: usize },
     /// The window showed a mark that the scan had missed.
@@ -68,21 +68,21 @@ pub fn rematch(
     detector: &dyn Detector,
     scanned: &[Candidate],
     expected: &[Expected],
-) -> Result<Vec<SecondLook>> {
+) -> Result<Vec<Refinement>> {
     let info = source.info();
     let known = |expected: &Expected| {
         let (x, y) = (expected.position.x, expected.position.y);
         if !(x >= 0.0 && y >= 0.0 && x < info.width as f64 && y < info.height as f64) {
-            return SecondLook::Outside;
+            return Refinement::Outside;
         }
-        nearest(scanned.iter(), expected).map_or(SecondLook::NotFound, |candidate| SecondLook::Kept { candidate })
+        nearest(scanned.iter(), expected).map_or(Refinement::NotFound, |candidate| Refinement::Kept { candidate })
     };
-    let mut answers: Vec<SecondLook> = expected.iter().map(known).collect();
+    let mut answers: Vec<Refinement> = expected.iter().map(known).collect();
     look_again(source, detector, expected, &mut answers)?;
     let mut stricter: Option<Box<dyn Detector>> = None;
     for _ in 0..STRICTER_LOOKS {
         // A detector costs a table of colours: none is made for nothing.
-        if !answers.iter().any(|a| matches!(a, SecondLook::NotFound)) {
+        if !answers.iter().any(|a| matches!(a, Refinement::NotFound)) {
             break;
         }
         let Some(next) = stricter.as_deref().unwrap_or(detector).stricter() else { break };
@@ -97,15 +97,15 @@ fn look_again(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     expected: &[Expected],
-    answers: &mut [SecondLook],
+    answers: &mut [Refinement],
 ) -> Result<()> {
-    let mut missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
-    let look = |&i: &usize| -> Result<(usize, SecondLook)> {
+    let mut missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
+    let look = |&i: &usize| -> Result<(usize, Refinement)> {
         let found = look_in_window(source, detector, &expected[i])?;
         let best = nearest(found.iter(), &expected[i]);
-        Ok((i, best.map_or(SecondLook::NotFound, |best| SecondLook::Found(Box::new(found[best].clone())))))
+        Ok((i, best.map_or(Refinement::NotFound, |best| Refinement::Found(Box::new(found[best].clone())))))
     };
-    let found: Vec<(usize, SecondLook)> = if source.info().sequential {
+    let found: Vec<(usize, Refinement)> = if source.info().sequential {
         // From the top down: the reader cannot go back without starting again.
         missing.sort_by(|&a, &b| expected[a].position.y.total_cmp(&expected[b].position.y));
         missing.iter().map(look).collect::<Result<_>>()?
@@ -148,7 +148,7 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
         .iter()
         .flat_map(|region| {
             let window = region.bounds.grown(detector.patch_margin_px(), &info.bounds());
-            detector.second_look(region, &View { block: &block, window, info })
+            detector.refine(region, &View { block: &block, window, info })
         })
         .collect())
 }

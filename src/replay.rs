@@ -202,7 +202,8 @@ mod tests {
             "score": 1.0, "area_px": 100.0, "size_px": [10.0, 10.0], "elevation_m": null});
         serde_json::from_value(serde_json::json!({
             "schema_version": 1, "program": "", "status": "solved", "advice": [], "options": null,
-            "gcp_file": "list.csv", "gcps_listed": 4, "gcps": gcps, "candidates_found": 1, "matches": matches,
+            "geotransform": [5000.0, 0.1, 0.0, 9000.0, 0.0, -0.1], "rmse_m": 0.3, "rmse_e_m": 0.3, "rmse_n_m": 0.0, "rmse_px": 3.0,
+            "scale_m_per_px": 0.1, "rotation_deg": 0.0, "gcps_in_image": 4, "gcp_file": "list.csv", "gcps_listed": 4, "gcps": gcps, "candidates_found": 1, "matches": matches,
             "check_points": [], "expected_errors": [], "not_found": [], "outside": [], "warnings": [],
             "candidates": [candidate], "files_written": [], "elapsed_s": 0.0,
             "timings": {"open_s": 0.0, "scan_s": 0.0, "examine_s": 0.0, "match_s": 0.0, "rematch_s": 0.0,

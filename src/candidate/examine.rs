@@ -1,4 +1,4 @@
-//! The second look: the pixels around a region decide whether it is a mark, and where exactly its centre lies.
+//! The examination: the pixels around a region decide whether it is a mark, and where exactly its centre lies.
 //!
 //! Colour alone cannot tell a faded mark from a roof tile, but a mark differs from the ground right beside it. The ground is
 //! measured in a ring; the direction in colour space that separates paint from that ground best (R. A. Fisher, "The use of
@@ -58,7 +58,7 @@ pub(super) struct Around<'a> {
     pub classifier: &'a Classifier,
 }
 
-/// What the second look measured; [`score`] turns it into one number.
+/// What the examination measured; [`score`] turns it into one number.
 #[derive(Clone, Debug)]
 pub struct Evidence {
     /// Mahalanobis distance of the paint from the ground beside it.

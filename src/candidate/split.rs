@@ -14,7 +14,7 @@ use crate::segment::label::Region;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, Pixels};
 
-/// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs a second look.
+/// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs an examination.
 const MOST_PARTS: usize = 256;
 
 /// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark

@@ -342,7 +342,7 @@ impl Detector for CodedDetector {
         tags.iter().filter(|tag| tag.score >= self.min_score).map(|tag| self.candidate(tag)).collect()
     }
 
-    fn second_look(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
+    fn refine(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.examine_all(region, pixels)
     }
 

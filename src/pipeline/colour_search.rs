@@ -109,9 +109,9 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     let teachers = strongest(solved.pattern.pairs.iter().map(|pair| &candidates[pair.0]));
     let profile = taught(job.source, &teachers)?.unwrap_or_else(|| Profile::of_paint(colour));
     let Ok(detector) = MarkDetector::new(profile, job.source.info(), None) else { return Ok(None) };
-    let second_look = detector.relaxed();
-    let job = Job { second_look: second_look.as_detector(), ..*job };
-    let outcome = orient_again(&job, candidates, *solved, second_look.as_detector())?;
+    let refiner = detector.relaxed();
+    let job = Job { refiner: refiner.as_detector(), ..*job };
+    let outcome = orient_again(&job, candidates, *solved, refiner.as_detector())?;
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
 }
 

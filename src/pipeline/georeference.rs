@@ -10,7 +10,7 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
-use crate::rematch::{Expected, SecondLook, rematch};
+use crate::rematch::{Expected, Refinement, rematch};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
@@ -22,8 +22,8 @@ pub struct Job<'a> {
     pub source: &'a dyn RasterSource,
     pub plan: &'a ScanPlan,
     pub detector: &'a dyn Detector,
-    /// For the second look: may take less for granted.
-    pub second_look: &'a dyn Detector,
+    /// For the refinement: may take less for granted.
+    pub refiner: &'a dyn Detector,
     pub gcps: &'a [Gcp],
     pub matcher: &'a dyn Matcher,
     /// Tried in order until one solves: what is believed first, then less.
@@ -109,7 +109,7 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let outcome = match outcome {
         MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
         MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| match job.refine {
-            Refine::Always => rematch(job.source, job.second_look, &scan.candidates, expected),
+            Refine::Always => rematch(job.source, job.refiner, &scan.candidates, expected),
             Refine::Never => Ok(unrefined(job, &scan.candidates, expected)),
         })?,
     };
@@ -117,18 +117,18 @@ pub fn georeference(job: &Job<'_>) -> Result<Run> {
 }
 
 /// What the scan saw of check points, and nothing of any other.
-fn unrefined(job: &Job<'_>, candidates: &[Candidate], expected: &[Expected]) -> Vec<SecondLook> {
+fn unrefined(job: &Job<'_>, candidates: &[Candidate], expected: &[Expected]) -> Vec<Refinement> {
     let (width, height) = (job.source.info().width as f64, job.source.info().height as f64);
     let inside = |p: PixelPoint| p.x >= 0.0 && p.y >= 0.0 && p.x <= width && p.y <= height;
     let answer = |e: &Expected| match nearest(candidates, e) {
-        Some(candidate) if job.gcps[e.gcp].role == GcpRole::Check => SecondLook::Kept { candidate },
-        _ if inside(e.position) => SecondLook::NotFound,
-        _ => SecondLook::Outside,
+        Some(candidate) if job.gcps[e.gcp].role == GcpRole::Check => Refinement::Kept { candidate },
+        _ if inside(e.position) => Refinement::NotFound,
+        _ => Refinement::Outside,
     };
     expected.iter().map(answer).collect()
 }
 
-/// Orients by a match that is believed already; points that the job's second look does not see are looked for with `taught` too.
+/// Orients by a match that is believed already; points that the job's refinement does not see are looked for with `taught` too.
 ///
 /// # Errors
 /// When the raster cannot be read.
@@ -139,8 +139,8 @@ pub(super) fn orient_again(
     taught: &dyn Detector,
 ) -> Result<Outcome> {
     orient(job.gcps, candidates, evidence, |expected| {
-        let mut answers = rematch(job.source, job.second_look, candidates, expected)?;
-        let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], SecondLook::NotFound)).collect();
+        let mut answers = rematch(job.source, job.refiner, candidates, expected)?;
+        let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
         for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], &asked)?) {
             answers[i] = answer;
@@ -181,9 +181,9 @@ pub fn solve_candidates(
             Ok(expected
                 .iter()
                 .map(|e| match nearest(candidates, e) {
-                    Some(candidate) => SecondLook::Kept { candidate },
-                    None if inside(e.position) => SecondLook::NotFound,
-                    None => SecondLook::Outside,
+                    Some(candidate) => Refinement::Kept { candidate },
+                    None if inside(e.position) => Refinement::NotFound,
+                    None => Refinement::Outside,
                 })
                 .collect())
         }),
@@ -201,7 +201,7 @@ fn orient(
     gcps: &[Gcp],
     candidates: &[Candidate],
     evidence: Solved,
-    look: impl Fn(&[Expected]) -> Result<Vec<SecondLook>>,
+    look: impl Fn(&[Expected]) -> Result<Vec<Refinement>>,
 ) -> Result<Outcome> {
     let first: Vec<FoundMark> = evidence
         .pattern
@@ -229,14 +229,14 @@ fn orient(
         let gcp = expected.gcp;
         let found = match answer {
             // One mark is one GCP.
-            SecondLook::Kept { candidate } if taken.contains(&candidate) => None,
-            SecondLook::Kept { candidate } => {
+            Refinement::Kept { candidate } if taken.contains(&candidate) => None,
+            Refinement::Kept { candidate } => {
                 taken.push(candidate);
                 Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
             }
-            SecondLook::Found(mark) => Some(FoundMark { gcp, mark: *mark, found_by: FoundBy::Rematch }),
-            SecondLook::NotFound => None,
-            SecondLook::Outside => {
+            Refinement::Found(mark) => Some(FoundMark { gcp, mark: *mark, found_by: FoundBy::Rematch }),
+            Refinement::NotFound => None,
+            Refinement::Outside => {
                 outside.push(gcp);
                 continue;
             }
@@ -284,7 +284,7 @@ pub fn diagnose(
     match outcome {
         Outcome::Solved(orientation) => {
             orientation.diagnoses = doctor.on_solution(&orientation.evidence.pattern);
-            // The second look found marks that the scan did not have: those points are explained.
+            // The refinement found marks that the scan did not have: those points are explained.
             let marks = || orientation.marks.iter().chain(&orientation.check_marks);
             let found: Vec<&str> = marks().map(|mark| gcps[mark.gcp].name.as_str()).collect();
             orientation.diagnoses.retain(|d| !d.gcps.iter().any(|name| found.contains(&name.as_str())));

@@ -167,7 +167,7 @@ pub fn reasons(
 
 /// What the window shows about its place.
 fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option<[u8; 3]>) -> NotFound {
-    /// What stands out less is ground; as in the second look.
+    /// What stands out less is ground; as in the examination.
     const LEAST_CONTRAST: f64 = 4.0;
     /// A trace of paint is at least this share of it.
     const TRACE: f64 = 0.08;

@@ -48,7 +48,7 @@ pub enum Looked {
 }
 
 impl SecondPass {
-    /// What is known before the second look: nothing has changed yet.
+    /// What is known before it looks again: nothing has changed yet.
     fn of(first: &Run, taught_by: &str, profile: &Profile, looked: Looked) -> SecondPass {
         let learned = profile.learned.as_ref();
         let (candidates, matched) = (first.scan.candidates.len(), matched(first));
@@ -101,7 +101,7 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let relaxed = detector.relaxed();
     // The plan's halo was made for the first profile; a taught one has no filters and needs none.
     job.progress.pass("second pass, with the colours learned");
-    let second = georeference(&Job { detector: detector.as_detector(), second_look: relaxed.as_detector(), ..*job })?;
+    let second = georeference(&Job { detector: detector.as_detector(), refiner: relaxed.as_detector(), ..*job })?;
     let (before, after) = (matched(&first), matched(&second));
     let adopted = after > before;
     let report = SecondPass {

@@ -203,12 +203,12 @@ pub struct GateLimits {
     pub min_area_per_perimeter_px: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_area_per_perimeter_px: Option<f64>,
-    /// Area over area of the convex hull; needs pixels, so it is tested in the second look.
+    /// Area over area of the convex hull; needs pixels, so it is tested in the examination.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub min_solidity: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_solidity: Option<f64>,
-    /// An expression over properties of the candidate's pixels; what does not satisfy it is dropped in the second look.
+    /// An expression over properties of the candidate's pixels; what does not satisfy it is dropped in the examination.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rule: Option<Rule>,
 }
@@ -313,7 +313,7 @@ pub struct Density {
     pub max_zero_share: f64,
 }
 
-/// The second look at a candidate's own pixels.
+/// The examination at a candidate's own pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Examine {

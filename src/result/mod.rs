@@ -198,7 +198,7 @@ pub struct Reading {
     pub blocks_decoded: u64,
     pub blocks_skipped: u64,
     pub bytes_read: u64,
-    /// Decoded for windows of their own: marks that straddle tiles, and the second look.
+    /// Decoded for windows of their own: marks that straddle tiles, and the refinement.
     pub window_blocks_decoded: u64,
     pub window_bytes_read: u64,
 }

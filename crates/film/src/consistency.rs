@@ -6,7 +6,7 @@
 //! of the American Statistical Association, 1974. A frame only ever loses by this: nothing doubtful becomes good.
 
 use super::inner::distance;
-use super::look::median;
+use super::remeasure::median;
 use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::coords::{Handedness, PixelPoint};
 

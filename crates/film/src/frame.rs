@@ -1,4 +1,4 @@
-//! One frame: search, constellation, second look, checks, interior orientation.
+//! One frame: search, constellation, re-measurement, checks, interior orientation.
 
 use std::path::Path;
 use std::time::Instant;
@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::check::agreement;
 use super::constellation::{Assembly, assemble};
 use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
-use super::look::Measured;
+use super::remeasure::Measured;
 use super::search::{Peak, search};
 use super::sketch::{Sketches, upright};
 use super::template::Model;
@@ -166,7 +166,7 @@ impl Finder {
         if options.method == Method::Thesis2017 {
             self.find_as_in_2017(source, options, &mut result)?;
         } else if let Some(assembly) = self.assembly(source, options)? {
-            self.second_look(source, options, &assembly, &mut result)?;
+            self.remeasure(source, options, &assembly, &mut result)?;
         } else {
             result.marks = self.camera.marks.iter().map(|m| missing(&m.name, None, "not found")).collect();
         }

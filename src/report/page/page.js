@@ -540,7 +540,7 @@
       ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, false alarms ${chance(d.runner_up[1])}` : "none"],
       ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${metres(d.moved_m)} m` : null],
       ["Written", d.files_written.join(", ")]]);
-    const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, second look ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],
+    const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, refinement ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],
       ["Memory", d.peak_memory_bytes ? `${mib(d.peak_memory_bytes)} at most${plan ? `, ${mib(plan.memory_budget_bytes)} allowed` : ""}` : null],
       ["Tiles", plan ? `${plan.tiles} of ${plan.tile_width_px} × ${plan.tile_height_px} px, ${count(plan.workers, "worker", "workers")}` : null],
       ["Blocks", reading ? `${reading.blocks_decoded} of ${reading.blocks_in_file} decoded once, ${reading.blocks_skipped} empty, ${reading.window_blocks_decoded} again for windows` : null],

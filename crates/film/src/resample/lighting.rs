@@ -11,7 +11,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::look::median;
+use crate::remeasure::median;
 use crate::types::{Camera, InnerOrientation};
 use crate::window::read_grey;
 use autoref_raster::RasterSource;

@@ -12,7 +12,7 @@ mod threshold;
 
 use super::frame::{FindOptions, Finder};
 use super::inner::{Pose, distance, fit_pose};
-use super::look::{Measured, located, placed};
+use super::remeasure::{Measured, located, placed};
 use super::search::{Peak, search};
 use super::template::{Linear, Picture};
 use super::types::{FrameResult, MarkKind};

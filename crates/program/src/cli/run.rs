@@ -114,12 +114,12 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let priors = common::priors(info, &args.matching);
     let matcher = common::matcher(&args.matching, priors.len(), &args.matching.limit())?;
     let bar = Bar::new(info, args.quiet || args.json);
-    let second_look = detector.relaxed();
+    let refiner = detector.relaxed();
     let run = georeference(&Job {
         source: source.as_ref(),
         plan: &plan,
         detector: detector.as_detector(),
-        second_look: second_look.as_detector(),
+        refiner: refiner.as_detector(),
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,
@@ -163,12 +163,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS, &time_limit)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
-    let second_look = detector.relaxed();
+    let refiner = detector.relaxed();
     let job = Job {
         source: source.as_ref(),
         plan: &plan,
         detector: detector.as_detector(),
-        second_look: second_look.as_detector(),
+        refiner: refiner.as_detector(),
         gcps: &list.gcps,
         matcher: matcher.as_ref(),
         priors: &priors,

@@ -1,4 +1,4 @@
-//! The second look: every mark again under a pose that is known, to a fraction of a pixel, with what makes it doubtful by
+//! The re-measurement: every mark again under a pose that is known, to a fraction of a pixel, with what makes it doubtful by
 //! itself.
 
 use super::check::agreement;
@@ -36,7 +36,7 @@ const HOLE_MM: f64 = 0.05;
 /// A centre less certain than this is looked at by a person, pixels.
 const GOOD_SIGMA_PX: f64 = 0.5;
 
-/// A mark after the second look.
+/// A mark after the re-measurement.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
     pub centre: PixelPoint,
@@ -65,7 +65,7 @@ impl Lines<'_> {
 
 impl Finder {
     /// Measures every mark under the assembly's pose, names them, checks them and solves.
-    pub(super) fn second_look(
+    pub(super) fn remeasure(
         &self,
         source: &dyn RasterSource,
         options: &FindOptions,
