@@ -19,8 +19,11 @@ use crate::matching::field::Field;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 
-/// Tolerance levels tried, pixels: 1 to 11.3 by √2.
-pub const LEVELS_PX: [f64; 8] = [1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
+/// Tolerance levels tried, pixels: a half for marks that agree to a tenth, then 1 to 11.3 by √2.
+pub const LEVELS_PX: [f64; 9] = [0.5, 1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
+
+/// The closest tolerance that a hypothesis is judged by during the search, pixels: one mark in pieces may be centred no better.
+pub const CLOSEST_PX: f64 = 1.0;
 
 /// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² + |w|²)
 /// with w the complex position of `p` along the pair.
@@ -58,6 +61,10 @@ pub fn log10_tail(probabilities: &[f64], hits: usize) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PairEvidence {
     pub log10_false_alarms: f64,
+    /// The same with all GCPs in the image taken together.
+    pub log10_whole_false_alarms: f64,
+    /// How much less sure than one mark the predictions may be that were counted; infinite when all were.
+    pub extent: f64,
     pub hits: usize,
     pub gcps_in_image: usize,
 }
@@ -88,6 +95,8 @@ pub(super) fn evidence_of(
     let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
     let mut probabilities = Vec::with_capacity(gcps.len());
     let mut hit: Vec<usize> = Vec::new();
+    // Of each prediction, how far off it may be against one mark's error, and whether it was hit.
+    let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(gcps.len());
     let mut places: Vec<(PixelPoint, f64)> = Vec::new();
     // Where something was predicted already, and how closely.
     let mut told: Vec<(PixelPoint, f64)> = pixels.iter().map(|p| (*p, level_px)).collect();
@@ -99,7 +108,8 @@ pub(super) fn evidence_of(
         if !field.contains(predicted) {
             continue;
         }
-        let radius = level_px * spread_from_pair(gcps[a], gcps[b], *gcp);
+        let spread = spread_from_pair(gcps[a], gcps[b], *gcp);
+        let radius = level_px * spread;
         let away = told.iter().map(|(p, r)| {
             let distance = (p.x - predicted.x).hypot(p.y - predicted.y);
             (distance, distance < r + radius)
@@ -116,11 +126,15 @@ pub(super) fn evidence_of(
         let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
+        told_by.push((spread, false));
         // One mark is evidence for one GCP only.
         if let Some((candidate, _)) = field.nearest_of(predicted, radius, |candidate| may(candidate, k))
             && !hit.iter().any(|other| field.one_place(candidate, *other))
         {
             hit.push(candidate);
+            if let Some(last) = told_by.last_mut() {
+                last.1 = true;
+            }
         }
     }
     // Points on a line and clutter in a row meet far more often than their density tells.
@@ -140,13 +154,38 @@ pub(super) fn evidence_of(
             }
         }
     }
-    let tail = log10_tail(&probabilities, hit.len());
+    let (tail, extent) = best_tail(&probabilities, &told_by, level_px);
+    let whole = log10_tail(&probabilities, hit.len()) - EXTENTS[0].1.log10();
     let levels = (LEVELS_PX.len() as f64).log10();
     Some(PairEvidence {
         log10_false_alarms: log10_tests + levels + tail,
+        log10_whole_false_alarms: log10_tests + levels + whole,
+        extent,
         hits: hit.len() + 2,
         gcps_in_image: probabilities.len() + 2,
     })
+}
+
+/// How far from the pair predictions may lie to be counted, by how much less sure they are than one mark; and the share of the limit
+/// on accidents that each extent has. A pair of a cluster says little of points far away: their circles hold clutter by chance, and
+/// with them all six of six that lie close together are no surprise. All together is what a pattern that spans the image
+/// needs, so nearly all of the limit is its own.
+const EXTENTS: [(f64, f64); 4] = [(f64::INFINITY, 0.9), (6.0, 0.034), (3.5, 0.033), (2.2, 0.033)];
+
+/// Only patterns whose marks agree as closely as this are weighed by their neighbours: among wrong rows of a list a loose fit of
+/// a few close together is no surprise.
+const NEAR_LEVEL_PX: f64 = 1.5;
+
+/// log₁₀ of the probability of as many hits, at the extent where it is least, each over its share of the limit; and that extent.
+fn best_tail(probabilities: &[f64], told_by: &[(f64, bool)], level_px: f64) -> (f64, f64) {
+    let at = |(extent, share): (f64, f64)| {
+        let inside = || (0..probabilities.len()).filter(|&i| told_by[i].0 <= extent);
+        let chances: Vec<f64> = inside().map(|i| probabilities[i]).collect();
+        let hits = inside().filter(|&i| told_by[i].1).count();
+        (log10_tail(&chances, hits) - share.log10(), extent)
+    };
+    let extents = if level_px <= NEAR_LEVEL_PX { &EXTENTS[..] } else { &EXTENTS[..1] };
+    extents.iter().copied().map(at).min_by(|a, b| a.0.total_cmp(&b.0)).expect("there are extents")
 }
 
 /// Half-widths of the rows that are looked at, in usual places.
@@ -230,5 +269,21 @@ mod tests {
         let middle = spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(5.0, 0.0));
         assert!((middle - 1.5f64.sqrt()).abs() < 1e-12);
         assert!(spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(0.0, 100.0)) > 14.0);
+    }
+
+    #[test]
+    fn far_points_do_not_hide_a_cluster() {
+        // Four of four near points hit, which chance seldom does; fourteen far away whose circles always hold something.
+        let mut told_by = vec![(1.5, true); 4];
+        told_by.extend([(20.0, true); 8]);
+        told_by.extend([(20.0, false); 6]);
+        let chances: Vec<f64> = told_by.iter().map(|t| if t.0 > 2.0 { 0.7 } else { 1e-3 }).collect();
+        let (tail, extent) = best_tail(&chances, &told_by, 1.0);
+        assert!(tail < -9.0 && extent <= 6.0, "{tail} at {extent}");
+        // Without the cluster nothing is gained.
+        let far: Vec<(f64, bool)> = told_by[4..].to_vec();
+        assert!(best_tail(&chances[4..], &far, 1.0).0 > -1.0);
+        let shares: f64 = EXTENTS.iter().map(|e| e.1).sum();
+        assert!((shares - 1.0).abs() < 1e-9, "the limit on false alarms is shared out whole");
     }
 }

@@ -90,6 +90,10 @@ pub struct Pattern {
     pub similarity: Similarity,
     /// log₁₀ of the number of patterns as good as this that chance would produce in this list.
     pub log10_false_alarms: f64,
+    /// The same with all GCPs in the image taken together, where the former may go by those near the pattern only; the
+    /// search asks for it, files do not hold it.
+    #[serde(skip)]
+    pub log10_whole_false_alarms: f64,
     /// 1σ of a coordinate of the pairs about the similarity, pixels.
     pub noise_px: f64,
     /// GCPs that the similarity puts inside the image.

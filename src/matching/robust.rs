@@ -276,8 +276,11 @@ impl RobustMatcher {
         let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps: gcps.len() as u64 };
         let enough_pairs = search.enough_pairs(limit, pairs.len());
         for pair in &pairs {
-            // One decade below the limit chance has no say any more; repetition is asked about below.
-            if found.best.as_ref().is_some_and(|best| best.log10_false_alarms <= limit - 1.0) || done >= enough_pairs {
+            // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that leaves out
+            // most of what is expected in the image does not end the search: a better one may be made of its points.
+            if found.best.as_ref().is_some_and(|best| best.log10_whole_false_alarms <= limit - 1.0)
+                || done >= enough_pairs
+            {
                 break;
             }
             if self.time_limit.is_over() {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
-use crate::matching::evidence::{LEVELS_PX, log10_tail, spread_from_pair};
+use crate::matching::evidence::{CLOSEST_PX, LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::names::Names;
 use autoref_raster::coords::{MapPoint, PixelPoint};
@@ -182,7 +182,7 @@ impl<'a> Search<'a> {
         }
         // The fewest marks that could ever be believed: each as near as can be, all points in the image.
         let density = self.field.points().len() as f64 / self.field.area_px2();
-        let closest = -(-density * std::f64::consts::PI * 1.5 * LEVELS_PX[0] * LEVELS_PX[0]).exp_m1();
+        let closest = -(-density * std::f64::consts::PI * 1.5 * CLOSEST_PX * CLOSEST_PX).exp_m1();
         let chances = vec![closest; self.gcps.len() - 2];
         let levels = (LEVELS_PX.len() as f64).log10();
         let believed = |hits: &usize| self.log10_tests + levels + log10_tail(&chances, *hits) <= log10_limit;
@@ -327,7 +327,7 @@ impl<'a> Search<'a> {
     fn fewest_hits(&self, targets: &[Target]) -> usize {
         let density = self.field.points().len() as f64 / self.field.area_px2();
         let closest = |t: &Target| {
-            let radius = t.radius_px / self.tolerance_px * LEVELS_PX[0];
+            let radius = t.radius_px / self.tolerance_px * CLOSEST_PX;
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
         };
         let probabilities: Vec<f64> = targets.iter().map(closest).collect();

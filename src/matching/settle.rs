@@ -12,6 +12,9 @@ const MOST_BASES: usize = 48;
 const FEW_BASES: usize = 4;
 const MANY: usize = 200;
 
+/// Fewer pairs than these are weighed against all points in the image.
+const FEWEST_NEAR: usize = 5;
+
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
     pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
@@ -23,12 +26,17 @@ impl Search<'_> {
         self.settle(similarity, pairs)
     }
 
+    /// The radius of a circle that holds a candidate by chance so often.
+    fn chance_radius_px(&self, chance: f64) -> f64 {
+        let density = self.field.points().len() as f64 / self.field.area_px2();
+        (chance / (std::f64::consts::PI * density)).sqrt()
+    }
+
     /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
     pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
         // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
         // pairs would tilt the whole pattern.
-        let density = self.field.points().len() as f64 / self.field.area_px2();
-        let widest_px = (0.003 / (std::f64::consts::PI * density)).sqrt();
+        let widest_px = self.chance_radius_px(0.003);
         let mut noise_px = 2.0;
         for _ in 0..16 {
             if pairs.len() < 3 {
@@ -57,7 +65,24 @@ impl Search<'_> {
             similarity = fit_equal_weights(&fitted)?;
             noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
         }
-        self.weigh(similarity, pairs, noise_px)
+        let (pattern, near) = self.weigh(similarity, pairs, noise_px)?;
+        // What makes it no accident lies close together: what was taken in far from there is one, as often as not.
+        if pattern.log10_false_alarms < pattern.log10_whole_false_alarms - 1.0 {
+            return Some(self.only(&pattern, near).unwrap_or(pattern));
+        }
+        Some(pattern)
+    }
+
+    /// The pattern of these of its pairs alone; `None` when they are all, or too few.
+    fn only(&self, pattern: &Pattern, near: Vec<(usize, usize)>) -> Option<Pattern> {
+        if near.len() == pattern.pairs.len() || near.len() < FEWEST_NEAR {
+            return None;
+        }
+        let fitted: Vec<Pair> = near.iter().map(|&(c, g)| self.pair(c, g)).collect();
+        let similarity = fit_equal_weights(&fitted)?;
+        let noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+        let (without, _) = self.weigh(similarity, near, noise_px)?;
+        (without.log10_false_alarms <= pattern.log10_false_alarms + 1.0).then_some(without)
     }
 
     /// The pair that the others, fitted without it, put farthest beyond where they would look for it.
@@ -116,8 +141,13 @@ impl Search<'_> {
         pairs
     }
 
-    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels.
-    fn weigh(&self, similarity: Similarity, pairs: Vec<(usize, usize)>, noise_px: f64) -> Option<Pattern> {
+    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels, and the pairs that it goes by.
+    fn weigh(
+        &self,
+        similarity: Similarity,
+        pairs: Vec<(usize, usize)>,
+        noise_px: f64,
+    ) -> Option<(Pattern, Vec<(usize, usize)>)> {
         let mut bases: Vec<(f64, usize, usize)> = Vec::new();
         for i in 0..pairs.len() {
             for j in i + 1..pairs.len() {
@@ -128,19 +158,30 @@ impl Search<'_> {
         bases.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
         let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
         bases.truncate(if gcps_in_image <= MANY { MOST_BASES } else { FEW_BASES });
-        let mut best: Option<(f64, usize)> = None;
+        let mut best: Option<(f64, (usize, usize), f64)> = None;
+        let mut whole = f64::INFINITY;
         for (_, i, j) in bases {
             let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
-            for level in LEVELS_PX {
+            // Three or four that agree more closely than marks are centred are as many parts of marks.
+            for &level in LEVELS_PX.iter().filter(|level| **level >= 1.0 || pairs.len() >= FEWEST_NEAR) {
                 let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
                 let bases = (pairs[i].1, pairs[j].1);
                 let evidence = evidence_of(&self.field, self.gcps, bases, ends, level, self.log10_tests, &may);
+                whole = evidence.map_or(whole, |e| whole.min(e.log10_whole_false_alarms));
                 if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
-                    best = Some((e.log10_false_alarms, e.gcps_in_image));
+                    best = Some((e.log10_false_alarms, bases, e.extent));
                 }
             }
         }
-        best.map(|(log10_false_alarms, _)| Pattern { pairs, similarity, log10_false_alarms, noise_px, gcps_in_image })
+        let (near, (a, b), extent) = best?;
+        // Of four any one can be a wrong row that happens to fit its neighbours.
+        let log10_false_alarms = if pairs.len() < FEWEST_NEAR { whole } else { near };
+        let told = |k: usize| k == a || k == b || spread_from_pair(self.gcps[a], self.gcps[b], self.gcps[k]) <= extent;
+        let going_by = pairs.iter().copied().filter(|&(_, k)| told(k)).collect();
+        let log10_whole_false_alarms = whole;
+        let pattern =
+            Pattern { pairs, similarity, log10_false_alarms, log10_whole_false_alarms, noise_px, gcps_in_image };
+        Some((pattern, going_by))
     }
 }
 

@@ -523,3 +523,34 @@ fn without_priors() {
     });
     assert_eq!(score.wrong, 0);
 }
+
+/// Six of twenty points close together in a corner, all detected, the other fourteen in the image and unmarked.
+#[test]
+fn six_of_twenty_in_a_corner() {
+    for (what, seed, scale_known) in [("six of 20 in a corner", 18, true), ("the same without a scale", 19, false)] {
+        let score = run(what, seed, 10, |random| {
+            let clutter = 15 + random.below(286);
+            let mut usual = usual(random, 6, 14, clutter);
+            let (left, top) = (random.below(2) as f64, random.below(2) as f64);
+            let reach = random.uniform(0.08, 0.2);
+            for point in &mut usual.points[..6] {
+                let (u, v) = (random.uniform(0.02, reach), random.uniform(0.02, reach));
+                *point = PixelPoint { x: SIZE.0 * (left - u).abs(), y: SIZE.1 * (top - v).abs() };
+            }
+            usual.listed = usual.points.iter().map(|p| usual.truth.apply(*p)).collect();
+            let gcps = list(usual.listed.clone());
+            let marks = usual.marks();
+            let mut case = usual.case(random, gcps, &marks);
+            // Marks of a good image: a tenth of a pixel.
+            for candidate in &mut case.candidates {
+                let apart = |p: &&PixelPoint| (p.x - candidate.centre.x).hypot(p.y - candidate.centre.y);
+                if let Some(mark) = marks.iter().find(|p| apart(p) < 4.0) {
+                    candidate.centre = shifted(mark, 0.1 * random.normal(), 0.1 * random.normal());
+                }
+            }
+            let gsd_m_per_px = case.priors.gsd_m_per_px.filter(|_| scale_known);
+            Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, allowed_px: 3.0, ..case }
+        });
+        assert!(score.wrong == 0 && score.right * 50 >= 49 * score.trials, "{score:?}");
+    }
+}
