@@ -153,7 +153,16 @@ fn a_model_in_map_coordinates_may_have_another_crs() {
     };
     let corner = convert(MapPoint { easting: 569_960.0, northing: 7_032_060.0 }, &to, &from);
     let grid = GeoTransform([corner.easting - 20.0, 2.0, 0.0, corner.northing + 20.0, 0.0, -2.0]);
-    model(&folder.path().join("dem33.tif"), (90, 90), Some((grid, 25833)), &|p| convert(grid.apply(p), &from, &to));
+    // All cells by one transformation: each costs milliseconds.
+    let mut cells: Vec<autoref_raster::crs::Coordinate> = (0..90 * 90)
+        .map(|i| grid.apply(PixelPoint { x: f64::from(i % 90) + 0.5, y: f64::from(i / 90) + 0.5 }))
+        .map(|m| autoref_raster::crs::Coordinate { x: m.easting, y: m.northing, height: None })
+        .collect();
+    from.transform(&mut cells, &to, 1.0).expect("a projection");
+    model(&folder.path().join("dem33.tif"), (90, 90), Some((grid, 25833)), &|p| {
+        let cell = &cells[p.y as usize * 90 + p.x as usize];
+        MapPoint { easting: cell.x, northing: cell.y }
+    });
     let result = solve(folder.path(), &["--dem", "dem33.tif", "--write-dem", "flat33.tif"]);
     assert_eq!(result["heights"]["position_crs"], "EPSG:25833");
     check_copy(&folder.path().join("flat33.tif"), &marks, &|copy, _, m| {
