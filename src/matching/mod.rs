@@ -28,7 +28,7 @@
 //! ```
 
 mod bitmap;
-pub mod doctor;
+pub mod diagnosis;
 mod duplicates;
 pub mod evidence;
 mod explain;
@@ -144,13 +144,13 @@ pub struct Evidence {
     pub runner_up: Option<Pattern>,
     pub effort: Effort,
     /// Mistakes in the list that would explain it.
-    pub diagnoses: Vec<doctor::Diagnosis>,
+    pub diagnoses: Vec<diagnosis::Diagnosis>,
 }
 
 /// Finds the pattern of the GCPs among the candidates.
 pub trait Matcher {
     /// GCPs with the role `check` take no part. The transform is a proper similarity of (x, −y): mirrored images are
-    /// never matched; [`doctor`] names them.
+    /// never matched; [`diagnosis`] names them.
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome;
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
-use crate::matching::doctor::{Diagnosis, Doctor, KnownPlace};
+use crate::matching::diagnosis::{Diagnosis, GrossErrors, KnownPlace};
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, Refinement, rematch};
@@ -262,7 +262,7 @@ fn orient(
     }
 }
 
-/// What surrounds a matched or refused list, for the doctor.
+/// What surrounds a matched or refused list, for the diagnosis.
 pub struct Surroundings<'a> {
     pub crs: Option<&'a autoref_raster::crs::Crs>,
     pub known: Option<KnownPlace>,
@@ -270,7 +270,7 @@ pub struct Surroundings<'a> {
     pub time_limit: TimeLimit,
 }
 
-/// Lets the doctor look at an outcome. A mistake that makes a refused list fit becomes part of the reason.
+/// Lets the diagnosis look at an outcome. A mistake that makes a refused list fit becomes part of the reason.
 pub fn diagnose(
     outcome: &mut Outcome,
     candidates: &[Candidate],
@@ -280,17 +280,17 @@ pub fn diagnose(
 ) {
     let Surroundings { crs, known, max_false_alarms, time_limit } = surroundings;
     let matcher = RobustMatcher { max_false_alarms, time_limit, ..RobustMatcher::default() };
-    let doctor = Doctor { candidates, gcps, priors, crs, known, matcher };
+    let errors = GrossErrors { candidates, gcps, priors, crs, known, matcher };
     match outcome {
         Outcome::Solved(orientation) => {
-            orientation.diagnoses = doctor.on_solution(&orientation.evidence.pattern);
+            orientation.diagnoses = errors.on_solution(&orientation.evidence.pattern);
             // The refinement found marks that the scan did not have: those points are explained.
             let marks = || orientation.marks.iter().chain(&orientation.check_marks);
             let found: Vec<&str> = marks().map(|mark| gcps[mark.gcp].name.as_str()).collect();
             orientation.diagnoses.retain(|d| !d.gcps.iter().any(|name| found.contains(&name.as_str())));
         }
         Outcome::Refused(evidence) => {
-            evidence.diagnoses = doctor.on_refusal(evidence.best.as_ref());
+            evidence.diagnoses = errors.on_refusal(evidence.best.as_ref());
             if let Some(first) = evidence.diagnoses.first() {
                 evidence.reason = format!("{}; {}", evidence.reason, first.message);
                 let messages = evidence.diagnoses.iter().map(|d| d.message.clone());

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use crate::detector::Detector;
-use crate::report::kept_pixels::Keeper;
+use crate::report::kept_pixels::KeptPixels;
 use crate::report::overview::{Rgb8, Stretch};
 use crate::segment::label::Labeller;
 use autoref_raster::coords::PixelPoint;
@@ -59,7 +59,7 @@ pub fn cut(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     stretch: Stretch,
-    kept: &Keeper,
+    kept: &KeptPixels,
     spots: &[Spot],
 ) -> Result<Vec<Chip>> {
     let one = |spot: &Spot| cut_one(source, detector, stretch, kept, spot);
@@ -113,7 +113,7 @@ fn cut_one(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     stretch: Stretch,
-    kept: &Keeper,
+    kept: &KeptPixels,
     spot: &Spot,
 ) -> Result<Chip> {
     let info = source.info();

@@ -14,7 +14,7 @@ const MAX_BYTES: usize = 4 << 20;
 
 /// The windows around the best candidates so far.
 #[derive(Default)]
-pub struct Keeper {
+pub struct KeptPixels {
     kept: Mutex<Kept>,
 }
 
@@ -24,7 +24,7 @@ struct Kept {
     bytes: usize,
 }
 
-impl Keeper {
+impl KeptPixels {
     /// Copies what the chips of these candidates will show, where the block holds it whole.
     pub fn add(&self, block: &Block, info: &RasterInfo, detector: &dyn Detector, found: &[&Candidate]) {
         for candidate in found {

@@ -14,7 +14,7 @@ mod overview;
 mod points;
 
 pub use chips::{Chip, Spot, cut};
-pub use kept_pixels::Keeper;
+pub use kept_pixels::KeptPixels;
 pub use layout_warnings::plain_warnings;
 pub use overview::{Overview, Rgb8, Stretch};
 pub use points::{Gathered, gather};

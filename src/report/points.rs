@@ -10,7 +10,7 @@ use crate::gcp::Gcp;
 use crate::pipeline::georeference::FoundBy;
 use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
-use crate::report::kept_pixels::Keeper;
+use crate::report::kept_pixels::KeptPixels;
 use crate::report::overview::Overview;
 use crate::result::{MatchRow, RunOutcome, RunResult};
 use autoref_raster::RasterSource;
@@ -118,7 +118,7 @@ pub fn gather(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     overview: &Overview,
-    kept: &Keeper,
+    kept: &KeptPixels,
     result: &RunResult,
 ) -> Result<Gathered> {
     let (picture, stretch) = overview.picture();

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
-use crate::matching::doctor::Diagnosis;
+use crate::matching::diagnosis::Diagnosis;
 use crate::matching::{Effort, NamesAgree, Pattern};
 use crate::pipeline::colour_search::ColourSearch;
 use crate::pipeline::heights::HeightResult;

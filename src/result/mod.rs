@@ -58,7 +58,7 @@ pub struct RunResult {
     pub search_cut: bool,
     pub prior_georeference: Option<PriorGeoreference>,
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
-    pub diagnoses: Vec<crate::matching::doctor::Diagnosis>,
+    pub diagnoses: Vec<crate::matching::diagnosis::Diagnosis>,
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::Patch>,

@@ -14,7 +14,7 @@ mod scan;
 mod adversity;
 mod architecture;
 mod detection;
-mod doctor;
+mod diagnosis;
 mod examples;
 mod gcp_lists;
 mod matching;

@@ -3,7 +3,7 @@
 use autoref_raster::RasterInfo;
 use autoref_raster::crs::{Coordinate, DEFAULT_DATUM_ACCURACY_M};
 use autoref_stream::gcp::{GcpList, GcpOptions, ImageGeoreference, Reproject};
-use autoref_stream::matching::doctor::Mistake;
+use autoref_stream::matching::diagnosis::Mistake;
 use autoref_stream::result::RunResult;
 use clap::{Args, ValueEnum};
 

@@ -11,7 +11,7 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
 use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
-use autoref_stream::report::{self, Gathered, Keeper, Overview, Section, Table};
+use autoref_stream::report::{self, Gathered, KeptPixels, Overview, Section, Table};
 use autoref_stream::result::RunResult;
 use clap::Args;
 
@@ -39,12 +39,12 @@ pub struct Watch<'a> {
     source: &'a dyn RasterSource,
     detector: &'a dyn Detector,
     /// When a report is wanted.
-    pictures: Option<(Overview, Keeper)>,
+    pictures: Option<(Overview, KeptPixels)>,
 }
 
 impl<'a> Watch<'a> {
     pub fn new(bar: &'a Bar, source: &'a dyn RasterSource, detector: &'a dyn Detector, args: &ReportArgs) -> Self {
-        let pictures = args.wanted().then(|| (Overview::new(source.info()), Keeper::default()));
+        let pictures = args.wanted().then(|| (Overview::new(source.info()), KeptPixels::default()));
         Watch { bar, source, detector, pictures }
     }
 

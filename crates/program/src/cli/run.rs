@@ -14,7 +14,7 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
-use autoref_stream::matching::doctor::Diagnosis;
+use autoref_stream::matching::diagnosis::Diagnosis;
 use autoref_stream::matching::{Effort, Evidence, Pattern};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
@@ -35,7 +35,7 @@ use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
 use crate::cli::write::{self, WriteArgs};
-use crate::cli::{accuracy, doctor};
+use crate::cli::{accuracy, diagnosis};
 
 /// Flags of the main job.
 #[derive(Args, Debug)]
@@ -191,9 +191,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             (run, colours) = colour_search(&Job { matcher: cluster_matcher.as_ref(), ..job }, run)?;
         }
     }
-    let known = doctor::known_place(info, &list);
+    let known = diagnosis::known_place(info, &list);
     tracing::info_span!("gross-error diagnosis").in_scope(|| {
-        doctor::examine(
+        diagnosis::examine(
             &mut run.outcome,
             &run.scan.candidates,
             &list,

@@ -13,7 +13,7 @@ use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
-use crate::cli::doctor;
+use crate::cli::diagnosis;
 use crate::cli::frame;
 use crate::cli::replay;
 use crate::cli::run::{self, Document};
@@ -82,7 +82,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let matcher = common::matcher(&args.matching, 1, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
-    doctor::examine(
+    diagnosis::examine(
         &mut outcome,
         &candidates,
         &list,
@@ -91,7 +91,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         (&args.matching, &time_limit),
         &args.gcps.frame.force,
     );
-    doctor::labels(&args.candidates, &mut outcome, &list)?;
+    diagnosis::labels(&args.candidates, &mut outcome, &list)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();

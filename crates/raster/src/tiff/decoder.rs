@@ -5,7 +5,7 @@ use std::os::unix::fs::FileExt;
 use std::sync::Mutex;
 
 use super::container::{ByteOrder, Directories};
-use super::empty_blocks::{Hollow, holds_nothing};
+use super::empty_blocks::{EmptyBlocks, holds_nothing};
 use super::layout::{Codec, Layout};
 use super::rows::Stream;
 use super::{codec, mapping, predictor, stream};
@@ -89,7 +89,7 @@ pub struct TiffDecoder {
     pub(super) fill: u16,
     kernel: predictor::Kernel,
     mapped: bool,
-    hollow: Hollow,
+    hollow: EmptyBlocks,
     /// Only for strips too large to be decoded whole.
     stream: Option<Mutex<Stream>>,
     /// The file is so large that its pages must not push everything else out of memory.
@@ -159,7 +159,7 @@ impl TiffDecoder {
             fill: info.fill_value(),
             kernel: predictor::Kernel::best(),
             mapped: false,
-            hollow: Hollow::default(),
+            hollow: EmptyBlocks::default(),
             stream: streams.then(Mutex::default),
             drop_behind: all.len > mapping::memory_bytes() / 2,
             layout,
@@ -325,7 +325,7 @@ impl TiffDecoder {
     fn unless_hollow(&self, block: u64, counters: &Counters, decode: impl Fn() -> Result<Chunk>) -> Result<Chunk> {
         let (offset, length) = self.layout.extent(block);
         let decoded = self.layout.block_row_bytes() * self.layout.block_height;
-        if self.layout.codec == Codec::None || !Hollow::worth_a_look(&self.info, length, decoded) {
+        if self.layout.codec == Codec::None || !EmptyBlocks::worth_a_look(&self.info, length, decoded) {
             return decode();
         }
         let mut data = vec![0; length as usize];

@@ -16,11 +16,11 @@ const REMEMBERED: usize = 4;
 
 /// What the blocks without content look like in this file.
 #[derive(Default)]
-pub(super) struct Hollow {
+pub(super) struct EmptyBlocks {
     seen: Mutex<Vec<Arc<[u8]>>>,
 }
 
-impl Hollow {
+impl EmptyBlocks {
     /// Whether a block of `length` bytes in the file may be one.
     pub fn worth_a_look(info: &RasterInfo, length: u64, decoded: u64) -> bool {
         let can_be = info.alpha.is_some() || info.nodata_sample().is_some();

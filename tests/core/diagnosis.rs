@@ -7,8 +7,8 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
-use autoref_stream::matching::doctor::{
-    Certainty, Diagnosis, Doctor, FOOT_M, KnownPlace, Mistake, US_SURVEY_FOOT_M, exchanged_labels,
+use autoref_stream::matching::diagnosis::{
+    Certainty, Diagnosis, FOOT_M, GrossErrors, KnownPlace, Mistake, US_SURVEY_FOOT_M, exchanged_labels,
 };
 use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
 
@@ -48,10 +48,10 @@ impl Setting {
     fn ask(&self, priors: &Priors, crs: Option<&Crs>, known: Option<KnownPlace>) -> (bool, Vec<Diagnosis>) {
         let matcher = RobustMatcher::default();
         let outcome = matcher.find(&self.candidates, &self.gcps, priors);
-        let doctor = Doctor { candidates: &self.candidates, gcps: &self.gcps, priors, crs, known, matcher };
+        let errors = GrossErrors { candidates: &self.candidates, gcps: &self.gcps, priors, crs, known, matcher };
         match outcome {
-            MatchOutcome::Solved(solved) => (true, doctor.on_solution(&solved.pattern)),
-            MatchOutcome::NoMatch(evidence) => (false, doctor.on_refusal(evidence.best.as_ref())),
+            MatchOutcome::Solved(solved) => (true, errors.on_solution(&solved.pattern)),
+            MatchOutcome::NoMatch(evidence) => (false, errors.on_refusal(evidence.best.as_ref())),
         }
     }
 

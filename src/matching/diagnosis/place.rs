@@ -1,6 +1,6 @@
 //! Scale and place of a fit against what the image says of itself.
 
-use super::{Certainty, Diagnosis, Doctor, FOOT_M, Mistake, US_SURVEY_FOOT_M, neighbours};
+use super::{Certainty, Diagnosis, FOOT_M, GrossErrors, Mistake, US_SURVEY_FOOT_M, neighbours};
 use crate::matching::Pattern;
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::Coordinate;
@@ -12,8 +12,8 @@ const NEAR_M: f64 = 2.0;
 const SCALE_AGREES: f64 = 0.03;
 const GROUND_FACTOR: std::ops::Range<f64> = 2e-5..5e-3;
 
-pub(super) fn diagnose(doctor: &Doctor<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
-    let Some(known) = doctor.known else { return scale_alone(doctor, pattern).into_iter().collect() };
+pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
+    let Some(known) = given.known else { return scale_alone(given, pattern).into_iter().collect() };
     let solved = pattern.similarity.apply(known.centre_px);
     let scale = pattern.similarity.scale_m_per_px();
     let diagonal_m = 2.0 * known.centre_px.x.hypot(known.centre_px.y) * scale;
@@ -31,7 +31,7 @@ pub(super) fn diagnose(doctor: &Doctor<'_>, pattern: &Pattern) -> Vec<Diagnosis>
             return told_feet(international, survey);
         }
     }
-    if let Some(declared) = doctor.crs
+    if let Some(declared) = given.crs
         && found > 20.0 * near_m
     {
         for zone in neighbours(declared) {
@@ -74,8 +74,8 @@ fn told_feet(international: f64, survey: f64) -> Vec<Diagnosis> {
 }
 
 /// The scale by the pattern is 3.28 times, or a 3.28th of, what was known before.
-fn scale_alone(doctor: &Doctor<'_>, pattern: &Pattern) -> Option<Diagnosis> {
-    let (low, high) = doctor.priors.gsd_m_per_px?;
+fn scale_alone(given: &GrossErrors<'_>, pattern: &Pattern) -> Option<Diagnosis> {
+    let (low, high) = given.priors.gsd_m_per_px?;
     let expected = (low * high).sqrt();
     // A rough idea of the scale does not tell feet from anything else.
     if high > 1.5 * low {

@@ -8,7 +8,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::matching::doctor::{Certainty, KnownPlace, exchanged_labels};
+use autoref_stream::matching::diagnosis::{Certainty, KnownPlace, exchanged_labels};
 use autoref_stream::matching::{Evidence, Priors, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 

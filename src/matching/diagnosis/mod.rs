@@ -1,7 +1,7 @@
 //! The gross-error diagnosis: classic mistakes in a list of GCPs, tried when a pattern does not fit or leaves points unexplained.
 //!
 //! A mistake is claimed only on the evidence that is asked of a match: the expected number of chance explanations as good,
-//! over everything the doctor tries, must not exceed the matcher's limit. Weaker evidence, down to [`POSSIBLE_LOG10`], is
+//! over everything the diagnosis tries, must not exceed the matcher's limit. Weaker evidence, down to [`POSSIBLE_LOG10`], is
 //! told as a possibility with its figure. Nothing is ever corrected.
 //!
 //! What shows which mistake (a similarity absorbs shift, rotation and, without a known ground sample distance, scale):
@@ -33,7 +33,7 @@ pub const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 /// Explanations that chance produces once in a hundred lists are mentioned as possible; rarer ones may be claimed.
 pub const POSSIBLE_LOG10: f64 = -2.0;
 
-/// A mistake that the doctor knows.
+/// A mistake that the diagnosis knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Mistake {
@@ -87,8 +87,8 @@ pub struct KnownPlace {
     pub centre_px: autoref_raster::coords::PixelPoint,
 }
 
-/// What the doctor is told.
-pub struct Doctor<'a> {
+/// What the diagnosis is told.
+pub struct GrossErrors<'a> {
     pub candidates: &'a [Candidate],
     pub gcps: &'a [Gcp],
     pub priors: &'a Priors,
@@ -106,7 +106,7 @@ struct Attempt {
     note: String,
 }
 
-impl Doctor<'_> {
+impl GrossErrors<'_> {
     /// Why nothing fits: mistakes of the whole list first; else single rows beside the best partial pattern.
     pub fn on_refusal(&self, best: Option<&Pattern>) -> Vec<Diagnosis> {
         let control = self.gcps.iter().filter(|g| g.role == GcpRole::Control).count();

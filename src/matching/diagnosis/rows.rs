@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use super::{Certainty, Diagnosis, Doctor, FOOT_M, Mistake, POSSIBLE_LOG10, US_SURVEY_FOOT_M};
+use super::{Certainty, Diagnosis, FOOT_M, GrossErrors, Mistake, POSSIBLE_LOG10, US_SURVEY_FOOT_M};
 use crate::matching::Pattern;
 use crate::matching::evidence::log10_tail;
 use crate::matching::field::Field;
@@ -19,7 +19,7 @@ const CLOSEST_PX: f64 = 1.0;
 
 /// The marks that are left over, and where a point would have to be.
 struct Rest<'a> {
-    doctor: &'a Doctor<'a>,
+    given: &'a GrossErrors<'a>,
     pattern: &'a Pattern,
     /// Marks no GCP of the pattern claims, as good as those that are claimed.
     field: Field,
@@ -37,8 +37,8 @@ struct Hit {
     distance_px: f64,
 }
 
-pub(super) fn diagnose(doctor: &Doctor<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
-    let Some(rest) = Rest::new(doctor, pattern) else { return Vec::new() };
+pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
+    let Some(rest) = Rest::new(given, pattern) else { return Vec::new() };
     let mut told = rest.families();
     told.extend(rest.exchanged());
     told.extend(rest.digits(&told));
@@ -46,14 +46,14 @@ pub(super) fn diagnose(doctor: &Doctor<'_>, pattern: &Pattern) -> Vec<Diagnosis>
 }
 
 impl<'a> Rest<'a> {
-    fn new(doctor: &'a Doctor<'a>, pattern: &'a Pattern) -> Option<Self> {
+    fn new(given: &'a GrossErrors<'a>, pattern: &'a Pattern) -> Option<Self> {
         let pairs: Vec<Pair> = pattern
             .pairs
             .iter()
             .map(|&(c, g)| Pair {
-                pixel: doctor.candidates[c].centre,
+                pixel: given.candidates[c].centre,
                 covariance_px2: None,
-                map: doctor.gcps[g].position(),
+                map: given.gcps[g].position(),
                 survey_sigma_m: None,
             })
             .collect();
@@ -62,26 +62,26 @@ impl<'a> Rest<'a> {
         }
         let (centre, spread) = centre_and_spread(&pairs);
         // A mark worse than every one that was matched explains nothing.
-        let worst = pattern.pairs.iter().filter_map(|&(c, _)| doctor.candidates[c].score).min_by(f64::total_cmp);
+        let worst = pattern.pairs.iter().filter_map(|&(c, _)| given.candidates[c].score).min_by(f64::total_cmp);
         let good = |score: Option<f64>| worst.is_none_or(|worst| score.is_none_or(|score| score >= worst));
         let used = |i: usize| pattern.pairs.iter().any(|&(c, _)| c == i);
-        let left: Vec<PixelPoint> = (0..doctor.candidates.len())
-            .filter(|&i| !used(i) && good(doctor.candidates[i].score))
-            .map(|i| doctor.candidates[i].centre)
+        let left: Vec<PixelPoint> = (0..given.candidates.len())
+            .filter(|&i| !used(i) && good(given.candidates[i].score))
+            .map(|i| given.candidates[i].centre)
             .collect();
         if left.is_empty() {
             return None;
         }
-        let size = doctor.priors.image_size_px.unwrap_or_else(|| {
-            doctor.candidates.iter().fold((1.0f64, 1.0f64), |(w, h), c| (w.max(c.centre.x), h.max(c.centre.y)))
+        let size = given.priors.image_size_px.unwrap_or_else(|| {
+            given.candidates.iter().fold((1.0f64, 1.0f64), |(w, h), c| (w.max(c.centre.x), h.max(c.centre.y)))
         });
         let count = left.len() as f64;
         let field = Field::new(left, Some(size));
         let density = count / field.area_px2();
-        let mut rest = Rest { doctor, pattern, field, density, centre, spread, unexplained: Vec::new() };
-        rest.unexplained = (0..doctor.gcps.len())
+        let mut rest = Rest { given, pattern, field, density, centre, spread, unexplained: Vec::new() };
+        rest.unexplained = (0..given.gcps.len())
             .filter(|g| !pattern.pairs.iter().any(|(_, h)| h == g))
-            .filter(|&g| rest.mark_at(doctor.gcps[g].position()).is_none())
+            .filter(|&g| rest.mark_at(given.gcps[g].position()).is_none())
             .collect();
         Some(rest)
     }
@@ -108,7 +108,7 @@ impl<'a> Rest<'a> {
     }
 
     fn limit(&self) -> f64 {
-        self.doctor.matcher.max_false_alarms.log10()
+        self.given.matcher.max_false_alarms.log10()
     }
 
     fn certainty(&self, log10: f64) -> Option<Certainty> {
@@ -120,14 +120,14 @@ impl<'a> Rest<'a> {
     }
 
     fn name(&self, gcp: usize) -> String {
-        self.doctor.gcps[gcp].name.clone()
+        self.given.gcps[gcp].name.clone()
     }
 
     /// Rows that suffer from the same mistake: the more of them fall on marks, the surer.
     fn families(&self) -> Vec<Diagnosis> {
         let mut families: Vec<(Mistake, String, Vec<MapPoint>)> = Vec::new();
         let of = |to: &dyn Fn(MapPoint) -> MapPoint| -> Vec<MapPoint> {
-            self.doctor.gcps.iter().map(|g| to(g.position())).collect()
+            self.given.gcps.iter().map(|g| to(g.position())).collect()
         };
         let scaled = |f: f64| of(&|p| MapPoint { easting: p.easting * f, northing: p.northing * f });
         families.push((
@@ -141,7 +141,7 @@ impl<'a> Rest<'a> {
             "the coordinates are in US survey feet".into(),
             scaled(US_SURVEY_FOOT_M),
         ));
-        for (zone, gcps) in self.doctor.other_zones() {
+        for (zone, gcps) in self.given.other_zones() {
             let positions = gcps.iter().map(crate::gcp::Gcp::position).collect();
             families.push((Mistake::WrongUtmZone, format!("the coordinates belong to {}", zone.title()), positions));
         }
@@ -179,7 +179,7 @@ impl<'a> Rest<'a> {
 
     /// Two rows of which eastings, or northings, changed places.
     fn exchanged(&self) -> Vec<Diagnosis> {
-        let gcps = self.doctor.gcps;
+        let gcps = self.given.gcps;
         let n = self.unexplained.len();
         // Pairs of rows, and two columns.
         let tests = (n * n.saturating_sub(1)) as f64;
@@ -228,11 +228,11 @@ impl<'a> Rest<'a> {
 
     /// One wrong digit, or two neighbouring ones transposed, in one coordinate of a row.
     fn digits(&self, told: &[Diagnosis]) -> Vec<Diagnosis> {
-        let explained = |gcp: usize| told.iter().any(|d| d.gcps.contains(&self.doctor.gcps[gcp].name));
+        let explained = |gcp: usize| told.iter().any(|d| d.gcps.contains(&self.given.gcps[gcp].name));
         let mut tests = 0u64;
         let mut best: Vec<(f64, usize, Mistake, String)> = Vec::new();
         for &gcp in self.unexplained.iter().filter(|&&g| !explained(g)) {
-            let p = self.doctor.gcps[gcp].position();
+            let p = self.given.gcps[gcp].position();
             for (column, value) in [("easting", p.easting), ("northing", p.northing)] {
                 for (mistake, edited) in edits(value) {
                     let position = match column {
