@@ -3,6 +3,7 @@
 //! Sources: an export of Metashape (`document/chunk/markers/marker/reference`), and `include/XML_GEN/ParamChantierPhotogram.xml`
 //! of MicMac. In Metashape a marker that is switched off is a check point.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use quick_xml::Reader;
@@ -50,12 +51,22 @@ fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
     Some(quick_xml::escape::unescape(&attribute.value).ok()?.into_owned())
 }
 
+/// The words of a text or of an entity (`&quot;`), which comes as an event of its own between two texts.
+fn words(event: &Event<'_>) -> String {
+    let known = |text: &str| quick_xml::escape::unescape(text).map_or_else(|_| text.to_owned(), Cow::into_owned);
+    match event {
+        Event::Text(content) => known(content.as_ref()),
+        Event::GeneralRef(entity) => known(&format!("&{};", entity.as_ref())),
+        _ => String::new(),
+    }
+}
+
 fn metashape(path: &Path, text: &str) -> Result<RawList> {
     let mut reader = Reader::from_str(text);
     let mut elements: Vec<String> = Vec::new();
     let mut points: Vec<RawPoint> = Vec::new();
     let mut label: Option<String> = None;
-    let mut crs = CrsClaim::None;
+    let (mut crs, mut definition) = (CrsClaim::None, String::new());
     let mut without = 0;
     loop {
         let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
@@ -78,13 +89,14 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
                     elements.push(name);
                 }
             }
-            Event::Text(content) if elements.ends_with(&["chunk".into(), "reference".into()]) => {
-                let definition = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default();
-                if !definition.trim().is_empty() {
-                    crs = CrsClaim::read(path, place(), definition.trim());
-                }
+            Event::Text(_) | Event::GeneralRef(_) if elements.ends_with(&["chunk".into(), "reference".into()]) => {
+                definition += &words(&event);
             }
             Event::End(_) => {
+                if !definition.trim().is_empty() {
+                    crs = CrsClaim::read(path, place(), definition.trim());
+                    definition.clear();
+                }
                 elements.pop();
             }
             Event::Eof => break,
@@ -120,16 +132,20 @@ fn marker(path: &Path, place: &str, start: &BytesStart<'_>, name: String) -> Res
 
 fn micmac(path: &Path, text: &str) -> Result<RawList> {
     let mut reader = Reader::from_str(text);
-    let mut element = String::new();
+    let (mut element, mut content) = (String::new(), String::new());
     let mut points = Vec::new();
     let (mut name, mut position, mut sigma) = (None::<String>, None::<Vec<f64>>, None::<Vec<f64>>);
     loop {
         let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
         let place = row(text, reader.buffer_position());
         match event {
-            Event::Start(start) => element = start.name().as_ref().to_string(),
-            Event::Text(content) => {
-                let content = quick_xml::escape::unescape(content.as_ref()).unwrap_or_default().trim().to_string();
+            Event::Start(start) => {
+                element = start.name().as_ref().to_string();
+                content.clear();
+            }
+            Event::Text(_) | Event::GeneralRef(_) => content += &words(&event),
+            Event::End(end) => {
+                let content = std::mem::take(&mut content).trim().to_string();
                 let numbers = || -> Result<Option<Vec<f64>>> {
                     let values: Option<Vec<f64>> = content.split_whitespace().map(number).collect();
                     values.filter(|v| v.len() == 3).map(Some).ok_or_else(|| {
@@ -146,8 +162,6 @@ fn micmac(path: &Path, text: &str) -> Result<RawList> {
                     "Incertitude" if !content.is_empty() => sigma = numbers()?,
                     _ => {}
                 }
-            }
-            Event::End(end) => {
                 element.clear();
                 if end.name().as_ref() == "OneAppuisDAF" {
                     let (Some(at), name) = (position.take(), name.take()) else {

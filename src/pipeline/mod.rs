@@ -34,6 +34,7 @@ pub mod heights;
 pub mod marks;
 mod pace;
 pub mod paint;
+pub mod picture;
 pub mod reasons;
 pub mod scan;
 mod seams;

@@ -302,7 +302,7 @@ fn decimal_comma(value: f64) -> String {
 
 #[test]
 fn a_profile_says_where_the_time_went() {
-    let sample = Sample::new(|spec| spec.size_px = Some((1200, 900)));
+    let sample = Sample::new(|_| {});
     let profile = sample.path("profile.json");
     let at = profile.to_str().expect("plain");
     for _ in 0..2 {
@@ -330,4 +330,28 @@ fn a_profile_says_where_the_time_went() {
     assert_eq!(std::fs::read(&list).expect("there"), before);
     let said = stderr(&sample.run(&["-v", "--overwrite", "--second-pass=never"]));
     assert!(said.contains("read and classify") && said.contains("s in threads"), "{said}");
+}
+
+/// A refused picture says what is unusual about it, and the option that it names helps.
+#[test]
+fn twelve_bits_in_sixteen_are_named_and_then_solved() {
+    let fixtures = crate::common::root().join("fixtures");
+    let folder = tempfile::tempdir().expect("a folder");
+    let (image, list) = (folder.path().join("b12.tif"), fixtures.join("field.geojson"));
+    let options = ["-q", "-ot", "UInt16", "-scale", "0", "255", "0", "4080"];
+    let made = Command::new("gdal_translate").args(options).arg(fixtures.join("field.tif")).arg(&image).output();
+    assert!(made.expect("GDAL's programs are there").status.success());
+    let run = |extra: &[&str]| {
+        let mut args = vec![image.to_str().expect("plain"), "--gcps", list.to_str().expect("plain"), "--no-report"];
+        args.extend(["--overwrite", "--quiet", "--json"]);
+        args.extend(extra);
+        let output = autoref(&args);
+        (output.status.code(), serde_json::from_slice::<Value>(&output.stdout).expect("one document"))
+    };
+    let (code, refused) = run(&[]);
+    assert_eq!(code, Some(1), "{refused}");
+    let advice = refused["advice"].to_string();
+    assert!(advice.contains("--white 4095") && !advice.contains("grey"), "{advice}");
+    let (code, solved) = run(&["--white", "4080"]);
+    assert_eq!((code, solved["matches"].as_array().map(Vec::len)), (Some(0), Some(9)), "{}", solved["reason"]);
 }

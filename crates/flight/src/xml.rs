@@ -51,6 +51,13 @@ impl Element {
                         top.text += &content;
                     }
                 }
+                // `&amp;` and the like come between two texts.
+                Event::GeneralRef(entity) => {
+                    let entity = format!("&{};", entity.as_ref());
+                    if let Some(top) = stack.last_mut() {
+                        top.text += &quick_xml::escape::unescape(&entity).unwrap_or_default();
+                    }
+                }
                 Event::End(_) => {
                     if let Some(done) = stack.pop() {
                         match stack.last_mut() {

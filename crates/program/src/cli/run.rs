@@ -19,6 +19,7 @@ use autoref_stream::matching::{Effort, Evidence, Pattern};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
+use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
 use autoref_stream::report::Gathered;
@@ -215,6 +216,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         document.result.warnings.extend(search.note());
     }
     document.result.colour_search = colours;
+    if document.result.refused().is_some() {
+        document.result.advice.extend(unusual(source.as_ref())?.iter().map(ToString::to_string));
+    }
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;

@@ -1,0 +1,118 @@
+//! What a picture says of itself when nothing was found in it: samples of a few bits in many, no colours, no pixels.
+
+use std::fmt;
+
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{RasterSource, read_patch};
+
+/// Windows looked at along each axis, and their side in pixels.
+const WINDOWS: u64 = 6;
+const SIDE_PX: u64 = 64;
+/// A raster that is read from the top down is looked at only when reading it once more costs little.
+const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
+/// Fewer pixels than these say nothing.
+const FEWEST_PIXELS: usize = 100;
+
+/// Why paint may be invisible.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Unusual {
+    /// The brightest sample is at most a quarter of what counts as full white.
+    Dark { brightest: u16, white: u16 },
+    /// Red, green and blue are alike everywhere.
+    Grey,
+    /// Share of the pixels that hold nothing.
+    Empty { share: f64 },
+}
+
+impl Unusual {
+    /// The white to try instead.
+    fn better_white(brightest: u16) -> u16 {
+        [255, 1023, 4095, 16_383].into_iter().find(|white| *white >= brightest).unwrap_or(u16::MAX)
+    }
+}
+
+impl fmt::Display for Unusual {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Unusual::Dark { brightest, white } => write!(
+                f,
+                "the brightest pixel looked at is {brightest} of {white}: if fewer bits are used than the file has, give --white {}",
+                Unusual::better_white(brightest)
+            ),
+            Unusual::Grey => f.write_str(
+                "the picture is grey, and paint is told by its colour: take the picture in colour, or look for shapes \
+                 (--profile black-white-cross, black-white-checker)",
+            ),
+            Unusual::Empty { share } => {
+                write!(f, "{:.0} % of the pixels looked at hold nothing (nodata, transparent)", 100.0 * share)
+            }
+        }
+    }
+}
+
+/// Looks at windows spread over the picture. Empty when nothing is unusual.
+///
+/// # Errors
+/// When a window cannot be read.
+pub fn unusual(source: &dyn RasterSource) -> Result<Vec<Unusual>> {
+    let info = source.info();
+    if info.sequential && info.width * info.height > MOST_SEQUENTIAL_PX {
+        return Ok(Vec::new());
+    }
+    let (mut pixels, mut valid, mut brightest, mut coloured, mut white) = (0usize, 0usize, 0u16, 0usize, info.white);
+    // Row by row: what is read from the top down is passed once.
+    for row in 0..WINDOWS {
+        for column in 0..WINDOWS {
+            let at = |length: u64, n: u64| length.saturating_sub(SIDE_PX) * n / (WINDOWS - 1);
+            let window = Window::new(at(info.width, column), at(info.height, row), SIDE_PX, SIDE_PX);
+            let patch = read_patch(source, window.intersect(&info.bounds()))?;
+            white = patch.white;
+            pixels += patch.rgb.len();
+            for (rgb, _) in patch.rgb.iter().zip(&patch.valid).filter(|(_, valid)| **valid) {
+                valid += 1;
+                brightest = brightest.max(rgb[0]).max(rgb[1]).max(rgb[2]);
+                coloured += usize::from(rgb[0] != rgb[1] || rgb[1] != rgb[2]);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    let empty = 1.0 - valid as f64 / pixels.max(1) as f64;
+    if empty > 0.9 {
+        found.push(Unusual::Empty { share: empty });
+    }
+    if valid >= FEWEST_PIXELS {
+        if u64::from(brightest) * 4 <= u64::from(white) + 3 {
+            found.push(Unusual::Dark { brightest, white });
+        }
+        if coloured == 0 {
+            found.push(Unusual::Grey);
+        }
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_raster::memory::MemorySource;
+
+    fn of(pixel: impl Fn(usize) -> [u8; 3]) -> Vec<Unusual> {
+        let rgb = (0..300 * 200).flat_map(pixel).collect();
+        unusual(&MemorySource::rgb8(300, 200, rgb)).expect("in memory")
+    }
+
+    #[test]
+    fn an_ordinary_picture_is_not_unusual() {
+        assert_eq!(of(|i| [(i % 251) as u8, (i % 83) as u8, 120]), []);
+    }
+
+    #[test]
+    fn grey_and_dark_pictures_are_named_with_what_helps() {
+        assert_eq!(of(|i| [(i % 251) as u8; 3]), [Unusual::Grey]);
+        let dark = of(|i| [(i % 16) as u8, 3, 9]);
+        assert_eq!(dark, [Unusual::Dark { brightest: 15, white: 255 }]);
+        let twelve_bits = Unusual::Dark { brightest: 4080, white: 65_535 };
+        assert!(twelve_bits.to_string().ends_with("--white 4095"), "{twelve_bits}");
+    }
+}
