@@ -197,6 +197,8 @@ fn tables_b12_to_b29_from_the_printed_points() {
         assert_eq!(horn["points"], points);
         near(&horn["rmse_m"], symmetric, 1e-6);
         near(&horn["rmse_h_m"], height, 1e-6);
+        // Both take the symmetric scale, and their rotations are one.
+        near(&found(&document, "space", "Horn", "mixed")["rmse_m"], symmetric, 1e-6);
         near(&found(&document, "space", "Umeyama", "mixed")["rmse_m"], least_squares, 1e-6);
         near(&found(&document, "space", "Kraus", "mixed")["rmse_m"], least_squares, 1e-6);
         near(&horn["min_residual_m"], least.1, 1e-6);
