@@ -218,8 +218,8 @@ fn heights_over_an_area_are_means_of_its_cells() {
     let grid = GeoTransform([569_980.0, 0.5, 0.0, 7_032_030.0, 0.0, -0.5]);
     let path = folder.path().join("dem.tif");
     model(&path, (300, 260), Some((grid, 25832)), &|p| grid.apply(p));
-    let mut options = gdal::DatasetOptions::default();
-    options.open_flags = gdal::GdalOpenFlags::GDAL_OF_UPDATE;
+    let options =
+        gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..gdal::DatasetOptions::default() };
     let file = gdal::Dataset::open_ex(&path, options).expect("our own");
     let mut band = file.rasterband(1).expect("one band");
     let mut cells = band.read_as::<f32>((0, 0), (300, 260), (300, 260), None).expect("read");
@@ -227,7 +227,6 @@ fn heights_over_an_area_are_means_of_its_cells() {
         *height += if (i % 300 + i / 300) % 2 == 0 { 0.5 } else { -0.5 };
     }
     band.write((0, 0), (300, 260), &mut cells).expect("written");
-    drop(band);
     file.close().expect("written");
     let rms = |cells: &str| {
         let result = solve(folder.path(), &["--dem", "dem.tif", "--dem-area", cells]);
