@@ -471,13 +471,14 @@ fn entities_in_xml_are_read_where_they_stand() {
     let wkt = autoref_raster::crs::Crs::from_epsg(25832).expect("a zone").wkt().replace('"', "&quot;");
     let metashape = format!(
         "<document><chunks><chunk><markers><marker id=\"0\" label=\"A &amp; B\"><reference x=\"570000\" y=\"7032000\" z=\"3\"/>\
-         </marker></markers><reference>{wkt}</reference></chunk></chunks></document>"
+         </marker><marker id=\"1\" label=\"C\"><reference x=\"570100\" y=\"7032000\" z=\"3\"/></marker></markers><reference>{wkt}</reference></chunk></chunks></document>"
     );
     let list = Folder::new().read("m.xml", metashape, &GcpOptions::default()).expect("readable");
     assert_eq!(place(&list, 0), ("A & B", 570_000.0, 7_032_000.0, Some(3.0)));
     assert_eq!(list.crs.map(|crs| crs.label()).as_deref(), Some("EPSG:25832"), "{:?}", list.notes);
     let micmac = "<Global><DicoAppuisFlottant><OneAppuisDAF><Pt>570000 7032000 3</Pt><NamePt>A &amp; B</NamePt>\
-                  <Incertitude>0.02 0.02 0.05</Incertitude></OneAppuisDAF></DicoAppuisFlottant></Global>";
+                  <Incertitude>0.02 0.02 0.05</Incertitude></OneAppuisDAF><OneAppuisDAF><Pt>570100 7032000 3</Pt>\
+                  <NamePt>C</NamePt></OneAppuisDAF></DicoAppuisFlottant></Global>";
     let list = Folder::new().read("a.xml", micmac, &with_crs("EPSG:25832")).expect("readable");
     assert_eq!(place(&list, 0), ("A & B", 570_000.0, 7_032_000.0, Some(3.0)));
     assert_eq!((list.gcps[0].sigma_m, list.gcps[0].sigma_height_m), (Some(0.02), Some(0.05)));
