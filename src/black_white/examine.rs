@@ -1,4 +1,4 @@
-//! The examination at a place that answered: lines, extent, score.
+//! The examination of a place that answered: lines, extent, score.
 
 use super::fit::{Fit, Sample, Start, fit};
 use super::grey::{Plane, level, mean_of_cell};

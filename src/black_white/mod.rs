@@ -1,7 +1,7 @@
 //! Black and white targets by their shape: checkers, hourglasses and crosses on plates, in grey.
 //!
 //! Colour says nothing about them, so the place of the colour test is taken by a response to the middle of the target
-//! (`response`) at several scales, computed in integers. Where it is strong enough an examination fits the two lines that
+//! (`response`) at several scales, computed in integers. Where it is strong enough, the examination fits the two lines that
 //! cross (`fit`), follows the arms or quarters outwards for the target's size, and gives centre, covariance and score
 //! (`examine`).
 

@@ -1,4 +1,4 @@
-//! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then an examination at the pixels of
+//! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then an examination of the pixels of
 //! what is left.
 //!
 //! ```

@@ -313,7 +313,7 @@ pub struct Density {
     pub max_zero_share: f64,
 }
 
-/// The examination at a candidate's own pixels.
+/// The examination of a candidate's own pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Examine {

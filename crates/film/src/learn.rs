@@ -13,7 +13,7 @@ use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
 use super::window::{Grey, around, open_scan, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::atomic;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 
 /// A mark that somebody points at in the first frame.
@@ -209,7 +209,7 @@ fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(u
         places.push((k, p.at));
     }
     let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
-    let pose = (points.len() >= 2).then(|| fit_pose(&points, autoref_raster::coords::Handedness::AsIs)).flatten();
+    let pose = (points.len() >= 2).then(|| fit_pose(&points, Handedness::AsIs)).flatten();
     pose.map(|pose| (pose, places)).ok_or_else(|| {
         Error::usage(
             "one mark does not say how the frame lies",

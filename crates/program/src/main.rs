@@ -11,19 +11,19 @@ mod cli;
 fn main() -> ExitCode {
     let matches = cli::Cli::command().get_matches_from(cli::joined(std::env::args_os()));
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    let profile = cli::init_log(&cli);
+    let times = cli::init_log(&cli);
     let profile_json = cli.profile_json.clone();
     let result = cli::inputs::guard(&matches)
         .map_err(anyhow::Error::from)
-        .and_then(|()| profile_json.iter().try_for_each(cli::profile::check))
+        .and_then(|()| profile_json.iter().try_for_each(|path| cli::stage_times::check(path)))
         .and_then(|()| {
             let code = tracing::info_span!("command").in_scope(|| cli::dispatch(cli))?;
-            if let (Some(profile), Some(path)) = (&profile, &profile_json) {
-                profile.write(path)?;
+            if let (Some(times), Some(path)) = (&times, &profile_json) {
+                times.write(path)?;
             }
             Ok(code)
         });
-    for line in profile.iter().flat_map(cli::profile::Profile::lines) {
+    for line in times.iter().flat_map(cli::stage_times::StageTimes::lines) {
         tracing::info!("{line}");
     }
     let code = result.unwrap_or_else(|error| {

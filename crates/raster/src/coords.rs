@@ -33,6 +33,19 @@ pub struct MapPoint {
 pub struct GeoTransform(pub [f64; 6]);
 
 impl GeoTransform {
+    /// Through the map positions of the first pixel's outer corner, of the point `width_px` to its right and of the one
+    /// `height_px` below it.
+    pub fn through(origin: MapPoint, right: MapPoint, down: MapPoint, (width_px, height_px): (f64, f64)) -> Self {
+        GeoTransform([
+            origin.easting,
+            (right.easting - origin.easting) / width_px,
+            (down.easting - origin.easting) / height_px,
+            origin.northing,
+            (right.northing - origin.northing) / width_px,
+            (down.northing - origin.northing) / height_px,
+        ])
+    }
+
     pub fn apply(&self, p: PixelPoint) -> MapPoint {
         let g = &self.0;
         MapPoint { easting: g[0] + g[1] * p.x + g[2] * p.y, northing: g[3] + g[4] * p.x + g[5] * p.y }

@@ -28,7 +28,6 @@ pub mod mask;
 pub mod mosaic;
 pub mod plan;
 pub mod positions;
-pub mod profile;
 mod progress;
 pub mod replay;
 pub mod report;
@@ -39,6 +38,7 @@ pub mod selftest;
 pub mod shell;
 pub mod solve;
 pub mod solving;
+pub mod stage_times;
 mod summary;
 pub mod synth;
 pub mod synth_film;
@@ -129,16 +129,16 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
 }
 
 /// Where messages go, and the clock of the stages when `--verbose` or `--profile-json` asks for it.
-pub fn init_log(cli: &Cli) -> Option<profile::Profile> {
+pub fn init_log(cli: &Cli) -> Option<stage_times::StageTimes> {
     use tracing_subscriber::prelude::*;
     let default = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
     let messages = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
-    let profile = (cli.verbose > 0 || cli.profile_json.is_some()).then(profile::Profile::new);
-    let clock = profile.clone().map(|profile| profile.with_filter(tracing::level_filters::LevelFilter::INFO));
+    let times = (cli.verbose > 0 || cli.profile_json.is_some()).then(stage_times::StageTimes::new);
+    let clock = times.clone().map(|times| times.with_filter(tracing::level_filters::LevelFilter::INFO));
     tracing_subscriber::registry().with(messages.with_filter(filter)).with(clock).init();
-    profile
+    times
 }
 
 /// The arguments with `--second-pass WHEN` as one word: alone it means `always`, and must not swallow the image.

@@ -144,15 +144,7 @@ impl Delivery {
         let (width, height) = self.size_px;
         let fitted = solved.geotransform;
         let at = |x: f64, y: f64| self.point(fitted.apply(PixelPoint { x, y }));
-        let (origin, right, down) = (at(0.0, 0.0), at(width, 0.0), at(0.0, height));
-        solved.geotransform = GeoTransform([
-            origin.easting,
-            (right.easting - origin.easting) / width,
-            (down.easting - origin.easting) / height,
-            origin.northing,
-            (right.northing - origin.northing) / width,
-            (down.northing - origin.northing) / height,
-        ]);
+        solved.geotransform = GeoTransform::through(at(0.0, 0.0), at(width, 0.0), at(0.0, height), (width, height));
         for row in solved.matches.iter_mut().chain(&mut solved.check_points) {
             let point = self.point(MapPoint { easting: row.easting, northing: row.northing });
             (row.easting, row.northing) = (point.easting, point.northing);

@@ -366,15 +366,8 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
     let at = |x: f64, y: f64| fit.apply(autoref_raster::coords::PixelPoint { x, y });
     // Far arms, so that eastings of millions do not round the coefficients.
     const ARM: f64 = 65_536.0;
-    let (Some(o), Some(x), Some(y)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
-    let transform = GeoTransform([
-        o.easting,
-        (x.easting - o.easting) / ARM,
-        (y.easting - o.easting) / ARM,
-        o.northing,
-        (x.northing - o.northing) / ARM,
-        (y.northing - o.northing) / ARM,
-    ]);
+    let (Some(origin), Some(right), Some(down)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
+    let transform = GeoTransform::through(origin, right, down, (ARM, ARM));
     enter_planar(result, transform, &fit.residuals_m, fit.leave_one_out_m.as_deref());
     result.warnings.push(
         "the affine transform is written; expected errors, redundancy and outliers are those of the similarity".into(),

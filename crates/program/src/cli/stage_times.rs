@@ -1,12 +1,12 @@
 //! Where the time of a command went: the spans of its stages, added up. `--profile-json FILE` writes them, `--verbose` prints them.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
-use autoref_raster::{atomic, memory_plan};
+use autoref_raster::{atomic, bounded, memory_plan};
 use serde_json::json;
 use tracing::span::{Attributes, Id};
 use tracing_subscriber::Layer;
@@ -31,7 +31,7 @@ type Totals = Arc<Mutex<BTreeMap<Vec<&'static str>, Total>>>;
 
 /// Adds up the spans of a run.
 #[derive(Clone, Debug)]
-pub struct Profile {
+pub struct StageTimes {
     totals: Totals,
     started: Instant,
 }
@@ -44,9 +44,9 @@ struct Clock {
     busy: Duration,
 }
 
-impl Profile {
+impl StageTimes {
     pub fn new() -> Self {
-        Profile { totals: Totals::default(), started: Instant::now() }
+        StageTimes { totals: Totals::default(), started: Instant::now() }
     }
 
     /// One line a span, indented under its parent: seconds on the clock, seconds of all threads in it, how often.
@@ -90,10 +90,10 @@ impl Profile {
 ///
 /// # Errors
 /// When something else is there, or the folder is not.
-pub fn check(path: &PathBuf) -> anyhow::Result<()> {
+pub fn check(path: &Path) -> anyhow::Result<()> {
     let older = || {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
-        text.trim_start_matches(['{', ' ', '\n']).starts_with(&format!("\"schema\": \"{SCHEMA}\""))
+        let text = bounded::read_to_string(path, "a profile of stages", bounded::TEXT_BYTES).unwrap_or_default();
+        serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|document| document["schema"] == SCHEMA)
     };
     if path.is_file() && !older() {
         bail!("--profile-json {} exists and is no profile; name another file", path.display());
@@ -101,7 +101,7 @@ pub fn check(path: &PathBuf) -> anyhow::Result<()> {
     Ok(atomic::check_outputs(&[path], atomic::Existing::Replace)?)
 }
 
-impl<S: tracing::Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Profile {
+impl<S: tracing::Subscriber + for<'a> LookupSpan<'a>> Layer<S> for StageTimes {
     fn on_new_span(&self, _attributes: &Attributes<'_>, id: &Id, context: Context<'_, S>) {
         let Some(span) = context.span(id) else { return };
         let path = span.scope().from_root().map(|span| span.name()).collect();
@@ -142,8 +142,8 @@ mod tests {
 
     #[test]
     fn spans_are_added_up_under_their_parents_whatever_thread_they_ran_in() {
-        let profile = Profile::new();
-        let subscriber = tracing_subscriber::registry().with(profile.clone());
+        let times = StageTimes::new();
+        let subscriber = tracing_subscriber::registry().with(times.clone());
         tracing::subscriber::with_default(subscriber, || {
             let dispatch = tracing::dispatcher::get_default(Clone::clone);
             let scan = tracing::info_span!("scan").entered();
@@ -160,7 +160,7 @@ mod tests {
             });
             drop((parent, scan));
         });
-        let totals = profile.totals.lock().expect("no thread panicked");
+        let totals = times.totals.lock().expect("no thread panicked");
         let counts: Vec<_> = totals.iter().map(|(path, total)| (path.join("/"), total.count)).collect();
         assert_eq!(counts, [("scan".to_string(), 1), ("scan/read".to_string(), 3)]);
         let (scan, read) = (totals[&vec!["scan"]], totals[&vec!["scan", "read"]]);
