@@ -134,11 +134,39 @@ pub fn init_log(cli: &Cli) -> Option<stage_times::StageTimes> {
     let default = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
-    let messages = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
+    let messages =
+        tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colours).event_format(Message);
     let times = (cli.verbose > 0 || cli.profile_json.is_some()).then(stage_times::StageTimes::new);
     let clock = times.clone().map(|times| times.with_filter(tracing::level_filters::LevelFilter::INFO));
     tracing_subscriber::registry().with(messages.with_filter(filter)).with(clock).init();
     times
+}
+
+/// A message with its level. Spans are for the clock: a message does not repeat in which stage it was said.
+struct Message;
+
+impl<S, N> tracing_subscriber::fmt::FormatEvent<S, N> for Message
+where
+    S: tracing::Subscriber + for<'a> tracing_subscriber::registry::LookupSpan<'a>,
+    N: for<'a> tracing_subscriber::fmt::FormatFields<'a> + 'static,
+{
+    fn format_event(
+        &self,
+        context: &tracing_subscriber::fmt::FmtContext<'_, S, N>,
+        mut writer: tracing_subscriber::fmt::format::Writer<'_>,
+        event: &tracing::Event<'_>,
+    ) -> std::fmt::Result {
+        let level = *event.metadata().level();
+        match (writer.has_ansi_escapes(), level) {
+            (true, tracing::Level::ERROR) => write!(writer, "\x1b[31m{level:>5}\x1b[0m ")?,
+            (true, tracing::Level::WARN) => write!(writer, "\x1b[33m{level:>5}\x1b[0m ")?,
+            (true, _) => write!(writer, "\x1b[2m{level:>5}\x1b[0m ")?,
+            (false, _) => write!(writer, "{level:>5} ")?,
+        }
+        tracing_subscriber::fmt::FormatFields::format_fields(context, writer.by_ref(), event)?;
+        writeln!(writer)
+    }
 }
 
 /// The arguments with `--second-pass WHEN` as one word: alone it means `always`, and must not swallow the image.

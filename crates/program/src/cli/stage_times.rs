@@ -1,6 +1,5 @@
 //! Where the time of a command went: the spans of its stages, added up. `--profile-json FILE` writes them, `--verbose` prints them.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -27,7 +26,8 @@ struct Total {
     busy: Duration,
 }
 
-type Totals = Arc<Mutex<BTreeMap<Vec<&'static str>, Total>>>;
+/// In the order in which the first of each began, which is that of the stages: few, so that they are looked through.
+type Totals = Arc<Mutex<Vec<(Vec<&'static str>, Total)>>>;
 
 /// Adds up the spans of a run.
 #[derive(Clone, Debug)]
@@ -52,10 +52,11 @@ impl StageTimes {
     /// One line a span, indented under its parent: seconds on the clock, seconds of all threads in it, how often.
     pub fn lines(&self) -> Vec<String> {
         let totals = self.totals.lock().unwrap_or_else(PoisonError::into_inner);
-        let line = |(path, total): (&Vec<&'static str>, &Total)| {
+        let line = |(path, total): &(Vec<&'static str>, Total)| {
             let name = format!("{}{}", "  ".repeat(path.len() - 1), path.last().copied().unwrap_or_default());
             let (open, busy) = (total.open.as_secs_f64(), total.busy.as_secs_f64());
-            format!("{name:<28} {open:>9.3} s on the clock, {busy:>9.3} s in threads, {} times", total.count)
+            let often = if total.count == 1 { "once".into() } else { format!("{} times", total.count) };
+            format!("{name:<28} {open:>9.3} s on the clock, {busy:>9.3} s in threads, {often}")
         };
         totals.iter().map(line).collect()
     }
@@ -104,7 +105,12 @@ pub fn check(path: &Path) -> anyhow::Result<()> {
 impl<S: tracing::Subscriber + for<'a> LookupSpan<'a>> Layer<S> for StageTimes {
     fn on_new_span(&self, _attributes: &Attributes<'_>, id: &Id, context: Context<'_, S>) {
         let Some(span) = context.span(id) else { return };
-        let path = span.scope().from_root().map(|span| span.name()).collect();
+        let path: Vec<_> = span.scope().from_root().map(|span| span.name()).collect();
+        let mut totals = self.totals.lock().unwrap_or_else(PoisonError::into_inner);
+        if !totals.iter().any(|(known, _)| *known == path) {
+            totals.push((path.clone(), Total::default()));
+        }
+        drop(totals);
         span.extensions_mut().insert(Clock { path, made: Instant::now(), entered: None, busy: Duration::ZERO });
     }
 
@@ -128,7 +134,7 @@ impl<S: tracing::Subscriber + for<'a> LookupSpan<'a>> Layer<S> for StageTimes {
         let Some(span) = context.span(&id) else { return };
         let Some(clock) = span.extensions_mut().remove::<Clock>() else { return };
         let mut totals = self.totals.lock().unwrap_or_else(PoisonError::into_inner);
-        let total = totals.entry(clock.path).or_default();
+        let Some((_, total)) = totals.iter_mut().find(|(path, _)| *path == clock.path) else { return };
         total.count += 1;
         total.open += clock.made.elapsed();
         total.busy += clock.busy;
@@ -163,7 +169,7 @@ mod tests {
         let totals = times.totals.lock().expect("no thread panicked");
         let counts: Vec<_> = totals.iter().map(|(path, total)| (path.join("/"), total.count)).collect();
         assert_eq!(counts, [("scan".to_string(), 1), ("scan/read".to_string(), 3)]);
-        let (scan, read) = (totals[&vec!["scan"]], totals[&vec!["scan", "read"]]);
+        let (scan, read) = (totals[0].1, totals[1].1);
         assert!(scan.busy <= scan.open && read.busy <= read.open);
     }
 }
