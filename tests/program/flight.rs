@@ -306,12 +306,24 @@ impl Place {
         let bin = self.at("bin");
         std::fs::create_dir_all(&bin).expect("a folder");
         self.flight.write_model(&self.at("prepared"));
+        // No features anywhere: the frames are left to the matching of frames as they are.
+        let driver = gdal::DriverManager::get_driver_by_name("SQLite").expect("there");
+        let database = driver.create_vector_only(self.at("featureless.db")).expect("a new file");
+        for table in
+            ["images (image_id, name)", "keypoints (image_id, cols, data)", "descriptors (image_id, cols, data)"]
+        {
+            let made = database.execute_sql(format!("CREATE TABLE {table}"), None, gdal::vector::sql::Dialect::DEFAULT);
+            made.expect("a table");
+        }
+        database.close().expect("written");
         let script = format!(
             "#!/bin/sh\ncommand=$1; shift\nwhile [ $# -gt 0 ]; do case \"$1\" in\n--database_path) db=$2;; --output_path) out=$2;;\n\
              esac; shift 2; done\nif [ \"$command\" = \"$STAND_IN_FAILS\" ]; then echo half > \"$db\"; exit 3; fi\n\
              if [ \"$command\" = \"$STAND_IN_KILLS\" ]; then kill -9 $PPID; exit 0; fi\n\
-             case $command in mapper) mkdir -p \"$out/0\"; cp {0}/* \"$out/0/\";; *) echo $command >> \"$db\";; esac\n",
-            self.at("prepared").display()
+             case $command in mapper) mkdir -p \"$out/0\"; cp {0}/* \"$out/0/\";; feature_extractor) cp {1} \"$db\";;\n\
+             *) echo $command >> \"$db\";; esac\n",
+            self.at("prepared").display(),
+            self.at("featureless.db").display()
         );
         std::fs::write(bin.join("colmap"), script).expect("written");
         use std::os::unix::fs::PermissionsExt;
@@ -556,7 +568,7 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
         assert_eq!(cameras(&out), cameras("whole"), "{command}");
     }
     let again = solve("whole", &bin, &[]);
-    expect(&again, 0, &["features.db: taken from before", "sparse: taken from before"]);
+    expect(&again, 0, &["ties: taken from before", "features.db: taken from before", "sparse: taken from before"]);
     assert_eq!(again.stdout, whole.stdout);
     // COLMAP is not there.
     std::fs::create_dir(place.at("bare")).expect("a folder");
@@ -613,6 +625,9 @@ fn frames_become_cameras() {
     has_the_keys(&document);
     assert_eq!((&document["frames_registered"], &document["frames_listed"]), (&5.into(), &5.into()));
     assert!(document["reprojection_rms_px"].as_f64().is_some_and(|r| r < 1.0), "{}", document["reprojection_rms_px"]);
+    let pairs = document["pairs"].as_array().expect("a list");
+    let tied = |pair: &Value| pair["frames"].as_array().map_or(0, Vec::len) == 2 && pair["ties"].as_u64() > Some(20);
+    assert!(pairs.iter().filter(|pair| tied(pair)).count() >= 4, "{pairs:?}");
     let worst = place.flight.worst_camera_m(&document);
     let check = document["check_point_statistics"]["d"]["rms"].as_f64().expect("check points");
     let f = document["cameras"][0]["f_px"].as_f64().expect("a number");

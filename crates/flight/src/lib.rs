@@ -9,7 +9,9 @@ pub mod ortho;
 pub mod pose;
 pub mod read;
 pub mod resect;
+pub mod start;
 pub mod statistics;
+pub mod ties;
 pub mod world;
 mod xml;
 

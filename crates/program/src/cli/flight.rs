@@ -4,6 +4,9 @@ mod document;
 mod lists;
 mod ortho;
 mod project;
+mod relative;
+mod ties;
+mod views;
 
 use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};

@@ -2,16 +2,17 @@
 
 use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::ExitCode;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use autoref_flight::Error;
 use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust};
-use autoref_flight::read::{self, colmap, same_image, tables};
+use autoref_flight::read::{same_image, tables};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::{check_output, document, image_size, interior, lists};
+use super::relative::{Flight, GroundPlane};
+use super::{check_output, document, image_size, interior, lists, views};
 
 /// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
 #[derive(Debug, clap::Args)]
@@ -63,78 +64,84 @@ pub struct SolveArgs {
 /// FLIGHT.toml. Paths are taken from the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Project {
+pub struct Project {
     /// CRS of table and GCPs: an EPSG code, WKT, PROJ string, or `local`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    crs: Option<String>,
-    frames: Frames,
+    pub crs: Option<String>,
+    pub frames: Frames,
     #[serde(default)]
-    camera: CameraPart,
+    pub camera: CameraPart,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    rough: Option<Rough>,
+    pub rough: Option<Rough>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    gcps: Option<Gcps>,
+    pub gcps: Option<Gcps>,
     #[serde(default)]
-    pairs: Pairs,
+    pub pairs: Pairs,
     #[serde(default)]
-    adjust: Adjust,
+    pub adjust: Adjust,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Frames {
-    folder: PathBuf,
+pub struct Frames {
+    pub folder: PathBuf,
     /// Names with `*`.
-    pattern: Vec<String>,
+    pub pattern: Vec<String>,
 }
 
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct CameraPart {
+pub struct CameraPart {
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    f_px: Option<f64>,
+    pub f_px: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pp_px: Option<[f64; 2]>,
+    pub pp_px: Option<[f64; 2]>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Rough {
-    table: PathBuf,
+pub struct Rough {
+    pub table: PathBuf,
     #[serde(default = "default_rough_m")]
-    sigma_m: f64,
+    pub sigma_m: f64,
+    /// Elevation of the view where the table has none (-20: 20° below the horizon).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pitch_deg: Option<f64>,
+    /// Height of the ground that neighbours are warped over. Default: the median of the GCPs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground_m: Option<f64>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Gcps {
-    list: PathBuf,
+pub struct Gcps {
+    pub list: PathBuf,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    observations: Option<PathBuf>,
+    pub observations: Option<PathBuf>,
     /// 1σ on the ground; a list that states its own has the last word.
     #[serde(default = "default_ground_m")]
-    sigma_ground_m: f64,
+    pub sigma_ground_m: f64,
     #[serde(default = "default_image_px")]
-    sigma_image_px: f64,
+    pub sigma_image_px: f64,
     /// Points kept out of the fit.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    check: Vec<String>,
+    pub check: Vec<String>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Pairs {
+pub struct Pairs {
     /// Frames to each side along the order of the names (or of the table).
-    neighbours: usize,
+    pub neighbours: usize,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Adjust {
+pub struct Adjust {
     /// Interior parameters that are adjusted; `f=20` within 20 px.
-    free: Vec<String>,
-    features: usize,
-    seed: u32,
+    pub free: Vec<String>,
+    pub features: usize,
+    pub seed: u32,
 }
 
 impl Default for Pairs {
@@ -184,7 +191,7 @@ fn frames(folder: &Path, patterns: &[String]) -> Result<Vec<String>> {
         .flatten()
         .filter(|e| e.path().is_file())
         .map(|e| e.file_name().to_string_lossy().into_owned())
-        .filter(|n| patterns.iter().any(|p| matches_pattern(n, p)))
+        .filter(|n| patterns.iter().any(|p| matches_pattern(n, p)) && !views::is_mask(n))
         .collect();
     names.sort();
     Ok(names)
@@ -231,7 +238,7 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
         frames: Frames { folder, pattern },
         camera: CameraPart { f_px: args.f_px, pp_px: args.pp_px.as_ref().map(|p| [p[0], p[1]]) },
         rough: match &args.cameras {
-            Some(t) => Some(Rough { table: absolute(t)?, sigma_m: default_rough_m() }),
+            Some(t) => Some(Rough { table: absolute(t)?, sigma_m: default_rough_m(), pitch_deg: None, ground_m: None }),
             None => None,
         },
         gcps: match &args.gcps {
@@ -252,97 +259,6 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     autoref_raster::atomic::write(&args.output, text.as_bytes())?;
     println!("{}", args.output.display());
     Ok(ExitCode::SUCCESS)
-}
-
-/// FNV-1a over everything that a stage depends on.
-struct Hash(u64);
-
-impl Hash {
-    fn new(word: &str) -> Self {
-        let mut h = Hash(0xcbf2_9ce4_8422_2325);
-        h.bytes(word.as_bytes());
-        h
-    }
-    fn bytes(&mut self, bytes: &[u8]) {
-        for b in bytes {
-            self.0 = (self.0 ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-    fn file(&mut self, path: &Path) -> Result<()> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        self.bytes(&bytes);
-        Ok(())
-    }
-    fn hex(&self) -> String {
-        format!("{:016x}", self.0)
-    }
-}
-
-/// A stage of COLMAP: done when its stamp bears the hash of its inputs.
-struct Stages<'a> {
-    folder: &'a Path,
-    anew: bool,
-}
-
-impl Stages<'_> {
-    /// Runs `work` towards `NAME.part`, which becomes `NAME` when it succeeds.
-    fn run(&self, name: &str, hash: &str, work: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
-        let (target, stamp) = (self.folder.join(name), self.folder.join(format!("{name}.stamp")));
-        if !self.anew && target.exists() && std::fs::read_to_string(&stamp).is_ok_and(|s| s.trim() == hash) {
-            eprintln!("{name}: taken from before");
-            return Ok(target);
-        }
-        let part = self.folder.join(format!("{name}.part"));
-        for old in [&part, &target, &stamp] {
-            let gone = if old.is_dir() { std::fs::remove_dir_all(old) } else { std::fs::remove_file(old) };
-            if let Err(e) = gone
-                && e.kind() != std::io::ErrorKind::NotFound
-            {
-                return Err(Error::io(old, "remove", e).into());
-            }
-        }
-        eprintln!("{name} …");
-        work(&part)?;
-        std::fs::rename(&part, &target).map_err(|e| Error::io(&part, "rename", e))?;
-        autoref_raster::atomic::write(&stamp, hash.as_bytes())?;
-        Ok(target)
-    }
-}
-
-fn no_pair() -> Error {
-    Error::no_result(
-        "COLMAP found no two frames that fit together",
-        "check the focal length and the neighbours, or raise adjust.features",
-    )
-}
-
-fn says(log: &Path, words: &str) -> bool {
-    std::fs::read(log).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words))
-}
-
-fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
-    let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
-    let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
-    let mut run = Command::new("colmap");
-    run.arg(command).env("QT_QPA_PLATFORM", "offscreen").stdin(Stdio::null()).stdout(file).stderr(twin);
-    for (key, value) in arguments {
-        run.arg(format!("--{key}")).arg(value);
-    }
-    match run.status() {
-        Ok(status) if status.success() => Ok(()),
-        // It says so and fails when no two frames fit together.
-        Ok(status) if status.code() == Some(1) && says(log, "failed to create") => Err(no_pair().into()),
-        Ok(status) => bail!(
-            "colmap {command} ended with {status}; {} has its words; run the command again to resume",
-            log.display()
-        ),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            bail!(
-                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap) and run the command again"
-            )
-        }
-        Err(e) => bail!("colmap cannot be run: {e}"),
-    }
 }
 
 pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
@@ -370,7 +286,6 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     }
     order.extend((0..names.len()).filter(|i| !order.contains(i)).collect::<Vec<_>>());
 
-    let model = relative(&project, args, &folder, &out, &names, &order)?;
     let Some(gcps) = &project.gcps else {
         bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
     };
@@ -382,6 +297,25 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         sigma_ground: None,
         sigma_image: gcps.sigma_image_px,
     };
+    let flight = Flight {
+        project: &project,
+        folder: &folder,
+        out: &out,
+        ordered: order.iter().map(|i| names[*i].as_str()).collect(),
+        size_px: image_size(&folder.join(&names[0]), None)?,
+        anew: args.overwrite,
+    };
+    let plane = ground_plane(&project, &points, &rows, &flight);
+    let tied = match &plane {
+        Some(plane) => {
+            let control = points.load(None)?;
+            let ground = control.in_world(&control.world()?, &flight.listed(plane), &points)?;
+            flight.tied(plane, &ground)?
+        }
+        None => None,
+    };
+    let pairs = plane.as_ref().zip(tied.as_ref()).map(|(plane, tied)| tied.ties.statistics(&plane.views));
+    let model = flight.relative(tied)?;
     let mut control = points.load(Some(&model))?;
     for p in &mut control.points {
         p.sigma.get_or_insert([gcps.sigma_ground_m; 3]);
@@ -410,7 +344,10 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     };
     let mut found = adjust(&model, &ground, &options)?;
     found.notes.extend(notes);
-    let document = document::adjustment(&found, &model, &world, names.len(), control.crs_label());
+    let mut document = document::adjustment(&found, &model, &world, names.len(), control.crs_label());
+    if let Some(pairs) = pairs {
+        document["pairs"] = pairs;
+    }
     let text = serde_json::to_string_pretty(&document)? + "\n";
     autoref_raster::atomic::write(&out.join("cameras.json"), text.as_bytes())?;
     if args.json {
@@ -422,82 +359,32 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Features, matches and relative orientation by COLMAP, each kept.
-fn relative(
+/// What warps neighbours onto each other; `None` when focal length, a place or a direction is not known.
+fn ground_plane(
     project: &Project,
-    args: &SolveArgs,
-    folder: &Path,
-    out: &Path,
-    names: &[String],
-    order: &[usize],
-) -> Result<read::Reconstruction> {
-    let stages = Stages { folder: out, anew: args.overwrite };
-    let size = image_size(&folder.join(&names[0]), None)?;
-    let pp = project.camera.pp_px.unwrap_or([size[0] / 2.0, size[1] / 2.0]);
-    // One thread throughout: with more, the order of images and of random draws differs from run to run.
-    let list = out.join("frames.txt");
-    let ordered: Vec<&str> = order.iter().map(|i| names[*i].as_str()).collect();
-    autoref_raster::atomic::write(&list, (ordered.join("\n") + "\n").as_bytes())?;
-
-    let mut hash = Hash::new(&format!("{:?} {} {ordered:?}", project.camera, project.adjust.features));
-    for name in names {
-        hash.file(&folder.join(name))?;
+    points: &lists::PointArgs,
+    rows: &[tables::CameraRow],
+    flight: &Flight<'_>,
+) -> Option<GroundPlane> {
+    let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
+    let control = points.load(None).ok()?;
+    let world = control.world().ok()?;
+    let mut heights: Vec<f64> = control.points.iter().map(|p| p.xyz[2]).collect();
+    heights.sort_by(f64::total_cmp);
+    let height = table.ground_m.or_else(|| heights.get(heights.len() / 2).copied())?;
+    let first = control.points.first()?.xyz;
+    let ground_m = world.to_world([first[0], first[1], height])?.z;
+    let names = &flight.ordered;
+    let mut rough = Vec::new();
+    for i in 0..names.len() {
+        let row = rows.iter().find(|r| same_image(&r.name, names.iter().copied()) == Some(i))?;
+        // A pitch that is one for all frames is less sure than what a table says of each.
+        let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
+        rough.push(RoughPose {
+            pose: world.pose_to_world(&row.pose(table.pitch_deg)?)?,
+            sigma_m: Vector3::repeat(table.sigma_m),
+            sigma_rad: sigma_deg.to_radians(),
+        });
     }
-    let text = |p: &Path| p.display().to_string();
-    let features = stages.run("features.db", &hash.hex(), |part| {
-        let mut a = vec![
-            ("database_path", text(part)),
-            ("image_path", text(folder)),
-            ("image_list_path", text(&list)),
-            ("ImageReader.single_camera", "1".into()),
-            ("ImageReader.camera_model", "SIMPLE_RADIAL".into()),
-            ("SiftExtraction.use_gpu", "0".into()),
-            ("SiftExtraction.num_threads", "1".into()),
-            ("SiftExtraction.max_num_features", project.adjust.features.to_string()),
-        ];
-        if let Some(f) = project.camera.f_px {
-            a.push(("ImageReader.camera_params", format!("{f},{},{},0", pp[0], pp[1])));
-        }
-        colmap_run(&out.join("features.log"), &a, "feature_extractor")
-    })?;
-
-    let mut pairs = String::new();
-    for (i, a) in ordered.iter().enumerate() {
-        for b in ordered.iter().skip(i + 1).take(project.pairs.neighbours) {
-            pairs += &format!("{a} {b}\n");
-        }
-    }
-    let pair_list = out.join("pairs.txt");
-    autoref_raster::atomic::write(&pair_list, pairs.as_bytes())?;
-    hash.bytes(pairs.as_bytes());
-    let matches = stages.run("matches.db", &hash.hex(), |part| {
-        std::fs::copy(&features, part).map_err(|e| Error::io(&features, "copy", e))?;
-        let a = [
-            ("database_path", text(part)),
-            ("match_list_path", text(&pair_list)),
-            ("match_type", "pairs".into()),
-            ("SiftMatching.use_gpu", "0".into()),
-            ("SiftMatching.num_threads", "1".into()),
-        ];
-        colmap_run(&out.join("matches.log"), &a, "matches_importer")
-    })?;
-
-    let held = if project.camera.f_px.is_some() { "0" } else { "1" };
-    hash.bytes(&project.adjust.seed.to_le_bytes());
-    let sparse = stages.run("sparse", &hash.hex(), |part| {
-        std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
-        let a = [
-            ("database_path", text(&matches)),
-            ("image_path", text(folder)),
-            ("output_path", text(part)),
-            ("random_seed", project.adjust.seed.to_string()),
-            // More threads change the order of sums, and so the last digits.
-            ("Mapper.num_threads", "1".into()),
-            ("Mapper.ba_refine_focal_length", held.into()),
-            ("Mapper.ba_refine_principal_point", "0".into()),
-        ];
-        colmap_run(&out.join("mapper.log"), &a, "mapper")
-    })?;
-    let best = colmap::model_folder(&sparse).ok_or_else(no_pair)?;
-    colmap::read(&best).context("COLMAP's model")
+    Some(GroundPlane::of_table(names, rough, f_px, ground_m, flight.size_px))
 }

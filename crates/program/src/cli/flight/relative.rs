@@ -1,0 +1,386 @@
+//! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where they end.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use autoref_flight::adjust::{GroundPoint, RoughPose};
+use autoref_flight::read::{Photograph, Reconstruction, colmap};
+use autoref_flight::{Camera, Error, Pose, start};
+use nalgebra::Rotation3;
+
+use super::project::Project;
+use super::ties::{self, Ties};
+use super::views::{self, Interior, View};
+
+/// A flight's frames in the order in which it took them.
+pub struct Flight<'a> {
+    pub project: &'a Project,
+    pub folder: &'a Path,
+    pub out: &'a Path,
+    pub ordered: Vec<&'a str>,
+    pub size_px: [f64; 2],
+    pub anew: bool,
+}
+
+/// Where the frames are thought to stand, in the order of the flight, and the height of the ground below them, in the world's frame.
+pub struct GroundPlane {
+    pub views: Vec<View>,
+    /// What the rough table says.
+    pub rough: Vec<RoughPose>,
+    pub f_px: f64,
+    pub ground_m: f64,
+}
+
+/// How far relief moves ground that the plane stands for, where the poses are known.
+const RELIEF_PX: f64 = 80.0;
+/// A frame that was placed farther from its rough pose, in standard deviations, was placed wrongly.
+const MOST_SIGMAS: f64 = 4.0;
+
+impl GroundPlane {
+    /// From the rough table alone.
+    pub fn of_table(names: &[&str], rough: Vec<RoughPose>, f_px: f64, ground_m: f64, size_px: [f64; 2]) -> Self {
+        let mut away: Vec<f64> = rough
+            .iter()
+            .map(|r| {
+                let above = (r.pose.centre.z - ground_m).abs();
+                // Along the view, or five heights off where it looks at the horizon.
+                above / (-r.pose.rotation[(2, 2)]).clamp(0.2, 1.0)
+            })
+            .collect();
+        away.sort_by(f64::total_cmp);
+        let distance = away.get(away.len() / 2).copied().unwrap_or(1.0).max(1.0);
+        let most_px = (0.25 * size_px[0].max(size_px[1])).max(200.0);
+        let view = |(name, rough): (&&str, &RoughPose)| {
+            // Three standard deviations of both frames' positions and directions together.
+            let sigma_px = f_px * (rough.sigma_m.max() / distance).hypot(rough.sigma_rad) * std::f64::consts::SQRT_2;
+            let window_px = (3.0 * sigma_px).clamp(RELIEF_PX, most_px);
+            View { name: (*name).to_string(), pose: rough.pose, window_px }
+        };
+        let views = names.iter().zip(&rough).map(view).collect();
+        GroundPlane { views, rough, f_px, ground_m }
+    }
+
+    /// The frames where they were placed, unless that is far from what the table says.
+    pub fn placed(&self, block: &Reconstruction) -> Self {
+        let moved = |(view, rough): (&View, &RoughPose)| {
+            let pose = block.photographs.iter().find(|p| p.name == view.name).map(|p| p.pose);
+            let far = |pose: &Pose| {
+                let turn = Rotation3::from_matrix_unchecked(pose.rotation * rough.pose.rotation.transpose()).angle();
+                let away = (pose.centre - rough.pose.centre).component_div(&rough.sigma_m).norm();
+                away > MOST_SIGMAS || turn > MOST_SIGMAS * rough.sigma_rad
+            };
+            match pose.filter(|pose| !far(pose)) {
+                Some(pose) => View { name: view.name.clone(), pose, window_px: RELIEF_PX },
+                None => view.clone(),
+            }
+        };
+        let views = self.views.iter().zip(&self.rough).map(moved).collect();
+        GroundPlane { views, rough: self.rough.clone(), ..*self }
+    }
+}
+
+/// Ties between warped neighbours.
+pub struct Tied {
+    /// All that were matched.
+    pub ties: Ties,
+    /// COLMAP's database of them, and the hash of what it is made of.
+    matches: (PathBuf, Hash),
+    /// The block that they and the rough table agree on.
+    placed: Result<Reconstruction>,
+}
+
+impl<'a> Flight<'a> {
+    fn pp_px(&self) -> [f64; 2] {
+        self.project.camera.pp_px.unwrap_or([self.size_px[0] / 2.0, self.size_px[1] / 2.0])
+    }
+
+    /// Frames that are compared with each other.
+    fn near(&self) -> Vec<(usize, usize)> {
+        let count = self.ordered.len();
+        (0..count).flat_map(|a| (a + 1..count).take(self.project.pairs.neighbours).map(move |b| (a, b))).collect()
+    }
+
+    fn hash(&self) -> Result<Hash> {
+        let project = self.project;
+        let mut hash = Hash::new(&format!("{:?} {} {:?}", project.camera, project.adjust.features, self.ordered));
+        for name in &self.ordered {
+            hash.file(&self.folder.join(name))?;
+        }
+        Ok(hash)
+    }
+
+    fn stages(&self) -> Stages<'a> {
+        Stages { folder: self.out, anew: self.anew }
+    }
+
+    /// The ties between neighbours warped onto each other where the rough table has them, and again where that block has them. `None`
+    /// when there are none.
+    pub fn tied(&self, table: &GroundPlane, ground: &[GroundPoint]) -> Result<Option<Tied>> {
+        let Some(first) = self.tied_once(table, ground, "rough_")? else { return Ok(None) };
+        let Ok(block) = &first.placed else { return Ok(Some(first)) };
+        let again = self.tied_once(&table.placed(block), ground, "")?;
+        Ok(again.filter(|again| again.frames() >= first.frames()).or(Some(first)))
+    }
+
+    fn tied_once(&self, plane: &GroundPlane, ground: &[GroundPoint], stage: &str) -> Result<Option<Tied>> {
+        let near = self.near();
+        let mut hash = self.hash()?;
+        for mask in views::masks(self.folder, &self.ordered) {
+            hash.file(&mask)?;
+        }
+        hash.bytes(format!("{} {near:?}", plane.ground_m).as_bytes());
+        // To a millimetre and a hundredth of a second: sums over threads differ in the last digits.
+        let rounded = |v: &f64, unit: f64| (v / unit).round() as i64;
+        for view in &plane.views {
+            let place: Vec<i64> = view.pose.centre.iter().map(|v| rounded(v, 1e-3)).collect();
+            let turn: Vec<i64> = view.pose.rotation.iter().map(|v| rounded(v, 5e-8)).collect();
+            hash.bytes(format!("{} {place:?} {turn:?} {}", view.name, view.window_px).as_bytes());
+        }
+        let job = ties::Job {
+            frames: self.folder,
+            views: &plane.views,
+            pairs: &near,
+            interior: Interior { f_px: plane.f_px, pp_px: self.pp_px() },
+            ground_m: plane.ground_m,
+            features: self.project.adjust.features,
+        };
+        let folder = self.stages().run(&format!("{stage}ties"), &hash.hex(), |part| {
+            let log = self.out.join(format!("{stage}ties.log"));
+            ties::make(part, &job, &|a, command| colmap_run(&log, a, command))
+        })?;
+        let ties = ties::read(&folder)?;
+        if ties.count() == 0 {
+            return Ok(None);
+        }
+        let matches = self.matches(Some(&folder), stage)?;
+        let placed = self.placed(plane, &ties.verified(&matches.0, &self.ordered)?, ground);
+        Ok(Some(Tied { ties, matches, placed }))
+    }
+
+    /// Features (or the ties given) and what of their matches agrees with a relative orientation, by COLMAP, each kept.
+    fn matches(&self, ties: Option<&Path>, stage: &str) -> Result<(PathBuf, Hash)> {
+        let (stages, project, pp) = (self.stages(), self.project, self.pp_px());
+        let list = self.out.join("frames.txt");
+        autoref_raster::atomic::write(&list, (self.ordered.join("\n") + "\n").as_bytes())?;
+        let mut hash = self.hash()?;
+        if let Some(ties) = ties {
+            hash.file(&ties.join("ties.json"))?;
+        }
+        let text = |p: &Path| p.display().to_string();
+        // One thread throughout: with more, the order of images and of random draws differs from run to run.
+        let features = stages.run(&format!("{stage}features.db"), &hash.hex(), |part| {
+            let mut a = vec![
+                ("database_path", text(part)),
+                ("image_path", text(self.folder)),
+                ("image_list_path", text(&list)),
+                ("ImageReader.single_camera", "1".into()),
+                ("ImageReader.camera_model", "SIMPLE_RADIAL".into()),
+            ];
+            if let Some(f) = project.camera.f_px {
+                a.push(("ImageReader.camera_params", format!("{f},{},{},0", pp[0], pp[1])));
+            }
+            let command = match ties {
+                Some(ties) => {
+                    a.push(("import_path", text(&ties.join("features"))));
+                    "feature_importer"
+                }
+                None => {
+                    a.push(("SiftExtraction.use_gpu", "0".into()));
+                    a.push(("SiftExtraction.num_threads", "1".into()));
+                    a.push(("SiftExtraction.max_num_features", project.adjust.features.to_string()));
+                    "feature_extractor"
+                }
+            };
+            colmap_run(&self.out.join(format!("{stage}features.log")), &a, command)
+        })?;
+
+        let near = self.near();
+        let pairs: String = near.iter().map(|(a, b)| format!("{} {}\n", self.ordered[*a], self.ordered[*b])).collect();
+        let pair_list = self.out.join("pairs.txt");
+        autoref_raster::atomic::write(&pair_list, pairs.as_bytes())?;
+        hash.bytes(pairs.as_bytes());
+        let matches = stages.run(&format!("{stage}matches.db"), &hash.hex(), |part| {
+            std::fs::copy(&features, part).map_err(|e| Error::io(&features, "copy", e))?;
+            let (list, form) = match ties {
+                Some(ties) => (ties.join("matches.txt"), "raw"),
+                None => (pair_list.clone(), "pairs"),
+            };
+            let a = [
+                ("database_path", text(part)),
+                ("match_list_path", text(&list)),
+                ("match_type", form.into()),
+                ("SiftMatching.use_gpu", "0".into()),
+                ("SiftMatching.num_threads", "1".into()),
+            ];
+            colmap_run(&self.out.join(format!("{stage}matches.log")), &a, "matches_importer")
+        })?;
+        Ok((matches, hash))
+    }
+
+    /// The relative orientation: COLMAP's mapper, and the start from the rough table where that joins more frames.
+    ///
+    /// # Errors
+    /// When COLMAP is missing or fails; [`no_pair`]'s when no two frames fit together.
+    pub fn relative(&self, tied: Option<Tied>) -> Result<Reconstruction> {
+        match tied {
+            None => {
+                let (matches, hash) = self.matches(None, "")?;
+                self.grown(&matches, hash)
+            }
+            Some(Tied { matches: (matches, hash), placed, .. }) => larger(self.grown(&matches, hash), placed),
+        }
+    }
+
+    fn grown(&self, matches: &Path, mut hash: Hash) -> Result<Reconstruction> {
+        let (stages, project) = (self.stages(), self.project);
+        let text = |p: &Path| p.display().to_string();
+        let held = if project.camera.f_px.is_some() { "0" } else { "1" };
+        hash.bytes(&project.adjust.seed.to_le_bytes());
+        let sparse = stages.run("sparse", &hash.hex(), |part| {
+            std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
+            let a = [
+                ("database_path", text(matches)),
+                ("image_path", text(self.folder)),
+                ("output_path", text(part)),
+                ("random_seed", project.adjust.seed.to_string()),
+                // More threads change the order of sums, and so the last digits.
+                ("Mapper.num_threads", "1".into()),
+                ("Mapper.ba_refine_focal_length", held.into()),
+                ("Mapper.ba_refine_principal_point", "0".into()),
+            ];
+            colmap_run(&self.out.join("mapper.log"), &a, "mapper")
+        })?;
+        let best = colmap::model_folder(&sparse).ok_or_else(no_pair)?;
+        colmap::read(&best).context("COLMAP's model")
+    }
+
+    /// The block from the rough table, `ground` being seen in the frames by their order.
+    fn placed(&self, plane: &GroundPlane, ties: &Ties, ground: &[GroundPoint]) -> Result<Reconstruction> {
+        let names: Vec<String> = plane.views.iter().map(|v| v.name.clone()).collect();
+        let start: Vec<Pose> = plane.views.iter().map(|v| v.pose).collect();
+        let camera = &self.listed(plane).cameras[0];
+        Ok(start::from_rough(&names, camera, &start, &plane.rough, &ties.tracks(), ground)?)
+    }
+
+    /// All frames where the table has them.
+    pub fn listed(&self, plane: &GroundPlane) -> Reconstruction {
+        let camera = Camera::pinhole("film", self.size_px, plane.f_px, self.pp_px());
+        let photographs =
+            plane.views.iter().map(|v| Photograph { name: v.name.clone(), camera: 0, pose: v.pose }).collect();
+        Reconstruction { cameras: vec![camera], photographs, ..Reconstruction::default() }
+    }
+}
+
+impl Tied {
+    /// Frames that the rough table and the ties place.
+    fn frames(&self) -> usize {
+        self.placed.as_ref().map_or(0, |p| p.photographs.len())
+    }
+}
+
+/// Of the block that COLMAP grew and the one from the rough table the one with more frames.
+///
+/// # Errors
+/// When neither is there: what COLMAP said.
+fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Result<Reconstruction> {
+    match (grown, placed) {
+        (Ok(grown), Ok(placed)) if placed.photographs.len() > grown.photographs.len() => Ok(placed),
+        (Ok(grown), _) => Ok(grown),
+        (Err(error), placed) => match error.downcast_ref::<Error>() {
+            Some(Error::NoResult { .. }) => placed.map_err(|_| error),
+            _ => Err(error),
+        },
+    }
+}
+
+/// FNV-1a over everything that a stage depends on.
+pub struct Hash(u64);
+
+impl Hash {
+    fn new(word: &str) -> Self {
+        let mut h = Hash(0xcbf2_9ce4_8422_2325);
+        h.bytes(word.as_bytes());
+        h
+    }
+    fn bytes(&mut self, bytes: &[u8]) {
+        for b in bytes {
+            self.0 = (self.0 ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    fn file(&mut self, path: &Path) -> Result<()> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        self.bytes(&bytes);
+        Ok(())
+    }
+    fn hex(&self) -> String {
+        format!("{:016x}", self.0)
+    }
+}
+
+/// A stage of COLMAP: done when its stamp bears the hash of its inputs.
+struct Stages<'a> {
+    folder: &'a Path,
+    anew: bool,
+}
+
+impl Stages<'_> {
+    /// Runs `work` towards `NAME.part`, which becomes `NAME` when it succeeds.
+    fn run(&self, name: &str, hash: &str, work: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
+        let (target, stamp) = (self.folder.join(name), self.folder.join(format!("{name}.stamp")));
+        if !self.anew && target.exists() && std::fs::read_to_string(&stamp).is_ok_and(|s| s.trim() == hash) {
+            eprintln!("{name}: taken from before");
+            return Ok(target);
+        }
+        let part = self.folder.join(format!("{name}.part"));
+        for old in [&part, &target, &stamp] {
+            let gone = if old.is_dir() { std::fs::remove_dir_all(old) } else { std::fs::remove_file(old) };
+            if let Err(e) = gone
+                && e.kind() != std::io::ErrorKind::NotFound
+            {
+                return Err(Error::io(old, "remove", e).into());
+            }
+        }
+        eprintln!("{name} …");
+        work(&part)?;
+        std::fs::rename(&part, &target).map_err(|e| Error::io(&part, "rename", e))?;
+        autoref_raster::atomic::write(&stamp, hash.as_bytes())?;
+        Ok(target)
+    }
+}
+
+fn no_pair() -> Error {
+    Error::no_result(
+        "COLMAP found no two frames that fit together",
+        "check the focal length and the neighbours, or raise adjust.features",
+    )
+}
+
+fn says(log: &Path, words: &str) -> bool {
+    std::fs::read(log).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words))
+}
+
+fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
+    let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
+    let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
+    let mut run = Command::new("colmap");
+    run.arg(command).env("QT_QPA_PLATFORM", "offscreen").stdin(Stdio::null()).stdout(file).stderr(twin);
+    for (key, value) in arguments {
+        run.arg(format!("--{key}")).arg(value);
+    }
+    match run.status() {
+        Ok(status) if status.success() => Ok(()),
+        // It says so and fails when no two frames fit together.
+        Ok(status) if status.code() == Some(1) && says(log, "failed to create") => Err(no_pair().into()),
+        Ok(status) => bail!(
+            "colmap {command} ended with {status}; {} has its words; run the command again to resume",
+            log.display()
+        ),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            bail!(
+                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap) and run the command again"
+            )
+        }
+        Err(e) => bail!("colmap cannot be run: {e}"),
+    }
+}

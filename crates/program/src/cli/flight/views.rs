@@ -1,0 +1,301 @@
+//! Frames in grey as features are sought in them: their film grain smoothed, their contrast even, and neighbours warped onto each other
+//! by the homography of the ground plane, as the rough camera table has it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use autoref_flight::{Error, Pose};
+use autoref_terrain::smooth;
+use gdal::Dataset;
+use gdal::raster::ResampleAlg;
+use nalgebra::{Matrix3, Vector3};
+
+/// COLMAP seeks no features in larger images.
+const LARGEST_PX: usize = 3200;
+/// Contrast is made even over squares of this size to each side.
+const CONTRAST_PX: usize = 40;
+/// The standard deviation of grey values that it is made even to, and what is added to the one found: noise stays small.
+const CONTRAST: f32 = 45.0;
+const LEAST_CONTRAST: f32 = 2.0;
+
+/// A frame, where it is thought to stand, and how far from where that shows it ground may lie (pixels).
+#[derive(Clone)]
+pub struct View {
+    pub name: String,
+    pub pose: Pose,
+    pub window_px: f64,
+}
+
+/// The interior of all frames: focal length and principal point in pixels.
+#[derive(Clone, Copy)]
+pub struct Interior {
+    pub f_px: f64,
+    pub pp_px: [f64; 2],
+}
+
+/// Whether the file is the mask of another frame, as MicMac names them.
+pub fn is_mask(name: &str) -> bool {
+    name.ends_with("_Masq.tif")
+}
+
+fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let path = folder.join(format!("{stem}_Masq.tif"));
+    path.is_file().then_some(path)
+}
+
+/// The files that the ties of a frame depend on besides the frame.
+pub fn masks(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
+    names.iter().filter_map(|n| mask_of(folder, n)).collect()
+}
+
+/// How a frame is laid out in grey: at most [`LARGEST_PX`] wide or high.
+#[derive(Clone, Copy)]
+pub struct Layout {
+    pub width: usize,
+    pub height: usize,
+    /// Pixels of this per pixel of the frame.
+    pub scale: f64,
+}
+
+/// A frame in grey.
+pub struct Grey {
+    pub layout: Layout,
+    pixels: Vec<u8>,
+}
+
+/// Which pixels of a frame count.
+pub struct Counted {
+    layout: Layout,
+    /// Of the mask beside the frame, when there is one.
+    mask: Option<Vec<u8>>,
+}
+
+impl Layout {
+    fn of(frame: &Dataset) -> Self {
+        let (w, h) = frame.raster_size();
+        let scale = (LARGEST_PX as f64 / w.max(h).max(1) as f64).min(1.0);
+        let [width, height] = [w, h].map(|s| ((s as f64 * scale).round() as usize).max(1));
+        Layout { width, height, scale }
+    }
+}
+
+impl Counted {
+    pub fn read(folder: &Path, name: &str) -> Result<Self> {
+        let path = folder.join(name);
+        let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
+        let layout = Layout::of(&frame);
+        let mask = match mask_of(folder, name) {
+            Some(mask) => {
+                let failed = || format!("{}: cannot be read", mask.display());
+                let mask = Dataset::open(&mask).with_context(failed)?;
+                let band = mask.rasterband(1).with_context(failed)?;
+                let size = (layout.width, layout.height);
+                let nearest = Some(ResampleAlg::NearestNeighbour);
+                Some(
+                    band.read_as::<u8>((0, 0), mask.raster_size(), size, nearest).with_context(failed)?.data().to_vec(),
+                )
+            }
+            None => None,
+        };
+        Ok(Counted { layout, mask })
+    }
+
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// Whether a pixel of the frame is inside and not masked.
+    pub fn has(&self, pixel: [f64; 2]) -> bool {
+        let Layout { width, height, scale } = self.layout;
+        let [x, y] = pixel.map(|v| v * scale);
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+        inside && self.mask.as_ref().is_none_or(|m| m[y as usize * width + x as usize] != 0)
+    }
+}
+
+impl Grey {
+    pub fn read(folder: &Path, name: &str) -> Result<Self> {
+        let path = folder.join(name);
+        let failed = || format!("{}: cannot be read", path.display());
+        let frame = Dataset::open(&path).with_context(failed)?;
+        let layout = Layout::of(&frame);
+        let bands = if frame.raster_count() >= 3 { 3 } else { 1 };
+        let mut sum = vec![0f32; layout.width * layout.height];
+        for band in 1..=bands {
+            let part = frame.rasterband(band).with_context(failed)?;
+            let (from, to) = (frame.raster_size(), (layout.width, layout.height));
+            let part = part.read_as::<f32>((0, 0), from, to, Some(ResampleAlg::Average)).with_context(failed)?;
+            for (sum, v) in sum.iter_mut().zip(part.data()) {
+                *sum += if v.is_finite() { *v } else { 0.0 } / bands as f32;
+            }
+        }
+        let (low, high) = sum.iter().fold((f32::MAX, f32::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+        // Other than eight bits: the range that is there.
+        let (black, white) = if low < 0.0 || high > 255.0 { (low, high) } else { (0.0, 255.0) };
+        let range = (white - black).max(f32::MIN_POSITIVE);
+        let bytes: Vec<u8> = sum.iter().map(|v| ((v - black) / range * 255.0).round() as u8).collect();
+        let smoothed = smooth::gaussian(&bytes, layout.width, layout.height);
+        Ok(Grey { layout, pixels: even_contrast(&smoothed, layout.width, layout.height) })
+    }
+
+    /// Bilinear, at pixels of this image; `None` outside.
+    fn at(&self, x: f64, y: f64) -> Option<f32> {
+        let (x, y) = (x - 0.5, y - 0.5);
+        let Layout { width, height, .. } = self.layout;
+        if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
+            return None;
+        }
+        let (i, j) = ((x as usize).min(width.saturating_sub(2)), (y as usize).min(height.saturating_sub(2)));
+        let (a, b) = ((x - i as f64) as f32, (y - j as f64) as f32);
+        let p = |i: usize, j: usize| f32::from(self.pixels[j.min(height - 1) * width + i.min(width - 1)]);
+        Some((p(i, j) * (1.0 - a) + p(i + 1, j) * a) * (1.0 - b) + (p(i, j + 1) * (1.0 - a) + p(i + 1, j + 1) * a) * b)
+    }
+
+    /// This frame as the one that `to` lays out would show the ground, `to_this` taking its pixels here; and the share of it that
+    /// is seen.
+    pub fn warped(&self, to: Layout, to_this: &Matrix3<f64>) -> (Grey, f64) {
+        let mut pixels = vec![0u8; to.width * to.height];
+        let mut seen = 0usize;
+        for (k, grey) in pixels.iter_mut().enumerate() {
+            let at = [k % to.width, k / to.width].map(|v| (v as f64 + 0.5) / to.scale);
+            let scale = self.layout.scale;
+            if let Some(value) = mapped(to_this, at).and_then(|[x, y]| self.at(x * scale, y * scale)) {
+                *grey = value.round() as u8;
+                seen += 1;
+            }
+        }
+        let share = seen as f64 / pixels.len() as f64;
+        (Grey { layout: to, pixels }, share)
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let file = std::fs::File::create(path).map_err(|e| Error::io(path, "create", e))?;
+        let size = [self.layout.width as u32, self.layout.height as u32];
+        let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), size[0], size[1]);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        encoder.write_header()?.write_image_data(&self.pixels)?;
+        Ok(())
+    }
+}
+
+/// Grey values with the mean and the standard deviation of the square around each made the same everywhere.
+fn even_contrast(pixels: &[u8], width: usize, height: usize) -> Vec<u8> {
+    // Sums over all pixels above and to the left: 3200² · 255² fits 64 bits.
+    let mut sums = vec![[0u64; 2]; (width + 1) * (height + 1)];
+    for y in 0..height {
+        let mut row = [0u64; 2];
+        for x in 0..width {
+            let v = u64::from(pixels[y * width + x]);
+            row = [row[0] + v, row[1] + v * v];
+            let above = sums[y * (width + 1) + x + 1];
+            sums[(y + 1) * (width + 1) + x + 1] = [above[0] + row[0], above[1] + row[1]];
+        }
+    }
+    let even = |k: usize| {
+        let (x, y) = (k % width, k / width);
+        let (left, top) = (x.saturating_sub(CONTRAST_PX), y.saturating_sub(CONTRAST_PX));
+        let (right, bottom) = ((x + CONTRAST_PX + 1).min(width), (y + CONTRAST_PX + 1).min(height));
+        let corner = |x: usize, y: usize| sums[y * (width + 1) + x];
+        let sum = |c: usize| {
+            let inside =
+                corner(right, bottom)[c] + corner(left, top)[c] - corner(right, top)[c] - corner(left, bottom)[c];
+            inside as f64 / ((right - left) * (bottom - top)) as f64
+        };
+        let mean = sum(0);
+        let deviation = (sum(1) - mean * mean).max(0.0).sqrt() as f32;
+        let value = 128.0 + CONTRAST * (f32::from(pixels[k]) - mean as f32) / (deviation + LEAST_CONTRAST);
+        value.round().clamp(0.0, 255.0) as u8
+    };
+    (0..pixels.len()).map(even).collect()
+}
+
+/// Frames in grey that are needed at the moment.
+#[derive(Default)]
+pub struct Shelf(BTreeMap<usize, Grey>);
+
+impl Shelf {
+    pub fn get(&mut self, folder: &Path, views: &[View], index: usize) -> Result<&Grey> {
+        if let std::collections::btree_map::Entry::Vacant(empty) = self.0.entry(index) {
+            empty.insert(Grey::read(folder, &views[index].name)?);
+        }
+        Ok(&self.0[&index])
+    }
+
+    pub fn have(&self, index: usize) -> &Grey {
+        &self.0[&index]
+    }
+
+    /// Gives back what no later pair needs.
+    pub fn forget_before(&mut self, index: usize) {
+        self.0 = self.0.split_off(&index);
+    }
+}
+
+/// Pixels of `to` from pixels of `from`, over the plane of height `ground_m`. The third coordinate is positive where both see it.
+pub fn homography(from: &Pose, to: &Pose, inside: Interior, ground_m: f64) -> Option<Matrix3<f64>> {
+    let k = Matrix3::new(inside.f_px, 0.0, inside.pp_px[0], 0.0, inside.f_px, inside.pp_px[1], 0.0, 0.0, 1.0);
+    let on_plane = |pose: &Pose| {
+        // From (x, y, 1) on the plane, x and y from the first camera's foot.
+        let mut m = Matrix3::identity();
+        let foot = Vector3::new(from.centre.x, from.centre.y, ground_m);
+        m.set_column(2, &(foot - pose.centre));
+        k * pose.rotation * m
+    };
+    Some(on_plane(to) * on_plane(from).try_inverse()?)
+}
+
+pub fn mapped(h: &Matrix3<f64>, pixel: [f64; 2]) -> Option<[f64; 2]> {
+    let q = h * Vector3::new(pixel[0], pixel[1], 1.0);
+    (q.z > 1e-9).then(|| [q.x / q.z, q.y / q.z])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_flight::YawPitchRoll;
+
+    #[test]
+    fn a_point_of_the_plane_maps_from_frame_to_frame() {
+        let look = |x: f64, yaw_deg: f64| {
+            Pose::looking(Vector3::new(x, 100.0, 3000.0), YawPitchRoll { yaw_deg, pitch_deg: -20.0, roll_deg: 1.0 })
+        };
+        let (a, b) = (look(0.0, 3.0), look(1800.0, -2.0));
+        let inside = Interior { f_px: 2100.0, pp_px: [900.0, 890.0] };
+        let h = homography(&a, &b, inside, 120.0).expect("both see the plane");
+        let seen = |pose: &Pose, x: &Vector3<f64>| {
+            let p = pose.to_camera(x);
+            [0, 1].map(|i| inside.f_px * p[i] / p.z + inside.pp_px[i])
+        };
+        for ground in [Vector3::new(500.0, 7000.0, 120.0), Vector3::new(2500.0, 12_000.0, 120.0)] {
+            let at = mapped(&h, seen(&a, &ground)).expect("in front of both");
+            let want = seen(&b, &ground);
+            assert!((at[0] - want[0]).hypot(at[1] - want[1]) < 1e-6, "{at:?} {want:?}");
+        }
+    }
+
+    #[test]
+    fn contrast_is_even_where_the_light_is_not() {
+        let (width, height) = (300, 120);
+        // The same pattern, in half the light and half the contrast to the right.
+        let value = |x: usize, y: usize| {
+            let light = if x < 150 { 1.0 } else { 0.5 };
+            (light * (120.0 + 40.0 * ((x * 7 + y * 13) as f64 * 0.3).sin())) as u8
+        };
+        let pixels: Vec<u8> = (0..width * height).map(|k| value(k % width, k / width)).collect();
+        let even = even_contrast(&pixels, width, height);
+        let deviation = |from: usize| {
+            let part: Vec<f64> = (0..height)
+                .flat_map(|y| (from..from + 60).map(move |x| (x, y)))
+                .map(|(x, y)| f64::from(even[y * width + x]))
+                .collect();
+            let mean = part.iter().sum::<f64>() / part.len() as f64;
+            (part.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / part.len() as f64).sqrt()
+        };
+        let (left, right) = (deviation(20), deviation(220));
+        assert!((left / right - 1.0).abs() < 0.1, "{left} {right}");
+    }
+}
