@@ -32,6 +32,7 @@ pub mod diagnosis;
 mod duplicates;
 pub mod evidence;
 mod explain;
+mod far;
 pub mod field;
 mod grow;
 mod names;

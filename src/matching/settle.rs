@@ -13,7 +13,7 @@ const FEW_BASES: usize = 4;
 const MANY: usize = 200;
 
 /// Fewer pairs than these are weighed against all points in the image.
-const FEWEST_NEAR: usize = 5;
+pub(super) const FEWEST_NEAR: usize = 5;
 
 impl Search<'_> {
     /// A hypothesis as a least-squares pattern with its number of false alarms.
@@ -47,7 +47,7 @@ impl Search<'_> {
             }
             let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
             similarity = fit_equal_weights(&fitted)?;
-            noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+            noise_px = usual_noise_px(&similarity, &fitted);
             let (centre, spread) = centre_and_spread(&fitted);
             // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from them.
             let few = 1.0 + 8.0 / (fitted.len() as f64 - 2.0).powi(2);
@@ -63,14 +63,13 @@ impl Search<'_> {
             pairs.remove(odd);
             let fitted: Vec<Pair> = pairs.iter().map(|&(c, g)| self.pair(c, g)).collect();
             similarity = fit_equal_weights(&fitted)?;
-            noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
+            noise_px = usual_noise_px(&similarity, &fitted);
         }
         let (pattern, near) = self.weigh(similarity, pairs, noise_px)?;
         // What makes it no accident lies close together: what was taken in far from there is one, as often as not.
-        if pattern.log10_false_alarms < pattern.log10_whole_false_alarms - 1.0 {
-            return Some(self.only(&pattern, near).unwrap_or(pattern));
-        }
-        Some(pattern)
+        let by_neighbours = pattern.log10_false_alarms < pattern.log10_whole_false_alarms - 1.0;
+        let pattern = if by_neighbours { self.only(&pattern, near).unwrap_or(pattern) } else { pattern };
+        Some(self.without_far(&pattern).unwrap_or(pattern))
     }
 
     /// The pattern of these of its pairs alone; `None` when they are all, or too few.
@@ -78,10 +77,7 @@ impl Search<'_> {
         if near.len() == pattern.pairs.len() || near.len() < FEWEST_NEAR {
             return None;
         }
-        let fitted: Vec<Pair> = near.iter().map(|&(c, g)| self.pair(c, g)).collect();
-        let similarity = fit_equal_weights(&fitted)?;
-        let noise_px = noise(&similarity, &fitted).clamp(0.6, 6.0);
-        let (without, _) = self.weigh(similarity, near, noise_px)?;
+        let without = self.weighed(near)?;
         (without.log10_false_alarms <= pattern.log10_false_alarms + 1.0).then_some(without)
     }
 
@@ -142,7 +138,7 @@ impl Search<'_> {
     }
 
     /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels, and the pairs that it goes by.
-    fn weigh(
+    pub(super) fn weigh(
         &self,
         similarity: Similarity,
         pairs: Vec<(usize, usize)>,
@@ -190,6 +186,11 @@ impl Search<'_> {
 pub(super) fn tolerance_px(noise_px: f64, n: usize, centre: PixelPoint, spread: f64, p: PixelPoint) -> f64 {
     let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
     3.8 * noise_px * (1.0 + 1.0 / n as f64 + arm / spread).sqrt()
+}
+
+/// The noise that marks are looked for with, pixels.
+pub(super) fn usual_noise_px(similarity: &Similarity, pairs: &[Pair]) -> f64 {
+    noise(similarity, pairs).clamp(0.6, 6.0)
 }
 
 /// 1σ of a coordinate, pixels, from the median length of the residuals.

@@ -569,7 +569,7 @@ fn six_of_twenty_in_a_corner() {
             let gsd_m_per_px = case.priors.gsd_m_per_px.filter(|_| scale_known);
             Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, allowed_px: 3.0, ..case }
         });
-        assert_eq!(score.wrong, 0);
+        assert_eq!((score.wrong, score.astray), (0, 0));
         assert!(score.right * 50 >= 49 * score.trials, "{score:?}");
     }
 }

@@ -133,7 +133,7 @@ fn block(
             "check its directions, the focal length and rough.ground_m",
         ));
     }
-    let mut notes: Vec<String> = vec!["placed from the rough table: too few ties are in three frames or more".into()];
+    let mut notes: Vec<String> = vec!["the ties were placed from the rough table".into()];
     notes.extend((0..n).filter(|i| group[*i] != largest).map(|i| format!("{}: too few ties join it", names[i])));
     let index = |i: &usize| joined.iter().position(|k| k == i);
     let ties = points

@@ -218,7 +218,8 @@ impl<'a> Flight<'a> {
         Ok((matches, hash))
     }
 
-    /// The relative orientation: COLMAP's mapper, and the start from the rough table where that joins more frames.
+    /// The relative orientation: the block that ties and rough table agree on when it has all frames, else that of COLMAP's mapper
+    /// unless it has fewer.
     ///
     /// # Errors
     /// When COLMAP is missing or fails; [`no_pair`]'s when no two frames fit together.
@@ -228,6 +229,7 @@ impl<'a> Flight<'a> {
                 let (matches, hash) = self.matches(None, "")?;
                 self.grown(&matches, hash)
             }
+            Some(Tied { placed: Ok(placed), .. }) if placed.photographs.len() == self.ordered.len() => Ok(placed),
             Some(Tied { matches: (matches, hash), placed, .. }) => larger(self.grown(&matches, hash), placed),
         }
     }
