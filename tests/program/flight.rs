@@ -628,6 +628,19 @@ fn frames_become_cameras() {
     let pairs = document["pairs"].as_array().expect("a list");
     let tied = |pair: &Value| pair["frames"].as_array().map_or(0, Vec::len) == 2 && pair["ties"].as_u64() > Some(20);
     assert!(pairs.iter().filter(|pair| tied(pair)).count() >= 4, "{pairs:?}");
+    let differences = document["rough_differences"]["frames"].as_array().expect("a list");
+    assert!(differences.len() == 5 && differences.iter().all(|d| d["d_m"].as_f64() < Some(30.0)), "{differences:?}");
+    let outlines: Value =
+        serde_json::from_slice(&std::fs::read(place.at("out").join("footprints.geojson")).expect("written"))
+            .expect("JSON");
+    for (feature, camera) in
+        outlines["features"].as_array().expect("a list").iter().zip(&place.flight.model.photographs)
+    {
+        assert_eq!(feature["properties"]["name"], camera.name.as_str());
+        assert_eq!(feature["geometry"]["coordinates"][0].as_array().map(Vec::len), Some(49), "{feature}");
+    }
+    let page = std::fs::read_to_string(place.at("out").join("flight.html")).expect("written");
+    assert!(page.contains("G1") && page.contains("f4.png") && page.contains("rough table"));
     let worst = place.flight.worst_camera_m(&document);
     let check = document["check_point_statistics"]["d"]["rms"].as_f64().expect("check points");
     let f = document["cameras"][0]["f_px"].as_f64().expect("a number");

@@ -1,8 +1,10 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
 mod document;
+mod footprints;
 mod lists;
 mod ortho;
+mod page;
 mod project;
 mod relative;
 mod ties;

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::relative::{Flight, GroundPlane};
-use super::{check_output, document, image_size, interior, lists, views};
+use super::{check_output, document, footprints, image_size, interior, lists, page, views};
 
 /// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
 #[derive(Debug, clap::Args)]
@@ -348,6 +348,13 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     if let Some(pairs) = pairs {
         document["pairs"] = pairs;
     }
+    if project.rough.is_some() {
+        document["rough_differences"] = footprints::rough_differences(&found, &model, &rows, &world);
+    }
+    let ground = footprints::footprints(&found, &model, &world, control.crs.as_ref());
+    autoref_raster::atomic::write(&out.join("footprints.geojson"), (ground.to_string() + "\n").as_bytes())?;
+    let title = args.project.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    autoref_raster::atomic::write(&out.join("flight.html"), page::page(&document, &title).as_bytes())?;
     let text = serde_json::to_string_pretty(&document)? + "\n";
     autoref_raster::atomic::write(&out.join("cameras.json"), text.as_bytes())?;
     if args.json {
