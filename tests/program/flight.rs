@@ -542,6 +542,38 @@ fn the_wrong_point_of_kronebreen_is_named() {
 }
 
 #[test]
+fn export_writes_what_micmac_reads() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let folder = place.at("micmac");
+    let export = |more: &[&str]| {
+        let words = [&["flight", "export", text(&toml), "-o", text(&folder)], more].concat();
+        autoref(&words, None, &[])
+    };
+    expect(&export(&["--pixel-mm", "0.02"]), 0, &[]);
+    let read = |name: &str| std::fs::read_to_string(place.at("micmac").join(name)).expect("written");
+    assert!(read("MicMac-LocalChantierDescripteur.xml").contains("<CalcName> 10 </CalcName>"), "500 px of 0.02 mm");
+    assert_eq!(read("NameCpleVisib.xml").matches("<Cple>").count(), 4 + 3 + 2);
+    assert!(read("commands.sh").contains("mm3d GCPBascule '(f0\\.png|"), "{}", read("commands.sh"));
+    let checked = Command::new("sh").arg("-n").arg(place.at("micmac").join("commands.sh")).status().expect("a shell");
+    assert!(checked.success());
+    // The list that it came from and the two that it became say the same.
+    let ground = autoref_flight::read::micmac::read_ground_points(&place.at("micmac").join("GCP-S3D.xml"));
+    assert_eq!(ground.expect("points").len(), place.flight.gcps.len());
+    let adjusted = |list: &str| {
+        let list = place.at("micmac").join(list);
+        place.flight.write_model(&place.at("prepared"));
+        let model = place.at("prepared");
+        autoref(&["flight", "adjust", text(&model), "--gcps", text(&list), "--json"], None, &[])
+    };
+    expect(&adjusted("GCP-S3D.xml"), 0, &[]);
+    expect(&export(&[]), 2, &["MicMac-LocalChantierDescripteur.xml", "--overwrite"]);
+    expect(&export(&["--overwrite"]), 0, &[]);
+    expect(&export(&["--overwrite", "--pixel-mm", "0"]), 2, &["--pixel-mm"]);
+}
+
+#[test]
 fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
     let place = Place::new();
     place.five_frames();

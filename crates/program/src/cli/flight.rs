@@ -1,6 +1,7 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
 mod document;
+mod export;
 mod footprints;
 mod lists;
 mod ortho;
@@ -36,6 +37,7 @@ enum FlightCommand {
     Adjust(AdjustArgs),
     Resect(ResectArgs),
     Orthorectify(ortho::OrthorectifyArgs),
+    Export(export::ExportArgs),
 }
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
@@ -114,7 +116,7 @@ impl FlightArgs {
     /// Whether the result is asked for as JSON.
     fn json(&self) -> bool {
         match &self.command {
-            FlightCommand::Init(_) => false,
+            FlightCommand::Init(_) | FlightCommand::Export(_) => false,
             FlightCommand::Solve(args) => args.json,
             FlightCommand::Adjust(args) => args.json,
             FlightCommand::Resect(args) => args.json,
@@ -126,6 +128,7 @@ impl FlightArgs {
 pub fn run(args: &FlightArgs) -> Result<ExitCode> {
     let done = match &args.command {
         FlightCommand::Init(args) => project::init(args),
+        FlightCommand::Export(args) => export::export(args),
         FlightCommand::Solve(args) => project::solve(args),
         FlightCommand::Adjust(args) => run_adjust(args),
         FlightCommand::Resect(args) => run_resect(args),

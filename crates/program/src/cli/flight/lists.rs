@@ -192,6 +192,12 @@ pub fn load(
         if control.points.iter().any(|p| !p.seen.is_empty()) || list.extension().is_none_or(|e| e != "xml") {
             return None;
         }
+        // `SaisieAppuisPredic` names them NAME-S3D.xml and NAME-S2D.xml.
+        let name = list.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        let twin = list.with_file_name(name.replace("-S3D", "-S2D"));
+        if name.contains("-S3D") && twin.is_file() {
+            return Some(twin);
+        }
         let mut files: Vec<PathBuf> = std::fs::read_dir(list.parent()?).ok()?.flatten().map(|e| e.path()).collect();
         files.sort();
         let found: Vec<PathBuf> = files

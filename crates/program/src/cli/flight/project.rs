@@ -261,19 +261,27 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
-    let text = std::fs::read_to_string(&args.project).map_err(|e| Error::io(&args.project, "read", e))?;
-    let project: Project = toml::from_str(&text)
-        .map_err(|e| Error::format(&args.project, "the file", e.to_string().trim().replace('\n', " ")))?;
-    let base = args.project.parent().unwrap_or(Path::new("."));
+/// The project and the folder that its paths start from.
+pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let project =
+        toml::from_str(&text).map_err(|e| Error::format(path, "the file", e.to_string().trim().replace('\n', " ")))?;
+    Ok((project, path.parent().unwrap_or(Path::new(".")).to_path_buf()))
+}
+
+/// The frames in the order of the table, which is that of the flight, else of the names; and the table.
+pub struct OrderedFrames {
+    pub folder: PathBuf,
+    pub names: Vec<String>,
+    pub rows: Vec<tables::CameraRow>,
+}
+
+pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     let folder = absolute(&base.join(&project.frames.folder))?;
     let names = frames(&folder, &project.frames.pattern)?;
     if names.len() < 2 {
         bail!("{}: {} frames match; two or more are needed", folder.display(), names.len());
     }
-    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
-    let out = absolute(&args.output)?;
-    // The order of the table is that of the flight, else the names are.
     let rows = match &project.rough {
         Some(r) => tables::cameras(&base.join(&r.table))?,
         None => Vec::new(),
@@ -285,6 +293,15 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         }
     }
     order.extend((0..names.len()).filter(|i| !order.contains(i)).collect::<Vec<_>>());
+    let names = order.into_iter().map(|i| names[i].clone()).collect();
+    Ok(OrderedFrames { folder, names, rows })
+}
+
+pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
+    let (project, base) = read_project(&args.project)?;
+    let OrderedFrames { folder, names, rows } = ordered_frames(&project, &base)?;
+    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+    let out = absolute(&args.output)?;
 
     let Some(gcps) = &project.gcps else {
         bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
@@ -301,7 +318,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         project: &project,
         folder: &folder,
         out: &out,
-        ordered: order.iter().map(|i| names[*i].as_str()).collect(),
+        ordered: names.iter().map(String::as_str).collect(),
         size_px: image_size(&folder.join(&names[0]), None)?,
         anew: args.overwrite,
     };

@@ -1,0 +1,97 @@
+//! A flight as other programs read it.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::Error;
+use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint};
+use autoref_raster::atomic::{self, Existing};
+
+use super::project::{ordered_frames, read_project};
+use super::{check_output, image_size, lists, views};
+
+/// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its commands.
+#[derive(Debug, clap::Args)]
+pub struct ExportArgs {
+    /// The project file.
+    project: PathBuf,
+    /// The folder to write into.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Size of a pixel on the film, with which the focal length is written in millimetres.
+    #[arg(long, value_name = "MM", default_value_t = 0.01)]
+    pixel_mm: f64,
+    /// Replace existing outputs.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+pub fn export(args: &ExportArgs) -> Result<ExitCode> {
+    if !(args.pixel_mm > 0.0 && args.pixel_mm.is_finite()) {
+        bail!("--pixel-mm: a positive number of millimetres is expected");
+    }
+    let (project, base) = read_project(&args.project)?;
+    let flight = ordered_frames(&project, &base)?;
+    let Some(f_px) = project.camera.f_px else {
+        bail!("{}: MicMac needs a focal length; give camera.f_px", args.project.display())
+    };
+    let size = image_size(&flight.folder.join(&flight.names[0]), None)?;
+    let camera =
+        FilmCamera { name: "film".into(), f_mm: f_px * args.pixel_mm, size_mm: size.map(|s| s * args.pixel_mm) };
+    // Alternatives in full: any pattern of the project may take files that are no frames.
+    let names: Vec<String> = flight.names.iter().map(|n| escaped(n)).collect();
+    let images = format!("({})", names.join("|"));
+    let count = flight.names.len();
+    let pairs: Vec<(String, String)> = (0..count)
+        .flat_map(|a| (a + 1..count).take(project.pairs.neighbours).map(move |b| (a, b)))
+        .map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone()))
+        .collect();
+    let mut files = vec![micmac_files::camera_database(&camera, &images), micmac_files::image_pairs(&pairs)];
+    if let Some(gcps) = &project.gcps {
+        let list = base.join(&gcps.list);
+        let observations = gcps.observations.as_ref().map(|o| base.join(o));
+        let control = lists::load(&list, observations.as_deref(), project.crs.as_deref(), None)?;
+        let points: Vec<SurveyedPoint> = control
+            .points
+            .into_iter()
+            .filter(|p| !p.check && !gcps.check.contains(&p.name))
+            .map(|p| SurveyedPoint {
+                sigma_m: p.sigma.unwrap_or([gcps.sigma_ground_m; 3]),
+                name: p.name,
+                xyz: p.xyz,
+                seen: p.seen,
+            })
+            .collect();
+        files.extend(micmac_files::points_v1("GCP", &points));
+        files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
+        let frames: Vec<&str> = flight.names.iter().map(String::as_str).collect();
+        let masks = if views::masks(&flight.folder, &frames).len() == count { Masks::Beside } else { Masks::None };
+        let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
+        files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
+    }
+    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+    let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
+    for path in &paths {
+        check_output(Some(path), Existing::of_flag(args.overwrite))?;
+    }
+    for (path, (_, text)) in paths.iter().zip(&files) {
+        atomic::write(path, text.as_bytes())?;
+        println!("{}", path.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A name as a regular expression that takes it alone.
+fn escaped(name: &str) -> String {
+    let special = |c: char| "\\.+*?()|[]{}^$".contains(c);
+    name.chars().flat_map(|c| special(c).then_some('\\').into_iter().chain([c])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn names_are_taken_literally() {
+        assert_eq!(super::escaped("S36 (1)_a.tif"), "S36 \\(1\\)_a\\.tif");
+    }
+}
