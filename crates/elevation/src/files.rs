@@ -73,6 +73,11 @@ impl Resources {
     pub fn memory_cells(&self) -> u64 {
         (self.spare_bytes() / 2 / 110).clamp(60_000, 1_500_000)
     }
+
+    /// Cells of two models together that are held whole, four bytes each: a fifth of the budget.
+    pub fn held_cells(&self) -> u64 {
+        self.memory_budget_bytes / 5 / 4
+    }
 }
 
 /// Both models, brought to one CRS.
@@ -260,6 +265,7 @@ impl AlignJob<'_> {
             unit: couple.b.ground_unit(),
             means,
             memory_cells: self.resources.memory_cells(),
+            held_cells: self.resources.held_cells(),
         };
         let outcome = align::align(&couple.a, &couple.b, &options).map_err(named)?;
         Ok(AlignedFiles { couple, outcome, means })

@@ -26,6 +26,7 @@ impl<const BITS: u32> Default for FloatHistogram<BITS> {
 }
 
 impl<const BITS: u32> FloatHistogram<BITS> {
+    #[inline]
     pub fn add(&mut self, value: f32) {
         self.counts[(order_key(value) >> (32 - BITS)) as usize] += 1;
         self.total += 1;

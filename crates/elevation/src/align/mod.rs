@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, Matrix3};
 
 use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
-use crate::source::{Cropped, Heights, Means as Averaged};
+use crate::source::{Cropped, Heights, Held, Means as Averaged};
 use crate::stream::Means;
 use crate::zones::Zones;
 
@@ -84,6 +84,8 @@ pub struct Options<'a> {
     pub means: Means,
     /// Cells of each model that may be held at a time for the search.
     pub memory_cells: u64,
+    /// Models of so many cells together are read once and held; larger ones are read in every pass. The result is the same.
+    pub held_cells: u64,
 }
 
 impl Default for Options<'_> {
@@ -94,6 +96,7 @@ impl Default for Options<'_> {
             unit: GroundUnit::METRES,
             means: Means::default(),
             memory_cells: 1_500_000,
+            held_cells: 25_000_000,
         }
     }
 }
@@ -171,7 +174,13 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let template = Cropped::new(template, reach(&other.grid()), 1).ok_or_else(none)?;
     let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
     let frame = Frame::of(&template.grid());
-    let full = Pair { template: &template, other: &other, unit: options.unit, stable: options.stable, frame };
+    let cells = |g: &Grid| g.width * g.height;
+    let small = cells(&template.grid()) + cells(&other.grid()) <= options.held_cells;
+    let held = |source: &dyn Heights| if small { Held::of(source, options.means) } else { Ok(None) };
+    let (held_template, held_other) = (held(&template)?, held(&other)?);
+    let template: &dyn Heights = held_template.as_ref().map_or(&template, |held| held);
+    let other: &dyn Heights = held_other.as_ref().map_or(&other, |held| held);
+    let full = Pair { template, other, unit: options.unit, stable: options.stable, frame };
 
     let mut found = search::run(&full, options, Flats::LeftOut)?;
     if matches!(found, Found::Nothing(_)) && !options.method.moves() {

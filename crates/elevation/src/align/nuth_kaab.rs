@@ -23,35 +23,43 @@ const STILL_PX: f64 = 1e-3;
 /// Fewest cells of a class of aspect.
 const FEWEST: u64 = 20;
 
-/// Iterates from `start` until the shift stands still.
+/// Iterates from `start` until the shift stands still. The height of every step is the median difference of the one before.
 ///
 /// # Errors
 /// When a model cannot be read.
 pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u32)> {
     let grid = pair.template.grid();
     let mut state = start;
+    state.plane = [state.plane[0], 0.0, 0.0];
+    state.plane[0] += spread::of(pair, &state, means)?.median;
     for pass in 1..=MOST_PASSES {
-        state.plane = [state.plane[0], 0.0, 0.0];
-        state.plane[0] += spread::of(pair, &state, means)?.median;
-        let Some((east_m, north_m)) = step(pair, &state, means)? else { return Ok((state, pass)) };
+        let step = step(pair, &state, means)?;
+        state.plane[0] += step.height_m;
+        let Some((east_m, north_m)) = step.shift_m else { return Ok((state, pass)) };
         let (mx, my) = pair.unit.metres_per_unit(pair.frame.y);
         state.shift.0 += east_m / mx;
         state.shift.1 += north_m / my;
-        let still = (east_m / mx / grid.step_x).hypot(north_m / my / grid.step_y) < STILL_PX;
-        if still || pass == MOST_PASSES {
-            state.plane[0] += spread::of(pair, &state, means)?.median;
+        if (east_m / mx / grid.step_x).hypot(north_m / my / grid.step_y) < STILL_PX {
             return Ok((state, pass));
         }
     }
     Ok((state, MOST_PASSES))
 }
 
-/// Metres towards east and north by which the other model is to be read further on.
-fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Option<(f64, f64)>> {
+/// What a pass over both models says.
+struct Step {
+    /// Metres towards east and north by which the other model is to be read further on; `None` where too few aspects are there.
+    shift_m: Option<(f64, f64)>,
+    /// Median of the differences left.
+    height_m: f64,
+}
+
+fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Step> {
     let grid = pair.template.grid();
     let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
     struct Worker {
         classes: Vec<FloatHistogram<BITS>>,
+        differences: FloatHistogram<{ spread::BITS }>,
         scratch: Scratch,
         template: Vec<f64>,
         other: Vec<f64>,
@@ -59,6 +67,7 @@ fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Option<(f64, f64
     }
     let worker = || Worker {
         classes: vec![FloatHistogram::default(); ASPECTS],
+        differences: FloatHistogram::default(),
         scratch: Scratch::default(),
         template: Vec::new(),
         other: Vec::new(),
@@ -80,9 +89,14 @@ fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Option<(f64, f64
             for column in 0..width {
                 let at = (row + 1) * stride + column + 1;
                 let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
+                let difference = t[at] - o[at] - state.plane[0];
+                if worker.stable[row * width + column] == 0 || difference.is_nan() {
+                    continue;
+                }
+                worker.differences.add(difference as f32);
                 let tangent = east.hypot(north);
-                let quotient = (t[at] - o[at] - state.plane[0]) / tangent;
-                if worker.stable[row * width + column] != 0 && tangent > LEAST_TANGENT && !quotient.is_nan() {
+                let quotient = difference / tangent;
+                if tangent > LEAST_TANGENT && !quotient.is_nan() {
                     let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;
                     worker.classes[((turn * ASPECTS as f64) as usize).min(ASPECTS - 1)].add(quotient as f32);
                 }
@@ -91,10 +105,12 @@ fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Option<(f64, f64
         Ok(())
     })?;
     let mut classes = vec![FloatHistogram::<BITS>::default(); ASPECTS];
+    let mut differences = FloatHistogram::<{ spread::BITS }>::default();
     for part in &parts {
+        differences.merge(&part.differences);
         classes.iter_mut().zip(&part.classes).for_each(|(a, b)| a.merge(b));
     }
-    Ok(cosine(&classes))
+    Ok(Step { shift_m: cosine(&classes), height_m: differences.quantile(0.5).unwrap_or(0.0) })
 }
 
 /// Least squares of median = east·cos + north·sin + constant over the classes.

@@ -19,7 +19,7 @@ pub struct Spread {
 }
 
 /// Leading bits of a difference: a resolution of a two-thousandth, and interpolation within.
-const BITS: u32 = 20;
+pub const BITS: u32 = 20;
 
 /// # Errors
 /// When a model cannot be read.
