@@ -14,6 +14,7 @@
 //! near the pair alone: the limit is shared out among four extents, nine tenths of it to all GCPs together. Where we differ: heterogeneous
 //! probabilities (tolerance and density differ from GCP to GCP), and a level set of tolerances instead of the k-th residual.
 
+use std::cell::OnceCell;
 use std::f64::consts::SQRT_2;
 
 use crate::matching::field::Field;
@@ -79,7 +80,7 @@ pub fn pair_evidence(
     level_px: f64,
     log10_tests: f64,
 ) -> Option<PairEvidence> {
-    evidence_of(field, gcps, (a, b), pixels, level_px, log10_tests, &|_, _| true)
+    evidence_of(field, gcps, (a, b), &Line::through(field, pixels), level_px, log10_tests, &|_, _| true)
 }
 
 /// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as if
@@ -88,11 +89,12 @@ pub(super) fn evidence_of(
     field: &Field,
     gcps: &[MapPoint],
     (a, b): (usize, usize),
-    pixels: [PixelPoint; 2],
+    line: &Line,
     level_px: f64,
     log10_tests: f64,
     may: &dyn Fn(usize, usize) -> bool,
 ) -> Option<PairEvidence> {
+    let pixels = line.pixels;
     let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
     let mut probabilities = Vec::with_capacity(gcps.len());
     let mut hit: Vec<usize> = Vec::new();
@@ -111,11 +113,13 @@ pub(super) fn evidence_of(
         }
         let spread = spread_from_pair(gcps[a], gcps[b], *gcp);
         let radius = level_px * spread;
-        let away = told.iter().map(|(p, r)| {
-            let distance = (p.x - predicted.x).hypot(p.y - predicted.y);
-            (distance, distance < r + radius)
+        // Squares: every prediction is held against every other.
+        let (nearest, touches) = told.iter().fold((f64::INFINITY, false), |(nearest, touches), (p, r)| {
+            let (x, y) = (p.x - predicted.x, p.y - predicted.y);
+            let square = x * x + y * y;
+            (nearest.min(square), touches || square < (r + radius) * (r + radius))
         });
-        let (nearest, touches) = away.fold((f64::INFINITY, false), |(d, t), (e, u)| (d.min(e), t || u));
+        let nearest = nearest.sqrt();
         // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed twice is
         // no second witness, nor is a mark that was found in two pieces.
         if touches || nearest < field.usual_place_px() {
@@ -139,14 +143,14 @@ pub(super) fn evidence_of(
         }
     }
     // Points on a line and clutter in a row meet far more often than their density tells.
-    for half_width_px in ROWS.map(|widths| widths * field.usual_place_px()) {
-        let row = Row::along(field, pixels, half_width_px);
+    for strip in &line.strips {
+        let (row, half_width_px) = (&strip.row, strip.row.half_width_px);
         let on_it: Vec<usize> = (0..places.len()).filter(|&i| row.holds(places[i].0)).collect();
         if on_it.len() < 2 {
             continue;
         }
         let others = |i: usize| !hit.contains(&i) && pixels.iter().all(|p| *p != field.points()[i]);
-        if let Some(per_px) = row.crowd(field, others) {
+        if let Some(per_px) = strip.crowd(field, others) {
             for i in on_it {
                 let radius = places[i].1;
                 let share = (std::f64::consts::FRAC_PI_2 * radius / half_width_px).min(2.0);
@@ -224,13 +228,38 @@ impl Row {
         let across = (p.x - self.from.x) * self.direction.1 - (p.y - self.from.y) * self.direction.0;
         across.abs() < self.half_width_px
     }
+}
 
+/// A row and the points that lie on it, sought when first asked for.
+struct Strip {
+    row: Row,
+    members: OnceCell<Vec<usize>>,
+}
+
+impl Strip {
     /// Points of the strip for each pixel of its length, when they are more than an even field would put there.
     fn crowd(&self, field: &Field, counts: impl Fn(usize) -> bool) -> Option<f64> {
-        let points = field.points();
-        let seen = (0..points.len()).filter(|&i| self.holds(points[i]) && counts(i)).count() as f64;
-        let expected = points.len() as f64 / field.area_px2() * 2.0 * self.half_width_px * self.length_px;
-        (seen > expected + 6.0 * expected.sqrt() + 6.0).then_some(seen / self.length_px)
+        let (row, points) = (&self.row, field.points());
+        let members = self.members.get_or_init(|| (0..points.len()).filter(|&i| row.holds(points[i])).collect());
+        let seen = members.iter().filter(|&&i| counts(i)).count() as f64;
+        let expected = points.len() as f64 / field.area_px2() * 2.0 * row.half_width_px * row.length_px;
+        (seen > expected + 6.0 * expected.sqrt() + 6.0).then_some(seen / row.length_px)
+    }
+}
+
+/// The line through the two pixels of a hypothesis, with its strips: the same at every tolerance level.
+pub(super) struct Line {
+    pixels: [PixelPoint; 2],
+    strips: Vec<Strip>,
+}
+
+impl Line {
+    pub fn through(field: &Field, pixels: [PixelPoint; 2]) -> Self {
+        let strip = |widths: f64| {
+            let row = Row::along(field, pixels, widths * field.usual_place_px());
+            Strip { row, members: OnceCell::new() }
+        };
+        Line { pixels, strips: ROWS.map(strip).into() }
     }
 }
 

@@ -1,5 +1,8 @@
 //! The search through pairs: which hypotheses there are, in what order, and a quick look at each.
 
+use std::borrow::Cow;
+use std::cell::OnceCell;
+
 use rayon::prelude::*;
 
 use crate::candidate::Candidate;
@@ -345,15 +348,17 @@ impl<'a> Search<'a> {
         let from = self.field.points()[i];
         let mut best = Vec::new();
         let mut tried = 0;
-        let targets = &self.in_reach(pair, targets, from)[..];
-        if targets.len() < fewest {
-            return (Vec::new(), 0);
-        }
+        // Most points have no second end at all.
+        let in_reach = OnceCell::new();
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
             let Some(z) = self.turn_and_scale(pair, from, to).filter(|_| i != j && self.allows(j, pair.b)) else {
                 return;
             };
+            let targets = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
+            if targets.len() < fewest {
+                return;
+            }
             tried += 1;
             if let Some(score) = self.verify((i, j), z, targets, fewest) {
                 best.push(Hypothesis { score, i: i as u32, j: j as u32 });
@@ -385,13 +390,17 @@ impl<'a> Search<'a> {
 
     /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale they
     /// must not lie beyond the farthest corner.
-    fn in_reach(&self, pair: &GcpPair, targets: &[Target], from: PixelPoint) -> Vec<Target> {
+    fn in_reach<'t>(&self, pair: &GcpPair, targets: &'t [Target], from: PixelPoint) -> Cow<'t, [Target]> {
         let origin = self.field.origin();
         let (right, bottom) = (origin.x + self.field.width_px, origin.y + self.field.height_px);
         let farthest = (from.x - origin.x).max(right - from.x).hypot((from.y - origin.y).max(bottom - from.y));
         // A hair more, so that rounding decides nothing.
         let farthest_m = farthest * pair.length_m / pair.reach_px.0 * (1.0 + 1e-9);
-        targets.iter().filter(|t| t.east.hypot(t.north) <= farthest_m).copied().collect()
+        let reached = |t: &Target| t.east * t.east + t.north * t.north <= farthest_m * farthest_m;
+        if targets.iter().all(reached) {
+            return Cow::Borrowed(targets);
+        }
+        targets.iter().filter(|t| reached(t)).copied().collect::<Vec<_>>().into()
     }
 
     /// Bounds of `to − from`, pixels, that scale and rotation priors allow: left, right, up, down.

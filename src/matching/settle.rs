@@ -1,7 +1,7 @@
 //! From a hypothesis to a pattern: least squares over all GCPs that have a mark, cleaned, and weighed.
 
 use crate::matching::Pattern;
-use crate::matching::evidence::{LEVELS_PX, evidence_of, spread_from_pair};
+use crate::matching::evidence::{LEVELS_PX, Line, evidence_of, spread_from_pair};
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
@@ -157,12 +157,12 @@ impl Search<'_> {
         let mut best: Option<(f64, (usize, usize), f64)> = None;
         let mut whole = f64::INFINITY;
         for (_, i, j) in bases {
-            let ends = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
+            let line = Line::through(&self.field, [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]]);
             // Three or four that agree more closely than marks are centred are as many parts of marks.
             for &level in LEVELS_PX.iter().filter(|level| **level >= 1.0 || pairs.len() >= FEWEST_NEAR) {
                 let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
                 let bases = (pairs[i].1, pairs[j].1);
-                let evidence = evidence_of(&self.field, self.gcps, bases, ends, level, self.log10_tests, &may);
+                let evidence = evidence_of(&self.field, self.gcps, bases, &line, level, self.log10_tests, &may);
                 whole = evidence.map_or(whole, |e| whole.min(e.log10_whole_false_alarms));
                 if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
                     best = Some((e.log10_false_alarms, bases, e.extent));
