@@ -227,7 +227,7 @@ mod tests {
         for k in 0..400 {
             a.at.push(place(k));
             a.descriptors.push(descriptor(k));
-            // Every second is in b, moved smoothly; of the others every second looks like one that is not there.
+            // One of two is in b, moved smoothly; of the others one of two has a double there.
             let [x, y] = place(k);
             if k % 2 == 0 {
                 b.at.push([x + 30.0 + 0.02 * y, y - 12.0]);
