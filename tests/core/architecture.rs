@@ -15,7 +15,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("crates/film", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
     ("crates/terrain", &["autoref-raster"]),
     ("crates/cloud", &["autoref-raster"]),
-    ("crates/flight", &["autoref-raster", "autoref-solve"]),
+    ("crates/flight", &["autoref-raster", "autoref-solve", "autoref-synth"]),
     (".", &["autoref-raster", "autoref-review", "autoref-solve", "autoref-synth"]),
     (
         "crates/program",

@@ -9,6 +9,7 @@ pub mod micmac_files;
 pub mod ortho;
 pub mod pose;
 pub mod read;
+pub mod render;
 pub mod resect;
 pub mod start;
 pub mod statistics;

@@ -56,6 +56,12 @@ impl Surface {
         Some(Surface { heights, columns, rows, first, step, near, blocks: across, range })
     }
 
+    /// Heights row by row, the number of columns, the outer corner of the first cell, and the step from cell to cell.
+    pub fn cells(&self) -> (&[f32], usize, [f64; 2], [f64; 2]) {
+        let corner = [self.first[0] - self.step[0] / 2.0, self.first[1] - self.step[1] / 2.0];
+        (&self.heights, self.columns, corner, self.step)
+    }
+
     /// Lowest and highest.
     pub fn range(&self) -> [f64; 2] {
         self.range
@@ -172,6 +178,14 @@ impl Surface {
             let x = at(s);
             if direction[2] >= 0.0 && x[2] > self.range[1] {
                 return None;
+            }
+            // Above all ground nearby, a block's width at once.
+            let skip = BLOCK as f64 * step;
+            let lowest = x[2].min(at(s + skip)[2]) - (across * skip).powi(2) * sag;
+            if self.highest_near(self.place(x[0], x[1])).is_some_and(|near| lowest > near) {
+                above = Some(s);
+                s += skip;
+                continue;
             }
             match self.height(x[0], x[1]) {
                 Some(h) if x[2] <= h => {

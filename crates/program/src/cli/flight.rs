@@ -4,7 +4,7 @@ mod document;
 mod export;
 mod footprints;
 mod lists;
-mod ortho;
+pub(in crate::cli) mod ortho;
 mod page;
 mod project;
 mod relative;

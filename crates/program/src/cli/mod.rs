@@ -42,6 +42,7 @@ pub mod stage_times;
 mod summary;
 pub mod synth;
 pub mod synth_film;
+pub mod synth_flight;
 pub mod undo;
 pub mod write;
 
@@ -93,6 +94,7 @@ pub enum Command {
     Selftest(selftest::SelftestArgs),
     Fiducials(Box<fiducials::FiducialsArgs>),
     SynthFilm(synth_film::SynthFilmArgs),
+    SynthFlight(Box<synth_flight::Args>),
     Dem(Box<dem::DemArgs>),
     Mosaic(Box<mosaic::MosaicArgs>),
     Flight(Box<flight::FlightArgs>),
@@ -120,6 +122,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Dem(args)) => dem::run(&args),
         Some(Command::Mosaic(args)) => mosaic::run(&args),
         Some(Command::SynthFilm(args)) => synth_film::run(&args).map(|()| ExitCode::SUCCESS),
+        Some(Command::SynthFlight(args)) => synth_flight::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::Flight(args)) => flight::run(&args),
         Some(Command::Cloud(args)) => cloud::run(&args),
         Some(Command::Gcps(args)) => gcps::run(&args).map(|()| ExitCode::SUCCESS),

@@ -66,9 +66,9 @@ pub struct OrthorectifyArgs {
 }
 
 /// The model's part that matters, and what it is called.
-struct Dem {
+pub(in crate::cli) struct Dem {
     dataset: Dataset,
-    grid: Grid,
+    pub grid: Grid,
     crs: Option<Crs>,
 }
 
@@ -77,7 +77,7 @@ fn open(path: &Path) -> Result<Dataset> {
 }
 
 impl Dem {
-    fn open(path: &Path) -> Result<Self> {
+    pub fn open(path: &Path) -> Result<Self> {
         let dataset = open(path)?;
         let (columns, rows) = dataset.raster_size();
         let transform = dataset.geo_transform().map_err(|_| {
@@ -99,7 +99,7 @@ impl Dem {
     }
 
     /// Heights of a window, thinned to at most `most` cells.
-    fn surface(&self, path: &Path, window: Window, most: u64) -> Result<Surface> {
+    pub fn surface(&self, path: &Path, window: Window, most: u64) -> Result<Surface> {
         let thin = ((window.area() as f64 / most as f64).sqrt().ceil() as u64).max(1);
         let size = (window.width.div_ceil(thin) as usize, window.height.div_ceil(thin) as usize);
         let band = self.dataset.rasterband(1).map_err(|e| RasterError::gdal(path, e))?;
