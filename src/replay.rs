@@ -11,7 +11,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
 use autoref_review::{Action, Edit, Patch, Target};
-use autoref_solve::{Pair, solve};
+use autoref_solve::{Pair, solve_as};
 
 /// What a replay gives.
 #[derive(Clone, Debug)]
@@ -147,7 +147,8 @@ fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<Fou
             survey_sigma_m: recorded.gcps[found.gcp].sigma_m,
         })
         .collect();
-    let Ok(solution) = solve(&pairs) else { return Replayed::Unsolvable { points: pairs.len() } };
+    let mirrored = recorded.similarity().map(|similarity| similarity.mirrored).unwrap_or_default();
+    let Ok(solution) = solve_as(&pairs, mirrored) else { return Replayed::Unsolvable { points: pairs.len() } };
     let (mut not_found, mut outside) = (Vec::new(), Vec::new());
     for (i, gcp) in recorded.gcps.iter().enumerate() {
         if marks.iter().chain(&check_marks).any(|found| found.gcp == i) {

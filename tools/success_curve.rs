@@ -15,7 +15,7 @@ use random::Random;
 use std::fmt::Write;
 use std::time::Instant;
 
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
@@ -50,6 +50,7 @@ fn case(random: &mut Random, visible: usize, false_candidates: usize, sigma_px: 
             a_im: GSD * angle.sin(),
             easting_0: 568_000.0,
             northing_0: 7_024_000.0,
+            mirrored: Handedness::AsIs,
         };
         // Drawn in the image's frame, so that about three quarters fall inside whatever the rotation.
         let pixels: Vec<PixelPoint> = (0..36)

@@ -40,7 +40,7 @@ impl Detector {
             let row = PixelRow { samples: Samples::U8(row), pixel_stride: 3, len: picture.width };
             self.classifier.classify_row(row, mask.row_mut(y as u64));
         }
-        MaskFilters::new(self.profile.filters, self.gates.max_side_px()).apply(&mut mask);
+        MaskFilters::new(&self.profile.filters, self.gates.max_side_px()).apply(&mut mask);
         label(&mask)
     }
 

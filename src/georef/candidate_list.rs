@@ -1,8 +1,8 @@
 //! Lists of candidates as files: what `detect` writes and `solve` reads.
 //!
 //! CSV columns: `x,y` (pixels, (0, 0) the outer corner of the first pixel), then `score`, `cov_xx,cov_xy,cov_yy` (px²),
-//! `area` (px), `width,height` (px), `elevation` (m), and `code` (`family:number`) when the list holds coded targets. Only `x` and
-//! `y` are required when reading; the order is free.
+//! `area` (px), `width,height` (px), `elevation` (m), `probability` (that it is a mark, from the score; not read back), and
+//! `code` (`family:number`) when the list holds coded targets. Only `x` and `y` are required when reading; the order is free.
 //! Numbers are written in the shortest form that reads back to the same value, so that two lists are equal when their
 //! bytes are.
 
@@ -14,6 +14,8 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 
 const COLUMNS: [&str; 10] = ["x", "y", "score", "cov_xx", "cov_xy", "cov_yy", "area", "width", "height", "elevation"];
+/// Follows from the score, so that it is written and not read.
+const PROBABILITY: &str = "probability";
 /// Written after the others when any candidate has one.
 const CODE: &str = "code";
 
@@ -23,9 +25,11 @@ const CODE: &str = "code";
 /// When `out` cannot be written.
 pub fn write_csv(candidates: &[Candidate], mut out: impl Write) -> std::io::Result<()> {
     let coded = candidates.iter().any(|c| c.code.is_some());
-    writeln!(out, "{}{}", COLUMNS.join(","), if coded { format!(",{CODE}") } else { String::new() })?;
+    let code = if coded { format!(",{CODE}") } else { String::new() };
+    writeln!(out, "{},{PROBABILITY}{code}", COLUMNS.join(","))?;
     for candidate in candidates {
         let mut fields = fields(candidate).map(|value| value.map_or(String::new(), |v| v.to_string())).to_vec();
+        fields.push(candidate.probability().map_or(String::new(), |p| p.to_string()));
         if coded {
             fields.push(candidate.code.as_ref().map_or(String::new(), Code::to_string));
         }
@@ -65,6 +69,9 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
             .zip(fields(candidate))
             .filter_map(|(name, value)| Some(((*name).to_string(), value?.into())))
             .collect();
+        if let Some(probability) = candidate.probability() {
+            properties.insert(PROBABILITY.to_string(), probability.into());
+        }
         if let Some(code) = &candidate.code {
             properties.insert(CODE.to_string(), code.to_string().into());
         }

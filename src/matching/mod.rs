@@ -35,6 +35,7 @@ mod explain;
 mod far;
 pub mod field;
 mod grow;
+mod mirrored;
 mod names;
 mod rivals;
 pub mod robust;
@@ -49,6 +50,7 @@ use crate::candidate::Candidate;
 use crate::gcp::Gcp;
 use autoref_solve::Similarity;
 
+pub use mirrored::MirrorMatcher;
 pub use names::{Labels, NamesAgree, number_of_label};
 pub use robust::RobustMatcher;
 pub use time_limit::TimeLimit;
@@ -151,7 +153,7 @@ pub struct Evidence {
 /// Finds the pattern of the GCPs among the candidates.
 pub trait Matcher {
     /// GCPs with the role `check` take no part. The transform is a proper similarity of (x, −y): mirrored images are
-    /// never matched; [`diagnosis`] names them.
+    /// matched by [`MirrorMatcher`] only; [`diagnosis`] names them.
     fn find(&self, candidates: &[Candidate], gcps: &[Gcp], priors: &Priors) -> MatchOutcome;
 }
 

@@ -15,7 +15,7 @@ use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::memory_plan::ScanPlan;
-use autoref_solve::{Pair, Solution, solve};
+use autoref_solve::{Pair, Solution, solve_as};
 
 /// Everything a run needs; the parts are values or hold no state that changes.
 pub struct Job<'a> {
@@ -209,7 +209,8 @@ fn orient(
         .iter()
         .map(|&(candidate, gcp)| FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
         .collect();
-    let Ok(solution) = solve(&pairs(gcps, &first)) else {
+    let mirrored = evidence.pattern.similarity.mirrored;
+    let Ok(solution) = solve_as(&pairs(gcps, &first), mirrored) else {
         return Ok(Outcome::Refused(Box::new(degenerate(evidence))));
     };
     let expected: Vec<Expected> = (0..gcps.len())
@@ -248,7 +249,7 @@ fn orient(
         }
     }
     marks.sort_by_key(|mark| mark.gcp);
-    match solve(&pairs(gcps, &marks)) {
+    match solve_as(&pairs(gcps, &marks), mirrored) {
         Ok(solution) => Ok(Outcome::Solved(Box::new(Orientation {
             evidence,
             solution,

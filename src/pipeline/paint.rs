@@ -42,7 +42,7 @@ impl PaintDetector {
     ) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
         let classifier = Classifier::of(colours, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
-        let filters = MaskFilters::new(profile.filters, gates.max_side_px());
+        let filters = MaskFilters::new(&profile.filters, gates.max_side_px());
         Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone() })
     }
 
@@ -54,7 +54,7 @@ impl PaintDetector {
             profile,
             classifier: self.classifier.clone(),
             gates: self.gates.clone(),
-            filters: self.filters,
+            filters: self.filters.clone(),
             info: self.info.clone(),
         }
     }
@@ -116,7 +116,7 @@ impl Detector for PaintDetector {
         profile.colour.limit *= 0.7;
         let info = &self.info;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata).ok()?;
-        let (gates, filters) = (self.gates.clone(), self.filters);
+        let (gates, filters) = (self.gates.clone(), self.filters.clone());
         Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone() }))
     }
 

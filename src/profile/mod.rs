@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::mask::Element;
 use colour::{Cloud, Metric, Space};
 pub use family::Family;
 pub use rule::{Property, Rule};
@@ -245,7 +246,7 @@ impl GateLimits {
 }
 
 /// Filters of the mask before regions are made. Each adds its border to the halo.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Filters {
     /// 3 × 3 median (majority) of the mask.
@@ -254,6 +255,12 @@ pub struct Filters {
     pub closing_radius_px: u32,
     /// Radius of the disc that opens (removes specks and bridges); 0 is none.
     pub opening_radius_px: u32,
+    /// In place of the disc that closes gaps.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub closing_element: Option<Element>,
+    /// In place of the disc that opens.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub opening_element: Option<Element>,
     /// Fill holes of regions no larger than the largest mark.
     pub fill_holes: bool,
 }

@@ -35,7 +35,20 @@ pub struct Section {
     pub reservations: Vec<String>,
     /// Label and value, both as they are to be read.
     pub figures: Vec<(String, String)>,
+    /// Differences of height at points, drawn as upright arrows; none, no drawing.
+    pub height_arrows: Vec<HeightArrow>,
     pub tables: Vec<Table>,
+}
+
+/// A difference of height at a point of the map, metres.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HeightArrow {
+    pub name: String,
+    pub easting: f64,
+    pub northing: f64,
+    pub residual_m: f64,
+    /// It took no part in the fit.
+    pub check: bool,
 }
 
 /// A table; the first row of cells follows the header.
@@ -125,7 +138,7 @@ pub fn page(
         crs: result.crs.as_deref(),
         log10_false_alarms: result.log10_false_alarms,
         best_pairs: result.best_pattern().map(|pattern| pattern.pairs.len()),
-        similarity: points::similarity(result),
+        similarity: result.similarity(),
         solution: result.solved().and_then(|solved| solved.solution.as_ref()),
         chosen_model: result.solved().and_then(|solved| solved.chosen_model.as_ref()),
         points: &gathered.points,

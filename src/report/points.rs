@@ -12,11 +12,10 @@ use crate::report::chips::{Spot, cut};
 use crate::report::jpeg::data_uri;
 use crate::report::kept_pixels::KeptPixels;
 use crate::report::overview::Overview;
-use crate::result::{MatchRow, RunOutcome, RunResult};
+use crate::result::{MatchRow, RunResult};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
-use autoref_solve::Similarity;
 
 /// No more chips than this, whatever the list: a page must open.
 const MAX_CHIPS: usize = 400;
@@ -102,14 +101,6 @@ pub struct Gathered {
     pub(super) overview_size: (usize, usize),
 }
 
-/// The transform that places GCPs in the image: the solution's, or that of a refused run's best pattern.
-pub(super) fn similarity(result: &RunResult) -> Option<Similarity> {
-    match &result.outcome {
-        RunOutcome::Solved(solved) => solved.solution.as_ref().map(|s| s.similarity),
-        RunOutcome::Refused(refused) => refused.best_pattern.as_ref().map(|p| p.similarity),
-    }
-}
-
 /// Works out what to show, cuts the windows, and encodes the pictures.
 ///
 /// # Errors
@@ -179,7 +170,7 @@ impl<'a> Plan<'a> {
 
     fn points(&mut self, width: f64, height: f64) {
         let result = self.result;
-        let similarity = similarity(result);
+        let similarity = result.similarity();
         let rows: HashMap<&str, &MatchRow> =
             result.matches().iter().chain(result.check_points()).map(|row| (row.gcp.as_str(), row)).collect();
         let proposed: HashMap<usize, usize> = result

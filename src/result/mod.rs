@@ -14,7 +14,7 @@ use crate::pipeline::georeference::FoundBy;
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
-use autoref_solve::Solution;
+use autoref_solve::{Similarity, Solution};
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -270,6 +270,14 @@ impl RunResult {
     /// The best partial pattern of a refused run.
     pub fn best_pattern(&self) -> Option<&Pattern> {
         self.refused()?.best_pattern.as_ref()
+    }
+
+    /// The transform that places GCPs in the image: the solution's, or that of a refused run's best pattern.
+    pub fn similarity(&self) -> Option<Similarity> {
+        match &self.outcome {
+            RunOutcome::Solved(solved) => solved.solution.as_ref().map(|s| s.similarity),
+            RunOutcome::Refused(refused) => refused.best_pattern.as_ref().map(|p| p.similarity),
+        }
     }
 
     /// Reads a document that a run has written.

@@ -1,56 +1,67 @@
-//! Filters of the mask that need to see beyond a tile's core: median, closing and opening with a disc, bounded filling of
-//! holes.
+//! Filters of the mask that need to see beyond a tile's core: median, closing and opening with a disc or an element of one's
+//! own, bounded filling of holes.
 //!
 //! Each filter is local: the bits inside the core depend only on bits at most [`MaskFilters::halo_px`] away, so any
 //! tiling gives the same mask. Beyond the raster's edge there is nothing: background for the median and for dilation, and
 //! no obstacle for erosion, so that a mark on the edge is not eaten. Holes are filled only inside regions no larger than
 //! the largest mark, because filling without a bound is not local.
 
-use autoref_raster::mask::Mask;
 use autoref_raster::mask::morphology::{closed, fill_holes, median3, opened};
+use autoref_raster::mask::{Element, Mask};
 
 use crate::profile::Filters;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MaskFilters {
-    filters: Filters,
+    median: bool,
+    closing: Option<Element>,
+    opening: Option<Element>,
+    fill_holes: bool,
     /// Longest side of a region whose holes are filled.
     max_side_px: u64,
 }
 
 impl MaskFilters {
     /// `max_side_px` is the longest side of a region whose holes are filled.
-    pub fn new(filters: Filters, max_side_px: u64) -> MaskFilters {
-        MaskFilters { filters, max_side_px }
+    pub fn new(filters: &Filters, max_side_px: u64) -> MaskFilters {
+        let element = |own: &Option<Element>, radius_px: u32| {
+            own.clone().or_else(|| (radius_px > 0).then(|| Element::disc(radius_px)))
+        };
+        MaskFilters {
+            median: filters.median,
+            closing: element(&filters.closing_element, filters.closing_radius_px),
+            opening: element(&filters.opening_element, filters.opening_radius_px),
+            fill_holes: filters.fill_holes,
+            max_side_px,
+        }
     }
 
     /// No filter is on; [`MaskFilters::apply`] does nothing.
     pub fn is_identity(&self) -> bool {
-        self.filters == Filters::default()
+        !self.median && self.closing.is_none() && self.opening.is_none() && !self.fill_holes
     }
 
     /// How far beyond the core the mask must be known.
     pub fn halo_px(&self) -> u64 {
-        let f = &self.filters;
-        let fill = if f.fill_holes { self.max_side_px + 2 } else { 0 };
-        u64::from(f.median) + 2 * u64::from(f.closing_radius_px) + fill + 2 * u64::from(f.opening_radius_px)
+        let fill = if self.fill_holes { self.max_side_px + 2 } else { 0 };
+        let twice = |element: &Option<Element>| element.as_ref().map_or(0, |element| 2 * element.reach_px());
+        u64::from(self.median) + twice(&self.closing) + fill + twice(&self.opening)
     }
 
     /// Filters the mask of a read window in place, in the order median, closing, filling, opening. What comes out is right
     /// at least [`MaskFilters::halo_px`] inside the window, and up to edges that are the raster's.
     pub fn apply(&self, mask: &mut Mask) {
-        let f = &self.filters;
-        if f.median {
+        if self.median {
             *mask = median3(mask);
         }
-        if f.closing_radius_px > 0 {
-            *mask = closed(mask, f.closing_radius_px);
+        if let Some(element) = &self.closing {
+            *mask = closed(mask, element);
         }
-        if f.fill_holes {
+        if self.fill_holes {
             fill_holes(mask, self.max_side_px);
         }
-        if f.opening_radius_px > 0 {
-            *mask = opened(mask, f.opening_radius_px);
+        if let Some(element) = &self.opening {
+            *mask = opened(mask, element);
         }
     }
 }
@@ -72,8 +83,28 @@ mod tests {
     }
 
     fn all(median: bool, closing: u32, opening: u32, fill: bool, max_side_px: u64) -> MaskFilters {
-        let filters = Filters { median, closing_radius_px: closing, opening_radius_px: opening, fill_holes: fill };
-        MaskFilters { filters, max_side_px }
+        let filters = Filters {
+            median,
+            closing_radius_px: closing,
+            opening_radius_px: opening,
+            fill_holes: fill,
+            ..Filters::default()
+        };
+        MaskFilters::new(&filters, max_side_px)
+    }
+
+    /// A lopsided element: what `scipy.ndimage.binary_dilation`, `binary_closing` and `binary_opening` give.
+    #[test]
+    fn an_element_of_ones_own_has_its_own_direction() {
+        use autoref_raster::mask::morphology::{closed, dilated, opened};
+        let hook = Element::try_from(vec!["##.".to_string(), "#..".into(), "...".into()]).expect("an element");
+        let mask = picture(&["........", "..#..#..", "..##.#..", "..####..", "........"]);
+        assert_eq!(dilated(&mask, &hook), picture(&[".##.##..", ".#####..", ".#####..", ".####...", "........"]));
+        assert_eq!(opened(&mask, &hook), picture(&["........", "........", "..##....", "..#.....", "........"]));
+        let gap = picture(&["........", ".#.#.#..", ".#.###..", "........", "........"]);
+        assert_eq!(closed(&gap, &hook), picture(&["........", ".#####..", ".#.###..", "........", "........"]));
+        let filters = Filters { closing_element: Some(hook), ..Filters::default() };
+        assert_eq!(MaskFilters::new(&filters, 9).halo_px(), 2);
     }
 
     #[test]
@@ -105,9 +136,12 @@ mod tests {
         #[test]
         fn filters_are_local(
             seed in any::<u64>(), density in 2u64..9, median: bool, closing in 0u32..3, opening in 0u32..3, fill: bool,
-            x in 0u64..90, y in 0u64..40,
+            x in 0u64..90, y in 0u64..40, own: bool,
         ) {
-            let filters = all(median, closing, opening, fill, 7);
+            let mut filters = all(median, closing, opening, fill, 7);
+            if own {
+                filters.closing = Some(Element::try_from(vec!["##..".to_string(), "#..#".into()]).expect("an element"));
+            }
             let whole = Window::whole(130, 60);
             let mut state = seed | 1;
             let mut source = Mask::new(whole);

@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use crate::common::{Random, bare_candidate};
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::{Pair, Similarity, solve};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
@@ -27,7 +27,13 @@ struct Case {
 
 fn truth(random: &mut Random) -> Similarity {
     let angle = random.uniform(-180.0, 180.0).to_radians();
-    Similarity { a_re: GSD * angle.cos(), a_im: GSD * angle.sin(), easting_0: 569_000.0, northing_0: 7_032_000.0 }
+    Similarity {
+        a_re: GSD * angle.cos(),
+        a_im: GSD * angle.sin(),
+        easting_0: 569_000.0,
+        northing_0: 7_032_000.0,
+        mirrored: Handedness::AsIs,
+    }
 }
 
 fn priors(share: f64) -> Priors {

@@ -2,7 +2,7 @@
 //! say nothing.
 
 use crate::common::{Random, bare_candidate};
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
@@ -97,6 +97,7 @@ fn e6(random: &mut Random, visible: usize, false_candidates: usize) -> Option<Se
             a_im,
             easting_0: anchor.easting - (a_re * x - a_im * y),
             northing_0: anchor.northing - (a_im * x + a_re * y),
+            mirrored: Handedness::AsIs,
         };
         let inside: Vec<usize> = (0..gcps.len())
             .filter(|&i| {

@@ -3,10 +3,11 @@
 use std::time::Instant;
 
 use crate::common::{Random, bare_candidate};
-use autoref_solve::{Pair, Similarity, solve};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
+use autoref_solve::{Pair, Similarity, solve, solve_as};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
-use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher, TppMatcher};
+use autoref_stream::matching::{MatchOutcome, Matcher, MirrorMatcher, Priors, RobustMatcher, TppMatcher};
 
 fn pairs_of(candidates: &[Candidate], gcps: &[Gcp], pairs: &[(usize, usize)]) -> Vec<Pair> {
     pairs
@@ -88,6 +89,7 @@ fn case(random: &mut Random, gcps: &[Gcp], kind: &Kind) -> Case {
             a_im,
             easting_0: anchor.easting - (a_re * x - a_im * y),
             northing_0: anchor.northing - (a_im * x + a_re * y),
+            mirrored: Handedness::AsIs,
         };
         let mut inside: Vec<usize> = (0..gcps.len())
             .filter(|&i| {
@@ -262,7 +264,7 @@ fn nothing_there_is_refused() {
                 .collect(),
             1 => lattice(random.uniform(600.0, 1500.0), random.uniform(600.0, 1500.0), random.uniform(0.0, 3.0)),
             2 => parking_rows(&mut random),
-            _ => mirrored(&mut random, &gcps),
+            _ => mirrored(&mut random, &gcps).candidates,
         };
         let started = Instant::now();
         let outcome = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
@@ -344,20 +346,80 @@ fn parking_rows(random: &mut Random) -> Vec<Candidate> {
     all
 }
 
-fn mirrored(random: &mut Random, gcps: &[Gcp]) -> Vec<Candidate> {
+fn mirrored(random: &mut Random, gcps: &[Gcp]) -> Case {
     let mut case = case(random, gcps, &kind(6, 300, 180.0));
     for candidate in &mut case.candidates {
         candidate.centre.x = E6.0 - candidate.centre.x;
     }
-    case.candidates
+    case
 }
 
 #[test]
 fn a_mirrored_image_is_not_matched() {
     let Some(gcps) = crate::common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let candidates = mirrored(&mut Random::new(11), &gcps);
-    let outcome = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
+    let case = mirrored(&mut Random::new(11), &gcps);
+    let outcome = RobustMatcher::default().find(&case.candidates, &gcps, &priors((0.027, 0.033)));
     assert!(matches!(outcome, MatchOutcome::NoMatch(_)), "a mirrored image was matched");
+}
+
+fn both_ways() -> MirrorMatcher {
+    MirrorMatcher { within: Box::new(RobustMatcher { tries: 2.0, ..RobustMatcher::default() }) }
+}
+
+#[test]
+fn a_mirrored_image_is_matched_where_it_may_be() {
+    let gcps: Vec<Gcp> = {
+        let mut random = Random::new(5);
+        let point = |i| Gcp::control(format!("P{i}"), random.uniform(0.0, 900.0), random.uniform(0.0, 800.0));
+        (0..40).map(point).collect()
+    };
+    for seed in 0..10 {
+        let straight = case(&mut Random::new(seed), &gcps, &kind(6, 300, 180.0));
+        let turned = mirrored(&mut Random::new(seed), &gcps);
+        for (case, truth) in [(&straight, straight.truth), (&turned, turned.truth.mirrored(E6.0))] {
+            let outcome = both_ways().find(&case.candidates, &gcps, &priors((0.027, 0.033)));
+            let MatchOutcome::Solved(solved) = outcome else { panic!("seed {seed}: {outcome:?}") };
+            let found = solved.pattern.similarity;
+            assert_eq!(found.mirrored, truth.mirrored);
+            for corner in [(0.0, 0.0), (E6.0, 0.0), (0.0, E6.1), (E6.0, E6.1)] {
+                let corner = PixelPoint { x: corner.0, y: corner.1 };
+                let (one, other) = (found.apply(corner), truth.apply(corner));
+                let apart = (one.easting - other.easting).hypot(one.northing - other.northing);
+                assert!(apart < 0.3, "seed {seed}: {apart} m");
+                let back = truth.invert(other);
+                assert!((back.x - corner.x).hypot(back.y - corner.y) < 1e-6);
+            }
+            let pairs = pairs_of(&case.candidates, &gcps, &solved.pattern.pairs);
+            let solution = solve_as(&pairs, truth.mirrored).expect("six points");
+            assert!(solution.rmse_px < 1.0, "seed {seed}: {} px", solution.rmse_px);
+            assert_eq!(solution.geotransform.0[1].is_sign_negative(), found.geotransform().0[1].is_sign_negative());
+        }
+    }
+}
+
+#[test]
+fn a_list_that_is_its_own_mirror_image_fits_neither_way_where_both_may_be() {
+    // Pairs beside an axis at uneven steps along it.
+    let steps = [0.0, 31.0, 83.0, 104.0, 177.0, 239.0];
+    let points = steps.iter().enumerate().flat_map(|(i, &n)| {
+        let wide = 20.0 + 13.0 * (i * i % 7) as f64;
+        [Gcp::control(format!("L{i}"), -wide, n), Gcp::control(format!("R{i}"), wide, n)]
+    });
+    let gcps: Vec<Gcp> = points.collect();
+    let truth = Similarity::through(
+        [PixelPoint { x: 0.0, y: 0.0 }, PixelPoint { x: 9_000.0, y: 0.0 }],
+        [MapPoint { easting: -130.0, northing: 250.0 }, MapPoint { easting: 138.0, northing: 262.0 }],
+    )
+    .expect("two points");
+    let candidates: Vec<Candidate> =
+        gcps.iter().map(|gcp| truth.invert(gcp.position())).map(|p| bare_candidate(p.x, p.y)).collect();
+    let MatchOutcome::NoMatch(evidence) = both_ways().find(&candidates, &gcps, &priors((0.027, 0.033))) else {
+        panic!("believed one of two ways");
+    };
+    assert!(evidence.reason.contains("as it is (12 marks) and mirrored (12 marks)"), "{}", evidence.reason);
+    let alone = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
+    let MatchOutcome::Solved(solved) = alone else { panic!("refused without a mirror: {alone:?}") };
+    assert_eq!(solved.pattern.similarity.mirrored, Handedness::AsIs);
 }
 
 #[test]

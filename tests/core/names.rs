@@ -2,7 +2,7 @@
 //! needed; `AUTOREF_LARGE=1` runs many more trials (`AUTOREF_TRIALS` says another number).
 
 use crate::common::{Random, bare_candidate, trials};
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::{Candidate, Code};
 use autoref_stream::gcp::{Gcp, GcpRole};
@@ -13,7 +13,13 @@ const GSD: f64 = 0.03;
 
 fn truth(random: &mut Random) -> Similarity {
     let angle = random.uniform(-180.0, 180.0).to_radians();
-    Similarity { a_re: GSD * angle.cos(), a_im: GSD * angle.sin(), easting_0: 569_000.0, northing_0: 7_032_000.0 }
+    Similarity {
+        a_re: GSD * angle.cos(),
+        a_im: GSD * angle.sin(),
+        easting_0: 569_000.0,
+        northing_0: 7_032_000.0,
+        mirrored: Handedness::AsIs,
+    }
 }
 
 /// A regular grid in the middle of the image.

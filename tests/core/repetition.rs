@@ -1,7 +1,7 @@
 //! Figures that repeat, in the list or in the image: nothing in the picture says which is which, so nothing may be claimed.
 
 use crate::common::{Random, bare_candidate};
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
@@ -14,7 +14,7 @@ const GSD: f64 = 0.03;
 fn truth(random: &mut Random) -> Similarity {
     let angle = random.uniform(-180.0, 180.0).to_radians();
     let (a_re, a_im) = (GSD * angle.cos(), GSD * angle.sin());
-    Similarity { a_re, a_im, easting_0: 569_000.0, northing_0: 7_032_000.0 }
+    Similarity { a_re, a_im, easting_0: 569_000.0, northing_0: 7_032_000.0, mirrored: Handedness::AsIs }
 }
 
 fn figure(random: &mut Random, points: usize) -> Vec<PixelPoint> {

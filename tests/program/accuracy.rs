@@ -1,7 +1,7 @@
 //! What is said of accuracy holds: the expected-error map over synthetic cases, the statement against figures by hand.
 
 use crate::common::Random;
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::accuracy::{Basis, CheckError, ErrorModel, StatementOptions, statement};
 use autoref_solve::{Pair, Similarity, solve};
 
@@ -30,6 +30,7 @@ fn coverage(cases: u64, points: usize, noise: Noise, seed: u64) -> (f64, f64) {
             a_im: scale * f64::sin(angle),
             easting_0: 570_000.0,
             northing_0: 7_032_000.0,
+            mirrored: Handedness::AsIs,
         };
         let mut precision = 0.0;
         let pairs: Vec<Pair> = (0..points)
@@ -228,7 +229,13 @@ fn solved(check_shift_m: f64, crs: &str, extra: &[&str]) -> (serde_json::Value, 
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
     let mut random = Random::new(77);
-    let truth = Similarity { a_re: 0.03, a_im: 0.001, easting_0: 570_000.0, northing_0: 7_032_000.0 };
+    let truth = Similarity {
+        a_re: 0.03,
+        a_im: 0.001,
+        easting_0: 570_000.0,
+        northing_0: 7_032_000.0,
+        mirrored: Handedness::AsIs,
+    };
     let (mut list, mut candidates, mut errors) =
         ("name,easting,northing\n".to_string(), "x,y\n".to_string(), "name,sigma_e,sigma_n,sigma_h\n".to_string());
     for i in 0..14 {

@@ -422,6 +422,131 @@ fn lessons_give_rough_boxes_and_densities() {
     }
 }
 
+/// A mask, polygons on the map and in pixels, and a table of the colours below the mask teach what pointing teaches.
+#[test]
+fn outlines_and_tables_teach_like_a_finger() {
+    let sample = Sample::new(|spec| spec.clutter = 0);
+    sample.place(sample.truth.geotransform.0, Some("EPSG:32632"));
+    let image = sample.path("image.tif");
+    let marks: Vec<_> = sample.truth.visible().collect();
+    let (width, height) = (1300usize, 1000usize);
+    // The inner 7 x 7 pixels of each mark.
+    let inner = |x: f64, y: f64| {
+        let (x, y) = (x as usize, y as usize);
+        (y - 3..=y + 3).flat_map(move |v| (x - 3..=x + 3).map(move |u| v * width + u))
+    };
+    let mut mask = vec![0u8; width * height];
+    marks.iter().flat_map(|m| inner(m.x, m.y)).for_each(|i| mask[i] = 255);
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let file = driver.create_with_band_type::<u8, _>(sample.path("mask.tif"), width, height, 1).expect("writable");
+    file.rasterband(1)
+        .and_then(|mut band| band.write((0, 0), (width, height), &mut Buffer::new((width, height), mask.clone())))
+        .expect("writable");
+    file.close().expect("written");
+    let polygons = |name: &str, place: &dyn Fn(f64, f64) -> [f64; 2], crs: &str| {
+        let square = |m: &&autoref_synth::TruthGcp| {
+            let (x, y) = (m.x.floor(), m.y.floor());
+            let corners = [(-3.0, -3.0), (4.0, -3.0), (4.0, 4.0), (-3.0, 4.0), (-3.0, -3.0)];
+            let ring: Vec<[f64; 2]> = corners.iter().map(|(dx, dy)| place(x + dx, y + dy)).collect();
+            serde_json::json!({"type": "Feature", "properties": {"name": m.name},
+                "geometry": {"type": "Polygon", "coordinates": [ring]}})
+        };
+        let features: Vec<Value> = marks.iter().map(square).collect();
+        let mut document = serde_json::json!({"type": "FeatureCollection", "features": features});
+        if !crs.is_empty() {
+            document["crs"] = serde_json::json!({"type": "name", "properties": {"name": crs}});
+        }
+        std::fs::write(sample.path(name), document.to_string()).expect("writable");
+        sample.path(name)
+    };
+    let transform = sample.truth.geotransform;
+    let on_map = polygons(
+        "map.geojson",
+        &|x, y| {
+            let p = transform.apply(autoref_raster::coords::PixelPoint { x, y });
+            [p.easting, p.northing]
+        },
+        "urn:ogc:def:crs:EPSG::32632",
+    );
+    let pixels = polygons("pixels.geojson", &|x, y| [x, y], "urn:ogc:def:crs:EPSG::32632");
+    let teach = |extra: &[&str]| {
+        let profile = sample.path("taught.toml");
+        let page = sample.path("colours.html");
+        let mut args = vec!["sample", "-o", text(&profile), "--html", text(&page), "--overwrite", "--json"];
+        args.extend(extra);
+        let taught = json(&args);
+        assert_eq!(taught["files_written"].as_array().map(Vec::len), Some(2));
+        let page = std::fs::read_to_string(&page).expect("written");
+        assert!(page.contains("Correlation with a*") && page.contains("<circle"), "{page}");
+        assert!(sample.found(&profile) * 10 >= marks.len() * 9, "{extra:?}: {} found", sample.found(&profile));
+        taught
+    };
+    let by_mask = teach(&[text(&image), "--mask", text(&sample.path("mask.tif"))]);
+    let by_map = teach(&[text(&image), "--polygons", text(&on_map)]);
+    let by_pixels = teach(&[text(&image), "--polygons", text(&pixels)]);
+    assert_eq!(by_mask["statistics"], by_map["statistics"]);
+    assert_eq!(by_mask["statistics"], by_pixels["statistics"]);
+    assert_eq!(by_mask["statistics"]["samples"], marks.len() * 49);
+    assert_eq!(by_mask["profile"]["learned"]["marks"], marks.len());
+    // The colours below the mask as a table.
+    let picture = gdal::Dataset::open(&image).expect("opens");
+    let band = |n| picture.rasterband(n).and_then(|b| b.read_band_as::<u8>()).expect("readable");
+    let bands = [band(1), band(2), band(3)];
+    let mut table = String::from("red,green,blue\n");
+    for i in (0..width * height).filter(|&i| mask[i] > 0) {
+        let [r, g, b] = [0, 1, 2].map(|c: usize| bands[c].data()[i]);
+        table += &format!("{r},{g},{b}\n");
+    }
+    let colours = sample.path("colours.csv");
+    std::fs::write(&colours, table).expect("writable");
+    let by_table = teach(&["--colours", text(&colours), "--mark-size", "10..16", "--rough-box", "3sd,4sd,5sd"]);
+    assert_eq!(by_table["statistics"]["samples"], by_mask["statistics"]["samples"]);
+    for space in ["rgb", "lab"] {
+        for c in 0..3 {
+            let of = |taught: &Value| taught["statistics"][space]["mean"][c].as_f64().expect("a number");
+            assert!((of(&by_table) - of(&by_mask)).abs() < 1e-9);
+        }
+    }
+    let wide = |taught: &Value, c: usize| {
+        let bound = |which: &str| taught["profile"]["colour"]["rough_box"][which][c].as_f64().expect("a box");
+        let spread = taught["statistics"]["rgb"]["covariance"][c][c].as_f64().expect("a number").sqrt();
+        (bound("high") - bound("low")) / spread
+    };
+    assert!((wide(&by_table, 2) / wide(&by_table, 0) - 5.0 / 3.0).abs() < 1e-6);
+    refused_outlines(&sample, &image);
+}
+
+fn refused_outlines(sample: &Sample, image: &Path) {
+    let file = |name: &str, text: &str| {
+        std::fs::write(sample.path(name), text).expect("writable");
+        sample.path(name)
+    };
+    let away = r#"{"type":"Feature","properties":{},"geometry":{"type":"Polygon","coordinates":[[[0,70],[1,70],[1,71],[0,70]]]}}"#;
+    let points = r#"{"type":"Feature","properties":{},"geometry":{"type":"Point","coordinates":[5,5]}}"#;
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    for (name, side) in [("small.tif", (10, 10)), ("empty.tif", (1300, 1000))] {
+        let made = driver.create_with_band_type::<u8, _>(sample.path(name), side.0, side.1, 1).expect("writable");
+        made.close().expect("written");
+    }
+    for (option, path, words) in [
+        ("--mask", sample.path("small.tif"), "is 10 × 10 pixels"),
+        ("--mask", sample.path("empty.tif"), "no pixel of it is set"),
+        ("--mask", file("no.tif", "no raster"), "no.tif"),
+        ("--polygons", file("away.geojson", away), "none of its 1 polygons lies in the image"),
+        ("--polygons", file("points.json", points), "no polygon in it"),
+    ] {
+        let output = autoref(&["sample", text(image), option, text(&path)]);
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains(words) && said.trim_end().lines().count() == 1, "{said}");
+    }
+    for (table, words) in [("1,2\n", "row 1"), ("1,2,3\n4,5,6\n", "2 colours say too little")] {
+        let output = autoref(&["sample", "--colours", text(&file("few.csv", table))]);
+        let said = stderr(&output);
+        assert!(output.status.code() == Some(2) && said.contains(words) && said.contains("few.csv"), "{said}");
+    }
+}
+
 /// Rules over named properties: a bound in or out decides, probabilities are there, unknown names are refused with their column.
 #[test]
 fn gates_of_ones_own() {

@@ -125,6 +125,56 @@ fn transform_of(path: &Path) -> autoref_raster::coords::GeoTransform {
     autoref_raster::coords::GeoTransform(dataset.geo_transform().expect("it is georeferenced"))
 }
 
+/// The image with its columns in reverse order.
+fn turn_over(path: &Path) {
+    let dataset = gdal::Dataset::open(path).expect("GDAL opens it");
+    let (width, height) = dataset.raster_size();
+    let bands: Vec<gdal::raster::Buffer<u8>> = (1..=dataset.raster_count())
+        .map(|band| dataset.rasterband(band).and_then(|b| b.read_band_as()).expect("readable"))
+        .collect();
+    drop(dataset);
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let turned = driver.create_with_band_type::<u8, _>(path, width, height, bands.len()).expect("writable");
+    for (i, mut band) in bands.into_iter().enumerate() {
+        band.data_mut().chunks_mut(width).for_each(<[u8]>::reverse);
+        turned.rasterband(i + 1).and_then(|mut b| b.write((0, 0), (width, height), &mut band)).expect("writable");
+    }
+    turned.close().expect("closed");
+}
+
+#[test]
+fn a_mirrored_image_is_solved_on_request_only() {
+    let mut sample = Sample::new(|_| {});
+    turn_over(&sample.path("e6.tif"));
+    let refused = sample.run(&["--quiet"]);
+    assert_eq!(refused.status.code(), Some(1), "{}", stderr(&refused));
+    assert!(!sample.path("e6.tfw").exists());
+    assert!(sample.json()["advice"].to_string().contains("mirrored"), "{}", sample.json()["advice"]);
+    let output = sample.run(&["--allow-mirrored", "--overwrite", "--report"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("the image is mirrored"));
+    let width = 2300.0;
+    sample.truth.gcps.iter_mut().for_each(|gcp| gcp.x = width - gcp.x);
+    let result = sample.json();
+    assert_eq!(result["matches"].as_array().map(Vec::len), Some(sample.truth.visible().count()));
+    check_against_truth(&result, &sample.truth);
+    gdal_agrees(&sample, &result);
+    // A replay of a review without changes gives the same transform.
+    let json = sample.path("e6.autoref.json");
+    let patch = serde_json::json!({"schema": "autoref-stream-patch", "schema_version": 1, "for": "gcps",
+        "source": "e6.autoref.json", "edits": []});
+    std::fs::write(sample.path("p.json"), patch.to_string()).expect("written");
+    let replayed = autoref(&[
+        "solve",
+        json.to_str().expect("plain"),
+        "--patch",
+        sample.path("p.json").to_str().expect("plain"),
+        "--json",
+    ]);
+    let again: Value = serde_json::from_slice(&replayed.stdout).unwrap_or_else(|_| panic!("{}", stderr(&replayed)));
+    assert_eq!(again["geotransform"], result["geotransform"]);
+}
+
 #[test]
 fn json_on_stdout_is_exactly_one_document() {
     let sample = Sample::new(|_| {});

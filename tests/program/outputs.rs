@@ -579,6 +579,42 @@ fn tiles_with_world_files_are_one_raster() {
     tiles_that_do_not_fit(&at("tiles"), &at("tiles.txt"));
 }
 
+/// GDAL's own tiler cuts the image into 40 tiles of a tile map: the folder and its XML give the candidates of the one file.
+#[test]
+fn forty_tiles_by_xml_are_the_image() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("plain").to_string();
+    let (whole, list) = (at("e6.tif"), at("e6.geojson"));
+    let shape =
+        ["--size", "2048,1280", "--extent-m", "54,34", "--random-gcps", "14", "--visible", "11", "--gsd", "0.03"];
+    let mut synth = vec!["synth", &whole, "--write-gcps", &list, "--georeferenced", "--seed", "8", "--mark-size", "14"];
+    synth.extend(shape);
+    succeeded(&autoref(&synth));
+    let tiles = at("tiles");
+    let tiler =
+        Command::new("gdal2tiles.py").args(["-q", "-p", "raster", "-z", "3", "-w", "none", &whole, &tiles]).output();
+    let Ok(cut) = tiler else {
+        return crate::common::skipped("gdal2tiles.py is absent");
+    };
+    assert!(cut.status.success(), "{}", String::from_utf8_lossy(&cut.stderr));
+    let xml = at("tiles/tilemapresource.xml");
+    let detect = |image: &str| {
+        let out = at("list.csv");
+        succeeded(&autoref(&["detect", image, "-o", &out, "--overwrite"]));
+        std::fs::read(&out).expect("written")
+    };
+    let one = detect(&whole);
+    assert!(one.iter().filter(|byte| **byte == b'\n').count() > 8);
+    assert!(detect(&tiles) == one && detect(&xml) == one, "other candidates by tiles");
+    // Solved as one raster, where the XML says that it lies.
+    succeeded(&autoref(&[&xml, "--gcps", &list, "--quiet"]));
+    // A tile that is not there holds nothing; a description that is broken is named.
+    std::fs::remove_file(at("tiles/3/2/3.png")).expect("there");
+    assert_eq!(autoref_raster::size(Path::new(&tiles), 0).expect("a mosaic"), (2048, 1280));
+    std::fs::write(&xml, "<TileMap><TileSets/></TileMap>").expect("written");
+    refused(&autoref(&["detect", &tiles]), &["tilemapresource.xml", "TileFormat"]);
+}
+
 /// One clear line that names the tile.
 fn tiles_that_do_not_fit(folder: &Path, list: &Path) {
     let line = || {

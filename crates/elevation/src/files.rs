@@ -180,6 +180,15 @@ fn check_units(a: &Model, b: &Model) -> Result<()> {
 /// # Errors
 /// When the file cannot be read, or holds no polygon.
 pub fn read_zones(path: &Path, wkt: &str) -> Result<Zones> {
+    Ok(Zones::new(read_areas(path, wkt)?))
+}
+
+/// Polygons of any vector file with their names and rings, in the CRS of `wkt` where both it and the file name one.
+///
+/// # Errors
+/// When the file cannot be read, holds no polygon, or cannot be transformed.
+pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
+    autoref_raster::bounded::refuse_endless(path)?;
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
     let dataset = Dataset::open_ex(path, DatasetOptions { open_flags: flags, ..Default::default() }).map_err(failed)?;
@@ -212,7 +221,7 @@ pub fn read_zones(path: &Path, wkt: &str) -> Result<Zones> {
     if areas.is_empty() {
         return Err(Error::format(path, "layers", "no polygon in it"));
     }
-    Ok(Zones::new(areas))
+    Ok(areas)
 }
 
 fn collect_rings(geometry: &gdal::vector::Geometry, rings: &mut Vec<Ring>) {

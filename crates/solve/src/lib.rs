@@ -24,4 +24,4 @@ pub mod partial;
 pub mod planar;
 pub mod similarity;
 
-pub use similarity::{Pair, PairResult, Similarity, Solution, Unsolvable, solve};
+pub use similarity::{Pair, PairResult, Similarity, Solution, Unsolvable, solve, solve_as};

@@ -5,18 +5,19 @@
 //! gives a = Σ p·conj(z−z̄)·(w−w̄) / Σ p·|z−z̄|². This is the 2-D case of B. K. P. Horn, "Closed-form solution of absolute
 //! orientation using unit quaternions", 1987, and of S. Umeyama, "Least-squares estimation of transformation parameters
 //! between two point patterns", 1991 (eq. 34–43): in the plane, and with the scale that minimises the residuals on the map,
-//! they are the same. Redundancy numbers and smallest detectable blunders follow W. Baarda, "A testing procedure for use in
+//! they are the same. A mirrored image is turned over first: z = −x − i·y. Redundancy numbers and smallest detectable blunders follow W. Baarda, "A testing procedure for use in
 //! geodetic networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %).
 
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use serde::{Deserialize, Serialize};
 
-use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
+use autoref_raster::coords::{GeoTransform, Handedness, MapPoint, PixelPoint};
 
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
 const BAARDA_SQRT_LAMBDA: f64 = 4.13;
 
-/// Image → map: `easting = scale·(cos·x + sin·y) + e0`, and so on, as the complex pair `a`, `b` of w = a·(x − i·y) + b.
+/// Image → map: `easting = scale·(cos·x + sin·y) + e0`, and so on, as the complex pair `a`, `b` of w = a·(±x − i·y) + b, with
+/// −x for a mirrored image.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Similarity {
     pub a_re: f64,
@@ -24,11 +25,23 @@ pub struct Similarity {
     /// Map coordinates of the image's origin.
     pub easting_0: f64,
     pub northing_0: f64,
+    /// The image shows the ground as a mirror does. Absent in JSON when it does not.
+    #[serde(default, skip_serializing_if = "is_as_is")]
+    pub mirrored: Handedness,
+}
+
+fn is_as_is(handedness: &Handedness) -> bool {
+    !handedness.is_mirrored()
+}
+
+/// An image point, or a step between two, with y upwards and not mirrored.
+fn upright(x_px: f64, y_px: f64, mirrored: Handedness) -> (f64, f64) {
+    (mirrored.sign() * x_px, -y_px)
 }
 
 impl Similarity {
     pub fn apply(&self, p: PixelPoint) -> MapPoint {
-        let (x, y) = (p.x, -p.y);
+        let (x, y) = upright(p.x, p.y, self.mirrored);
         MapPoint {
             easting: self.easting_0 + self.a_re * x - self.a_im * y,
             northing: self.northing_0 + self.a_im * x + self.a_re * y,
@@ -39,7 +52,8 @@ impl Similarity {
     pub fn invert(&self, m: MapPoint) -> PixelPoint {
         let (e, n) = (m.easting - self.easting_0, m.northing - self.northing_0);
         let square = self.a_re * self.a_re + self.a_im * self.a_im;
-        PixelPoint { x: (self.a_re * e + self.a_im * n) / square, y: -(self.a_re * n - self.a_im * e) / square }
+        let x = (self.a_re * e + self.a_im * n) / square;
+        PixelPoint { x: self.mirrored.sign() * x, y: -(self.a_re * n - self.a_im * e) / square }
     }
 
     /// Ground size of a pixel, metres.
@@ -53,19 +67,32 @@ impl Similarity {
     }
 
     pub fn geotransform(&self) -> GeoTransform {
-        GeoTransform([self.easting_0, self.a_re, self.a_im, self.northing_0, self.a_im, -self.a_re])
+        let sign = self.mirrored.sign();
+        GeoTransform([self.easting_0, sign * self.a_re, self.a_im, self.northing_0, sign * self.a_im, -self.a_re])
     }
 
-    /// The similarity through two pairs, or `None` when the image points coincide.
+    /// The same ground seen through a mirror: of an image that was turned over left to right, `width_px` wide, the transform
+    /// of the image as it was.
+    pub fn mirrored(&self, width_px: f64) -> Similarity {
+        let sign = self.mirrored.sign();
+        Similarity {
+            easting_0: self.easting_0 + sign * self.a_re * width_px,
+            northing_0: self.northing_0 + sign * self.a_im * width_px,
+            mirrored: Handedness::from(!self.mirrored.is_mirrored()),
+            ..*self
+        }
+    }
+
+    /// The similarity through two pairs of an image that is not mirrored, or `None` when the image points coincide.
     pub fn through(p: [PixelPoint; 2], m: [MapPoint; 2]) -> Option<Similarity> {
-        let (dx, dy) = (p[1].x - p[0].x, -(p[1].y - p[0].y));
+        let (dx, dy) = upright(p[1].x - p[0].x, p[1].y - p[0].y, Handedness::AsIs);
         let square = dx * dx + dy * dy;
         if square <= 0.0 || !square.is_finite() {
             return None;
         }
         let (de, dn) = (m[1].easting - m[0].easting, m[1].northing - m[0].northing);
         let (a_re, a_im) = ((dx * de + dy * dn) / square, (dx * dn - dy * de) / square);
-        Some(anchored(a_re, a_im, p[0], m[0]))
+        Some(anchored(a_re, a_im, Handedness::AsIs, p[0], m[0]))
     }
 }
 
@@ -76,13 +103,14 @@ fn length(x: f64, y: f64) -> f64 {
 }
 
 /// The similarity of given scale and rotation that takes `p` to `m`.
-fn anchored(a_re: f64, a_im: f64, p: PixelPoint, m: MapPoint) -> Similarity {
-    let (x, y) = (p.x, -p.y);
+fn anchored(a_re: f64, a_im: f64, mirrored: Handedness, p: PixelPoint, m: MapPoint) -> Similarity {
+    let (x, y) = upright(p.x, p.y, mirrored);
     Similarity {
         a_re,
         a_im,
         easting_0: m.easting - (a_re * x - a_im * y),
         northing_0: m.northing - (a_im * x + a_re * y),
+        mirrored,
     }
 }
 
@@ -145,7 +173,7 @@ pub struct Solution {
 impl Solution {
     /// Predicted 1σ of easting and northing (the larger principal axis) of a pixel's map position, metres.
     pub fn sigma_at_m(&self, p: PixelPoint) -> f64 {
-        let jacobian = jacobian(p, self.centre);
+        let jacobian = jacobian(p, self.centre, self.similarity.mirrored);
         let covariance = Matrix4::from_fn(|r, c| self.covariance[r][c]);
         let c: Matrix2<f64> = jacobian * covariance * jacobian.transpose();
         c.symmetric_eigenvalues().max().max(0.0).sqrt()
@@ -162,8 +190,8 @@ pub enum Unsolvable {
 }
 
 /// Derivatives of (easting, northing) by (a_re, a_im, e_c, n_c) at a pixel, about a centre.
-fn jacobian(p: PixelPoint, centre: PixelPoint) -> SMatrix<f64, 2, 4> {
-    let (x, y) = (p.x - centre.x, -(p.y - centre.y));
+fn jacobian(p: PixelPoint, centre: PixelPoint, mirrored: Handedness) -> SMatrix<f64, 2, 4> {
+    let (x, y) = upright(p.x - centre.x, p.y - centre.y, mirrored);
     SMatrix::<f64, 2, 4>::new(x, -y, 1.0, 0.0, y, x, 0.0, 1.0)
 }
 
@@ -177,20 +205,29 @@ fn jacobian(p: PixelPoint, centre: PixelPoint) -> SMatrix<f64, 2, 4> {
 /// # Errors
 /// [`Unsolvable`] with fewer than two different points.
 pub fn solve(pairs: &[Pair]) -> Result<Solution, Unsolvable> {
+    solve_as(pairs, Handedness::AsIs)
+}
+
+/// [`solve`] for an image that is known to be mirrored, or not.
+///
+/// # Errors
+/// Those of [`solve`].
+pub fn solve_as(pairs: &[Pair], mirrored: Handedness) -> Result<Solution, Unsolvable> {
     if pairs.len() < 2 {
         return Err(Unsolvable::TooFewPoints);
     }
     let uniform = vec![1.0; pairs.len()];
-    let first = fit(pairs, &uniform).ok_or(Unsolvable::Degenerate)?;
+    let fit = |weights: &[f64]| fit(pairs, weights, mirrored);
+    let first = fit(&uniform).ok_or(Unsolvable::Degenerate)?;
     let base = stochastic_weights(pairs, &first);
     let mut weights = base.clone();
-    let mut similarity = fit(pairs, &weights).ok_or(Unsolvable::Degenerate)?;
+    let mut similarity = fit(&weights).ok_or(Unsolvable::Degenerate)?;
     if pairs.len() > 3 {
         for _ in 0..20 {
             let next = huber_weights(pairs, &similarity, &base);
             let change = next.iter().zip(&weights).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             weights = next;
-            similarity = fit(pairs, &weights).ok_or(Unsolvable::Degenerate)?;
+            similarity = fit(&weights).ok_or(Unsolvable::Degenerate)?;
             if change < 1e-9 {
                 break;
             }
@@ -201,15 +238,15 @@ pub fn solve(pairs: &[Pair]) -> Result<Solution, Unsolvable> {
 
 /// The least-squares similarity with all weights equal, without the statistics. `None` when it is degenerate.
 pub fn fit_equal_weights(pairs: &[Pair]) -> Option<Similarity> {
-    (pairs.len() >= 2).then(|| fit(pairs, &vec![1.0; pairs.len()])).flatten()
+    (pairs.len() >= 2).then(|| fit(pairs, &vec![1.0; pairs.len()], Handedness::AsIs)).flatten()
 }
 
-fn fit(pairs: &[Pair], weights: &[f64]) -> Option<Similarity> {
+fn fit(pairs: &[Pair], weights: &[f64], mirrored: Handedness) -> Option<Similarity> {
     let total: f64 = weights.iter().sum();
     let (centre, mean) = centres(pairs, weights, total);
     let (mut re, mut im, mut square) = (0.0, 0.0, 0.0);
     for (pair, p) in pairs.iter().zip(weights) {
-        let (x, y) = (pair.pixel.x - centre.x, -(pair.pixel.y - centre.y));
+        let (x, y) = upright(pair.pixel.x - centre.x, pair.pixel.y - centre.y, mirrored);
         let (e, n) = (pair.map.easting - mean.easting, pair.map.northing - mean.northing);
         re += p * (x * e + y * n);
         im += p * (x * n - y * e);
@@ -217,7 +254,7 @@ fn fit(pairs: &[Pair], weights: &[f64]) -> Option<Similarity> {
     }
     let (a_re, a_im) = (re / square, im / square);
     let scale = length(a_re, a_im);
-    (square > 0.0 && scale > 0.0 && scale.is_finite()).then(|| anchored(a_re, a_im, centre, mean))
+    (square > 0.0 && scale > 0.0 && scale.is_finite()).then(|| anchored(a_re, a_im, mirrored, centre, mean))
 }
 
 fn centres(pairs: &[Pair], weights: &[f64], total: f64) -> (PixelPoint, MapPoint) {
@@ -375,6 +412,9 @@ fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarit
 /// What a surveyor should hear about the geometry, in plain words.
 fn warnings(pairs: &[Pair], solution: &Solution) -> Vec<String> {
     let mut warnings = Vec::new();
+    if solution.similarity.mirrored.is_mirrored() {
+        warnings.push("the image is mirrored; its georeference turns it back, which not every program can read".into());
+    }
     if pairs.len() == 2 {
         warnings.push("only 2 points: the residuals are zero by construction and say nothing about accuracy".into());
     } else if pairs.len() == 3 {

@@ -1,6 +1,6 @@
 // The page itself: state, drawing of all parts, and the keyboard.
 (() => {
-  const { svg, html, metres, pixels, short, nice, label, brief } = Draw;
+  const { svg, html, metres, ground, pixels, short, nice, rounded, brief } = Draw;
   const D = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   const replace = (id, ...children) => byId(id).replaceChildren(...children.filter((c) => c !== null && c !== undefined));
@@ -8,7 +8,8 @@
     proposed: "proposed", unknown: "not placed", rejected: "rejected", "not-visible": "not visible" };
 
   const MODEL = D.chosen_model ? D.chosen_model.model : null;
-  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held, MODEL), selected = 0, order = [];
+  const MIRRORED = Boolean(D.similarity && D.similarity.mirrored);
+  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held, MODEL, MIRRORED), selected = 0, order = [];
   const start = state;
 
   // ---- words
@@ -56,10 +57,10 @@
     const placed = D.points.some((p) => p.state !== "unknown") || used > 0;
     add("Points found", placed ? `${used} of ${used + missing}` : "none", !placed ? `${D.points.length} listed` : `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
     if (s) {
-      add("RMSE of the fit", `${metres(f.rmse)} m`, `E ${metres(f.rmseE)}, N ${metres(f.rmseN)} m; ${pixels(f.rmsePx)} px`);
-      if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? `${metres(state.chosen.rmse)} m` : MODEL === "7-parameter" ? `${metres(D.chosen_model.rmse_m)} m` : "–",
-        state.chosen ? `RMSE; similarity ${metres(s.rmse)} m` : MODEL === "7-parameter" ? "RMSE in space, of the run" : `the points do not determine the ${MODEL} transform`);
-      if (state.checks) add("RMSE of check points", `${metres(state.checkRmse)} m`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
+      add("RMSE of the fit", `${ground(f.rmse)}`, `E ${ground(f.rmseE)}, N ${ground(f.rmseN)}; ${pixels(f.rmsePx)} px`);
+      if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? `${ground(state.chosen.rmse)}` : MODEL === "7-parameter" ? `${ground(D.chosen_model.rmse_m)}` : "–",
+        state.chosen ? `RMSE; similarity ${ground(s.rmse)}` : MODEL === "7-parameter" ? "RMSE in space, of the run" : `the points do not determine the ${MODEL} transform`);
+      if (state.checks) add("RMSE of check points", `${ground(state.checkRmse)}`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
     }
     if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
@@ -68,7 +69,7 @@
     const note = byId("reviewed");
     note.hidden = !edits.length && !D.patch;
     if (edits.length) {
-      const was = start.solution ? ` RMSE was ${metres(start.fit.rmse)} m from ${count(start.control, "point", "points")}.` : "";
+      const was = start.solution ? ` RMSE was ${ground(start.fit.rmse)} from ${count(start.control, "point", "points")}.` : "";
       note.textContent = `Shown with ${count(edits.length, "change", "changes")} by review, ${saved === edits.length ? "saved" : "not saved yet"}.${was}`;
     } else if (D.patch) {
       note.textContent = `${count(D.patch.edits.length, "change", "changes")} by review were replayed.`;
@@ -90,7 +91,7 @@
   // A vector on the map, metres, as one in the drawing.
   function onImage(s, e, n, f) {
     const q = s.a_re * s.a_re + s.a_im * s.a_im;
-    return [(s.a_re * e + s.a_im * n) / q * f, -(s.a_re * n - s.a_im * e) / q * f];
+    return [(s.mirrored ? -1 : 1) * (s.a_re * e + s.a_im * n) / q * f, -(s.a_re * n - s.a_im * e) / q * f];
   }
   function bar(x, y, width, text, u) {
     const d = `M${x} ${y - 4 * u} V${y} H${x + width} V${y - 4 * u}`;
@@ -99,14 +100,32 @@
   }
   function furniture(box, s, f, u, W, H) {
     const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
-    const ground = nice(160 * u * scale);
-    box.append(bar(14 * u, H - 14 * u, ground / scale, `${label(ground)} m`, u));
+    const length = nice(160 * u * scale);
+    box.append(bar(14 * u, H - 14 * u, length / scale, `${rounded(length)}`, u));
     const [x, y] = onImage(s, 0, 1, 1), l = Math.hypot(x, y), nx = x / l, ny = y / l, cx = W - 30 * u, cy = 36 * u, r = 20 * u;
     const tip = [cx + nx * r, cy + ny * r], side = [-ny * 6 * u, nx * 6 * u], foot = [cx - nx * r * 0.6, cy - ny * r * 0.6];
     box.append(svg("path", { d: `M${tip} L${foot[0] + side[0]} ${foot[1] + side[1]} L${cx - nx * r * 0.25} ${cy - ny * r * 0.25} L${foot[0] - side[0]} ${foot[1] - side[1]} Z`,
       fill: "#1b2530", stroke: "#fff", "stroke-width": 1.6 * u }),
     svg("text", { class: "halo", x: tip[0] + nx * 9 * u, y: tip[1] + ny * 9 * u + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, "N"));
     return scale;
+  }
+
+  // Finds each name a place beside its symbol where no other name or symbol stands; null when there is none: the table has all.
+  function labelPlaces(W, H, u, pad) {
+    const taken = D.points.map((p, i) => held[i] && held[i].mark).filter(Boolean)
+      .map((m) => [m.x * W / D.image.width - 7 * u, m.y * W / D.image.width - 7 * u, 14 * u, 14 * u]);
+    return (x, y, name) => {
+      const w = 7.2 * name.length * u, h = 13 * u;
+      for (const [dx, dy, anchor] of [[10, -7, "start"], [-10, -7, "end"], [10, 16, "start"], [-10, 16, "end"], [0, -12, "middle"], [0, 22, "middle"]]) {
+        const left = x + dx * u - (anchor === "end" ? w : anchor === "middle" ? w / 2 : 0), top = y + dy * u - 0.8 * h;
+        const fits = left >= -pad && left + w <= W + pad && top >= -pad && top + h <= H + pad;
+        if (fits && taken.every(([l, t, tw, th]) => left + w <= l || left >= l + tw || top + h <= t || top >= t + th)) {
+          taken.push([left, top, w, h]);
+          return { x: x + dx * u, y: y + dy * u, anchor };
+        }
+      }
+      return null;
+    };
   }
 
   let showCandidates = false;
@@ -121,14 +140,16 @@
     const longest = Math.max(...state.rows.map((r) => (r ? r.length : 0)), 0);
     let enlarged = null;
     if (s && longest > 0) {
-      // The longest is legible, and the others still are when one is far longer.
+      // The longest is legible, and the others still are when one is far longer. Residuals below a pixel have shorter arrows
+      // than a bad fit.
       const lengths = state.rows.filter((r) => r).map((r) => r.length).sort((a, b) => a - b);
       const middle = Math.max(lengths[Math.floor(lengths.length / 2)], 1e-9);
-      const perMetre = Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
+      const alarm = Math.min(Math.max(longest / (scale * f), 0.35), 1);
+      const perMetre = alarm * Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
       enlarged = perMetre * scale;
-      box.append(bar(14 * u, H - 48 * u, unit * perMetre, `residual ${label(unit)} m`, u));
+      box.append(bar(14 * u, H - 48 * u, unit * perMetre, `residual ${rounded(unit)}`, u));
     }
-    const labels = svg("g", {});
+    const labels = svg("g", {}), names = labelPlaces(W, H, u, anyOutside ? 26 : 0);
     D.points.forEach((p, i) => {
       const kind = symbolOf(stateOf(i)), h = held[i];
       const at = h && h.used ? [h.mark.x, h.mark.y] : kind === "proposed" && p.mark ? [p.mark.x, p.mark.y]
@@ -147,9 +168,10 @@
       }
       box.append(Draw.symbol(kind, (kind === "outside" ? 5 : 6.5) * u, x, y));
       if (kind !== "outside" || D.points.length <= 60) {
-        const leftwards = x + (14 + 7.5 * brief(p.name).length) * u > W + (anyOutside ? 26 : 0);
-        labels.append(svg("text", { class: "halo", x: x + (leftwards ? -10 : 10) * u, y: Math.min(Math.max(y - 7 * u, 10 * u), H + 20), "text-anchor": leftwards ? "end" : "start",
-          "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
+        const place = names(x, y, brief(p.name));
+        if (place) {
+          labels.append(svg("text", { class: "halo", x: place.x, y: place.y, "text-anchor": place.anchor, "font-size": 12.5 * u, style: `stroke-width:${3 * u}px` }, brief(p.name)));
+        }
       }
     });
     box.append(labels);
@@ -201,7 +223,7 @@
       for (const angle of [-0.4, 0.6, 2.2, 3.6, 4.7, 1.57, 3.14, 0, 5.5]) {
         const x = cx + d * Math.cos(angle), y = cy + d * Math.sin(angle);
         if (x > 40 * u && x < W - 40 * u && y > 20 * u && y < H - 20 * u) {
-          lines.append(svg("text", { class: "halo", x, y: y + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3.4 * u}px` }, `${label(v)} m`));
+          lines.append(svg("text", { class: "halo", x, y: y + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3.4 * u}px` }, rounded(v)));
           break;
         }
       }
@@ -212,13 +234,13 @@
     });
     furniture(box, state.solution.similarity, f, u, W, H);
     byId("expected-figure").setAttribute("aria-label", "Map of the expected error");
-    box.setAttribute("aria-label", `Expected error over the image, from ${metres(low)} to ${metres(high)} metres.`);
+    box.setAttribute("aria-label", `Expected error over the image, from ${ground(low)} to ${ground(high)}.`);
     const scaleBar = svg("svg", { viewBox: "0 0 160 12", style: "width:160px;height:12px", "aria-hidden": "true" });
     for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
-    byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${metres(low)} m at best, ${metres(high)} m in the worst corner. `
-      + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${metres(radius.point(nearest / f))} to ${metres(radius.point(far / f))} m.`
+    byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${ground(low)} at best, ${ground(high)} in the worst corner. `
+      + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${ground(radius.point(nearest / f))} to ${ground(radius.point(far / f))}.`
       + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well." : "");
-    replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, `${metres(low)} m`, scaleBar, `${metres(high)} m`), Draw.legendItem("found", "point of the fit")));
+    replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, `${ground(low)}`, scaleBar, `${ground(high)}`), Draw.legendItem("found", "point of the fit")));
   }
 
   // ---- plots
@@ -245,19 +267,22 @@
     ["State", "text", (i) => STATES[stateOf(i)], null],
     ["x px", "", (i) => { const m = shown(i); return m && m.x; }, pixels],
     ["y px", "", (i) => { const m = shown(i); return m && m.y; }, pixels],
-    ["dE m", "", (i) => state.rows[i] && state.rows[i].e, metres],
-    ["dN m", "", (i) => state.rows[i] && state.rows[i].n, metres],
-    ["Residual m", "", (i) => state.rows[i] && state.rows[i].length, metres],
+    ["dE", "ground", (i) => state.rows[i] && state.rows[i].e, null],
+    ["dN", "ground", (i) => state.rows[i] && state.rows[i].n, null],
+    ["Residual", "ground", (i) => state.rows[i] && state.rows[i].length, null],
     ["px", "", (i) => state.rows[i] && state.rows[i].px, pixels],
-    ["Left out m", "", (i) => state.rows[i] && state.rows[i].leaveOneOut, metres],
+    ["Left out", "ground", (i) => state.rows[i] && state.rows[i].leaveOneOut, null],
     ["Redundancy", "", (i) => state.rows[i] && state.rows[i].redundancy, pixels],
-    ["Detectable m", "", (i) => state.rows[i] && state.rows[i].detectable, metres],
+    ["Detectable", "ground", (i) => state.rows[i] && state.rows[i].detectable, null],
     ["Weight", "", (i) => state.rows[i] && state.rows[i].weight, pixels],
     ["Score", "", (i) => { const m = shown(i); return m && m.score; }, (v) => (v === null || v === undefined ? "–" : v.toFixed(1))],
     ["Found by", "text", (i) => { const m = shown(i); return m ? m.found_by : "–"; }, (v) => v],
   ];
   function table() {
     const rows = D.points.map((p, i) => i);
+    // One unit for the whole table: millimetres while all residuals are below a metre.
+    const small = state.rows.every((r) => !r || r.length < 1), unit = small ? "mm" : "m";
+    const inUnit = (v) => (small && v !== null && v !== undefined ? (1000 * v).toFixed(1) : metres(v));
     if (sortKey !== null) {
       const value = columns[sortKey][2], sign = descending ? -1 : 1;
       rows.sort((a, b) => {
@@ -266,7 +291,8 @@
         return sign * (typeof x === "string" ? x.localeCompare(y, "en", { numeric: true }) : Math.abs(x) - Math.abs(y));
       });
     }
-    const headers = columns.map(([name, kind], k) => {
+    const headers = columns.map(([title, kind], k) => {
+      const name = kind === "ground" ? `${title} ${unit}` : title;
       const button = html("button", { type: "button", "aria-label": `${name}, sort` }, name);
       button.addEventListener("click", () => {
         descending = sortKey === k ? !descending : kind !== "text";
@@ -274,13 +300,13 @@
         table();
         byId("points-table").querySelectorAll("th button")[k].focus();
       });
-      return html("th", { scope: "col", class: kind || null, "aria-sort": sortKey === k ? (descending ? "descending" : "ascending") : "none" }, button);
+      return html("th", { scope: "col", class: kind === "text" ? kind : null, "aria-sort": sortKey === k ? (descending ? "descending" : "ascending") : "none" }, button);
     });
     const body = rows.map((i) => {
       const r = state.rows[i], s = stateOf(i);
       return html("tr", { class: r && r.outlier ? "outlier" : r ? null : "unused" }, ...columns.map(([, kind, value, show], k) => (k === 1
         ? html("td", { class: "text" }, html("span", { class: `state ${s}` }, STATES[s]))
-        : html("td", { class: kind || null, title: k === 0 ? D.points[i].name : null }, show(value(i))))));
+        : html("td", { class: kind === "text" ? kind : null, title: k === 0 ? D.points[i].name : null }, (kind === "ground" ? inUnit : show)(value(i))))));
     });
     replace("points-table", html("table", { "aria-label": "All points" }, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
     byId("points-note").textContent = state.solution
@@ -328,7 +354,7 @@
   function facts(i) {
     const h = held[i], r = state.rows[i], p = D.points[i];
     const near = p.proposals.length ? `${count(p.proposals.length, "candidate", "candidates")} near` : "no candidate near";
-    if (r) return [`${metres(r.length)} m · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `${h.mark.code ? `${h.mark.code} · ` : ""}score ${h.mark.score.toFixed(1)}`];
+    if (r) return [`${ground(r.length)} · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `${h.mark.code ? `${h.mark.code} · ` : ""}score ${h.mark.score.toFixed(1)}`];
     return [h && h.mark && p.state === "proposed" ? `score ${h.mark.score === null ? "–" : h.mark.score.toFixed(1)}` : near, ""];
   }
   const shownAsCard = (i) => { const p = D.points[i]; return p.state !== "outside" && p.state !== "unknown"; };
@@ -376,9 +402,9 @@
     add("State", STATES[s] + (h && h.verdict && h.used ? `, ${h.verdict}` : ""));
     if (h && h.mark) add("Centre", `${h.mark.x.toFixed(2)}, ${h.mark.y.toFixed(2)} px`);
     if (h && h.mark && h.mark.covariance_px2) add("σ of the centre", `${Math.sqrt((h.mark.covariance_px2[0] + h.mark.covariance_px2[2]) / 2).toFixed(3)} px`);
-    if (r) add("Residual", `E ${metres(r.e)}, N ${metres(r.n)} m`);
-    if (r && r.leaveOneOut !== null) add("Left out", `${metres(r.leaveOneOut)} m`);
-    if (state.fit) add("RMSE of the fit", `${metres(state.fit.rmse)} m, ${count(state.control, "point", "points")}`);
+    if (r) add("Residual", `E ${ground(r.e)}, N ${ground(r.n)}`);
+    if (r && r.leaveOneOut !== null) add("Left out", `${ground(r.leaveOneOut)}`);
+    if (state.fit) add("RMSE of the fit", `${ground(state.fit.rmse)}, ${count(state.control, "point", "points")}`);
     const button = (text, key, act, enabled, name) => {
       const b = html("button", { type: "button", "aria-label": name || text, "aria-keyshortcuts": key ? key.replace("⇧←", "Shift+ArrowLeft").replace("⇧→", "Shift+ArrowRight")
         .replace("⇧↑", "Shift+ArrowUp").replace("⇧↓", "Shift+ArrowDown") : null, disabled: !enabled, "data-key": key }, text, key ? html("kbd", {}, key) : null);
@@ -420,7 +446,7 @@
     held = Review.applied(D.points, held, edits[edits.length - 1], D.hand_variance_px2);
     changed();
     const s = stateOf(selected), r = state.rows[selected];
-    say(`${name}: ${change.action}, ${STATES[s]}${r ? `, residual ${metres(r.length)} metres` : ""}. ${state.solution ? `RMSE ${metres(state.fit.rmse)} metres from ${state.control} points.` : "No transform."}`);
+    say(`${name}: ${change.action}, ${STATES[s]}${r ? `, residual ${ground(r.length)}` : ""}. ${state.solution ? `RMSE ${ground(state.fit.rmse)} from ${state.control} points.` : "No transform."}`);
   }
   const accept = () => { if (held[selected] && held[selected].mark) edit({ action: "accept" }); };
   const reject = () => { if (held[selected] && held[selected].mark) edit({ action: "reject" }); };
@@ -484,7 +510,7 @@
   }
   function changed() {
     const inCards = byId("cards").contains(document.activeElement);
-    state = Review.evaluate(D.points, held, MODEL);
+    state = Review.evaluate(D.points, held, MODEL, MIRRORED);
     head();
     overview();
     plots();
@@ -526,6 +552,7 @@
     replace("sections", ...D.sections.map((s) => html("section", { "aria-label": s.heading }, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
       s.reservations.length ? html("ul", { class: "warnings", "aria-label": "Reservations" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
       s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
+      s.height_arrows.length ? html("div", { class: "plots" }, Draw.heights(s.height_arrows)) : null,
       ...s.tables.map((t) => html("div", { class: "scroll" }, html("table", {}, t.caption ? html("caption", {}, t.caption) : null,
         html("thead", {}, html("tr", {}, ...t.header.map((c, k) => html("th", { scope: "col", class: kind(t.rows.length ? t.rows[0][k] : c, k) }, c)))),
         html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
@@ -538,7 +565,7 @@
       ["Candidates", String(d.candidates_found)],
       ["Hypotheses tried", d.search ? `${d.search.hypotheses_tried} of ${Number(d.search.hypotheses_possible).toPrecision(3)} possible` : null],
       ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, false alarms ${chance(d.runner_up[1])}` : "none"],
-      ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${metres(d.moved_m)} m` : null],
+      ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${ground(d.moved_m)}` : null],
       ["Written", d.files_written.join(", ")]]);
     const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, refinement ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],
       ["Memory", d.peak_memory_bytes ? `${mib(d.peak_memory_bytes)} at most${plan ? `, ${mib(plan.memory_budget_bytes)} allowed` : ""}` : null],

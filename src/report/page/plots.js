@@ -14,6 +14,11 @@ const Draw = (() => {
   const html = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
 
   const metres = (v) => (v === null || v === undefined ? "–" : (Math.abs(v) >= 100 ? v.toFixed(1) : (Math.abs(v) < 0.0005 ? 0 : v).toFixed(3)));
+  // A length on the ground with its unit: millimetres below a metre.
+  function ground(v) {
+    if (v === null || v === undefined) return "–";
+    return Math.abs(v) < 1 ? `${(1000 * v).toFixed(Math.abs(v) < 0.1 ? 1 : 0)} mm` : `${metres(v)} m`;
+  }
   const pixels = (v) => (v === null || v === undefined ? "–" : v.toFixed(2));
   const short = (v) => (v >= 1 ? String(Number(v.toPrecision(3))) : String(Number(v.toPrecision(2))));
 
@@ -22,6 +27,8 @@ const Draw = (() => {
     const power = Math.pow(10, Math.floor(Math.log10(v))), f = v / power;
     return (f >= 5 ? 5 : f >= 2 ? 2 : 1) * power;
   }
+  // A round length with its unit.
+  const rounded = (v) => (v < 1 ? `${Number((1000 * v).toPrecision(6))} mm` : `${Number(v.toPrecision(6))} m`);
   const brief = (name) => (name.length > 18 ? `${name.slice(0, 17)}…` : name);
   const label = (v) => String(Number(v.toPrecision(6)));
 
@@ -187,5 +194,36 @@ const Draw = (() => {
       });
   }
 
-  return { svg, html, metres, pixels, short, nice, label, brief, symbol, legendItem, vectors, histogram, distance, quantiles };
+  // Points in plan, each with an arrow up or down the page: residual of height, surveyed − corrected model.
+  function heights(points) {
+    const list = points.map((p) => `${p.name} ${ground(p.residual_m)}`).join(", ");
+    return figure("plot-heights", "Residuals of height", `Surveyed minus corrected model: ${list}.`,
+      "Arrows up: the survey is above the corrected model. Arrows of one direction side by side show a tilt or a bend that the surface does not follow.", (box) => {
+      const range = (values) => {
+        const low = Math.min(...values), high = Math.max(...values), pad = Math.max((high - low) * 0.08, 1);
+        return [low - pad, high + pad];
+      };
+      const a = axes(box, range(points.map((p) => p.easting)), range(points.map((p) => p.northing)), "easting, m", "northing, m");
+      const longest = Math.max(...points.map((p) => Math.abs(p.residual_m)), 1e-6);
+      const unit = nice(longest), perMetre = 46 / longest, taken = [];
+      for (const p of points) {
+        const x = a.x(p.easting), y = a.y(p.northing), tip = y - p.residual_m * perMetre, turn = p.residual_m < 0 ? -1 : 1;
+        const colour = p.check ? "#6a3fa0" : "#17713f";
+        box.append(svg("circle", { cx: x, cy: y, r: 2.4, fill: colour }),
+          svg("path", { d: `M${x} ${y} V${tip}`, stroke: colour, "stroke-width": 1.6, fill: "none" }));
+        if (Math.abs(y - tip) > 4) box.append(svg("path", { d: `M${x - 3.4} ${tip + 5 * turn} L${x} ${tip} L${x + 3.4} ${tip + 5 * turn}`, stroke: colour, "stroke-width": 1.6, fill: "none" }));
+        // A name where no other stands; the table has them all.
+        const at = { x: x + 6, y: y + 4, w: 6.2 * brief(p.name).length };
+        if (at.x + at.w < a.right + 10 && taken.every((t) => Math.abs(t.y - at.y) > 11 || at.x > t.x + t.w || t.x > at.x + at.w)) {
+          taken.push(at);
+          box.append(svg("text", { class: "tick", x: at.x, y: at.y }, brief(p.name)));
+        }
+      }
+      const foot = a.top + 8 + unit * perMetre;
+      box.append(svg("path", { d: `M${a.right - 8} ${foot} V${foot - unit * perMetre}`, stroke: "#1b2530", "stroke-width": 1.6 }),
+        svg("text", { class: "tick", x: a.right - 13, y: foot - unit * perMetre / 2 + 4, "text-anchor": "end" }, rounded(unit)));
+    });
+  }
+
+  return { heights, svg, html, metres, ground, pixels, short, nice, label, rounded, brief, symbol, legendItem, vectors, histogram, distance, quantiles };
 })();

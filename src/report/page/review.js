@@ -36,7 +36,8 @@ const Review = (() => {
 
   // The fit of what is held, and what is known of every point then. `model` names the transform that the run chose beside the
   // similarity, if any: an affine one stands in its place (`fit` and the rows), a projective one is reported beside it.
-  function evaluate(points, held, model) {
+  // `mirrored`: the run found the image to be.
+  function evaluate(points, held, model, mirrored) {
     const control = [], pairs = [];
     points.forEach((p, i) => {
       if (held[i] && held[i].used && p.role === "control") {
@@ -45,7 +46,7 @@ const Review = (() => {
         pairs.push({ x: m.x, y: m.y, covariance: m.covariance_px2, e: p.easting, n: p.northing, sigma: p.sigma_m });
       }
     });
-    const solution = Fit.solve(pairs), rows = points.map(() => null);
+    const solution = Fit.solve(pairs, mirrored), rows = points.map(() => null);
     const chosen = solution && (model === "affine" || model === "projective") ? Planar.fit(pairs, model) : null;
     const written = chosen && model === "affine" ? chosen : null;
     const place = written ? written.apply : solution && ((x, y) => Fit.apply(solution.similarity, x, y));

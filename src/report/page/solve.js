@@ -6,17 +6,20 @@ const Fit = (() => {
   const length = (x, y) => Math.sqrt(x * x + y * y);
   const sum = (values) => values.reduce((a, b) => a + b, 0);
 
+  // −1 of a mirrored image, else 1.
+  const hand = (mirrored) => (mirrored ? -1 : 1);
+
   function apply(s, px, py) {
-    const x = px, y = -py;
+    const x = hand(s.mirrored) * px, y = -py;
     return [s.easting_0 + s.a_re * x - s.a_im * y, s.northing_0 + s.a_im * x + s.a_re * y];
   }
   function invert(s, easting, northing) {
     const e = easting - s.easting_0, n = northing - s.northing_0;
     const square = s.a_re * s.a_re + s.a_im * s.a_im;
-    return [(s.a_re * e + s.a_im * n) / square, -(s.a_re * n - s.a_im * e) / square];
+    return [hand(s.mirrored) * ((s.a_re * e + s.a_im * n) / square), -(s.a_re * n - s.a_im * e) / square];
   }
   const scaleOf = (s) => length(s.a_re, s.a_im);
-  const geotransform = (s) => [s.easting_0, s.a_re, s.a_im, s.northing_0, s.a_im, -s.a_re];
+  const geotransform = (s) => [s.easting_0, hand(s.mirrored) * s.a_re, s.a_im, s.northing_0, hand(s.mirrored) * s.a_im, -s.a_re];
 
   function centres(pairs, weights, total) {
     const first = pairs[0], sums = [0, 0, 0, 0];
@@ -28,19 +31,19 @@ const Fit = (() => {
     return { x: first.x + x, y: first.y + y, e: first.e + e, n: first.n + n };
   }
 
-  function fit(pairs, weights) {
+  function fit(pairs, weights, mirrored) {
     const total = sum(weights), c = centres(pairs, weights, total);
     let re = 0, im = 0, square = 0;
     pairs.forEach((pair, i) => {
-      const p = weights[i], x = pair.x - c.x, y = -(pair.y - c.y), e = pair.e - c.e, n = pair.n - c.n;
+      const p = weights[i], x = hand(mirrored) * (pair.x - c.x), y = -(pair.y - c.y), e = pair.e - c.e, n = pair.n - c.n;
       re += p * (x * e + y * n);
       im += p * (x * n - y * e);
       square += p * (x * x + y * y);
     });
     const a_re = re / square, a_im = im / square, scale = length(a_re, a_im);
     if (!(square > 0 && scale > 0 && Number.isFinite(scale))) return null;
-    const x = c.x, y = -c.y;
-    return { a_re, a_im, easting_0: c.e - (a_re * x - a_im * y), northing_0: c.n - (a_im * x + a_re * y) };
+    const x = hand(mirrored) * c.x, y = -c.y;
+    return { a_re, a_im, easting_0: c.e - (a_re * x - a_im * y), northing_0: c.n - (a_im * x + a_re * y), mirrored };
   }
 
   function residual(s, pair) {
@@ -85,19 +88,19 @@ const Fit = (() => {
   }
 
   // `pairs`: {x, y, covariance: [xx, xy, yy] | null, e, n, sigma | null}. Null when there is no solution.
-  function solve(pairs) {
+  function solve(pairs, mirrored) {
     if (pairs.length < 2) return null;
-    const first = fit(pairs, pairs.map(() => 1));
+    const first = fit(pairs, pairs.map(() => 1), mirrored);
     if (!first) return null;
     const base = stochasticWeights(pairs, first);
-    let weights = base, similarity = fit(pairs, weights);
+    let weights = base, similarity = fit(pairs, weights, mirrored);
     if (!similarity) return null;
     if (pairs.length > 3) {
       for (let round = 0; round < 20; round++) {
         const next = huberWeights(pairs, similarity, base);
         const change = next.reduce((m, w, i) => Math.max(m, Math.abs(w - weights[i])), 0);
         weights = next;
-        similarity = fit(pairs, weights);
+        similarity = fit(pairs, weights, mirrored);
         if (!similarity) return null;
         if (change < 1e-9) break;
       }

@@ -20,8 +20,8 @@ use super::window::{Grey, around, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
-use autoref_raster::mask::Mask;
 use autoref_raster::mask::morphology::{closed, complement};
+use autoref_raster::mask::{Element, Mask};
 use autoref_raster::window::Window;
 use corners::Constellation;
 
@@ -178,7 +178,7 @@ fn thresholded(grey: &Grey, px_per_mm: f64, equalise: bool, very_dark: bool) -> 
     let least = (FEATURE_PX2 * unit * unit).ceil() as u64;
     let mut other = complement(&without_small(&mask, least));
     other = complement(&without_small(&other, least));
-    closed(&other, ((CLOSING_PX * unit).round() as u32).max(1))
+    closed(&other, &Element::disc(((CLOSING_PX * unit).round() as u32).max(1)))
 }
 
 /// Removes 8-connected regions of fewer than `least_px2` pixels.

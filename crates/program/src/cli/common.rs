@@ -7,11 +7,12 @@ use std::sync::Arc;
 use anyhow::{Context, bail};
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
+use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
-use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
+use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::{Profile, Rule};
 use clap::{Args, ValueEnum};
@@ -64,7 +65,7 @@ impl SampleArgs {
 }
 
 /// What the marks look like.
-#[derive(Args, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct MarkArgs {
     /// Mark profile: a built-in name, a RAL number (`ral-2007`), or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
     /// `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with `--features coded`.
@@ -78,6 +79,13 @@ pub struct MarkArgs {
     /// docs/detection-options.md has the grammar.
     #[arg(long, value_name = "RULE", help_heading = "Marks")]
     pub gate: Vec<Rule>,
+    /// Close gaps of the mask of paint with this structuring element, in place of the profile's: a small image whose pixels
+    /// that are not 0 belong to it, its middle pixel being the origin.
+    #[arg(long, value_name = "FILE", help_heading = "Marks")]
+    pub closing: Option<PathBuf>,
+    /// Open the mask of paint (remove specks and bridges) with this structuring element.
+    #[arg(long, value_name = "FILE", help_heading = "Marks")]
+    pub opening: Option<PathBuf>,
 }
 
 /// A paint by its colour, instead of a profile.
@@ -92,7 +100,7 @@ impl PaintArg {
     /// The marks with this paint in place of the profile.
     pub fn of(&self, marks: &MarkArgs) -> MarkArgs {
         let profile = self.paint.clone().unwrap_or_else(|| marks.profile.clone());
-        MarkArgs { profile, mark_size: marks.mark_size, gate: marks.gate.clone() }
+        MarkArgs { profile, ..marks.clone() }
     }
 }
 
@@ -117,6 +125,10 @@ pub struct MatchArgs {
     /// Whether a georeference or resolution that the image already has may narrow the search.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Matching")]
     pub prior: PriorArg,
+    /// The image may be mirrored, as film scanned from its back is: try both ways. A list that is its own mirror image is
+    /// refused then.
+    #[arg(long, help_heading = "Matching")]
+    pub allow_mirrored: bool,
     /// How the pattern is found: `robust` from pairs; `tpp`, the topological point patterns of the 2016 thesis.
     #[arg(long, value_enum, default_value = "robust", help_heading = "Matching")]
     pub matcher: MatcherArg,
@@ -404,6 +416,13 @@ fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
     if !marks.gate.is_empty() && profile.is_target() {
         bail!("--gate is of paint; `{}` is found by its shape", profile.name);
     }
+    let elements = [&marks.closing, &marks.opening];
+    if elements.iter().any(|path| path.is_some()) && profile.is_target() {
+        bail!("--closing and --opening are of paint; `{}` is found by its shape", profile.name);
+    }
+    let [closing, opening] = elements.map(|path| path.as_deref().map(structuring_element).transpose());
+    profile.filters.closing_element = closing?.or(profile.filters.closing_element);
+    profile.filters.opening_element = opening?.or(profile.filters.opening_element);
     for rule in &marks.gate {
         profile.gates.rule = Some(match profile.gates.rule.take() {
             Some(own) => own.and(rule.clone()),
@@ -411,6 +430,21 @@ fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
         });
     }
     Ok(profile)
+}
+
+/// The pixels of a small image that are not 0.
+fn structuring_element(path: &Path) -> anyhow::Result<Element> {
+    let source = raster::open(path, ReaderChoice::Auto, 0, 1 << 20)?;
+    let (width, height) = (source.info().width, source.info().height);
+    if width.max(height) > LONGEST_SIDE_PX as u64 {
+        bail!(
+            "{}: {width} × {height} pixels; a structuring element has at most {LONGEST_SIDE_PX} a side",
+            path.display()
+        );
+    }
+    let patch = raster::read_patch(source.as_ref(), source.info().bounds())?;
+    let set = patch.rgb.iter().zip(&patch.valid).map(|(rgb, valid)| *valid && rgb.iter().any(|v| *v > 0)).collect();
+    Element::new(set, width as usize).map_err(|what| anyhow::anyhow!("{}: {what}", path.display()))
 }
 
 /// Ground size of a pixel by the image's own account.
@@ -460,8 +494,17 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
     if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
         bail!("--north-up takes degrees from 0 to 180");
     }
+    if matching.allow_mirrored {
+        let within = one_way(matching, 2 * tries, time_limit);
+        return Ok(Box::new(MirrorMatcher { within }));
+    }
+    Ok(one_way(matching, tries, time_limit))
+}
+
+/// The matcher of images that are not mirrored.
+fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> Box<dyn Matcher> {
     if matching.matcher == MatcherArg::Tpp {
-        return Ok(Box::new(TppMatcher {
+        return Box::new(TppMatcher {
             radius_threshold: matching.tpp_radius,
             angle_threshold: matching.tpp_angle,
             minimum_matches: matching.tpp_minimum,
@@ -470,14 +513,14 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
             gcp_limit: matching.tpp_gcp_limit,
             max_distance: matching.tpp_distance.unwrap_or(f64::INFINITY),
             max_false_alarms: matching.max_false_alarms / tries as f64,
-        }));
+        });
     }
-    Ok(Box::new(RobustMatcher {
+    Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
         tries: tries as f64,
         time_limit: time_limit.clone(),
         ..RobustMatcher::default()
-    }))
+    })
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".

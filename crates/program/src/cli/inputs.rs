@@ -12,7 +12,8 @@ use autoref_raster::protected::{is_input, protect, same_file};
 use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.
-const OUTPUTS: &[&str] = &["output", "out", "scratch", "write_dem", "write_gcps", "write_index", "profile_json"];
+const OUTPUTS: &[&str] =
+    &["output", "out", "html", "scratch", "write_dem", "write_gcps", "write_index", "profile_json"];
 
 /// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
@@ -99,7 +100,9 @@ mod tests {
         "camera",
         "cameras",
         "candidates",
+        "closing",
         "clouds",
+        "colours",
         "dem",
         "files",
         "folder",
@@ -110,12 +113,15 @@ mod tests {
         "image",
         "input",
         "inputs",
+        "mask",
         "mend",
         "model",
         "models",
         "observations",
+        "opening",
         "patch",
         "photos",
+        "polygons",
         "project",
         "reconstruction",
         "result",

@@ -11,11 +11,12 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
 use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
-use autoref_stream::report::{self, Gathered, KeptPixels, Overview, Section, Table};
-use autoref_stream::result::RunResult;
+use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, Section, Table};
+use autoref_stream::result::{MatchRow, RunResult, SolvedRun};
 use clap::Args;
 
 use crate::cli::progress::Bar;
+use crate::cli::residual_analysis;
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {
@@ -101,10 +102,96 @@ pub fn page(result: &RunResult, gathered: &Gathered, json: &Path) -> autoref_ras
 fn sections(result: &RunResult) -> Vec<Section> {
     let accuracy = result.solved().and_then(|solved| solved.accuracy.as_ref());
     let heights = result.solved().and_then(|solved| solved.heights.as_ref());
-    accuracy.into_iter().map(accuracy_section).chain(heights.into_iter().map(heights_section)).collect()
+    let accuracy = accuracy.into_iter().map(accuracy_section);
+    let heights = heights.into_iter().map(|heights| heights_section(heights, result));
+    accuracy.chain(heights).chain(result.solved().and_then(analysis_section)).collect()
 }
 
-fn heights_section(heights: &HeightResult) -> Section {
+/// Matches below which the analysis says nothing.
+const FEWEST_ANALYSED: usize = 5;
+
+/// What the residuals say of the model: chapter 5 of the 2016 thesis, with the tests of [`residual_analysis`].
+fn analysis_section(solved: &SolvedRun) -> Option<Section> {
+    if solved.matches.len() < FEWEST_ANALYSED {
+        return None;
+    }
+    let height_of = |gcp: &str| {
+        let heights = solved.heights.as_ref()?;
+        heights.points.iter().find(|row| row.gcp == gcp).map(|row| row.residual_m)
+    };
+    let residual = |m: &MatchRow| residual_analysis::Residual {
+        position: [m.easting, m.northing],
+        height_m: m.height,
+        e_m: m.residual_e_m,
+        n_m: m.residual_n_m,
+        h_m: height_of(&m.gcp),
+    };
+    let residuals: Vec<_> = solved.matches.iter().map(residual).collect();
+    let analysis = residual_analysis::analyse(&residuals, 0.0);
+    let number = |value: &serde_json::Value, digits: usize| {
+        value.as_f64().map_or("–".to_string(), |v| format!("{v:.digits$}"))
+    };
+    let mut tests: Vec<Vec<String>> = Vec::new();
+    for (name, key) in [("Easting", "easting"), ("Northing", "northing"), ("Height", "height")] {
+        let normality = &analysis[key]["normality"];
+        if !normality.is_null() {
+            let p = normality["p_value"].as_f64().unwrap_or(1.0);
+            let meaning = if p < 0.05 { "not normal: look for blunders or a bend" } else { "as normal errors are" };
+            tests.push(vec![
+                format!("{name}: normal (Anderson–Darling)"),
+                number(&normality["statistic"], 3),
+                number(&normality["p_value"], 3),
+                meaning.into(),
+            ]);
+        }
+    }
+    let favoured = &analysis["directions"]["favoured"];
+    if !favoured.is_null() {
+        let p = favoured["p_value"].as_f64().unwrap_or(1.0);
+        let meaning = match p < 0.05 {
+            true => format!("most point to {}° from east", number(&favoured["direction_deg"], 0)),
+            false => "no direction is favoured".into(),
+        };
+        tests.push(vec![
+            "Direction (Rayleigh)".into(),
+            number(&favoured["share"], 3),
+            number(&favoured["p_value"], 3),
+            meaning,
+        ]);
+    }
+    let mut correlations: Vec<Vec<String>> = Vec::new();
+    for (name, key, meaning) in [
+        ("Length and distance from the centre", "magnitude_distance_2d", "residuals grow outwards: scale or bend"),
+        ("The same in space", "magnitude_distance_3d", "residuals grow outwards in space"),
+        ("Direction and direction from the centre", "direction_outward", "residuals point outwards or inwards"),
+    ] {
+        let c = &analysis["correlations"][key];
+        if let (Some(low), Some(high)) = (c["low_95"].as_f64(), c["high_95"].as_f64()) {
+            let says = if low > 0.0 || high < 0.0 { meaning } else { "none is seen" };
+            correlations.push(vec![name.into(), number(&c["r"], 3), format!("{low:.3} to {high:.3}"), says.into()]);
+        }
+    }
+    let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();
+    Some(Section {
+        heading: "Analysis of residuals".into(),
+        paragraphs: vec![format!(
+            "Of the {} points of the run's fit, without what a review changes. A p-value below 0.05 says that chance makes such \
+             residuals in fewer than one of 20 images.",
+            residuals.len()
+        )],
+        tables: vec![
+            Table { caption: "Tests".into(), header: titles(&["Test", "Value", "p", "What it says"]), rows: tests },
+            Table {
+                caption: "Correlations, with intervals of 95 %".into(),
+                header: titles(&["Between", "r", "Interval", "What it says"]),
+                rows: correlations,
+            },
+        ],
+        ..Section::default()
+    })
+}
+
+fn heights_section(heights: &HeightResult, result: &RunResult) -> Section {
     let m = |value: f64| format!("{value:.3} m");
     let opt = |value: Option<f64>| value.map_or("–".into(), m);
     let correction = &heights.correction;
@@ -145,6 +232,7 @@ fn heights_section(heights: &HeightResult) -> Section {
             .cloned()
             .collect(),
         figures,
+        height_arrows: height_arrows(heights, result),
         tables: vec![
             Table { caption: "Surfaces".into(), header: titles(&["Surface", "RMS", "Left out"]), rows: fits.collect() },
             Table {
@@ -154,6 +242,18 @@ fn heights_section(heights: &HeightResult) -> Section {
             },
         ],
     }
+}
+
+/// Where the points with heights lie on the map.
+fn height_arrows(heights: &HeightResult, result: &RunResult) -> Vec<HeightArrow> {
+    let Some(solved) = result.solved() else { return Vec::new() };
+    let arrow = |row: &HeightRow, check: bool| {
+        let place = solved.matches.iter().chain(&solved.check_points).find(|m| m.gcp == row.gcp)?;
+        let (easting, northing) = (place.easting, place.northing);
+        Some(HeightArrow { name: row.gcp.clone(), easting, northing, residual_m: row.residual_m, check })
+    };
+    let points = heights.points.iter().filter_map(|row| arrow(row, false));
+    points.chain(heights.check_points.iter().filter_map(|row| arrow(row, true))).collect()
 }
 
 fn surface(model: HeightModel) -> &'static str {
@@ -199,6 +299,6 @@ fn accuracy_section(statement: &AccuracyStatement) -> Section {
         paragraphs: statement.sentences.clone(),
         reservations: statement.reservations.clone(),
         figures: rows,
-        tables: Vec::new(),
+        ..Section::default()
     }
 }

@@ -250,6 +250,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
         "priors": job.priors,
         "max_false_alarms": args.matching.max_false_alarms,
+        "allow_mirrored": args.matching.allow_mirrored,
         "tile": args.read.tile,
         "threads": args.read.threads,
         "memory_budget_bytes": args.read.memory.0,

@@ -1,26 +1,45 @@
-//! `autoref-stream sample`: learn a profile from marks that somebody points at.
+//! `autoref-stream sample`: learn a profile from marks that somebody points at or outlines, or from a table of colours.
 
-use std::path::PathBuf;
+mod outlines;
+mod page;
 
-use anyhow::{Result, bail};
-use autoref_raster::Patch;
-use autoref_raster::atomic;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::{Patch, RasterSource, ReaderChoice};
 use autoref_stream::candidate::patch::median;
-use autoref_stream::learn::{DEFAULT_REACH_PX, LearnOptions, RoughRule, learn, learn_with};
-use autoref_stream::profile::Profile;
+use autoref_stream::learn::{
+    DEFAULT_REACH_PX, LearnOptions, Lesson, RoughRule, SampleStatistics, learn, learn_colours, learn_outlined,
+    learn_with, read_colours,
+};
 use autoref_stream::profile::colour::lab_from_srgb;
+use autoref_stream::profile::{Profile, Size};
 
-use super::common::SampleArgs;
+use super::common::{MarkSize, SampleArgs};
 use super::positions::{Mark, PositionArgs, patch_around};
 
-/// Learn a mark profile from marks in an image and write it as TOML.
+/// Learn a mark profile from marks in an image, or from a table of colours, and write it as TOML.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The image.
-    image: PathBuf,
+    /// The image; none with --colours.
+    image: Option<PathBuf>,
     #[command(flatten)]
     positions: PositionArgs,
+    /// The marks are the groups of pixels that are not 0 in this raster of the image's size.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "polygons", "colours"])]
+    mask: Option<PathBuf>,
+    /// The marks are the polygons of this file (GeoJSON, GeoPackage, Shapefile): on the map where the image is georeferenced,
+    /// else in pixels.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "colours"])]
+    polygons: Option<PathBuf>,
+    /// Learn from this table of colours instead of an image: red, green, blue of 0 to 1 or 0 to 255, a row each.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "image"])]
+    colours: Option<PathBuf>,
+    /// With --colours: side or diameter of the marks, in pixels (10..14) or metres (0.3m..0.5m).
+    #[arg(long, value_name = "SIZE", default_value = "5..60", requires = "colours")]
+    mark_size: MarkSize,
     /// How far around a mark to look, pixels; at least the mark's own size.
     #[arg(long, value_name = "PX", default_value_t = DEFAULT_REACH_PX)]
     reach_px: u64,
@@ -40,6 +59,9 @@ pub struct Args {
     /// Replace an existing output.
     #[arg(long)]
     overwrite: bool,
+    /// Write a page with the colours' statistics, histograms and scatter plots, in RGB and L*a*b*.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// Print the profile as one JSON document on standard output, instead of TOML when no file is named.
     #[arg(long)]
     json: bool,
@@ -47,17 +69,26 @@ pub struct Args {
     samples: SampleArgs,
 }
 
-/// "0.75" or "1.5sd".
+/// "0.75" or "1.5sd", or three of a kind.
 fn parse_rough(text: &str) -> Result<RoughRule, String> {
-    let wrong =
-        || format!("\"{text}\" is neither a share above 0 and at most 1 nor a number of standard deviations (1.5sd)");
-    let rule = match text.trim().strip_suffix("sd") {
-        Some(k) => RoughRule::Sigma(k.trim().parse().map_err(|_| wrong())?),
-        None => RoughRule::Middle(text.trim().parse().map_err(|_| wrong())?),
+    let wrong = || {
+        format!(
+            "\"{text}\" is neither a share above 0 and at most 1 nor a number of standard deviations (1.5sd), nor three of either"
+        )
     };
-    let (RoughRule::Sigma(value) | RoughRule::Middle(value)) = rule;
-    let most = if matches!(rule, RoughRule::Middle(_)) { 1.0 } else { f64::MAX };
-    if value > 0.0 && value <= most { Ok(rule) } else { Err(wrong()) }
+    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+    let in_deviations = parts.iter().all(|part| part.ends_with("sd"));
+    let number = |part: &&str| {
+        let digits = if in_deviations { part.trim_end_matches("sd").trim() } else { part };
+        digits.parse::<f64>().ok().filter(|v| *v > 0.0 && *v <= if in_deviations { f64::MAX } else { 1.0 })
+    };
+    let values: Vec<f64> = parts.iter().map(number).collect::<Option<_>>().ok_or_else(wrong)?;
+    let bands = match values.as_slice() {
+        &[all] => [all; 3],
+        &[red, green, blue] => [red, green, blue],
+        _ => return Err(wrong()),
+    };
+    Ok(if in_deviations { RoughRule::Sigma(bands) } else { RoughRule::Middle(bands) })
 }
 
 /// A listed mark that nothing is learned from.
@@ -67,48 +98,103 @@ struct LeftOut {
     reason: String,
 }
 
+/// What was learned, and what nothing was learned from.
+struct Learnt {
+    lesson: Lesson,
+    outside: Vec<String>,
+    left_out: Vec<LeftOut>,
+}
+
+impl From<Lesson> for Learnt {
+    fn from(lesson: Lesson) -> Self {
+        Learnt { lesson, outside: Vec::new(), left_out: Vec::new() }
+    }
+}
+
 pub fn run(args: &Args) -> Result<()> {
-    if let Some(path) = &args.output
-        && path.exists()
-        && !args.overwrite
-    {
-        bail!("{} exists; give --overwrite to replace it", path.display());
+    let outputs: Vec<&Path> = [&args.output, &args.html].into_iter().flatten().map(PathBuf::as_path).collect();
+    atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
+    let Learnt { lesson, outside, left_out } = args.learn()?;
+    let statistics = SampleStatistics::new(&lesson.paint);
+    report(&lesson, statistics.as_ref(), &outside, &left_out);
+    let toml = lesson.profile.to_toml();
+    let mut transaction = Transaction::new();
+    if let Some(path) = &args.output {
+        transaction.stage_bytes(path, toml.as_bytes())?;
     }
-    let source = args.samples.open(&args.image, 64 << 20)?;
-    let found = args.positions.positions(source.info())?;
-    let reach_px = args.reach_px.clamp(8, 2048);
-    let marks = found
-        .marks
-        .into_iter()
-        .map(|mark| Ok((patch_around(source.as_ref(), mark.at, reach_px)?, mark)))
-        .collect::<Result<Vec<_>>>()?;
-    let (marks, left_out) = sift(marks);
-    if marks.is_empty() {
-        bail!(
-            "{}: no point of the list can be learned from; {}: {}",
-            args.image.display(),
-            left_out[0].name,
-            left_out[0].reason
-        );
+    if let Some(path) = &args.html {
+        let page = page::page(&lesson, statistics.as_ref());
+        transaction.stage_bytes(path, page.as_bytes())?;
     }
-    let profile = learn_with(&args.name, &marks, &LearnOptions { rough_box: args.rough_box, density: args.density })?;
-    report(&profile, &found.outside, &left_out);
-    match &args.output {
-        Some(path) => atomic::write(path, profile.to_toml().as_bytes())?,
-        None if args.json => {}
-        None => print!("{}", profile.to_toml()),
+    let files: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
+    transaction.commit()?;
+    if args.output.is_none() && !args.json {
+        print!("{toml}");
     }
     if args.json {
-        let files: Vec<String> = args.output.iter().map(|path| path.display().to_string()).collect();
         let document = serde_json::json!({
             "files_written": files,
-            "profile": profile,
-            "outside": found.outside,
+            "profile": lesson.profile,
+            "statistics": statistics,
+            "outside": outside,
             "left_out": left_out,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     }
     Ok(())
+}
+
+impl Args {
+    fn learn(&self) -> Result<Learnt> {
+        let options = LearnOptions { rough_box: self.rough_box, density: self.density };
+        if let Some(path) = &self.colours {
+            let size = match self.mark_size {
+                MarkSize::Pixels(low, high) => Size { min_px: Some(low), max_px: Some(high), min_m: None, max_m: None },
+                MarkSize::Metres(low, high) => Size { min_px: None, max_px: None, min_m: Some(low), max_m: Some(high) },
+            };
+            let lesson = learn_colours(&self.name, read_colours(path)?, size, &options);
+            return Ok(lesson.with_context(|| path.display().to_string())?.into());
+        }
+        let image = self.image.as_deref().context("no image: name one, or give --colours FILE")?;
+        let source = self.samples.open(image, 64 << 20)?;
+        let outlined = match (&self.mask, &self.polygons) {
+            (Some(path), _) => {
+                let mask = autoref_raster::open(path, ReaderChoice::Auto, 0, 16 << 20)?;
+                Some((path, outlines::of_mask(source.as_ref(), mask.as_ref())?))
+            }
+            (None, Some(path)) => Some((path, outlines::of_polygons(source.as_ref(), path)?)),
+            (None, None) => None,
+        };
+        match outlined {
+            Some((path, marks)) => {
+                let lesson = learn_outlined(&self.name, &marks, &options);
+                Ok(lesson.with_context(|| path.display().to_string())?.into())
+            }
+            None => self.pointed(image, source.as_ref(), &options),
+        }
+    }
+
+    /// From marks at positions.
+    fn pointed(&self, image: &Path, source: &dyn RasterSource, options: &LearnOptions) -> Result<Learnt> {
+        let found = self.positions.positions(source.info())?;
+        let reach_px = self.reach_px.clamp(8, 2048);
+        let marks = found
+            .marks
+            .into_iter()
+            .map(|mark| Ok((patch_around(source, mark.at, reach_px)?, mark)))
+            .collect::<Result<Vec<_>>>()?;
+        let (marks, left_out) = sift(marks);
+        if marks.is_empty() {
+            bail!(
+                "{}: no point of the list can be learned from; {}: {}",
+                image.display(),
+                left_out[0].name,
+                left_out[0].reason
+            );
+        }
+        let lesson = learn_with(&self.name, &marks, options)?;
+        Ok(Learnt { lesson, outside: found.outside, left_out })
+    }
 }
 
 /// Largest distance in a\*b\* of a listed mark's colour from the median of all marks. Paint in shade and sun, fresh and worn, is
@@ -150,13 +236,21 @@ fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
     (kept.into_iter().map(|(patch, mark, _)| (patch, mark.at)).collect(), left_out)
 }
 
-fn report(profile: &Profile, outside: &[String], left_out: &[LeftOut]) {
+fn report(lesson: &Lesson, statistics: Option<&SampleStatistics>, outside: &[String], left_out: &[LeftOut]) {
     if !outside.is_empty() {
         eprintln!("outside the image: {}", outside.join(", "));
     }
     for mark in left_out {
         eprintln!("{} is left out: {}", mark.name, mark.reason);
     }
+    if let Some(s) = statistics {
+        let figures = |v: [f64; 3], digits: usize| v.map(|v| format!("{v:.digits$}")).join(" ");
+        let deviation = |c: &[[f64; 3]; 3]| std::array::from_fn(|i| c[i][i].sqrt());
+        let (rgb, lab) = (&s.rgb, &s.lab);
+        eprintln!("{} colours; RGB {} ± {}", s.samples, figures(rgb.mean, 3), figures(deviation(&rgb.covariance), 3));
+        eprintln!("L*a*b* {} ± {}", figures(lab.mean, 1), figures(deviation(&lab.covariance), 1));
+    }
+    let profile: &Profile = &lesson.profile;
     let Some(l) = &profile.learned else { return };
     let [r, g, b] = l.mean_srgb.map(|v| (v * 255.0).round());
     eprintln!("{} marks, {} pixels of paint, mean colour {r} {g} {b}", l.marks, l.pixels);

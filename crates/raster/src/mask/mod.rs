@@ -1,6 +1,9 @@
 //! Foreground bits of a window.
 
+mod element;
 pub mod morphology;
+
+pub use element::{Element, LONGEST_SIDE_PX};
 
 use crate::window::Window;
 

@@ -1,8 +1,8 @@
-//! Morphology of bit masks: median, dilation, closing and opening with a disc, filling of holes.
+//! Morphology of bit masks: median, dilation, closing and opening with a structuring element, filling of holes.
 //!
 //! Beyond the mask's window there is background for dilation and median, and no obstacle for erosion.
 
-use super::Mask;
+use super::{Element, Mask};
 use crate::window::Window;
 
 /// Bits of word `i` of a row moved by `k` columns: bit `j` is column `64·i + j + k`, 0 outside.
@@ -27,14 +27,24 @@ fn trim(mask: &mut Mask) {
     }
 }
 
-/// Dilation, then erosion, with a disc.
-pub fn closed(mask: &Mask, radius_px: u32) -> Mask {
-    complement(&dilate(&complement(&dilate(mask, radius_px)), radius_px))
+/// Dilation, then erosion.
+pub fn closed(mask: &Mask, element: &Element) -> Mask {
+    eroded(&dilated(mask, element), element)
 }
 
-/// Erosion, then dilation, with a disc.
-pub fn opened(mask: &Mask, radius_px: u32) -> Mask {
-    dilate(&complement(&dilate(&complement(mask), radius_px)), radius_px)
+/// Erosion, then dilation.
+pub fn opened(mask: &Mask, element: &Element) -> Mask {
+    dilated(&eroded(mask, element), element)
+}
+
+/// Every place where the element would touch the mask: p is set when p − s is, for any step s of the element.
+pub fn dilated(mask: &Mask, element: &Element) -> Mask {
+    grown(mask, element.steps().map(|(x, y)| (-x, -y)))
+}
+
+/// Every place where the element lies within the mask: p is set when p + s is, for all steps s of the element.
+pub fn eroded(mask: &Mask, element: &Element) -> Mask {
+    complement(&grown(&complement(mask), element.steps()))
 }
 
 /// Foreground for background and the other way round.
@@ -48,25 +58,30 @@ pub fn complement(mask: &Mask) -> Mask {
     out
 }
 
-/// Dilation with the disc of all pixels whose centres are within `radius` of its own.
-pub fn dilate(mask: &Mask, radius: u32) -> Mask {
+/// Sets every pixel that has foreground at one of these steps (columns, rows) from it.
+fn grown(mask: &Mask, steps: impl Iterator<Item = (i64, i64)>) -> Mask {
     let window = mask.window();
-    let r = i64::from(radius);
+    let mut rows: Vec<(i64, Vec<i64>)> = Vec::new();
+    for (dx, dy) in steps {
+        match rows.iter_mut().find(|(y, _)| *y == dy) {
+            Some((_, columns)) => columns.push(dx),
+            None => rows.push((dy, vec![dx])),
+        }
+    }
     let mut out = Mask::new(window);
     for y in window.y..window.bottom() {
         let row = out.row_mut(y);
-        for dy in -r..=r {
-            let Some(v) = y.checked_add_signed(dy).filter(|v| (window.y..window.bottom()).contains(v)) else {
+        for (dy, columns) in &rows {
+            let Some(v) = y.checked_add_signed(*dy).filter(|v| (window.y..window.bottom()).contains(v)) else {
                 continue;
             };
             let from = mask.row(v);
             if from.iter().all(|&w| w == 0) {
                 continue;
             }
-            let half = ((r * r - dy * dy) as f64).sqrt().floor() as i64;
             for (i, to) in row.iter_mut().enumerate() {
-                for k in -half..=half {
-                    *to |= shifted(from, i, k);
+                for k in columns {
+                    *to |= shifted(from, i, *k);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! A raster delivered as many tiles, each with its own georeference: one raster to us.
 //!
-//! A folder, or a text file that names one tile a line. The tiles must have the same bands, CRS and pixels, and lie a whole
+//! A folder, a text file that names one tile a line, or the XML file of a tile map ([`tile_map`]). The tiles must have the same bands, CRS and pixels, and lie a whole
 //! number of pixels from each other; their common transform may be rotated, so that tiles that were georeferenced by
 //! this program still fit together. Where tiles overlap, the later name wins.
 
@@ -10,9 +10,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use quick_xml::escape::escape;
 
+pub mod tile_map;
+
 use super::gdal::GdalName;
 use crate::coords::{GeoTransform, PixelPoint};
 use crate::error::{Error, Result};
+use tile_map::TileMap;
 
 /// What counts as a tile in a folder.
 const EXTENSIONS: [&str; 12] = ["tif", "tiff", "jpg", "jpeg", "png", "jp2", "webp", "bmp", "img", "ecw", "asc", "bil"];
@@ -63,7 +66,7 @@ struct Opened {
 
 /// Whether a path is a folder or list of tiles rather than an image.
 pub fn is_mosaic(path: &Path) -> bool {
-    path.is_dir() || (path.is_file() && has_extension(path, &LIST_EXTENSIONS))
+    path.is_dir() || (path.is_file() && has_extension(path, &LIST_EXTENSIONS)) || tile_map::is_tile_map(path)
 }
 
 fn has_extension(path: &Path, extensions: &[&str]) -> bool {
@@ -86,8 +89,7 @@ impl Mosaic {
 
     fn open_tiles(path: &Path) -> Result<Mosaic> {
         super::initialise_gdal(0);
-        let names = if path.is_dir() { in_folder(path)? } else { in_list(path)? };
-        let opened: Vec<Opened> = names.into_iter().map(open_tile).collect::<Result<_>>()?;
+        let opened = open_all(path)?;
         let Some(first) = opened.first() else {
             return Err(Error::format(path, "tiles", "there are no image files"));
         };
@@ -188,6 +190,26 @@ impl Mosaic {
     }
 }
 
+/// All tiles of a folder, a list or a tile map.
+fn open_all(path: &Path) -> Result<Vec<Opened>> {
+    let described = if path.is_dir() { path.join(tile_map::NAME) } else { path.to_path_buf() };
+    if tile_map::is_tile_map(&described) {
+        let map = TileMap::read(&described)?;
+        let crs_wkt = match map.crs.as_str() {
+            "" => String::new(),
+            definition => crate::crs::Crs::parse(definition)?.wkt().to_owned(),
+        };
+        let open = |(file, geotransform): (PathBuf, GeoTransform)| {
+            let file = std::fs::canonicalize(&file).map_err(|e| Error::io(&file, "resolve", e))?;
+            let content = open_content(file)?;
+            Ok(Opened { geotransform, crs_wkt: crs_wkt.clone(), ..content })
+        };
+        return map.tiles(&described)?.into_iter().map(open).collect();
+    }
+    let names = if path.is_dir() { in_folder(path)? } else { in_list(path)? };
+    names.into_iter().map(open_tile).collect()
+}
+
 fn in_folder(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut names = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(|e| Error::io(folder, "list", e))? {
@@ -220,9 +242,9 @@ fn in_list(list: &Path) -> Result<Vec<PathBuf>> {
     Ok(names)
 }
 
+/// A tile that tells its place itself.
 fn open_tile(path: PathBuf) -> Result<Opened> {
     let dataset = GdalName::new(&path, 0).open()?;
-    let (width, height) = dataset.raster_size();
     let Ok(geotransform) = dataset.geo_transform() else {
         let what = "it has no georeference of its own (tags, world file or .aux.xml), so its place is unknown";
         return Err(Error::unsupported(
@@ -231,6 +253,14 @@ fn open_tile(path: PathBuf) -> Result<Opened> {
             "list the tiles in a text file, one a line",
         ));
     };
+    drop(dataset);
+    Ok(Opened { geotransform: GeoTransform(geotransform), ..open_content(path)? })
+}
+
+/// A tile without its place.
+fn open_content(path: PathBuf) -> Result<Opened> {
+    let dataset = GdalName::new(&path, 0).open()?;
+    let (width, height) = dataset.raster_size();
     let mut bands = Vec::new();
     for number in 1..=dataset.raster_count() {
         let band = dataset.rasterband(number).map_err(|e| Error::gdal(&path, e))?;
@@ -239,7 +269,7 @@ fn open_tile(path: PathBuf) -> Result<Opened> {
     }
     let crs_wkt = dataset.projection();
     let size = (width as u64, height as u64);
-    Ok(Opened { path, size, geotransform: GeoTransform(geotransform), crs_wkt, bands })
+    Ok(Opened { path, size, geotransform: GeoTransform([0.0; 6]), crs_wkt, bands })
 }
 
 /// Columns and rows from the first tile's corner to this one's.
