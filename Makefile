@@ -64,7 +64,10 @@ test: export AUTOREF_SKIPPED := $(CURDIR)/target/skipped.txt
 test: export AUTOREF_PYTHON ?= $(CURDIR)/$(PEERS)/bin/python
 test: deps test-deps
 	@mkdir -p target && rm -f $(AUTOREF_SKIPPED)
-	$(CARGO) test --quiet --features coded -- --format=terse
+	@if $(CARGO) nextest --version >/dev/null 2>&1; then \
+	  set -ex; $(CARGO) nextest run --features coded --no-fail-fast --status-level slow --final-status-level slow --show-progress none; \
+	  $(CARGO) test --quiet --features coded --doc -- --format=terse; \
+	else set -ex; $(CARGO) test --quiet --features coded -- --format=terse; fi
 	AUTOREF_KERNELS=scalar $(CARGO) test --quiet --features coded --lib -- --format=terse segment
 	@if [ -s $(AUTOREF_SKIPPED) ]; then \
 	  echo "Skipped, whole or in part: $$(cut -f1 $(AUTOREF_SKIPPED) | sort -u | wc -l) tests; why, and how often:"; \

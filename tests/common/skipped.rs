@@ -7,7 +7,9 @@ pub fn skipped(why: impl std::fmt::Display) {
     eprintln!("skipped: {why}");
     let Some(file) = std::env::var_os("AUTOREF_SKIPPED") else { return };
     let thread = std::thread::current();
-    let line = format!("{}\t{why}\n", thread.name().unwrap_or("a test"));
+    // nextest runs a test on its process's main thread.
+    let named = std::env::var("NEXTEST_TEST_NAME").ok().or_else(|| thread.name().map(str::to_owned));
+    let line = format!("{}\t{why}\n", named.as_deref().unwrap_or("a test"));
     let file = std::fs::OpenOptions::new().create(true).append(true).open(file);
     // One write a line: tests run beside each other.
     file.and_then(|mut file| file.write_all(line.as_bytes())).expect("the list of skipped tests can be written");

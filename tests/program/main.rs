@@ -41,3 +41,4 @@ mod schema;
 mod second_pass;
 mod selftest;
 mod solvers;
+mod synth_flight;
