@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn tables_as_people_have_them() {
-        let expected = vec![[1.0, 0.2, 0.4], [0.6, 0.8, 0.0]];
+        let expected = [[1.0, 0.2, 0.4], [0.6, 0.8, 0.0]];
         for text in [
             "255,51,102\n153,204,0\n",
             "255 51 102\n153 204 0\n",

@@ -84,8 +84,8 @@ fn parse_rough(text: &str) -> Result<RoughRule, String> {
     };
     let values: Vec<f64> = parts.iter().map(number).collect::<Option<_>>().ok_or_else(wrong)?;
     let bands = match values.as_slice() {
-        &[all] => [all; 3],
-        &[red, green, blue] => [red, green, blue],
+        [all] => [*all; 3],
+        [red, green, blue] => [*red, *green, *blue],
         _ => return Err(wrong()),
     };
     Ok(if in_deviations { RoughRule::Sigma(bands) } else { RoughRule::Middle(bands) })

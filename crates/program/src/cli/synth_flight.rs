@@ -191,7 +191,7 @@ pub fn run(args: &Args) -> Result<()> {
 
 impl Args {
     fn check(&self) -> Result<()> {
-        let whole = |v: f64| v >= 16.0 && v <= 60_000.0 && v.fract() == 0.0;
+        let whole = |v: f64| (16.0..=60_000.0).contains(&v) && v.fract() == 0.0;
         if !whole(self.size.0) || !whole(self.size.1) {
             bail!("--size takes width and height in whole pixels, 16 to 60000");
         }
