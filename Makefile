@@ -3,7 +3,7 @@
 # make check         what CI runs: formatting, lints, documentation, tests
 # make bench         stage by stage and against other programs (minutes)
 # make fixtures      draws the small images of fixtures/ anew
-# make fuzz          ten minutes of the native reader under cargo-fuzz (needs a nightly toolchain)
+# make fuzz          ten minutes of a parser under cargo-fuzz (needs a nightly toolchain): fuzz/README.md
 # make check-large   the checks that take minutes or gigabytes
 SHELL := /bin/bash
 CARGO ?= cargo
@@ -15,8 +15,8 @@ MISSING = $(shell for p in $(PACKAGES); do dpkg-query -W -f='$${Status}' $$p 2>/
 DEMO := demo
 # Python with other programs' libraries, for the tests that compare with them.
 PEERS := target/peers
-# Odd, old and corrupt files to begin with, where they are there.
-FUZZ_SEEDS := $(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio))
+# Odd, old and corrupt TIFFs to begin with, where they are there; the other parsers begin with what fuzz/seeds.py writes.
+FUZZ_SEEDS = $(if $(filter native_tiff,$(TARGET)),$(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio)))
 
 .PHONY: all fixtures deps test-deps build demo test check lint doc bench fuzz check-large clean
 
@@ -93,6 +93,7 @@ TARGET ?= native_tiff
 SECONDS ?= 600
 fuzz:
 	mkdir -p fuzz/corpus/$(TARGET)
+	python3 fuzz/seeds.py $(TARGET) fuzz/corpus/$(TARGET)
 	cd fuzz && $(CARGO) +nightly fuzz run $(TARGET) corpus/$(TARGET) $(FUZZ_SEEDS) -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 -timeout=10
 
 check-large: build

@@ -13,6 +13,10 @@ const SIDE_PX: u64 = 64;
 const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
 /// Fewer pixels than these say nothing.
 const FEWEST_PIXELS: usize = 100;
+/// Bare ground, roofs and dry grass are redder than blue. Above this share of coloured pixels that are bluer, by this factor, the
+/// bands may stand in the order blue, green, red.
+const BLUISH_SHARE: f64 = 0.8;
+const BLUISH: f64 = 1.08;
 
 /// Why paint may be invisible.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +25,8 @@ pub enum Unusual {
     Dark { brightest: u16, white: u16 },
     /// Red, green and blue are alike everywhere.
     Grey,
+    /// Nearly everything is bluer than red.
+    Bluish { share: f64 },
     /// Share of the pixels that hold nothing.
     Empty { share: f64 },
 }
@@ -44,6 +50,12 @@ impl fmt::Display for Unusual {
                 "the picture is grey, and paint is told by its colour: take the picture in colour, or look for shapes \
                  (--profile black-white-cross, black-white-checker)",
             ),
+            Unusual::Bluish { share } => write!(
+                f,
+                "{:.0} % of the pixels looked at are bluer than red: if the bands stand in the order blue, green, red, bring them \
+                 in order (gdal_translate -b 3 -b 2 -b 1)",
+                100.0 * share
+            ),
             Unusual::Empty { share } => {
                 write!(f, "{:.0} % of the pixels looked at hold nothing (nodata, transparent)", 100.0 * share)
             }
@@ -60,7 +72,8 @@ pub fn unusual(source: &dyn RasterSource) -> Result<Vec<Unusual>> {
     if info.sequential && info.width * info.height > MOST_SEQUENTIAL_PX {
         return Ok(Vec::new());
     }
-    let (mut pixels, mut valid, mut brightest, mut coloured, mut white) = (0usize, 0usize, 0u16, 0usize, info.white);
+    let (mut pixels, mut valid, mut brightest, mut white) = (0usize, 0usize, 0u16, info.white);
+    let (mut coloured, mut bluish) = (0usize, 0usize);
     // Row by row: what is read from the top down is passed once.
     for row in 0..WINDOWS {
         for column in 0..WINDOWS {
@@ -73,6 +86,7 @@ pub fn unusual(source: &dyn RasterSource) -> Result<Vec<Unusual>> {
                 valid += 1;
                 brightest = brightest.max(rgb[0]).max(rgb[1]).max(rgb[2]);
                 coloured += usize::from(rgb[0] != rgb[1] || rgb[1] != rgb[2]);
+                bluish += usize::from(f64::from(rgb[2]) > BLUISH * f64::from(rgb[0]));
             }
         }
     }
@@ -87,6 +101,10 @@ pub fn unusual(source: &dyn RasterSource) -> Result<Vec<Unusual>> {
         }
         if coloured == 0 {
             found.push(Unusual::Grey);
+        }
+        let share = bluish as f64 / coloured.max(1) as f64;
+        if coloured >= FEWEST_PIXELS && share > BLUISH_SHARE {
+            found.push(Unusual::Bluish { share });
         }
     }
     Ok(found)
@@ -110,8 +128,11 @@ mod tests {
     #[test]
     fn grey_and_dark_pictures_are_named_with_what_helps() {
         assert_eq!(of(|i| [(i % 251) as u8; 3]), [Unusual::Grey]);
-        let dark = of(|i| [(i % 16) as u8, 3, 9]);
+        let dark = of(|i| [(i % 16) as u8, 3, 5]);
         assert_eq!(dark, [Unusual::Dark { brightest: 15, white: 255 }]);
+        let bgr = of(|i| [60 + (i % 40) as u8, 90, 140 + (i % 30) as u8]);
+        assert!(matches!(bgr[..], [Unusual::Bluish { share }] if share == 1.0), "{bgr:?}");
+        assert_eq!(of(|i| [140 + (i % 30) as u8, 90, 60 + (i % 40) as u8]), []);
         let twelve_bits = Unusual::Dark { brightest: 4080, white: 65_535 };
         assert!(twelve_bits.to_string().ends_with("--white 4095"), "{twelve_bits}");
     }

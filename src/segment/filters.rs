@@ -97,12 +97,21 @@ mod tests {
     #[test]
     fn an_element_of_ones_own_has_its_own_direction() {
         use autoref_raster::mask::morphology::{closed, dilated, opened};
-        let hook = Element::try_from(vec!["##.".to_string(), "#..".into(), "...".into()]).expect("an element");
+        let hook = Element::try_from(vec!["##.".to_string(), "##.".into(), "...".into()]).expect("an element");
         let mask = picture(&["........", "..#..#..", "..##.#..", "..####..", "........"]);
-        assert_eq!(dilated(&mask, &hook), picture(&[".##.##..", ".#####..", ".#####..", ".####...", "........"]));
-        assert_eq!(opened(&mask, &hook), picture(&["........", "........", "..##....", "..#.....", "........"]));
-        let gap = picture(&["........", ".#.#.#..", ".#.###..", "........", "........"]);
-        assert_eq!(closed(&gap, &hook), picture(&["........", ".#####..", ".#.###..", "........", "........"]));
+        assert_eq!(dilated(&mask, &hook), picture(&[".##.##..", ".#####..", ".#####..", ".#####..", "........"]));
+        assert_eq!(opened(&mask, &hook), picture(&["........", "........", "..##....", "..##....", "........"]));
+        let gap = picture(&[
+            "..........",
+            "..........",
+            "..#.#.##..",
+            "..#.####..",
+            "..##..#...",
+            "..........",
+            "..........",
+        ]);
+        let filled = ["..........", "..........", "..######..", "..######..", "..##..#...", "..........", ".........."];
+        assert_eq!(closed(&gap, &hook), picture(&filled));
         let filters = Filters { closing_element: Some(hook), ..Filters::default() };
         assert_eq!(MaskFilters::new(&filters, 9).halo_px(), 2);
     }
@@ -140,7 +149,7 @@ mod tests {
         ) {
             let mut filters = all(median, closing, opening, fill, 7);
             if own {
-                filters.closing = Some(Element::try_from(vec!["##..".to_string(), "#..#".into()]).expect("an element"));
+                filters.closing = Some(Element::try_from(vec!["##..".to_string(), "#.##".into()]).expect("an element"));
             }
             let whole = Window::whole(130, 60);
             let mut state = seed | 1;

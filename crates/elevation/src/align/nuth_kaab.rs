@@ -3,12 +3,13 @@
 //! dh / tan α is a cosine of the aspect whose amplitude and phase are the shift. As there, the medians of classes of
 //! aspect are fitted, here 72 of them; the height is the median difference.
 
+use crate::window::Window;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::error::Result;
 use crate::histogram::FloatHistogram;
 use crate::resample::{Interpolation, Resampled, Scratch};
-use crate::source::Patch;
+use crate::source::{Heights, Patch};
 use crate::stream::{self, Means};
 
 use super::fit::{Pair, State, mark_stable};
@@ -22,6 +23,11 @@ const MOST_PASSES: u32 = 20;
 const STILL_PX: f64 = 1e-3;
 /// Fewest cells of a class of aspect.
 const FEWEST: u64 = 20;
+/// Cells that say where the shift lies roughly. Of larger models every n-th row is looked at, n at most [`MOST_APART`], until a
+/// step is below [`ROUGH_PX`]; then all of them.
+const ENOUGH_CELLS: u64 = 1_000_000;
+const MOST_APART: u64 = 16;
+const ROUGH_PX: f64 = 0.02;
 
 /// Iterates from `start` until the shift stands still. The height of every step is the median difference of the one before.
 ///
@@ -32,15 +38,26 @@ pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u3
     let mut state = start;
     state.plane = [state.plane[0], 0.0, 0.0];
     state.plane[0] += spread::of(pair, &state, means)?.median;
+    let mut rows_apart = (grid.width * grid.height / ENOUGH_CELLS).clamp(1, MOST_APART);
     for pass in 1..=MOST_PASSES {
-        let step = step(pair, &state, means)?;
+        let step = step(pair, &state, means, rows_apart)?;
         state.plane[0] += step.height_m;
-        let Some((east_m, north_m)) = step.shift_m else { return Ok((state, pass)) };
+        let Some((east_m, north_m)) = step.shift_m else {
+            if rows_apart == 1 {
+                return Ok((state, pass));
+            }
+            rows_apart = 1;
+            continue;
+        };
         let (mx, my) = pair.unit.metres_per_unit(pair.frame.y);
         state.shift.0 += east_m / mx;
         state.shift.1 += north_m / my;
-        if (east_m / mx / grid.step_x).hypot(north_m / my / grid.step_y) < STILL_PX {
+        let moved_px = (east_m / mx / grid.step_x).hypot(north_m / my / grid.step_y);
+        if rows_apart == 1 && moved_px < STILL_PX {
             return Ok((state, pass));
+        }
+        if moved_px < ROUGH_PX {
+            rows_apart = 1;
         }
     }
     Ok((state, MOST_PASSES))
@@ -54,53 +71,82 @@ struct Step {
     height_m: f64,
 }
 
-fn step(pair: &Pair<'_>, state: &State, means: Means) -> Result<Step> {
-    let grid = pair.template.grid();
-    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
-    struct Worker {
-        classes: Vec<FloatHistogram<BITS>>,
-        differences: FloatHistogram<{ spread::BITS }>,
-        scratch: Scratch,
-        template: Vec<f64>,
-        other: Vec<f64>,
-        stable: Vec<u32>,
+/// What a worker gathers, and its buffers.
+struct Worker {
+    classes: Vec<FloatHistogram<BITS>>,
+    differences: FloatHistogram<{ spread::BITS }>,
+    scratch: Scratch,
+    template: Vec<f64>,
+    other: Vec<f64>,
+    stable: Vec<u32>,
+}
+
+impl Worker {
+    fn new() -> Self {
+        Worker {
+            classes: vec![FloatHistogram::default(); ASPECTS],
+            differences: FloatHistogram::default(),
+            scratch: Scratch::default(),
+            template: Vec::new(),
+            other: Vec::new(),
+            stable: Vec::new(),
+        }
     }
-    let worker = || Worker {
-        classes: vec![FloatHistogram::default(); ASPECTS],
-        differences: FloatHistogram::default(),
-        scratch: Scratch::default(),
-        template: Vec::new(),
-        other: Vec::new(),
-        stable: Vec::new(),
-    };
-    let tiles = means.tiles(grid.width, grid.height);
-    let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+
+    /// Looks at all cells of a window.
+    fn look(
+        &mut self,
+        pair: &Pair<'_>,
+        state: &State,
+        other: &Resampled<'_, dyn Heights + '_>,
+        core: Window,
+    ) -> Result<()> {
+        let grid = pair.template.grid();
         let (width, height) = (core.width as usize, core.height as usize);
         let stride = width + 2;
-        let patch = Patch { x: core.x as i64 - 1, y: core.y as i64 - 1, width: stride, height: height + 2 };
-        pair.template.read(patch, &mut worker.template)?;
-        other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
-        mark_stable(pair, &grid, core, &mut worker.stable);
-        let (t, o) = (&worker.template, &worker.other);
+        // Slopes need the neighbours, differences do not.
+        let around = Patch { x: core.x as i64 - 1, y: core.y as i64 - 1, width: stride, height: height + 2 };
+        pair.template.read(around, &mut self.template)?;
+        let inner = Patch { x: core.x as i64, y: core.y as i64, width, height };
+        other.read_with(inner, &mut self.scratch, &mut self.other)?;
+        mark_stable(pair, &grid, core, &mut self.stable);
+        let t = &self.template;
         for row in 0..height {
             let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
             let (mx, my) = pair.unit.metres_per_unit(y);
             let (per_x, per_y) = (0.5 / (mx * grid.step_x), 0.5 / (my * grid.step_y));
             for column in 0..width {
-                let at = (row + 1) * stride + column + 1;
-                let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
-                let difference = t[at] - o[at] - state.plane[0];
-                if worker.stable[row * width + column] == 0 || difference.is_nan() {
+                let (at, inside) = ((row + 1) * stride + column + 1, row * width + column);
+                let difference = t[at] - self.other[inside] - state.plane[0];
+                if self.stable[inside] == 0 || difference.is_nan() {
                     continue;
                 }
-                worker.differences.add(difference as f32);
+                self.differences.add(difference as f32);
+                let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
                 let tangent = east.hypot(north);
                 let quotient = difference / tangent;
                 if tangent > LEAST_TANGENT && !quotient.is_nan() {
                     let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;
-                    worker.classes[((turn * ASPECTS as f64) as usize).min(ASPECTS - 1)].add(quotient as f32);
+                    self.classes[((turn * ASPECTS as f64) as usize).min(ASPECTS - 1)].add(quotient as f32);
                 }
             }
+        }
+        Ok(())
+    }
+}
+
+/// A pass over every `rows_apart`-th row of the models, counted from the first: the same rows for any tiling.
+fn step(pair: &Pair<'_>, state: &State, means: Means, rows_apart: u64) -> Result<Step> {
+    let grid = pair.template.grid();
+    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    let tiles = means.tiles(grid.width, grid.height);
+    let parts = stream::gather(&tiles, means.threads, Worker::new, |worker, core| {
+        if rows_apart == 1 {
+            return worker.look(pair, state, &other, core);
+        }
+        let first = core.y.next_multiple_of(rows_apart);
+        for y in (first..core.bottom()).step_by(rows_apart as usize) {
+            worker.look(pair, state, &other, Window::new(core.x, y, core.width, 1))?;
         }
         Ok(())
     })?;

@@ -80,7 +80,7 @@ pub struct MarkArgs {
     #[arg(long, value_name = "RULE", help_heading = "Marks")]
     pub gate: Vec<Rule>,
     /// Close gaps of the mask of paint with this structuring element, in place of the profile's: a small image whose pixels
-    /// that are not 0 belong to it, its middle pixel being the origin.
+    /// that are not 0 belong to it; its middle pixel is the origin and must be one of them.
     #[arg(long, value_name = "FILE", help_heading = "Marks")]
     pub closing: Option<PathBuf>,
     /// Open the mask of paint (remove specks and bridges) with this structuring element.

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 /// Longest side of an element, pixels.
 pub const LONGEST_SIDE_PX: usize = 129;
 
-/// Which neighbours of a pixel count. The origin is the middle: column `width / 2`, row `height / 2`.
+/// Which neighbours of a pixel count. The origin is the middle, column `width / 2`, row `height / 2`, and belongs to it: without
+/// the pixel itself, the border of a picture would close onto itself.
 ///
 /// In files it is its rows, `#` for what belongs to it and `.` for what does not: `[".#.", "###", ".#."]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,7 +20,7 @@ impl Element {
     /// From pixels, row by row.
     ///
     /// # Errors
-    /// A sentence when it holds no pixel, is no rectangle, or is longer than [`LONGEST_SIDE_PX`].
+    /// A sentence when it is no rectangle, is longer than [`LONGEST_SIDE_PX`], or lacks its origin.
     pub fn new(set: Vec<bool>, width: usize) -> Result<Element, String> {
         if width == 0 || set.is_empty() || !set.len().is_multiple_of(width) {
             return Err("a structuring element is a rectangle of pixels".into());
@@ -30,10 +31,11 @@ impl Element {
                 "a structuring element has at most {LONGEST_SIDE_PX} px a side, not {width} × {height}"
             ));
         }
-        if !set.contains(&true) {
-            return Err("the structuring element is empty".into());
+        let element = Element { width, set };
+        if !element.steps().any(|step| step == (0, 0)) {
+            return Err("the middle pixel of a structuring element belongs to it".into());
         }
-        Ok(Element { width, set })
+        Ok(element)
     }
 
     /// All pixels whose centres are within `radius_px` of the origin's.
@@ -96,11 +98,11 @@ mod tests {
     #[test]
     fn rows_read_back_and_wrong_ones_are_refused() {
         let rows = |rows: &[&str]| rows.iter().map(|r| (*r).to_string()).collect::<Vec<_>>();
-        let hook = Element::try_from(rows(&["##.", "#.."])).expect("an element");
-        assert_eq!(Vec::<String>::from(hook.clone()), rows(&["##.", "#.."]));
-        assert_eq!(hook.steps().collect::<Vec<_>>(), [(-1, -1), (0, -1), (-1, 0)]);
+        let hook = Element::try_from(rows(&["##.", "##."])).expect("an element");
+        assert_eq!(Vec::<String>::from(hook.clone()), rows(&["##.", "##."]));
+        assert_eq!(hook.steps().collect::<Vec<_>>(), [(-1, -1), (0, -1), (-1, 0), (0, 0)]);
         assert_eq!(hook.reach_px(), 1);
-        for wrong in [&["#.", "#"][..], &["..", ".."], &["#x"], &[]] {
+        for wrong in [&["#.", "#"][..], &["..", ".."], &["##", "#."], &["#x"], &[]] {
             assert!(Element::try_from(rows(wrong)).is_err(), "{wrong:?}");
         }
         assert!(Element::try_from(vec!["#".repeat(130)]).is_err());

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""fuzz/seeds.py TARGET FOLDER: writes small valid files for a fuzz target; the first byte chooses the ending of the name."""
+
+import pathlib
+import struct
+import sys
+
+LISTS = [".csv", ".txt", ".points", ".kof", ".xml", ".geojson", ".json"]
+DOCUMENTS = [".toml", ".json", ".csv", ".xml"]
+FLIGHTS = [".xml", ".json", ".csv", ".txt", ".toml"]
+CLOUDS = [".ply", ".las", ".laz", ".xyz"]
+
+
+def las():
+    """LAS 1.2, point format 0, two points."""
+    header = bytearray(227)
+    header[0:4] = b"LASF"
+    header[24:26] = bytes([1, 2])
+    struct.pack_into("<HII", header, 94, 227, 227, 0)
+    header[104] = 0
+    struct.pack_into("<HI", header, 105, 20, 2)
+    struct.pack_into("<5I", header, 111, 2, 0, 0, 0, 0)
+    struct.pack_into("<12d", header, 131, 0.01, 0.01, 0.01, 0, 0, 0, 2, 1, 2, 1, 2, 1)
+    points = b"".join(struct.pack("<3iHBBbBH", 100 * k, 100 * k, 100 * k, 5, 9, 2, 0, 0, 1) for k in (1, 2))
+    return bytes(header) + points
+
+
+SEEDS = {
+    "gcp_lists": (LISTS, [
+        (".csv", b"name,easting,northing,height,sigma_m,role,crs\nP1,570406.861,7032516.804,80.3,0.01,check,EPSG:25832\nP2,570413,7032503,79,,,\n"),
+        (".csv", b"Navn;Nord;\xc3\x98st;H\xc3\xb8yde\nP1;7032516,80;570406,86;80,1\n"),
+        (".txt", b"EPSG:25832\n570406 7032516 80 10 20 a.jpg A\n"),
+        (".points", b"#CRS: EPSG:25832\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n570406,7032516,3,-4,1,0,0,0\n"),
+        (".kof", b" 05 P1        5001     7032516.804   570406.861  80.318\n"),
+        (".xml", b'<document><chunk><markers><marker label="A"><reference x="570406" y="7032516" z="80" enabled="1"/></marker></markers></chunk></document>'),
+        (".geojson", b'{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"name":"A"},"geometry":{"type":"Point","coordinates":[10.4,63.4,80]}}]}'),
+    ]),
+    "documents": (DOCUMENTS, [
+        (".toml", b'name = "p"\n[colour]\nlimit = 3.0\n[[colour.clouds]]\nmean = [60.0, 50.0, 60.0]\ncovariance = [[90.0, 0.0, 0.0], [0.0, 60.0, 0.0], [0.0, 0.0, 60.0]]\n[size]\nmin_px = 5.0\nmax_px = 60.0\n[filters]\nclosing_element = [".#.", "###"]\n'),
+        (".json", b'{"schema":"autoref-stream-patch","schema_version":1,"for":"gcps","source":"a.autoref.json","edits":[{"gcp":"A","action":"move","x":3,"y":4}]}'),
+        (".csv", b"x,y,score,cov_xx,cov_xy,cov_yy,area,width,height,elevation,probability,code\n12.5,40.25,3.5,0.01,0,0.01,96,12,12,80.1,0.9,aruco-4x4-50:7\n"),
+        (".csv", b"red,green,blue\n255,120,10\n250,110,12\n"),
+        (".xml", b'<TileMap><SRS>EPSG:3857</SRS><Origin x="1" y="2"/><TileFormat width="256" height="256" extension="png"/><TileSets profile="mercator"><TileSet href="1" units-per-pixel="2.5" order="1"/></TileSets></TileMap>'),
+    ]),
+    "flights": (FLIGHTS, [
+        (".xml", b"<ExportAPERO><CalibrationInternConique><PP>900 890</PP><F>2100</F><SzIm>1800 1800</SzIm><CalibDistortion><ModRad><CDist>900 890</CDist><CoeffDist>1e-9</CoeffDist></ModRad></CalibDistortion></CalibrationInternConique></ExportAPERO>"),
+        (".xml", b"<DicoAppuisFlottant><OneAppuisDAF><Pt>1 2 3</Pt><NamePt>A</NamePt><Incertitude>1 1 1</Incertitude></OneAppuisDAF></DicoAppuisFlottant>"),
+        (".xml", b"<SetOfMesureAppuisFlottants><MesureAppuiFlottant1Im><NameIm>a.tif</NameIm><OneMesureAF1I><NamePt>A</NamePt><PtIm>1 2</PtIm></OneMesureAF1I></MesureAppuiFlottant1Im></SetOfMesureAppuisFlottants>"),
+        (".json", b'[{"cameras":{"c":{"projection_type":"perspective","width":100,"height":80,"focal":0.9,"k1":0.0,"k2":0.0}},"shots":{"a.jpg":{"rotation":[0,0,0],"translation":[0,0,1],"camera":"c"}},"points":{}}]'),
+        (".csv", b"name,x,y,z,yaw,pitch,roll\na.tif,1,2,3,90,-20,0\n"),
+        (".txt", b"local\n1 2 3 10 20 a.tif A\n"),
+        (".toml", b'name = "c"\nfilm_size_mm = [180.0, 180.0]\n'),
+    ]),
+    "clouds": (CLOUDS, [
+        (".ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n1 2 3\n4 5 6\n"),
+        (".ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n" + struct.pack("<3f", 1, 2, 3)),
+        (".las", las()),
+        (".xyz", b"x y z intensity\n1 2 3 4\n5 6 7 8\n"),
+    ]),
+}
+
+
+def main():
+    target, folder = sys.argv[1], pathlib.Path(sys.argv[2])
+    endings, seeds = SEEDS.get(target, ([], []))
+    for number, (ending, content) in enumerate(seeds):
+        (folder / f"seed-{number}").write_bytes(bytes([endings.index(ending)]) + content)
+
+
+if __name__ == "__main__":
+    main()
