@@ -11,6 +11,8 @@ const ON_LINE: f64 = 0.02;
 const MOST_MARKS: usize = 60;
 /// Worth a warning when the error in a corner is this many times that amid the marks.
 const GROWTH: f64 = 2.5;
+/// And at least so many pixels: nothing is read off an image more finely.
+const LEAST_PX: f64 = 0.1;
 
 /// What the places of the marks mean for the corners of the image: marks on one line, marks in one part of it.
 pub fn plain_warnings(solution: &Solution, marks: &[PixelPoint], width_px: f64, height_px: f64) -> Vec<String> {
@@ -18,28 +20,26 @@ pub fn plain_warnings(solution: &Solution, marks: &[PixelPoint], width_px: f64, 
     let lined = marks.len() >= 3 && on_line >= 3 && on_line + 1 >= marks.len();
     let Some((amid, worst, direction)) = corner_error(solution, width_px, height_px) else { return Vec::new() };
     let growth = format!(
-        "the expected error (95 %) grows from {} m amid the marks to {} m in the {direction} corner",
-        metres(amid),
-        metres(worst)
+        "the expected error (95 %) grows from {} amid the marks to {} in the {direction} corner",
+        ground(amid),
+        ground(worst)
     );
     if lined {
         let share = if on_line == marks.len() { "all".into() } else { format!("{on_line} of") };
         return vec![format!("{share} {} marks lie on one line: {growth}", marks.len())];
     }
-    if worst > GROWTH * amid {
+    if worst > GROWTH * amid && worst > LEAST_PX * solution.scale_m_per_px {
         return vec![format!("the marks cover only a part of the image: {growth}")];
     }
     Vec::new()
 }
 
-/// Two significant digits, at least to the millimetre.
-fn metres(value: f64) -> String {
-    if value >= 1.0 {
-        format!("{value:.1}")
-    } else if value >= 0.1 {
-        format!("{value:.2}")
-    } else {
-        format!("{value:.3}")
+/// About two significant digits; millimetres below a metre.
+fn ground(value_m: f64) -> String {
+    match value_m {
+        v if v >= 1.0 => format!("{v:.1} m"),
+        v if v >= 0.01 => format!("{:.0} mm", 1000.0 * v),
+        v => format!("{:.1} mm", 1000.0 * v),
     }
 }
 

@@ -41,7 +41,7 @@ pub struct PositionArgs {
 pub struct Mark {
     pub name: String,
     pub at: PixelPoint,
-    /// By the list: it may be covered, or was never painted. Else somebody saw it.
+    /// By a list or an earlier run: it may be covered, never painted, or something else. Else somebody saw it.
     pub listed: bool,
 }
 
@@ -61,7 +61,7 @@ impl PositionArgs {
         let mut marks: Vec<Mark> = self.at.iter().enumerate().map(seen).collect();
         if let Some(path) = &self.result {
             let matches = matches_of(path)?;
-            marks.extend(matches.into_iter().map(|(name, at)| Mark { name, at, listed: false }));
+            marks.extend(matches.into_iter().map(|(name, at)| Mark { name, at, listed: true }));
         }
         let mut outside = Vec::new();
         if let Some(path) = &self.gcps {

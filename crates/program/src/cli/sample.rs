@@ -201,15 +201,19 @@ impl Args {
 /// within it; a car or a bush over the point is not.
 const LIKE_THE_OTHERS: f64 = 30.0;
 
-/// Leaves out listed marks that do not stand out, or have another colour than most: nobody saw them. What was pointed at
-/// stays, and fails loudly.
+/// Largest ratio of a listed mark's side and the median of all marks: of what runs on into a roof of its colour, the roof is no
+/// paint.
+const SIZE_LIKE_THE_OTHERS: f64 = 2.0;
+
+/// Leaves out listed marks that do not stand out, or have another colour or size than most: nobody saw them. What was pointed
+/// at stays, and fails loudly.
 fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
     let mut left_out = Vec::new();
     let mut kept = Vec::new();
     for (patch, mark) in marks {
         let alone = learn("alone", &[(patch.clone(), mark.at)]);
         let colour = match &alone {
-            Ok(profile) => profile.learned.as_ref().map(|l| lab_from_srgb(l.mean_srgb)),
+            Ok(profile) => profile.learned.as_ref().map(|l| (lab_from_srgb(l.mean_srgb), l.side_px_median)),
             Err(error) if mark.listed => {
                 let reason = error.to_string();
                 left_out.push(LeftOut { name: mark.name, reason });
@@ -219,18 +223,23 @@ fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
         };
         kept.push((patch, mark, colour));
     }
-    let middle = |axis: usize| median(kept.iter().filter_map(|(_, _, c)| c.map(|c| c[axis])).collect());
+    let middle = |axis: usize| median(kept.iter().filter_map(|(_, _, c)| c.map(|(c, _)| c[axis])).collect());
     // Of two marks neither is the odd one.
     if kept.iter().filter(|(_, _, c)| c.is_some()).count() >= 3 {
         let (a, b) = (middle(1), middle(2));
+        let side = median(kept.iter().filter_map(|(_, _, c)| c.map(|(_, side)| side)).collect());
         kept.retain(|(_, mark, colour)| {
-            let off = colour.map_or(0.0, |c| (c[1] - a).hypot(c[2] - b));
-            let odd = mark.listed && off > LIKE_THE_OTHERS;
-            if odd {
-                let reason = format!("the colour there is {off:.0} units of a*b* from that of the other marks");
-                left_out.push(LeftOut { name: mark.name.clone(), reason });
-            }
-            !odd
+            let Some((colour, own)) = colour.filter(|_| mark.listed) else { return true };
+            let off = (colour[1] - a).hypot(colour[2] - b);
+            let reason = if off > LIKE_THE_OTHERS {
+                format!("the colour there is {off:.0} units of a*b* from that of the other marks")
+            } else if own > SIZE_LIKE_THE_OTHERS * side || own * SIZE_LIKE_THE_OTHERS < side {
+                format!("what lies there is {own:.0} px wide, the other marks {side:.0} px")
+            } else {
+                return true;
+            };
+            left_out.push(LeftOut { name: mark.name.clone(), reason });
+            false
         });
     }
     (kept.into_iter().map(|(patch, mark, _)| (patch, mark.at)).collect(), left_out)
