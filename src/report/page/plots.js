@@ -199,15 +199,18 @@ const Draw = (() => {
     const list = points.map((p) => `${p.name} ${ground(p.residual_m)}`).join(", ");
     return figure("plot-heights", "Residuals of height", `Surveyed minus corrected model: ${list}.`,
       "Arrows up: the survey is above the corrected model. Arrows of one direction side by side show a tilt or a bend that the surface does not follow.", (box) => {
-      const range = (values) => {
-        const low = Math.min(...values), high = Math.max(...values), pad = Math.max((high - low) * 0.08, 1);
+      // Counted from a round place, so that ticks are short; above and below there is room for arrows.
+      const base = (key) => Math.floor(Math.min(...points.map((p) => p[key])) / 1000) * 1000;
+      const range = (key, share) => {
+        const values = points.map((p) => p[key] - base(key)), low = Math.min(...values), high = Math.max(...values), pad = Math.max((high - low) * share, 1);
         return [low - pad, high + pad];
       };
-      const a = axes(box, range(points.map((p) => p.easting)), range(points.map((p) => p.northing)), "easting, m", "northing, m");
+      const from = (key) => (base(key) ? `${key} − ${base(key)}, m` : `${key}, m`);
+      const a = axes(box, range("easting", 0.1), range("northing", 0.35), from("easting"), from("northing"));
       const longest = Math.max(...points.map((p) => Math.abs(p.residual_m)), 1e-6);
-      const unit = nice(longest), perMetre = 46 / longest, taken = [];
+      const unit = nice(longest), perMetre = 46 / longest, taken = [{ x: a.right - 70, y: a.top + 20, w: 80 }, { x: a.right - 70, y: a.top + 40, w: 80 }];
       for (const p of points) {
-        const x = a.x(p.easting), y = a.y(p.northing), tip = y - p.residual_m * perMetre, turn = p.residual_m < 0 ? -1 : 1;
+        const x = a.x(p.easting - base("easting")), y = a.y(p.northing - base("northing")), tip = y - p.residual_m * perMetre, turn = p.residual_m < 0 ? -1 : 1;
         const colour = p.check ? "#6a3fa0" : "#17713f";
         box.append(svg("circle", { cx: x, cy: y, r: 2.4, fill: colour }),
           svg("path", { d: `M${x} ${y} V${tip}`, stroke: colour, "stroke-width": 1.6, fill: "none" }));

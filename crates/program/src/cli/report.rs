@@ -17,6 +17,7 @@ use clap::Args;
 
 use crate::cli::progress::Bar;
 use crate::cli::residual_analysis;
+use crate::cli::summary::length;
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {
@@ -265,7 +266,7 @@ fn surface(model: HeightModel) -> &'static str {
 }
 
 fn accuracy_section(statement: &AccuracyStatement) -> Section {
-    let m = |value: f64| format!("{value:.3} m");
+    let m = length;
     let figures = &statement.figures;
     let mut rows: Vec<(String, String)> = Vec::new();
     let mut add = |name: &str, value: String| rows.push((name.into(), value));

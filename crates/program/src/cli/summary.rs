@@ -56,7 +56,7 @@ impl Lines {
 }
 
 /// Millimetres below a metre.
-fn length(metres: f64) -> String {
+pub(super) fn length(metres: f64) -> String {
     if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
 }
 
