@@ -112,9 +112,6 @@ fn cells(line: &str) -> Vec<String> {
             return line.split(divider).map(|cell| plain(&cell.replace(',', "."))).collect();
         }
     }
-    if line.matches(',').count() >= 2 && !line.contains(", ") && line.split_whitespace().count() == 1 {
-        return line.split(',').map(plain).collect();
-    }
     if line.contains(", ") || line.split_whitespace().count() < 3 {
         return line.split(',').map(plain).collect();
     }

@@ -1,4 +1,4 @@
-//! A profile taught by examples: marks that somebody points at.
+//! A profile taught by examples: marks that somebody points at or outlines, or the paint's colours alone.
 
 mod colours;
 mod example;

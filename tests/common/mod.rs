@@ -11,7 +11,8 @@ pub use skipped::skipped;
 
 use std::path::PathBuf;
 
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, PixelPoint};
+use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
 
@@ -34,6 +35,13 @@ pub fn data(relative: &str) -> Option<PathBuf> {
 /// Whether the checks that take minutes were asked for.
 pub fn large() -> bool {
     std::env::var_os("AUTOREF_LARGE").is_some()
+}
+
+/// An image of this ground sample distance, turned in any direction.
+pub fn turned(random: &mut Random, gsd_m: f64) -> Similarity {
+    let angle = random.uniform(-180.0, 180.0).to_radians();
+    let (a_re, a_im) = (gsd_m * angle.cos(), gsd_m * angle.sin());
+    Similarity { a_re, a_im, easting_0: 569_000.0, northing_0: 7_032_000.0, mirrored: Handedness::AsIs }
 }
 
 /// Trials of a test: `few` as a rule, `many` with AUTOREF_LARGE=1, AUTOREF_TRIALS of them when that is set too.

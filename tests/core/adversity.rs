@@ -3,8 +3,8 @@
 
 use std::time::Instant;
 
-use crate::common::{Random, bare_candidate};
-use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
+use crate::common::{Random, bare_candidate, turned};
+use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::{Pair, Similarity, solve};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
@@ -23,17 +23,6 @@ struct Case {
     priors: Priors,
     /// Error at a mark that is still right, pixels.
     allowed_px: f64,
-}
-
-fn truth(random: &mut Random) -> Similarity {
-    let angle = random.uniform(-180.0, 180.0).to_radians();
-    Similarity {
-        a_re: GSD * angle.cos(),
-        a_im: GSD * angle.sin(),
-        easting_0: 569_000.0,
-        northing_0: 7_032_000.0,
-        mirrored: Handedness::AsIs,
-    }
 }
 
 fn priors(share: f64) -> Priors {
@@ -73,7 +62,7 @@ struct Usual {
 }
 
 fn usual(random: &mut Random, marked: usize, unmarked: usize, clutter: usize) -> Usual {
-    let truth = truth(random);
+    let truth = turned(random, GSD);
     let points = anywhere(random, marked + unmarked);
     let listed = points.iter().map(|p| truth.apply(*p)).collect();
     Usual { truth, points, listed, marked, clutter: anywhere(random, clutter) }

@@ -1,8 +1,8 @@
 //! Names that coded targets bear: what they solve, and what they must not make anybody believe. No image and no decoder is
 //! needed; `AUTOREF_LARGE=1` runs many more trials (`AUTOREF_TRIALS` says another number).
 
-use crate::common::{Random, bare_candidate, trials};
-use autoref_raster::coords::{Handedness, PixelPoint};
+use crate::common::{Random, bare_candidate, trials, turned};
+use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_stream::candidate::{Candidate, Code};
 use autoref_stream::gcp::{Gcp, GcpRole};
@@ -10,17 +10,6 @@ use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher, Sol
 
 const SIZE: (f64, f64) = (8000.0, 6000.0);
 const GSD: f64 = 0.03;
-
-fn truth(random: &mut Random) -> Similarity {
-    let angle = random.uniform(-180.0, 180.0).to_radians();
-    Similarity {
-        a_re: GSD * angle.cos(),
-        a_im: GSD * angle.sin(),
-        easting_0: 569_000.0,
-        northing_0: 7_032_000.0,
-        mirrored: Handedness::AsIs,
-    }
-}
 
 /// A regular grid in the middle of the image.
 fn grid(columns: usize, rows: usize) -> Vec<PixelPoint> {
@@ -92,7 +81,7 @@ fn a_regular_grid_is_solved_by_its_names_and_refused_without() {
     for trial in 0..trials(2, 200) {
         for (columns, rows) in [(6, 6), (5, 4), (3, 4), (3, 3)] {
             let what = format!("trial {trial}, {columns} × {rows}");
-            let (truth, places) = (truth(&mut random), grid(columns, rows));
+            let (truth, places) = (turned(&mut random, GSD), grid(columns, rows));
             let gcps = list(&truth, &places);
             let mut named = marks(&mut random, &places, |i| Some(i as u32 + 1));
             named.extend(clutter(&mut random, 30));
@@ -110,7 +99,7 @@ fn a_regular_grid_is_solved_by_its_names_and_refused_without() {
 fn part_of_a_grid_is_enough() {
     let mut random = Random::new(8);
     for trial in 0..trials(2, 200) {
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let places: Vec<PixelPoint> = grid(6, 9).into_iter().map(|p| PixelPoint { x: p.x, y: p.y + 2000.0 }).collect();
         let seen: Vec<usize> =
             (0..places.len()).filter(|&i| places[i].y < SIZE.1 && random.uniform(0.0, 1.0) < 0.67).collect();
@@ -127,7 +116,7 @@ fn numbers_dealt_at_random_on_a_grid_are_not_believed() {
     let mut most = 0;
     for trial in 0..trials(3, 3000) {
         for (columns, rows) in [(6, 6), (3, 3), (2, 4), (3, 4), (8, 1)] {
-            let (truth, places) = (truth(&mut random), grid(columns, rows));
+            let (truth, places) = (turned(&mut random, GSD), grid(columns, rows));
             let dealt = random.order(places.len());
             let candidates = marks(&mut random, &places, |i| Some(dealt[i] as u32 + 1));
             if let MatchOutcome::Solved(solved) = find(&candidates, &list(&truth, &places)) {
@@ -147,7 +136,7 @@ fn foreign_numbers_do_not_spoil_an_irregular_list() {
     let mut solved = 0;
     let n = trials(10, 1000);
     for trial in 0..n {
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let places = anywhere(&mut random, 12);
         let dealt = random.order(places.len());
         let mut candidates = marks(&mut random, &places, |i| Some(dealt[i] as u32 + 1));
@@ -167,7 +156,7 @@ fn foreign_numbers_do_not_spoil_an_irregular_list() {
 fn a_few_wrong_numbers_are_borne() {
     let mut random = Random::new(13);
     for trial in 0..trials(5, 300) {
-        let (truth, places) = (truth(&mut random), grid(5, 4));
+        let (truth, places) = (turned(&mut random, GSD), grid(5, 4));
         let mut gcps = list(&truth, &places);
         let pick = random.order(places.len());
         let wrong = |i: usize| match i {
@@ -196,7 +185,7 @@ fn a_few_wrong_numbers_are_borne() {
 #[test]
 fn marks_of_check_points_are_kept_out() {
     let mut random = Random::new(17);
-    let (truth, places) = (truth(&mut random), grid(5, 4));
+    let (truth, places) = (turned(&mut random, GSD), grid(5, 4));
     let mut gcps = list(&truth, &places);
     for i in [3, 11, 16] {
         gcps[i].role = GcpRole::Check;
@@ -212,7 +201,7 @@ fn marks_of_check_points_are_kept_out() {
 fn codes_without_labels_are_as_free_as_paint() {
     let mut random = Random::new(19);
     for _ in 0..10 {
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let places = anywhere(&mut random, 9);
         let gcps = list(&truth, &places);
         let mut candidates = marks(&mut random, &places, |i| Some(500 + i as u32));

@@ -1,21 +1,13 @@
 //! Figures that repeat, in the list or in the image: nothing in the picture says which is which, so nothing may be claimed.
 
-use crate::common::{Random, bare_candidate};
-use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
-use autoref_solve::Similarity;
+use crate::common::{Random, bare_candidate, turned};
+use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
 use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Priors, RobustMatcher};
 
 const SIZE: (f64, f64) = (8000.0, 6000.0);
 const GSD: f64 = 0.03;
-
-/// An image of 240 × 180 m, turned at random; map coordinates of image positions.
-fn truth(random: &mut Random) -> Similarity {
-    let angle = random.uniform(-180.0, 180.0).to_radians();
-    let (a_re, a_im) = (GSD * angle.cos(), GSD * angle.sin());
-    Similarity { a_re, a_im, easting_0: 569_000.0, northing_0: 7_032_000.0, mirrored: Handedness::AsIs }
-}
 
 fn figure(random: &mut Random, points: usize) -> Vec<PixelPoint> {
     (0..points).map(|_| PixelPoint { x: random.uniform(800.0, 3200.0), y: random.uniform(800.0, 5200.0) }).collect()
@@ -57,7 +49,7 @@ fn repeats(what: &str, outcome: MatchOutcome) {
 fn a_figure_that_the_list_holds_twice() {
     let mut random = Random::new(41);
     for trial in 0..20 {
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let figure = figure(&mut random, 6);
         let placed: Vec<MapPoint> = figure.iter().map(|p| truth.apply(*p)).collect();
         // Far enough away that the image never shows both.
@@ -76,7 +68,7 @@ fn a_figure_that_the_list_holds_twice() {
 fn a_figure_that_the_image_shows_twice() {
     let mut random = Random::new(43);
     for trial in 0..20 {
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let figure = figure(&mut random, 7);
         let gcps = list(figure.iter().map(|p| truth.apply(*p)));
         let moved = figure.iter().map(|p| PixelPoint { x: p.x + 3600.0, y: p.y + 300.0 });
@@ -111,7 +103,7 @@ fn symmetric_layouts() {
         ("grid", grid),
     ] {
         for clutter in [0, 30] {
-            let truth = truth(&mut random);
+            let truth = turned(&mut random, GSD);
             let gcps = list(layout.iter().map(|p| truth.apply(*p)));
             let candidates = marks(&mut random, &layout, clutter);
             refused(&format!("{what} with {clutter} false"), find(&candidates, &gcps));
@@ -133,7 +125,7 @@ fn duplicates_are_no_evidence() {
     for trial in 0..trials {
         // Three points a centimetre to half a metre apart from themselves, and clutter in twos: no pattern.
         let by = [0.01, 0.03, 0.1, 0.5][trial % 4];
-        let truth = truth(&mut random);
+        let truth = turned(&mut random, GSD);
         let unrelated = figure(&mut random, 8);
         let gcps = doubled(&list(unrelated.iter().map(|p| truth.apply(*p))), by);
         let clutter: Vec<PixelPoint> = (0..60)

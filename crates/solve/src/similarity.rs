@@ -5,8 +5,8 @@
 //! gives a = Σ p·conj(z−z̄)·(w−w̄) / Σ p·|z−z̄|². This is the 2-D case of B. K. P. Horn, "Closed-form solution of absolute
 //! orientation using unit quaternions", 1987, and of S. Umeyama, "Least-squares estimation of transformation parameters
 //! between two point patterns", 1991 (eq. 34–43): in the plane, and with the scale that minimises the residuals on the map,
-//! they are the same. A mirrored image is turned over first: z = −x − i·y. Redundancy numbers and smallest detectable blunders follow W. Baarda, "A testing procedure for use in
-//! geodetic networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %).
+//! they are the same. A mirrored image is turned over first: z = −x − i·y. Redundancy numbers and smallest detectable
+//! blunders follow W. Baarda, "A testing procedure for use in geodetic networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %).
 
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use serde::{Deserialize, Serialize};

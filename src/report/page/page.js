@@ -57,10 +57,10 @@
     const placed = D.points.some((p) => p.state !== "unknown") || used > 0;
     add("Points found", placed ? `${used} of ${used + missing}` : "none", !placed ? `${D.points.length} listed` : `${D.points.length} listed, ${D.points.filter((p) => p.state === "outside").length} outside the image`);
     if (s) {
-      add("RMSE of the fit", `${ground(f.rmse)}`, `E ${ground(f.rmseE)}, N ${ground(f.rmseN)}; ${pixels(f.rmsePx)} px`);
-      if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? `${ground(state.chosen.rmse)}` : MODEL === "7-parameter" ? `${ground(D.chosen_model.rmse_m)}` : "–",
+      add("RMSE of the fit", ground(f.rmse), `E ${ground(f.rmseE)}, N ${ground(f.rmseN)}; ${pixels(f.rmsePx)} px`);
+      if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? ground(state.chosen.rmse) : MODEL === "7-parameter" ? ground(D.chosen_model.rmse_m) : "–",
         state.chosen ? `RMSE; similarity ${ground(s.rmse)}` : MODEL === "7-parameter" ? "RMSE in space, of the run" : `the points do not determine the ${MODEL} transform`);
-      if (state.checks) add("RMSE of check points", `${ground(state.checkRmse)}`, count(state.checks, "point kept out of the fit", "points kept out of the fit"));
+      if (state.checks) add("RMSE of check points", ground(state.checkRmse), count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
     }
     if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
@@ -101,7 +101,7 @@
   function furniture(box, s, f, u, W, H) {
     const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
     const length = nice(160 * u * scale);
-    box.append(bar(14 * u, H - 14 * u, length / scale, `${rounded(length)}`, u));
+    box.append(bar(14 * u, H - 14 * u, length / scale, rounded(length), u));
     const [x, y] = onImage(s, 0, 1, 1), l = Math.hypot(x, y), nx = x / l, ny = y / l, cx = W - 30 * u, cy = 36 * u, r = 20 * u;
     const tip = [cx + nx * r, cy + ny * r], side = [-ny * 6 * u, nx * 6 * u], foot = [cx - nx * r * 0.6, cy - ny * r * 0.6];
     box.append(svg("path", { d: `M${tip} L${foot[0] + side[0]} ${foot[1] + side[1]} L${cx - nx * r * 0.25} ${cy - ny * r * 0.25} L${foot[0] - side[0]} ${foot[1] - side[1]} Z`,
@@ -240,7 +240,7 @@
     byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${ground(low)} at best, ${ground(high)} in the worst corner. `
       + `It follows from the covariance of the fit with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${ground(radius.point(nearest / f))} to ${ground(radius.point(far / f))}.`
       + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well." : "");
-    replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, `${ground(low)}`, scaleBar, `${ground(high)}`), Draw.legendItem("found", "point of the fit")));
+    replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, ground(low), scaleBar, ground(high)), Draw.legendItem("found", "point of the fit")));
   }
 
   // ---- plots
@@ -403,7 +403,7 @@
     if (h && h.mark) add("Centre", `${h.mark.x.toFixed(2)}, ${h.mark.y.toFixed(2)} px`);
     if (h && h.mark && h.mark.covariance_px2) add("σ of the centre", `${Math.sqrt((h.mark.covariance_px2[0] + h.mark.covariance_px2[2]) / 2).toFixed(3)} px`);
     if (r) add("Residual", `E ${ground(r.e)}, N ${ground(r.n)}`);
-    if (r && r.leaveOneOut !== null) add("Left out", `${ground(r.leaveOneOut)}`);
+    if (r && r.leaveOneOut !== null) add("Left out", ground(r.leaveOneOut));
     if (state.fit) add("RMSE of the fit", `${ground(state.fit.rmse)}, ${count(state.control, "point", "points")}`);
     const button = (text, key, act, enabled, name) => {
       const b = html("button", { type: "button", "aria-label": name || text, "aria-keyshortcuts": key ? key.replace("⇧←", "Shift+ArrowLeft").replace("⇧→", "Shift+ArrowRight")

@@ -14,7 +14,7 @@ use autoref_stream::gcp::GcpOptions;
 use autoref_stream::matching::tpp::Anchors;
 use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::profile::{Profile, Rule};
+use autoref_stream::profile::{Profile, Rule, Size};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
@@ -328,6 +328,16 @@ pub enum MarkSize {
     Metres(f64, f64),
 }
 
+impl MarkSize {
+    /// The same as a profile has it.
+    pub fn of_profile(self) -> Size {
+        match self {
+            MarkSize::Pixels(low, high) => Size { min_px: Some(low), max_px: Some(high), min_m: None, max_m: None },
+            MarkSize::Metres(low, high) => Size { min_px: None, max_px: None, min_m: Some(low), max_m: Some(high) },
+        }
+    }
+}
+
 impl FromStr for MarkSize {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
@@ -402,16 +412,8 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
     let mut profile = Profile::load(&marks.profile)?;
-    match marks.mark_size {
-        Some(MarkSize::Pixels(low, high)) => {
-            (profile.size.min_px, profile.size.max_px) = (Some(low), Some(high));
-            (profile.size.min_m, profile.size.max_m) = (None, None);
-        }
-        Some(MarkSize::Metres(low, high)) => {
-            (profile.size.min_m, profile.size.max_m) = (Some(low), Some(high));
-            (profile.size.min_px, profile.size.max_px) = (None, None);
-        }
-        None => {}
+    if let Some(size) = marks.mark_size {
+        profile.size = size.of_profile();
     }
     if !marks.gate.is_empty() && profile.is_target() {
         bail!("--gate is of paint; `{}` is found by its shape", profile.name);
@@ -521,6 +523,11 @@ fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> Box<dy
         time_limit: time_limit.clone(),
         ..RobustMatcher::default()
     })
+}
+
+/// Text in a page or in an attribute of it.
+pub fn escaped_html(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".

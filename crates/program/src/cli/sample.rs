@@ -14,8 +14,8 @@ use autoref_stream::learn::{
     DEFAULT_REACH_PX, LearnOptions, Lesson, RoughRule, SampleStatistics, learn, learn_colours, learn_outlined,
     learn_with, read_colours,
 };
+use autoref_stream::profile::Profile;
 use autoref_stream::profile::colour::lab_from_srgb;
-use autoref_stream::profile::{Profile, Size};
 
 use super::common::{MarkSize, SampleArgs};
 use super::positions::{Mark, PositionArgs, patch_around};
@@ -148,11 +148,7 @@ impl Args {
     fn learn(&self) -> Result<Learnt> {
         let options = LearnOptions { rough_box: self.rough_box, density: self.density };
         if let Some(path) = &self.colours {
-            let size = match self.mark_size {
-                MarkSize::Pixels(low, high) => Size { min_px: Some(low), max_px: Some(high), min_m: None, max_m: None },
-                MarkSize::Metres(low, high) => Size { min_px: None, max_px: None, min_m: Some(low), max_m: Some(high) },
-            };
-            let lesson = learn_colours(&self.name, read_colours(path)?, size, &options);
+            let lesson = learn_colours(&self.name, read_colours(path)?, self.mark_size.of_profile(), &options);
             return Ok(lesson.with_context(|| path.display().to_string())?.into());
         }
         let image = self.image.as_deref().context("no image: name one, or give --colours FILE")?;

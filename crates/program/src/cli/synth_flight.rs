@@ -40,7 +40,7 @@ pub struct Args {
     /// Frames of a line.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=5000), help_heading = "Flight")]
     frames: u64,
-    /// From frame to frame. Default: 0.6 (upright) or 0.6 (oblique) of the flying height.
+    /// From frame to frame. Default: 0.6 of the flying height.
     #[arg(long, value_name = "M", value_parser = positive, help_heading = "Flight")]
     base: Option<f64>,
     /// From line to line. Default: the flying height.

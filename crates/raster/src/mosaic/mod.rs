@@ -192,19 +192,19 @@ impl Mosaic {
 
 /// All tiles of a folder, a list or a tile map.
 fn open_all(path: &Path) -> Result<Vec<Opened>> {
-    let described = if path.is_dir() { path.join(tile_map::NAME) } else { path.to_path_buf() };
-    if tile_map::is_tile_map(&described) {
-        let map = TileMap::read(&described)?;
+    let xml = if path.is_dir() { path.join(tile_map::NAME) } else { path.to_path_buf() };
+    if tile_map::is_tile_map(&xml) {
+        let map = TileMap::read(&xml)?;
         let crs_wkt = match map.crs.as_str() {
             "" => String::new(),
             definition => crate::crs::Crs::parse(definition)?.wkt().to_owned(),
         };
         let open = |(file, geotransform): (PathBuf, GeoTransform)| {
             let file = std::fs::canonicalize(&file).map_err(|e| Error::io(&file, "resolve", e))?;
-            let content = open_content(file)?;
-            Ok(Opened { geotransform, crs_wkt: crs_wkt.clone(), ..content })
+            let dataset = GdalName::new(&file, 0).open()?;
+            described(file, &dataset, geotransform, crs_wkt.clone())
         };
-        return map.tiles(&described)?.into_iter().map(open).collect();
+        return map.tiles(&xml)?.into_iter().map(open).collect();
     }
     let names = if path.is_dir() { in_folder(path)? } else { in_list(path)? };
     names.into_iter().map(open_tile).collect()
@@ -253,13 +253,12 @@ fn open_tile(path: PathBuf) -> Result<Opened> {
             "list the tiles in a text file, one a line",
         ));
     };
-    drop(dataset);
-    Ok(Opened { geotransform: GeoTransform(geotransform), ..open_content(path)? })
+    let crs_wkt = dataset.projection();
+    described(path, &dataset, GeoTransform(geotransform), crs_wkt)
 }
 
-/// A tile without its place.
-fn open_content(path: PathBuf) -> Result<Opened> {
-    let dataset = GdalName::new(&path, 0).open()?;
+/// A tile whose place is known.
+fn described(path: PathBuf, dataset: &::gdal::Dataset, geotransform: GeoTransform, crs_wkt: String) -> Result<Opened> {
     let (width, height) = dataset.raster_size();
     let mut bands = Vec::new();
     for number in 1..=dataset.raster_count() {
@@ -267,9 +266,8 @@ fn open_content(path: PathBuf) -> Result<Opened> {
         let nodata = band.no_data_value().map(|v| if v.is_nan() { "nan".into() } else { v.to_string() });
         bands.push(Band { kind: band.band_type().name(), colour: band.color_interpretation().name(), nodata });
     }
-    let crs_wkt = dataset.projection();
     let size = (width as u64, height as u64);
-    Ok(Opened { path, size, geotransform: GeoTransform([0.0; 6]), crs_wkt, bands })
+    Ok(Opened { path, size, geotransform, crs_wkt, bands })
 }
 
 /// Columns and rows from the first tile's corner to this one's.

@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
+use crate::cli::common::escaped_html as escaped;
+
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
     td:first-child,th:first-child{text-align:left}svg{background:#f6f6f4;display:block;margin:.5rem 0;max-width:100%;height:auto}\
@@ -14,10 +16,6 @@ const MAP_PX: f64 = 900.0;
 const TABLE: &str = "#7d3c98";
 const CONTROL: &str = "#1f618d";
 const CHECK: &str = "#c0392b";
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
 
 fn fixed(value: &Value, digits: usize) -> String {
     value.as_f64().map_or("–".into(), |v| format!("{v:.digits$}"))

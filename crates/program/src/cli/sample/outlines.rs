@@ -55,7 +55,7 @@ pub fn of_mask(image: &dyn RasterSource, mask: &dyn RasterSource) -> Result<Vec<
     }
     let outline = |(i, group): (usize, &Vec<Run>)| {
         let name = format!("{} of the mask", i + 1);
-        outlined(image, name, bounds(group)?, |window, own| set(window, own, group), |w, all_set| set(w, all_set, &all))
+        outlined(image, name, bounds(group), |window, own| set(window, own, group), |w, all_set| set(w, all_set, &all))
     };
     groups.iter().enumerate().map(outline).collect()
 }
@@ -129,11 +129,11 @@ fn connected(runs: &[Run]) -> Vec<Vec<Run>> {
     groups
 }
 
-fn bounds(group: &[Run]) -> Result<Window> {
+fn bounds(group: &[Run]) -> Window {
     let left = group.iter().map(|r| r.from).min().unwrap_or(0);
     let right = group.iter().map(|r| r.to).max().unwrap_or(0);
     let (top, bottom) = (group[0].y, group[group.len() - 1].y + 1);
-    Ok(Window::new(left, top, right - left, bottom - top))
+    Window::new(left, top, right - left, bottom - top)
 }
 
 /// Sets the pixels of runs (in order of their rows) that lie in the window.

@@ -5,6 +5,8 @@ use std::fmt::Write;
 use autoref_stream::learn::{ColourStatistics, Lesson, SampleStatistics};
 use autoref_stream::profile::colour::lab_from_srgb;
 
+use crate::cli::common::escaped_html as escaped;
+
 /// Dots of a scatter plot; of larger samples every n-th is drawn.
 const MOST_DOTS: usize = 1_500;
 const BARS: usize = 40;
@@ -43,107 +45,107 @@ pub fn page(lesson: &Lesson, statistics: Option<&SampleStatistics>) -> String {
          b* more, since the next mark lies in other light.</p>"
     );
     let lab: Vec<[f64; 3]> = lesson.paint.iter().map(|c| lab_from_srgb(*c).into()).collect();
-    section(&mut out, "RGB (sRGB, 0 to 1)", ["Red", "Green", "Blue"], &statistics.rgb, &lesson.paint, &lesson.paint);
-    section(&mut out, "L*a*b* (D65)", ["L*", "a*", "b*"], &statistics.lab, &lab, &lesson.paint);
+    for space in [
+        ColourSpace {
+            title: "RGB (sRGB, 0 to 1)",
+            channels: ["Red", "Green", "Blue"],
+            statistics: &statistics.rgb,
+            values: &lesson.paint,
+        },
+        ColourSpace { title: "L*a*b* (D65)", channels: ["L*", "a*", "b*"], statistics: &statistics.lab, values: &lab },
+    ] {
+        let _ = write!(out, "<section><h2>{}</h2>", space.title);
+        space.table(&mut out);
+        space.plots(&mut out, &lesson.paint);
+        out.push_str("</section>");
+    }
     out.push_str("</html>\n");
     out
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+/// The sample in one space.
+struct ColourSpace<'a> {
+    title: &'a str,
+    channels: [&'a str; 3],
+    statistics: &'a ColourStatistics,
+    values: &'a [[f64; 3]],
 }
 
-fn section(
-    out: &mut String,
-    title: &str,
-    channels: [&str; 3],
-    statistics: &ColourStatistics,
-    values: &[[f64; 3]],
-    srgb: &[[f64; 3]],
-) {
-    let _ = write!(out, "<section><h2>{title}</h2>");
-    table(out, channels, statistics);
-    plots(out, title, channels, statistics, values, srgb);
-    out.push_str("</section>");
-}
-
-fn table(out: &mut String, channels: [&str; 3], s: &ColourStatistics) {
-    let _ = write!(out, "<div class=\"wide\"><table><tr><th></th>");
-    for channel in channels {
-        let _ = write!(out, "<th>{channel}</th>");
-    }
-    out.push_str("</tr>");
-    let mut row = |label: &str, cells: [String; 3]| {
-        let cells = cells.map(|cell| format!("<td>{cell}</td>")).concat();
-        let _ = write!(out, "<tr><td>{label}</td>{cells}</tr>");
-    };
-    let four = |v: [f64; 3]| v.map(|v| format!("{v:.4}"));
-    row("Mean", four(s.mean));
-    row("Smallest", four(s.minimum));
-    row("Largest", four(s.maximum));
-    for (channel, line) in channels.iter().zip(s.covariance) {
-        row(&format!("Covariance with {channel}"), four(line));
-    }
-    for (channel, line) in channels.iter().zip(s.correlation) {
-        let cells = line.map(|v| v.map_or("–".to_string(), |v| format!("{v:.4}")));
-        row(&format!("Correlation with {channel}"), cells);
-    }
-    out.push_str("</table></div>");
-}
-
-/// Histograms on the diagonal, each pair of channels beside it.
-fn plots(
-    out: &mut String,
-    title: &str,
-    channels: [&str; 3],
-    s: &ColourStatistics,
-    values: &[[f64; 3]],
-    srgb: &[[f64; 3]],
-) {
-    let whole = 3.0 * (SIDE + GAP) + GAP;
-    let _ = write!(
-        out,
-        "<svg viewBox=\"0 0 {whole} {whole}\" width=\"{whole}\" role=\"img\" aria-label=\"Histograms and scatter plots of {title}\">"
-    );
-    let spread = |c: usize| (s.maximum[c] - s.minimum[c]).max(1e-9);
-    let along = |c: usize, v: f64| SIDE * (v - s.minimum[c]) / spread(c);
-    let step = values.len().div_ceil(MOST_DOTS);
-    for row in 0..3 {
-        for column in 0..3 {
-            let (left, top) = (GAP + column as f64 * (SIDE + GAP), GAP / 2.0 + row as f64 * (SIDE + GAP));
-            let _ = write!(out, "<g transform=\"translate({left:.0} {top:.0})\">");
-            let _ = write!(out, "<rect class=\"frame\" width=\"{SIDE}\" height=\"{SIDE}\"/>");
-            if row == column {
-                histogram(out, row, s, values);
-            } else {
-                for (value, colour) in values.iter().zip(srgb).step_by(step) {
-                    let [r, g, b] = colour.map(|v| (255.0 * v).round());
-                    let (x, y) = (along(column, value[column]), SIDE - along(row, value[row]));
-                    let _ = write!(
-                        out,
-                        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2\" fill=\"rgb({r},{g},{b})\" stroke=\"#555\" stroke-width=\".3\"/>"
-                    );
-                }
-            }
-            let _ = write!(
-                out,
-                "<text x=\"0\" y=\"{y}\">{:.3}</text><text x=\"{SIDE}\" y=\"{y}\" text-anchor=\"end\">{:.3}</text>\
-                 <text x=\"{}\" y=\"{y}\" text-anchor=\"middle\">{}</text>",
-                s.minimum[column],
-                s.maximum[column],
-                SIDE / 2.0,
-                channels[column],
-                y = SIDE + 13.0
-            );
-            let _ = write!(
-                out,
-                "<text transform=\"translate(-5 {}) rotate(-90)\" text-anchor=\"middle\">{}</text></g>",
-                SIDE / 2.0,
-                if row == column { "count" } else { channels[row] }
-            );
+impl ColourSpace<'_> {
+    fn table(&self, out: &mut String) {
+        let (channels, s) = (self.channels, self.statistics);
+        let _ = write!(out, "<div class=\"wide\"><table><tr><th></th>");
+        for channel in channels {
+            let _ = write!(out, "<th>{channel}</th>");
         }
+        out.push_str("</tr>");
+        let mut row = |label: &str, cells: [String; 3]| {
+            let cells = cells.map(|cell| format!("<td>{cell}</td>")).concat();
+            let _ = write!(out, "<tr><td>{label}</td>{cells}</tr>");
+        };
+        let four = |v: [f64; 3]| v.map(|v| format!("{v:.4}"));
+        row("Mean", four(s.mean));
+        row("Smallest", four(s.minimum));
+        row("Largest", four(s.maximum));
+        for (channel, line) in channels.iter().zip(s.covariance) {
+            row(&format!("Covariance with {channel}"), four(line));
+        }
+        for (channel, line) in channels.iter().zip(s.correlation) {
+            let cells = line.map(|v| v.map_or("–".to_string(), |v| format!("{v:.4}")));
+            row(&format!("Correlation with {channel}"), cells);
+        }
+        out.push_str("</table></div>");
     }
-    out.push_str("</svg>");
+
+    /// Histograms on the diagonal, each pair of channels beside it.
+    /// `srgb` are the colours of the values.
+    fn plots(&self, out: &mut String, srgb: &[[f64; 3]]) {
+        let ColourSpace { title, channels, statistics: s, values } = self;
+        let whole = 3.0 * (SIDE + GAP) + GAP;
+        let _ = write!(
+            out,
+            "<svg viewBox=\"0 0 {whole} {whole}\" width=\"{whole}\" role=\"img\" aria-label=\"Histograms and scatter plots of {title}\">"
+        );
+        let spread = |c: usize| (s.maximum[c] - s.minimum[c]).max(1e-9);
+        let along = |c: usize, v: f64| SIDE * (v - s.minimum[c]) / spread(c);
+        let step = values.len().div_ceil(MOST_DOTS);
+        for row in 0..3 {
+            for column in 0..3 {
+                let (left, top) = (GAP + column as f64 * (SIDE + GAP), GAP / 2.0 + row as f64 * (SIDE + GAP));
+                let _ = write!(out, "<g transform=\"translate({left:.0} {top:.0})\">");
+                let _ = write!(out, "<rect class=\"frame\" width=\"{SIDE}\" height=\"{SIDE}\"/>");
+                if row == column {
+                    histogram(out, row, s, values);
+                } else {
+                    for (value, colour) in values.iter().zip(srgb).step_by(step) {
+                        let [r, g, b] = colour.map(|v| (255.0 * v).round());
+                        let (x, y) = (along(column, value[column]), SIDE - along(row, value[row]));
+                        let _ = write!(
+                            out,
+                            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2\" fill=\"rgb({r},{g},{b})\" stroke=\"#555\" stroke-width=\".3\"/>"
+                        );
+                    }
+                }
+                let _ = write!(
+                    out,
+                    "<text x=\"0\" y=\"{y}\">{:.3}</text><text x=\"{SIDE}\" y=\"{y}\" text-anchor=\"end\">{:.3}</text>\
+                 <text x=\"{}\" y=\"{y}\" text-anchor=\"middle\">{}</text>",
+                    s.minimum[column],
+                    s.maximum[column],
+                    SIDE / 2.0,
+                    channels[column],
+                    y = SIDE + 13.0
+                );
+                let _ = write!(
+                    out,
+                    "<text transform=\"translate(-5 {}) rotate(-90)\" text-anchor=\"middle\">{}</text></g>",
+                    SIDE / 2.0,
+                    if row == column { "count" } else { channels[row] }
+                );
+            }
+        }
+        out.push_str("</svg>");
+    }
 }
 
 fn histogram(out: &mut String, channel: usize, s: &ColourStatistics, values: &[[f64; 3]]) {

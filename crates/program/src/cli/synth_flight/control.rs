@@ -1,6 +1,7 @@
 //! Points on the ground that several frames show.
 
 use anyhow::{Result, bail};
+use autoref_flight::ortho::{Place, View};
 use autoref_flight::render::FrameRenderer;
 use autoref_synth::rng::Rng;
 use nalgebra::Vector3;
@@ -67,13 +68,11 @@ pub fn draw(
 
 /// The pixel of a place, when the frame shows it and no ground stands before it.
 fn visible(frame: &FrameRenderer<'_>, place: [f64; 3]) -> Option<[f64; 2]> {
-    let pose = &frame.exposure.pose;
-    let at = pose.to_camera(&Vector3::from(place));
-    if at.z <= 0.0 || at.x.hypot(at.y) > frame.camera.reach() * at.z {
-        return None;
-    }
-    let pixel = frame.camera.project(at.into())?;
+    let pose = frame.exposure.pose;
+    let surface = &frame.landscape.surface;
+    let view =
+        View { camera: frame.camera, pose, eye: pose.centre.into(), surface, sag: 0.0, reach: frame.camera.reach() };
+    let Place::Pixel(pixel) = view.at(place[0], place[1], |h| Vector3::new(place[0], place[1], h)) else { return None };
     let margin = MARGIN * frame.camera.size_px[0].min(frame.camera.size_px[1]);
-    let inside = (0..2).all(|k| pixel[k] > margin && pixel[k] < frame.camera.size_px[k] - margin);
-    (inside && !frame.landscape.surface.hides(place, pose.centre.into(), 0.0)).then_some(pixel)
+    (0..2).all(|k| pixel[k] > margin && pixel[k] < frame.camera.size_px[k] - margin).then_some(pixel)
 }
