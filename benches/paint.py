@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Painted marks that the detector was not made with: any hue, real RAL values, shadow, wear, blur.
 
-    python3 benches/paint.py PROGRAM PHOTOGRAPHS… [--half tune|held-out|all] [--cells REGEX] [--marks N] [--jobs N] [--kind FACTORS]
+    python3 benches/paint.py PROGRAM PHOTOGRAPHS… [--half tune|held-out|all] [--cells REGEX] [--marks N] [--jobs N] [--advice]
 
 draws marks into photographs and runs `PROGRAM detect` on them (`--jobs N`: also N whole jobs of 20 points a cell), and prints a
 Markdown table: recall, RMSE per axis, share of candidates whose error is more than 5 of its stated deviations, false candidates
@@ -91,6 +91,20 @@ def circle():
         yield cell(f"hue {hue}°, s 0.7, v 0.8", of_hue(hue, 0.7, 0.8), sweep=True)
 
 
+def advice():
+    """What to paint on which ground, with a dark rim or without."""
+    grounds = {"asphalt": (88, 88, 90), "concrete": (198, 196, 188), "dry grass": (182, 166, 108), "red earth": (165, 88, 58),
+               "green grass": (76, 104, 50), "snow": (238, 241, 246)}
+    paints = {"orange": ORANGE, "pink": [(255, 20, 147)], "yellow": [(255, 220, 20)], "blue": RAL["RAL 5015"], "white": [(245, 245, 245)]}
+    for paint, colours in paints.items():
+        for ground, colour in grounds.items():
+            for rim in (0, 0.25, 0.5, 1):
+                yield cell(f"{paint} on {ground}, rim {rim}", colours, profile=paint, patch=colour, rim=rim)
+    for side in (6, 8, 10, 12, 16):
+        for disc in (False, True):
+            yield cell(f"{'disc' if disc else 'square'} of {side} px", side=side, disc=disc)
+
+
 def is_held_out(path):
     return hashlib.sha256(os.path.basename(path).encode()).digest()[0] % 2 == 1
 
@@ -128,8 +142,11 @@ def coverage(centre, side, angle, disc, size):
 
 def plant(picture, at, spec, random, disc):
     """Draws one mark with its centre near `at`; returns the true centre."""
+    disc = spec.get("disc", disc)
     side, blur = spec["side"], spec["blur"]
     around = max(60, int(4 * side)) if "shade" in spec or "half" in spec else int(side * 1.5 + 6 * blur + 12)
+    if "patch" in spec:
+        around = int(3 * side) + 8
     size = 2 * around
     x0, y0 = int(at[0]) - around, int(at[1]) - around
     ground = picture[y0 : y0 + size, x0 : x0 + size]
@@ -140,6 +157,16 @@ def plant(picture, at, spec, random, disc):
     cover = coverage(centre, side, angle, disc, size)
     paint = np.array(spec["paints"][random.integers(len(spec["paints"]))], np.float32)
     own = 1.0 - spec.get("worn", 0.0)
+    if "patch" in spec:
+        # Ground of this colour, uneven in brightness, around the mark; and a rim so many sides wide that is nearly black.
+        v, u = np.mgrid[0:size, 0:size] + 0.5
+        within = np.clip(around - 3 - np.hypot(u - centre[0], v - centre[1]), 0, 4)[..., None] / 4
+        uneven = cv2.GaussianBlur(random.normal(0, 1, (size, size)).astype(np.float32), (0, 0), 1.5)
+        own_ground = np.array(spec["patch"], np.float32) * (1 + 0.06 * uneven / uneven.std())[..., None]
+        ground = ground + within * (own_ground - ground)
+        if spec["rim"]:
+            dark = cv2.GaussianBlur(coverage(centre, side * (1 + 2 * spec["rim"]), angle, disc, size), (0, 0), blur)
+            ground = ground + dark[..., None] * (np.float32(28) - ground)
     drawn = ground + (own * cover)[..., None] * (paint - ground)
     if "half" in spec:
         # The border of a shadow goes through the mark, near its middle, any way round.
@@ -227,7 +254,7 @@ class Tally:
 
 def detection(program, paths, spec, marks, folder, seed):
     random = np.random.default_rng(seed)
-    tally, step = Tally(), max(90, int(5 * spec["side"]), 150 if "half" in spec or "shade" in spec else 0)
+    tally, step = Tally(), max(90, int(5 * spec["side"]), 150 if "half" in spec or "shade" in spec else 0, int(7 * spec["side"]) + 20 if "patch" in spec else 0)
     number, windows = 0, max(8, 2 * math.ceil(marks * step * step / CROP**2))
     for picture in crops(paths, random, windows):
         picture = picture.copy()
@@ -335,6 +362,7 @@ def main():
     ask.add_argument("--half", choices=["tune", "held-out", "all"], default="tune")
     ask.add_argument("--cells", default=".")
     ask.add_argument("--circle", action="store_true", help="hues over the whole circle instead of the cells of the table")
+    ask.add_argument("--advice", action="store_true", help="paints on grounds, with a dark rim and without, instead")
     ask.add_argument("--marks", type=int, default=300)
     ask.add_argument("--jobs", type=int, default=0, help="whole jobs a cell, without a profile named")
     ask.add_argument("--seed", type=int, default=22)
@@ -344,7 +372,7 @@ def main():
     args, more = ask.parse_known_args()
     paths = [p for p in sorted(args.photographs) if args.half == "all" or is_held_out(p) == (args.half == "held-out")]
     print(f"{args.half}: {', '.join(os.path.basename(p) for p in paths)}\n", flush=True)
-    chosen = [c for c in (circle() if args.circle else cells()) if re.search(args.cells, c["name"])]
+    chosen = [c for c in (advice() if args.advice else circle() if args.circle else cells()) if re.search(args.cells, c["name"])]
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         if args.marks:

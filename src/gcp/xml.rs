@@ -1,7 +1,8 @@
 //! GCPs in XML: the markers that Metashape exports, and MicMac's `DicoAppuisFlottant`.
 //!
 //! Sources: an export of Metashape (`document/chunk/markers/marker/reference`), and `include/XML_GEN/ParamChantierPhotogram.xml`
-//! of MicMac. In Metashape a marker that is switched off is a check point.
+//! of MicMac. In Metashape a marker that is switched off is a check point; where it was seen stands apart, in
+//! `frames/frame/markers/marker/location`, by the numbers of marker and camera.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -9,9 +10,10 @@ use std::path::Path;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
-use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::number;
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 
 /// The dialects of XML that are read here; all others are OGR's.
@@ -66,6 +68,7 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
     let mut elements: Vec<String> = Vec::new();
     let mut points: Vec<RawPoint> = Vec::new();
     let mut label: Option<String> = None;
+    let mut sightings = Sightings::default();
     let (mut crs, mut definition) = (CrsClaim::None, String::new());
     let mut without = 0;
     loop {
@@ -75,8 +78,10 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
             Event::Start(start) | Event::Empty(start) => {
                 let name = start.name().as_ref().to_string();
                 let parent = elements.last().map_or("", String::as_str);
+                sightings.take(start, &name, &elements);
                 if name == "marker" && parent == "markers" && !elements.iter().any(|e| e == "frame") {
                     label = attribute(start, "label");
+                    sightings.point = attribute(start, "id").map(|id| (id, points.len()));
                     without += usize::from(matches!(event, Event::Empty(_)) && label.is_some());
                 } else if name == "reference" && parent == "marker" {
                     let name = label.clone().unwrap_or_else(|| (points.len() + 1).to_string());
@@ -103,12 +108,59 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
             _ => {}
         }
     }
+    sightings.give(&mut points);
     let mut list = RawList::new(points, crs);
     if without > 0 {
         list.notes
             .push(format!("{}: {without} markers have no surveyed coordinates and were left out", path.display()));
     }
     Ok(list)
+}
+
+/// Where markers were seen, by the numbers that the document gives to cameras and markers.
+#[derive(Default)]
+struct Sightings {
+    /// Number and label of each camera.
+    cameras: Vec<(String, String)>,
+    /// The marker that is being read: its number, and its place among the points if it becomes one.
+    point: Option<(String, usize)>,
+    points: Vec<(String, usize)>,
+    /// The marker of the frame that is being read.
+    marker: Option<String>,
+    /// Numbers of marker and camera, place in the image.
+    locations: Vec<(String, String, PixelPoint)>,
+}
+
+impl Sightings {
+    fn take(&mut self, start: &BytesStart<'_>, name: &str, elements: &[String]) {
+        let parent = elements.last().map_or("", String::as_str);
+        match (name, parent) {
+            ("camera", "cameras" | "group") => {
+                self.cameras.extend(attribute(start, "id").zip(attribute(start, "label")));
+            }
+            ("reference", "marker") => self.points.extend(self.point.take()),
+            ("marker", "markers") => self.marker = attribute(start, "marker_id"),
+            ("location", "marker") => {
+                let at = |key| attribute(start, key).as_deref().and_then(number);
+                if let (Some(marker), Some(camera), Some(x), Some(y)) =
+                    (self.marker.clone(), attribute(start, "camera_id"), at("x"), at("y"))
+                {
+                    self.locations.push((marker, camera, PixelPoint { x, y }));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn give(self, points: &mut [RawPoint]) {
+        for (marker, camera, at) in self.locations {
+            let image = self.cameras.iter().find(|(id, _)| *id == camera).map(|(_, label)| label.clone());
+            let point = self.points.iter().find(|(id, _)| *id == marker);
+            if let Some(point) = point.and_then(|(_, index)| points.get_mut(*index)) {
+                point.pixels.push(Seen { image, at });
+            }
+        }
+    }
 }
 
 fn marker(path: &Path, place: &str, start: &BytesStart<'_>, name: String) -> Result<Option<RawPoint>> {

@@ -10,6 +10,7 @@
 
 pub mod candidate_list;
 pub mod dialects;
+pub mod exif;
 pub mod gcps_vrt;
 pub mod heights;
 pub mod sidecar;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::georef::dialects::{self, TiePoints};
-use crate::georef::{gcps_vrt, sidecar, tags, warp};
+use crate::georef::{exif, gcps_vrt, sidecar, tags, warp};
 use crate::result::RunResult;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::GeoTransform;
@@ -24,6 +24,7 @@ pub enum Output {
     Vrt,
     Tags,
     Warp,
+    Exif,
     Gcps,
     Points,
     GcpList,
@@ -36,12 +37,13 @@ pub enum Output {
 
 impl Output {
     /// All of them, in the order in which they are written.
-    pub const ALL: [Output; 13] = [
+    pub const ALL: [Output; 14] = [
         Output::World,
         Output::Aux,
         Output::Vrt,
         Output::Tags,
         Output::Warp,
+        Output::Exif,
         Output::Gcps,
         Output::Points,
         Output::GcpList,
@@ -60,6 +62,7 @@ impl Output {
             Output::Vrt => "vrt",
             Output::Tags => "tags",
             Output::Warp => "warp",
+            Output::Exif => "exif",
             Output::Gcps => "gcps",
             Output::Points => "points",
             Output::GcpList => "gcp-list",
@@ -79,6 +82,7 @@ impl Output {
             Output::Vrt => "GDAL virtual raster with transform and CRS",
             Output::Tags => "GeoTIFF tags in the image itself; `autoref-stream undo` takes them back",
             Output::Warp => "north-up Cloud Optimized GeoTIFF",
+            Output::Exif => "copy of a JPEG with place, direction and transform in its EXIF",
             Output::Gcps => "GDAL virtual raster with the tie points",
             Output::Points => "QGIS Georeferencer .points",
             Output::GcpList => "OpenDroneMap gcp_list.txt",
@@ -98,6 +102,7 @@ impl Output {
             Output::Vrt => vec![base.with_extension("vrt")],
             Output::Tags => Vec::new(),
             Output::Warp => vec![base.with_extension("warp.tif")],
+            Output::Exif => vec![base.with_extension("exif.jpg")],
             Output::Gcps => vec![base.with_extension("gcps.vrt")],
             _ => dialects::files(self, base),
         }
@@ -219,6 +224,9 @@ impl WriteRequest {
                 tags::check(&part.path, self.page, &self.tags)?;
             }
         }
+        if self.wants(Output::Exif) {
+            exif::check(&self.image)?;
+        }
         if self.wants(Output::Warp) {
             self.warp.check(&self.image, self.page)?;
         }
@@ -257,6 +265,11 @@ impl WriteRequest {
                 Output::Warp => transaction.stage(&files[0], |temporary| {
                     warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
+                Output::Exif => {
+                    let place = exif::Place::of(&transform, crs, result)?;
+                    transaction.stage(&files[0], |temporary| exif::write(&self.image, temporary, &place))?;
+                    warnings.extend(place.lost);
+                }
                 Output::Gcps => {
                     let points = TiePoints::of(result, &self.base, crs);
                     transaction

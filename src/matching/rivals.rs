@@ -8,12 +8,16 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
+use autoref_raster::random::mix;
 use autoref_solve::Similarity;
 
 /// Hypotheses that are refined for each of the two questions.
 const REFINED: usize = 12;
 /// Hypotheses about the pattern's own GCPs that are tried in any case; half as many as the search took when that is more.
 const FEWEST_TRIED: u64 = 200_000;
+/// Marks of the pattern at the two ends of a hypothesis of the first question. A rival that speaks against a pattern explains half
+/// of its marks at least; of so many, drawn at random, fewer than two are among these in one case of 600,000 (25 · 2⁻²⁴).
+const MOST_MARKS: usize = 24;
 
 impl Search<'_> {
     /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` and of the
@@ -27,7 +31,11 @@ impl Search<'_> {
 
     /// Other GCPs laid on the marks of the pattern.
     fn on_the_same_marks(&self, pattern: &Pattern, pairs: &[GcpPair]) -> (Vec<Pattern>, u64) {
-        let marks: Vec<usize> = pattern.pairs.iter().map(|pair| pair.0).collect();
+        let mut marks: Vec<usize> = pattern.pairs.iter().map(|pair| pair.0).collect();
+        if marks.len() > MOST_MARKS {
+            marks.sort_by_cached_key(|&mark| mix(mark as u64));
+            marks.truncate(MOST_MARKS);
+        }
         let found: Vec<_> = pairs.par_iter().map(|pair| (pair, self.try_pair_among(pair, &marks))).collect();
         self.refined(pattern, found.into_iter())
     }

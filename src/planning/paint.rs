@@ -26,6 +26,20 @@ pub struct PaintRank {
     pub margin_p0001: f64,
     pub margin_p01: f64,
     pub pixels: usize,
+    /// How wide a dark rim the marks need on this ground, in sides of the mark: 0 where the paint stands out by itself.
+    pub rim_sides: f64,
+}
+
+/// Ground of which so much would pass for the paint hides its marks (`docs/planning.md`).
+const HIDING_SHARE: f64 = 1e-3;
+
+/// The rim that a paint needs where so much of the ground would pass for it: half a side, of white a whole one.
+fn rim_sides(profile: &str, ground_share: f64) -> f64 {
+    match profile {
+        _ if ground_share < HIDING_SHARE => 0.0,
+        _ if profile.starts_with("white") => 1.0,
+        _ => 0.5,
+    }
 }
 
 /// Ranks the shipped paints on an image of the ground, the one that stands out most first. Looks at up to 64 windows of
@@ -58,9 +72,11 @@ fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
     distances.sort_by(f64::total_cmp);
     let paint = distances.partition_point(|&d| d <= 1.0);
     let quantile = |share: f64| distances.get((share * distances.len() as f64) as usize).copied().unwrap_or(0.0);
+    let ground_share = paint as f64 / distances.len().max(1) as f64;
     PaintRank {
         profile: name.into(),
-        ground_share: paint as f64 / distances.len().max(1) as f64,
+        ground_share,
+        rim_sides: rim_sides(name, ground_share),
         margin_p0001: quantile(1e-4),
         margin_p01: quantile(1e-2),
         pixels: distances.len(),
@@ -125,6 +141,7 @@ mod tests {
             let last = ranks.last().expect("several paints");
             assert!(worst.contains(&last.profile.as_str()), "{ranks:?}");
             assert!(ranks[0].margin_p0001 > last.margin_p0001 && ranks[0].ground_share == 0.0);
+            assert_eq!((ranks[0].rim_sides, last.rim_sides), (0.0, 0.5));
         }
     }
 }

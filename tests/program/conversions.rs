@@ -138,6 +138,16 @@ fn pixels_of_several_images_come_back() {
     let back = folder.path().join("back.txt");
     assert_eq!(to(&json, &back, ListFormat::Odm, None).lost, Vec::<String>::new());
     assert_eq!(std::fs::read_to_string(&back).expect("written"), text);
+    // Metashape's markers, from OpenDroneMap's list and from what was itself read from markers.
+    let (markers, again) = (folder.path().join("a.xml"), folder.path().join("again.xml"));
+    assert_eq!(to(&list, &markers, ListFormat::MetashapeXml, None).lost, Vec::<String>::new());
+    assert_eq!(to(&markers, &again, ListFormat::MetashapeXml, None).lost, Vec::<String>::new());
+    for xml in [&markers, &again] {
+        assert_eq!(to(xml, &back, ListFormat::Odm, None).lost, Vec::<String>::new());
+        assert_eq!(std::fs::read_to_string(&back).expect("written"), text);
+    }
+    let kof = to(&markers, &folder.path().join("a.kof"), ListFormat::Kof, None).lost;
+    assert!(kof.iter().any(|l| l == "pixels of 2 points"), "{kof:?}");
     let qgis = to(&list, &folder.path().join("a.points"), ListFormat::Qgis, None).lost;
     assert!(qgis.iter().any(|l| l == "pixels in further images of 1 points"), "{qgis:?}");
 }

@@ -210,3 +210,54 @@ fn tables_b12_to_b29_from_the_printed_points() {
         assert!((length(least.0) - least.1).abs() < 1e-6 && (length(most.0) - most.1).abs() < 1e-6, "B.{table}");
     }
 }
+
+/// The thesis's way of matching, its picture and its thresholds.
+#[test]
+fn patterns_are_shown_and_thresholds_tried() {
+    let Some(tables) = crate::common::data("thesis") else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let (candidates, gcps) = (text(&tables.join("b3_candidates.csv")), text(&tables.join("b1_lerkendal_gcps.csv")));
+    let picture = text(&folder.path().join("patterns.svg"));
+    let shown = document(&[
+        "patterns",
+        &candidates,
+        "--gcps",
+        &gcps,
+        "--gsd",
+        "0.032",
+        "--tpp-heights",
+        "-o",
+        &picture,
+        "--json",
+    ]);
+    assert_eq!((shown["status"].as_str(), shown["matched"].as_array().map(Vec::len)), (Some("solved"), Some(14)));
+    let agree = shown["anchors"]["others_that_agree"].as_u64().expect("a number");
+    let drawn = std::fs::read_to_string(&picture).expect("written");
+    // A cross for every other GCP and one in the key; a line for every pair that agrees.
+    assert_eq!(drawn.matches("stroke=\"#d55e00\"").count(), 20);
+    assert_eq!(drawn.matches("stroke=\"#000\"").count() as u64, agree);
+    let mut reader = quick_xml::Reader::from_str(&drawn);
+    while !matches!(reader.read_event().expect("well-formed"), quick_xml::events::Event::Eof) {}
+    let tried = document(&["patterns", &candidates, "--gcps", &gcps, "--thresholds", "--json"]);
+    let rows = tried["thresholds"].as_array().expect("a list");
+    assert_eq!(rows.len(), 36);
+    let of = |radius: f64, angle: f64| {
+        let row = rows.iter().find(|r| r["radius"] == radius && r["angle_rad"] == angle).expect("tried");
+        row["matched"].as_u64().expect("a number")
+    };
+    assert_eq!(of(0.05, 0.05), 14);
+    let refused = |more: &[&str], words: &[&str]| {
+        let all = [&["patterns", candidates.as_str(), "--gcps", gcps.as_str()], more].concat();
+        let output = program(&all);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.trim_end().lines().count() == 1 && words.iter().all(|w| said.contains(w)), "{said}");
+    };
+    refused(&["--tpp-heights"], &["--gsd"]);
+    refused(&["--tpp-anchor", "294"], &["b3_candidates.csv", "294"]);
+    refused(&["--tpp-radius", "0"], &["--tpp-radius", "positive"]);
+    refused(&["--max-false-alarms", "2"], &["--max-false-alarms"]);
+    refused(&["-o", &picture], &["patterns.svg", "--overwrite"]);
+    refused(&["-o", &gcps, "--overwrite"], &["b1_lerkendal_gcps.csv"]);
+}

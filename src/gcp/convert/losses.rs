@@ -26,9 +26,9 @@ struct Holds {
 }
 
 fn holds(format: ListFormat) -> Holds {
-    use ListFormat::{Csv, GeoJson, Gpx, Kof, MetashapeCsv, MicMac, Odm, Pix4d, Qgis};
+    use ListFormat::{Csv, GeoJson, Gpx, Kof, MetashapeCsv, MetashapeXml, MicMac, Odm, Pix4d, Qgis};
     let pixels = match format {
-        GeoJson | Odm => usize::MAX,
+        GeoJson | Odm | MetashapeXml => usize::MAX,
         Csv | Qgis => 1,
         _ => 0,
     };
@@ -39,7 +39,7 @@ fn holds(format: ListFormat) -> Holds {
         role: !matches!(format, Kof | Pix4d | MicMac | Gpx),
         crs: !matches!(format, Kof | Pix4d | MicMac),
         pixels,
-        image_name: matches!(format, GeoJson | Odm | Csv),
+        image_name: matches!(format, GeoJson | Odm | Csv | MetashapeXml),
         attributes: matches!(format, GeoJson | Csv),
     }
 }
@@ -66,6 +66,9 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
     say(holds.pixels > 0, "pixels", &|p| !p.pixels.is_empty());
     if format == ListFormat::Odm && survey.points.iter().any(|p| !p.pixels.is_empty()) {
         say(false, "the points without pixels:", &|p| p.pixels.is_empty());
+    }
+    if format == ListFormat::MetashapeXml {
+        say(false, "pixels in images without a name", &|p| p.pixels.iter().any(|s| s.image.is_none()));
     }
     if holds.pixels == 1 {
         say(false, "pixels in further images", &|p| p.pixels.len() > 1);

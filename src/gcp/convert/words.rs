@@ -230,9 +230,35 @@ fn metashape_csv(survey: &Survey) -> String {
 }
 
 fn metashape_xml(survey: &Survey) -> String {
-    let mut text = String::from(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"1.2.0\">\n  <chunk>\n    <markers>\n",
-    );
+    let mut text =
+        String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"1.2.0\">\n  <chunk>\n");
+    let mut cameras: Vec<&str> = Vec::new();
+    let mut locations = String::new();
+    for (id, point) in survey.points.iter().enumerate() {
+        let mut marker = String::new();
+        for seen in &point.pixels {
+            let Some(image) = seen.image.as_deref() else { continue };
+            let camera = cameras.iter().position(|name| *name == image).unwrap_or_else(|| {
+                cameras.push(image);
+                cameras.len() - 1
+            });
+            marker.push_str(&format!(
+                "            <location camera_id=\"{camera}\" pinned=\"true\" x=\"{}\" y=\"{}\"/>\n",
+                seen.at.x, seen.at.y
+            ));
+        }
+        if !marker.is_empty() {
+            locations.push_str(&format!("          <marker marker_id=\"{id}\">\n{marker}          </marker>\n"));
+        }
+    }
+    if !cameras.is_empty() {
+        text.push_str("    <cameras>\n");
+        for (id, name) in cameras.iter().enumerate() {
+            text.push_str(&format!("      <camera id=\"{id}\" label=\"{}\"/>\n", escape(*name)));
+        }
+        text.push_str("    </cameras>\n");
+    }
+    text.push_str("    <markers>\n");
     for (id, gcp) in survey.gcps().enumerate() {
         let height = gcp.height.map_or(String::new(), |z| format!(" z=\"{z}\""));
         let sigma = gcp.sigma_m.map_or(String::new(), |s| format!(" sx=\"{s}\" sy=\"{s}\""));
@@ -247,6 +273,11 @@ fn metashape_xml(survey: &Survey) -> String {
         ));
     }
     text.push_str("    </markers>\n");
+    if !locations.is_empty() {
+        text.push_str(&format!(
+            "    <frames>\n      <frame id=\"0\">\n        <markers>\n{locations}        </markers>\n      </frame>\n    </frames>\n"
+        ));
+    }
     if let Some(crs) = &survey.crs {
         text.push_str(&format!("    <reference>{}</reference>\n", partial_escape(crs.wkt())));
     }

@@ -20,16 +20,18 @@ pub struct Rebuilt {
 
 /// Sizes that differ between TIFF and BigTIFF.
 #[derive(Clone, Copy)]
-struct Shape {
+pub struct Shape {
     count_bytes: u64,
-    entry_bytes: u64,
+    pub entry_bytes: u64,
     offset_bytes: u64,
 }
 
 impl Shape {
+    pub const CLASSIC: Shape = Shape { count_bytes: 2, entry_bytes: 12, offset_bytes: 4 };
+    const BIG: Shape = Shape { count_bytes: 8, entry_bytes: 20, offset_bytes: 8 };
+
     fn of(big: bool) -> Self {
-        let (count_bytes, entry_bytes, offset_bytes) = if big { (8, 20, 8) } else { (2, 12, 4) };
-        Shape { count_bytes, entry_bytes, offset_bytes }
+        if big { Self::BIG } else { Self::CLASSIC }
     }
 
     fn directory_bytes(self, entries: usize) -> u64 {
@@ -51,7 +53,7 @@ pub fn rebuild(file: &Directories, index: usize, tags: &[GeoTag]) -> Result<Rebu
     while !in_one_sector(pointer_at(file, shape, first), shape.offset_bytes) {
         first -= 1;
     }
-    let mut out = Appender { order: file.order, shape, start: file.len, bytes: Vec::new() };
+    let mut out = Appender::new(file.order, shape, file.len);
     out.align();
     let geo: Vec<Vec<u8>> = tags.iter().map(|tag| out.entry(tag)).collect();
     let mut tables = Vec::new();
@@ -138,7 +140,7 @@ fn offset_bytes(order: ByteOrder, shape: Shape, value: u64) -> Vec<u8> {
 }
 
 /// The low `length` bytes of a number in a byte order.
-fn ordered(order: ByteOrder, value: u64, length: usize) -> Vec<u8> {
+pub fn ordered(order: ByteOrder, value: u64, length: usize) -> Vec<u8> {
     match order {
         ByteOrder::Little => value.to_le_bytes()[..length].to_vec(),
         ByteOrder::Big => value.to_be_bytes()[8 - length..].to_vec(),
@@ -146,31 +148,41 @@ fn ordered(order: ByteOrder, value: u64, length: usize) -> Vec<u8> {
 }
 
 /// Bytes that will lie behind the end of the file.
-struct Appender {
+pub struct Appender {
     order: ByteOrder,
     shape: Shape,
     start: u64,
-    bytes: Vec<u8>,
+    pub bytes: Vec<u8>,
 }
 
 impl Appender {
-    fn position(&self) -> u64 {
+    /// For a file that is `start` bytes long.
+    pub fn new(order: ByteOrder, shape: Shape, start: u64) -> Self {
+        Appender { order, shape, start, bytes: Vec::new() }
+    }
+
+    pub fn position(&self) -> u64 {
         self.start + self.bytes.len() as u64
     }
 
-    fn align(&mut self) {
+    pub fn align(&mut self) {
         while !self.position().is_multiple_of(8) {
             self.bytes.push(0);
         }
     }
 
     /// The entry of a tag; values that do not fit into it are appended.
-    fn entry(&mut self, tag: &GeoTag) -> Vec<u8> {
+    pub fn entry(&mut self, tag: &GeoTag) -> Vec<u8> {
         let number = |value: u64, length| ordered(self.order, value, length);
         let (kind, count, mut raw): (u64, usize, Vec<u8>) = match &tag.values {
             Values::Shorts(values) => (3, values.len(), values.iter().flat_map(|&v| number(u64::from(v), 2)).collect()),
             Values::Doubles(values) => (12, values.len(), values.iter().flat_map(|v| number(v.to_bits(), 8)).collect()),
             Values::Ascii(values) => (2, values.len(), values.clone()),
+            Values::Bytes(values) => (1, values.len(), values.clone()),
+            Values::Longs(values) => (4, values.len(), values.iter().flat_map(|&v| number(u64::from(v), 4)).collect()),
+            Values::Rationals(values) => {
+                (5, values.len(), values.as_flattened().iter().flat_map(|&v| number(u64::from(v), 4)).collect())
+            }
         };
         let offset_bytes = self.shape.offset_bytes as usize;
         let mut entry = number(u64::from(tag.tag), 2);
@@ -187,7 +199,8 @@ impl Appender {
         entry
     }
 
-    fn directory(&mut self, entries: &[(u16, Vec<u8>)], next: u64) {
+    /// A directory of these entries, in order of their tags, with the position of the one after it (0: none).
+    pub fn directory(&mut self, entries: &[(u16, Vec<u8>)], next: u64) {
         let count = ordered(self.order, entries.len() as u64, self.shape.count_bytes as usize);
         self.bytes.extend(count);
         for (_, entry) in entries {

@@ -43,6 +43,10 @@ pub enum Values {
     Shorts(Vec<u16>),
     Doubles(Vec<f64>),
     Ascii(Vec<u8>),
+    Bytes(Vec<u8>),
+    Longs(Vec<u32>),
+    /// Numerators and denominators.
+    Rationals(Vec<[u32; 2]>),
 }
 
 /// A tag to be written.

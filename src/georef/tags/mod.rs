@@ -5,11 +5,11 @@
 //! they are.
 
 mod cog;
-mod directory;
+pub(super) mod directory;
 #[cfg(test)]
 mod faults;
 mod journal;
-mod keys;
+pub(super) mod keys;
 pub mod store;
 
 use std::fs::{File, OpenOptions};

@@ -11,14 +11,14 @@ use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::GcpOptions;
-use autoref_stream::matching::tpp::Anchors;
-use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit, TppMatcher};
+use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::{Profile, Rule, Size};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
 use crate::cli::frame::{self, FrameArgs};
+use crate::cli::patterns::PatternArgs;
 
 /// How the image is read and with what means.
 #[derive(Args, Debug)]
@@ -132,27 +132,8 @@ pub struct MatchArgs {
     /// How the pattern is found: `robust` from pairs; `tpp`, the topological point patterns of the 2016 thesis.
     #[arg(long, value_enum, default_value = "robust", help_heading = "Matching")]
     pub matcher: MatcherArg,
-    /// With --matcher tpp: largest difference of radii, in units of the distance to the nearest neighbour.
-    #[arg(long, value_name = "R", default_value_t = 0.05, help_heading = "Matching")]
-    pub tpp_radius: f64,
-    /// With --matcher tpp: largest difference of angles, in radians.
-    #[arg(long, value_name = "RAD", default_value_t = 0.05, help_heading = "Matching")]
-    pub tpp_angle: f64,
-    /// With --matcher tpp: fewest matched points of a proposal.
-    #[arg(long, value_name = "N", default_value_t = 5, help_heading = "Matching")]
-    pub tpp_minimum: usize,
-    /// With --matcher tpp: one anchor, the candidate of this number in the list (from 0), instead of all.
-    #[arg(long, value_name = "N", help_heading = "Matching")]
-    pub tpp_anchor: Option<usize>,
-    /// With --matcher tpp: leave out image points farther from their anchor than any GCP from its own.
-    #[arg(long, help_heading = "Matching")]
-    pub tpp_image_limit: bool,
-    /// With --matcher tpp: leave out GCPs farther from their anchor than any image point from its own.
-    #[arg(long, help_heading = "Matching")]
-    pub tpp_gcp_limit: bool,
-    /// With --matcher tpp: leave out points farther from the anchor than this, in units of the distance to its neighbour.
-    #[arg(long, value_name = "R", help_heading = "Matching")]
-    pub tpp_distance: Option<f64>,
+    #[command(flatten)]
+    pub patterns: PatternArgs,
     /// Nothing is written when chance alone would produce more patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
@@ -497,32 +478,24 @@ pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> an
         bail!("--north-up takes degrees from 0 to 180");
     }
     if matching.allow_mirrored {
-        let within = one_way(matching, 2 * tries, time_limit);
+        let within = one_way(matching, 2 * tries, time_limit)?;
         return Ok(Box::new(MirrorMatcher { within }));
     }
-    Ok(one_way(matching, tries, time_limit))
+    one_way(matching, tries, time_limit)
 }
 
 /// The matcher of images that are not mirrored.
-fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> Box<dyn Matcher> {
+fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
     if matching.matcher == MatcherArg::Tpp {
-        return Box::new(TppMatcher {
-            radius_threshold: matching.tpp_radius,
-            angle_threshold: matching.tpp_angle,
-            minimum_matches: matching.tpp_minimum,
-            anchors: matching.tpp_anchor.map_or(Anchors::All, Anchors::One),
-            image_limit: matching.tpp_image_limit,
-            gcp_limit: matching.tpp_gcp_limit,
-            max_distance: matching.tpp_distance.unwrap_or(f64::INFINITY),
-            max_false_alarms: matching.max_false_alarms / tries as f64,
-        });
+        let max_false_alarms = matching.max_false_alarms / tries as f64;
+        return Ok(Box::new(matching.patterns.matcher(matching.gsd, max_false_alarms)?));
     }
-    Box::new(RobustMatcher {
+    Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
         tries: tries as f64,
         time_limit: time_limit.clone(),
         ..RobustMatcher::default()
-    })
+    }))
 }
 
 /// Text in a page or in an attribute of it.

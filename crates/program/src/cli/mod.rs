@@ -26,6 +26,7 @@ pub mod gcps;
 pub mod inputs;
 pub mod mask;
 pub mod mosaic;
+pub mod patterns;
 pub mod plan;
 pub mod positions;
 mod progress;
@@ -101,6 +102,7 @@ pub enum Command {
     Cloud(cloud::CloudArgs),
     Gcps(gcps::GcpsArgs),
     CompareSolvers(Box<compare_solvers::CompareArgs>),
+    Patterns(patterns::Args),
 }
 
 pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
@@ -127,6 +129,7 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
         Some(Command::Cloud(args)) => cloud::run(&args),
         Some(Command::Gcps(args)) => gcps::run(&args).map(|()| ExitCode::SUCCESS),
         Some(Command::CompareSolvers(args)) => compare_solvers::run(&args),
+        Some(Command::Patterns(args)) => patterns::run(&args),
         None => run::run(&cli.run),
     }
 }

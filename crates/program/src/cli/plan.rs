@@ -144,7 +144,8 @@ fn words(plan: &Plan, paints: &[PaintRank], notes: &[String]) -> String {
         line(
             "Marks",
             format!(
-                "at least {:.2} m ({} px) wide at {:.3} m per pixel, {:.2} m ({} px) to be on the safe side",
+                "at least {:.2} m ({} px) wide at {:.3} m per pixel, {:.2} m ({} px) to be on the safe side; square or round \
+                 makes no difference",
                 mark.smallest_m,
                 planning::SMALLEST_MARK_PX,
                 mark.gsd_m,
@@ -168,7 +169,22 @@ fn words(plan: &Plan, paints: &[PaintRank], notes: &[String]) -> String {
             );
         }
     }
-    for paint in paints {
+    paint_words(paints, &mut line);
+    for note in notes {
+        line("Note", note.clone());
+    }
+    for advice in &plan.advice {
+        line("Advice", advice.clone());
+    }
+    out
+}
+
+/// So many paints are told one by one.
+const TOLD_PAINTS: usize = 6;
+
+/// The paints that stand out most, and those that would need a rim.
+fn paint_words(paints: &[PaintRank], line: &mut impl FnMut(&str, String)) {
+    for paint in paints.iter().filter(|paint| paint.rim_sides == 0.0).take(TOLD_PAINTS) {
         line(
             "Paint",
             format!(
@@ -179,11 +195,15 @@ fn words(plan: &Plan, paints: &[PaintRank], notes: &[String]) -> String {
             ),
         );
     }
-    for note in notes {
-        line("Note", note.clone());
+    for (rim, width) in [(0.5, "half as wide as the mark"), (1.0, "as wide as the mark")] {
+        let like = |p: &&PaintRank| p.rim_sides == rim;
+        let names: Vec<String> = paints
+            .iter()
+            .filter(like)
+            .map(|p| format!("{} ({:.1} % of the ground)", p.profile, 100.0 * p.ground_share))
+            .collect();
+        if !names.is_empty() {
+            line("Paint", format!("only with a dark rim {width} all around: {}", names.join(", ")));
+        }
     }
-    for advice in &plan.advice {
-        line("Advice", advice.clone());
-    }
-    out
 }
