@@ -76,7 +76,7 @@ fn planted_targets_are_found_and_centred() {
 fn ordinary_ground_gives_few_targets() {
     for cover in ["photos/construction_caliterra.jpg", "photos/river_town_oam.tif", "photos/forest_agung.jpg"] {
         let Some(picture) = photo(cover) else { return };
-        let source = memory(&middle(&picture, if crate::common::large() { 1500 } else { 750 }));
+        let source = memory(&middle(&picture, if crate::common::large() { 1500 } else { 500 }));
         let megapixels = source.info().pixels() as f64 / 1e6;
         for profile in ["black-white-checker", "black-white-hourglass", "black-white-cross"] {
             let rate = find(&source, &builtin(profile), 1024, 2).len() as f64 / megapixels;

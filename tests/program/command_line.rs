@@ -72,3 +72,38 @@ fn every_command_speaks_json() {
     let applied = json(&["apply", &path("a.autoref.json"), "--write", "csv", "--json"]);
     assert_eq!(applied["files_written"].as_array().map(Vec::len), Some(1));
 }
+
+/// Those without a document of their own name the files; with --quiet nothing is said, and errors all the same.
+#[test]
+fn every_command_names_its_files_and_can_be_quiet() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("plain").to_string();
+    let film = path("film");
+    let made =
+        stdout(&autoref(&["synth-film", &film, "--camera", "svalbard-zeiss-1936", "--pixel-um", "120", "--json"]));
+    let made: serde_json::Value = serde_json::from_str(&made).expect("one document");
+    let mut named: Vec<&str> =
+        made["files_written"].as_array().expect("a list").iter().filter_map(|f| f.as_str()).collect();
+    let mut there: Vec<String> = std::fs::read_dir(&film)
+        .expect("made")
+        .map(|e| e.expect("readable").path().to_string_lossy().into_owned())
+        .collect();
+    named.sort_unstable();
+    there.sort_unstable();
+    assert_eq!(named, there);
+    let again = ["synth-film", film.as_str(), "--camera", "svalbard-zeiss-1936", "--pixel-um", "120"];
+    let quiet = autoref(&[&again[..], &["--overwrite", "--quiet"]].concat());
+    assert!(quiet.status.success() && quiet.stdout.is_empty() && quiet.stderr.is_empty());
+    let refused = autoref(&[&again[..], &["--quiet"]].concat());
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(refused.stdout.is_empty() && !refused.stderr.is_empty());
+    let refused = autoref(&[&again[..], &["--json"]].concat());
+    let error: serde_json::Value = serde_json::from_slice(&refused.stdout).expect("one document");
+    assert!(error["error"]["message"].as_str().is_some_and(|m| m.contains("--overwrite")), "{error}");
+    // A text that was asked for is no mere word.
+    let colours = path("colours.csv");
+    let rows: Vec<String> = (0..60).map(|i| format!("{},{},{}", 250 - i % 5, 100 + i % 7, 10 + i % 11)).collect();
+    std::fs::write(&colours, rows.join("\n")).expect("writable");
+    let toml = autoref(&["sample", "--colours", &colours, "--quiet"]);
+    assert!(stdout(&toml).contains("[colour]") && toml.stderr.is_empty(), "{toml:?}");
+}

@@ -885,6 +885,6 @@ fn orthophotos_of_neighbours_agree() {
         "odm",
         ["100_0005_0018.tif", "100_0005_0136.tif"],
         "dsm.tif",
-        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.3"],
+        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.6"],
     );
 }

@@ -311,7 +311,8 @@ fn too_little_memory_is_refused_with_numbers() {
 fn memory_stays_within_the_smallest_budget() {
     for layout in [FileLayout::Tiles(512), FileLayout::Strips(16)] {
         let sample = Sample::new(|spec| {
-            spec.size_px = Some((9000, 6000));
+            // More bytes than the budget.
+            spec.size_px = Some((7200, 5600));
             spec.gsd_m = 0.01;
             spec.output.layout = layout;
         });

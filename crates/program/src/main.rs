@@ -2,14 +2,15 @@
 
 use std::process::ExitCode;
 
-use clap::{ArgMatches, CommandFactory, FromArgMatches};
+use clap::{ArgMatches, FromArgMatches};
 
 #[macro_use]
 mod out;
 mod cli;
 
 fn main() -> ExitCode {
-    let matches = cli::Cli::command().get_matches_from(cli::joined(std::env::args_os()));
+    let matches = cli::everywhere::command().get_matches_from(cli::joined(std::env::args_os()));
+    let files_as_json = cli::everywhere::mute(&matches);
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let times = cli::init_log(&cli);
     let profile_json = cli.profile_json.clone();
@@ -21,6 +22,9 @@ fn main() -> ExitCode {
             if let (Some(times), Some(path)) = (&times, &profile_json) {
                 times.write(path)?;
             }
+            if files_as_json {
+                out::product(&cli::everywhere::files_written());
+            }
             Ok(code)
         });
     for line in times.iter().flat_map(cli::stage_times::StageTimes::lines) {
@@ -28,17 +32,17 @@ fn main() -> ExitCode {
     }
     let code = result.unwrap_or_else(|error| {
         let line = one_line(&error);
-        eprintln!("autoref-stream: {line}");
-        if asks_for_json(&matches) {
+        out::error_line(&format!("autoref-stream: {line}"));
+        if files_as_json || asks_for_json(&matches) {
             let document = cli::errors::document(&error, &line);
-            println!("{}", serde_json::to_string_pretty(&document).expect("plain data"));
+            out::product(&format!("{}\n", serde_json::to_string_pretty(&document).expect("plain data")));
         }
         ExitCode::from(2)
     });
     match out::fault() {
         None => code,
         Some(fault) => {
-            eprintln!("autoref-stream: standard output: cannot write: {fault}");
+            out::error_line(&format!("autoref-stream: standard output: cannot write: {fault}"));
             ExitCode::from(2)
         }
     }

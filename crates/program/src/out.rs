@@ -2,18 +2,50 @@
 //! is an error in the end, and neither is a panic. The macros stand before those of the standard library.
 
 use std::io::{ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
+
+/// Words for people are left out, on standard output and on standard error.
+static MUTE: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
+
+/// Which stream says nothing more of its own accord.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stream {
+    Output,
+    Errors,
+}
+
+/// Leaves out what the macros print there; [`product`] and [`error_line`] are not left out.
+pub fn mute(stream: Stream) {
+    MUTE[stream as usize].store(true, Ordering::Relaxed);
+}
+
+/// What the command was asked for, whatever else is left out.
+pub fn product(text: &str) {
+    keep(std::io::stdout().write_all(text.as_bytes()));
+}
+
+/// Why the command failed.
+pub fn error_line(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
 
 /// Why standard output could not be written, when that is a fault.
 static FAULT: Mutex<Option<String>> = Mutex::new(None);
 
 /// Writes to standard output; see [`fault`].
 pub fn write(text: std::fmt::Arguments<'_>) {
+    if MUTE[0].load(Ordering::Relaxed) {
+        return;
+    }
     keep(std::io::stdout().write_fmt(text));
 }
 
 /// Writes to standard error; when that is gone there is nobody to tell.
 pub fn write_err(text: std::fmt::Arguments<'_>) {
+    if MUTE[1].load(Ordering::Relaxed) {
+        return;
+    }
     let _ = std::io::stderr().write_fmt(text);
 }
 

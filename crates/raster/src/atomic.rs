@@ -2,9 +2,25 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use crate::error::{Error, Result};
 use crate::protected::refuse_input;
+
+/// What this process has put in place, in that order.
+static COMPLETED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn complete(path: &Path) {
+    let mut all = COMPLETED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !all.iter().any(|other| other == path) {
+        all.push(path.to_owned());
+    }
+}
+
+/// Every file that this process has put in place, each once, in the order in which they first appeared.
+pub fn completed() -> Vec<PathBuf> {
+    COMPLETED.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
 
 /// Writes `content` under a temporary name beside `path`, brings it to disk, and renames it. A device, FIFO or socket is
 /// written into: a rename would replace it.
@@ -37,6 +53,8 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     if result.is_err() {
         // It may not exist; the first error is the one to report.
         let _ = std::fs::remove_file(&temporary);
+    } else {
+        complete(path);
     }
     result
 }
@@ -202,6 +220,7 @@ impl Transaction {
             }
         }
         for staged in self.staged.drain(..) {
+            complete(&staged.target);
             if let Some(backup) = &staged.backup {
                 // A leftover second name harms nobody; the output itself is good.
                 let _ = std::fs::remove_file(backup);

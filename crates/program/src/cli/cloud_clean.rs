@@ -8,7 +8,7 @@ use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
 use autoref_cloud::crop::{Crop, Polygon};
 use autoref_cloud::{io, isolated, page, params, smrf};
 use autoref_raster::atomic::{self, Existing, Transaction};
-use clap::{Args, CommandFactory};
+use clap::Args;
 use gdal::vector::{Geometry, LayerAccess};
 use serde_json::{Value, json};
 
@@ -96,7 +96,7 @@ impl CleanArgs {
     /// Names and values of the steps in the order of the command line.
     fn in_order(&self) -> Vec<(&'static str, String)> {
         // The parser has the places of the values; the derived struct does not.
-        let matches = super::Cli::command().get_matches();
+        let matches = super::everywhere::command().get_matches();
         let clean = matches.subcommand_matches("cloud").and_then(|cloud| cloud.subcommand_matches("clean"));
         let lists: [(&'static str, &[String]); 8] = [
             ("z", &self.z),

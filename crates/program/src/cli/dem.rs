@@ -588,7 +588,7 @@ fn line(args: &ProfileArgs) -> anyhow::Result<()> {
     }
     match &args.out {
         Some(out) => atomic::write(out, text.as_bytes())?,
-        None => print!("{text}"),
+        None => crate::out::product(&text),
     }
     Ok(())
 }

@@ -375,7 +375,7 @@ fn finish(document: &serde_json::Value, output: Option<&Path>, print: bool) -> R
         autoref_raster::atomic::write(path, text.as_bytes())?;
     }
     if print {
-        print!("{text}");
+        crate::out::product(&text);
     } else if let Some(path) = output {
         println!("{}", json!({"written": path.display().to_string()}));
     }

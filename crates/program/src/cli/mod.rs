@@ -17,6 +17,7 @@ pub mod detect;
 pub mod diagnosis;
 pub mod distance;
 pub mod errors;
+pub mod everywhere;
 pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;

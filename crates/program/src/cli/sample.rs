@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> Result<()> {
     let files: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;
     if args.output.is_none() && !args.json {
-        print!("{toml}");
+        crate::out::product(&toml);
     }
     if args.json {
         let document = serde_json::json!({

@@ -3,9 +3,9 @@
 use std::io::Write;
 
 use anyhow::{Context, bail};
-use clap::{Args, CommandFactory};
+use clap::Args;
 
-use crate::cli::Cli;
+use crate::cli::everywhere;
 
 /// Print the completion script of a shell: bash, zsh, fish, elvish or powershell.
 #[derive(Args, Debug)]
@@ -16,7 +16,7 @@ pub struct CompletionsArgs {
 
 pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "autoref-stream", &mut script);
+    clap_complete::generate(args.shell, &mut everywhere::command(), "autoref-stream", &mut script);
     crate::out::keep(std::io::stdout().write_all(&script));
     Ok(())
 }
@@ -29,7 +29,7 @@ pub struct ManArgs {
 }
 
 pub fn man(args: &ManArgs) -> anyhow::Result<()> {
-    let mut program = Cli::command();
+    let mut program = everywhere::command();
     program.build();
     let (page, title) = match &args.command {
         None => (program, "autoref-stream".to_string()),
