@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Painted marks that the detector was not made with: any hue, real RAL values, shadow, wear, blur.
 
-    python3 benches/paint.py PROGRAM PHOTOGRAPHS… [--half tune|held-out|all] [--cells REGEX] [--marks N] [--jobs N] [--advice]
+    python3 benches/paint.py PROGRAM PHOTOGRAPHS… [--half tune|held-out|all] [--cells REGEX] [--marks N] [--jobs N] [--advice] [--nothing N]
 
 draws marks into photographs and runs `PROGRAM detect` on them (`--jobs N`: also N whole jobs of 20 points a cell), and prints a
 Markdown table: recall, RMSE per axis, share of candidates whose error is more than 5 of its stated deviations, false candidates
@@ -345,6 +345,43 @@ def whole_jobs(program, paths, spec, jobs, folder, seed, more):
     return f"| {spec['name']} | {jobs} | {solved} | {matched} of {20 * jobs} | {wrong} | {off} | {again} | {seconds / max(1, jobs):.2f} |"
 
 
+def nothing_there(program, paths, count, folder, seed, more):
+    """Lists of 20 points that have nothing to do with the picture: bare photographs, and photographs with 20 marks of a random hue."""
+    random = np.random.default_rng(seed)
+    outcomes = {}
+    for number, picture in enumerate(crops(paths, random, 2 * count, side=1100)):
+        kind = ("bare", "other marks")[number // count]
+        picture = picture.copy()
+        h, w = picture.shape[:2]
+        if kind == "other marks":
+            spec = cell("", of_hue(random.uniform(0, 360), random.uniform(0.6, 1), random.uniform(0.7, 1)), side=random.uniform(8, 20))
+            for _ in range(20):
+                plant(picture, random.uniform([80, 80], [w - 80, h - 80]), spec, random, disc=number % 2 == 1)
+        path = os.path.join(folder, "nothing.png")
+        cv2.imwrite(path, np.clip(np.round(picture), 0, 255).astype(np.uint8)[:, :, ::-1])
+        listed = os.path.join(folder, "nothing.csv")
+        with open(listed, "w") as out:
+            out.write("name,easting,northing\n")
+            for k in range(20):
+                e, n = random.uniform([600000, 6700000], [600000 + 0.06 * w, 6700000 + 0.06 * h])
+                out.write(f"P{k},{e:.3f},{n:.3f}\n")
+        known = ["--gsd", "0.05"] if number % 3 else []
+        run = subprocess.run([program, path, "--gcps", listed, "--crs", "EPSG:32632", "--json", "--quiet", "--overwrite", "--no-report",
+                              "--threads", "1", *known, *more], capture_output=True, text=True)
+        if run.returncode not in (0, 1):
+            sys.exit(run.stderr)
+        result = json.loads(run.stdout)
+        tally = outcomes.setdefault(kind, [0, 0, 0.0, 0.0])
+        tally[0] += 1
+        tally[1] += result["status"] == "solved"
+        tally[2] += result["elapsed_s"]
+        tally[3] = max(tally[3], result["elapsed_s"])
+        if result["status"] == "solved":
+            print(f"<!-- accepted: {kind} {number}, 10^{result['log10_false_alarms']:.1f} -->", flush=True)
+    for kind, (runs, accepted, seconds, longest) in outcomes.items():
+        print(f"{kind}: {accepted} of {runs} accepted; {seconds / runs:.2f} s a run, at most {longest:.1f} s", flush=True)
+
+
 def reliability(ratios):
     lines = ["", "| stated deviation px | candidates | share within 1 | within 2 | within 3 | beyond 5 |", "|---|---|---|---|---|---|"]
     ratios = np.array(ratios).reshape(-1, 2)
@@ -365,6 +402,7 @@ def main():
     ask.add_argument("--advice", action="store_true", help="paints on grounds, with a dark rim and without, instead")
     ask.add_argument("--marks", type=int, default=300)
     ask.add_argument("--jobs", type=int, default=0, help="whole jobs a cell, without a profile named")
+    ask.add_argument("--nothing", type=int, default=0, help="so many bare photographs and as many with other marks, with lists of elsewhere")
     ask.add_argument("--seed", type=int, default=22)
     ask.add_argument("--profile", help="this one instead of the cell's")
     ask.add_argument("--bare", default="", help="profiles to count false candidates of, on the bare photographs")
@@ -387,6 +425,8 @@ def main():
         for profile in filter(None, args.bare.split(",")):
             number, megapixels = bare(args.program, paths, profile, folder)
             print(f"bare photographs, {profile}: {number} false candidates in {megapixels:.1f} Mpx = {number / megapixels:.3f} per Mpx", flush=True)
+        if args.nothing:
+            nothing_there(args.program, paths, args.nothing, folder, args.seed, more)
         if args.jobs:
             print("\n| whole jobs | jobs | solved | matched | wrong georeferences | more than 1 px and 5 deviations off, not flagged | looked again | s a job |\n|---|---|---|---|---|---|---|---|")
             for k, spec in enumerate(c for c in chosen if args.circle or c.get("sweep") or c["profile"] == "orange"):

@@ -10,16 +10,26 @@ use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
+/// What is known of the outer edges of two rasters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Edges {
+    /// Nothing.
+    Unknown,
+    /// They coincide.
+    Coincide,
+}
+
 /// The result as it would be, had it been solved on `other`: transform, size, and the pixels of the matches.
 ///
 /// Which pixel of `other` is which of the image is known in one of three ways, in this order:
 /// both had a georeference of their own in the same system before (photogrammetry in local coordinates or by the drone's
-/// GNSS); both have the same number of pixels; or `same_extent` says that their outer edges coincide.
+/// GNSS); both have the same number of pixels; or `edges` says that they coincide.
 ///
 /// # Errors
 /// [`Error::Usage`] when none of these holds, or when what `other` has may be our own output; [`Error::Gdal`] when it cannot
 /// be opened.
-pub fn carry(result: &RunResult, other: &Path, same_extent: bool) -> Result<RunResult> {
+pub fn carry(result: &RunResult, other: &Path, edges: Edges) -> Result<RunResult> {
+    let same_extent = edges == Edges::Coincide;
     let mut carried = result.clone();
     let solved =
         carried.solved_mut().ok_or_else(|| Error::usage("the result holds no georeference", "it was not solved"))?;

@@ -9,7 +9,7 @@ use crate::detector::Detector;
 use crate::gcp::Gcp;
 use crate::pipeline::georeference::FoundBy;
 use crate::report::chips::{Spot, cut};
-use crate::report::jpeg::data_uri;
+use crate::report::jpeg::{Colours, data_uri};
 use crate::report::kept_pixels::KeptPixels;
 use crate::report::overview::Overview;
 use crate::result::{MatchRow, RunResult};
@@ -120,7 +120,7 @@ pub fn gather(
     }
     let Plan { points, candidates, spots, .. } = plan;
     let (overview_uri, chips) = rayon::join(
-        || data_uri(&picture, 72, false),
+        || data_uri(&picture, 72, Colours::Half),
         || -> Result<Vec<ChipData>> {
             use rayon::prelude::*;
             let chips = cut(source, detector, stretch, kept, &spots)?;
@@ -129,7 +129,7 @@ pub fn gather(
                 .map(|chip| {
                     let round = |v: f64| (v * 100.0).round() / 100.0;
                     let outline = chip.outline.map(|o| o.iter().map(|p| [round(p.x), round(p.y)]).collect());
-                    let src = data_uri(&chip.picture, 85, true)?;
+                    let src = data_uri(&chip.picture, 85, Colours::Full)?;
                     Ok(ChipData { left: chip.left, top: chip.top, side_px: chip.side_px, src, outline })
                 })
                 .collect()

@@ -160,13 +160,13 @@ fn one_kind(path: &Path, transform: &GeoTransform, crs: &Crs, point: bool) {
     let other = GeoTransform([1.0, 0.5, 0.0, 2.0, 0.0, -0.5]);
     write_tags(path, 0, &other, None, TagOptions::default());
     gdal_sees(path, &other, None);
-    assert!(tags::undo(path, true).expect("undoable").more_below);
+    assert!(tags::undo(path, tags::Undo::DryRun).expect("undoable").more_below);
     assert_eq!(bytes(path).len(), tags_len(path), "a dry run changes nothing");
-    assert!(tags::undo(path, false).expect("undone").more_below);
+    assert!(tags::undo(path, tags::Undo::Now).expect("undone").more_below);
     assert!(bytes(path) == after, "the first undo leads to the first tags");
-    assert!(!tags::undo(path, false).expect("undone").more_below);
+    assert!(!tags::undo(path, tags::Undo::Now).expect("undone").more_below);
     assert!(bytes(path) == before, "the second undo leads to the file as it was");
-    let message = tags::undo(path, false).expect_err("nothing left").to_string();
+    let message = tags::undo(path, tags::Undo::Now).expect_err("nothing left").to_string();
     assert!(message.contains("nothing to undo") && !message.contains('\n'), "{message}");
 }
 
@@ -210,7 +210,7 @@ fn what_another_program_has_changed_is_not_undone() {
     };
     let refused = |what: &str| {
         let before = bytes(&path);
-        let message = tags::undo(&path, false).expect_err(what).to_string();
+        let message = tags::undo(&path, tags::Undo::Now).expect_err(what).to_string();
         assert!(message.contains("another program has changed"), "{what}: {message}");
         assert!(before == bytes(&path), "{what}: a refused undo touched the file");
     };
@@ -231,7 +231,7 @@ fn what_another_program_has_changed_is_not_undone() {
         let at = from_end.map_or(5000, |d| all.len() - d);
         all[at] ^= 0x10;
         std::fs::write(&path, &all).expect("writable");
-        let message = tags::undo(&path, false).expect_err("a changed byte").to_string();
+        let message = tags::undo(&path, tags::Undo::Now).expect_err("a changed byte").to_string();
         assert!(!message.contains('\n'), "{message}");
         assert!(all == bytes(&path));
     }
@@ -268,7 +268,7 @@ fn a_later_page_takes_tags_and_the_others_stay() {
                 }
                 assert_eq!(dataset.raster_size(), SIZE);
             }
-            tags::undo(&path, false).expect("undone");
+            tags::undo(&path, tags::Undo::Now).expect("undone");
             assert!(bytes(&path) == before);
         }
     }
@@ -292,7 +292,7 @@ fn a_cog_is_refused_unless_it_may_be_broken() {
     write_tags(&cog, 0, &TURNED, None, TagOptions { break_cog: true });
     assert!(contains(&bytes(&cog), b"KNOWN_INCOMPATIBLE_EDITION=YES\n"), "its header must not claim what is not so");
     gdal_sees(&cog, &TURNED, None);
-    tags::undo(&cog, false).expect("undone");
+    tags::undo(&cog, tags::Undo::Now).expect("undone");
     assert!(before == bytes(&cog));
 }
 
@@ -306,10 +306,10 @@ fn two_runs_do_not_write_at_once() {
     let path = folder.path().join("a.tif");
     sample(&path, &[], false, |_| {});
     let (edit, _) = tags::prepare(&path, 0, &TURNED, None, &TagOptions::default()).expect("it takes tags");
-    let message = tags::undo(&path, false).expect_err("locked").to_string();
+    let message = tags::undo(&path, tags::Undo::Now).expect_err("locked").to_string();
     assert!(message.contains("another run"), "{message}");
     drop(edit);
-    let message = tags::undo(&path, false).expect_err("nothing was written").to_string();
+    let message = tags::undo(&path, tags::Undo::Now).expect_err("nothing was written").to_string();
     assert!(message.contains("nothing to undo"), "{message}");
 }
 
@@ -402,7 +402,7 @@ fn a_huge_file_takes_tags_in_no_time() {
     };
     let tagged = cut(16, length - 16);
     let started = Instant::now();
-    tags::undo(&path, false).expect("undone");
+    tags::undo(&path, tags::Undo::Now).expect("undone");
     let undone = started.elapsed();
     eprintln!("undo: {:.1} ms", undone.as_secs_f64() * 1e3);
     assert_eq!(tagged, cut(16, length - 16), "a byte behind the header changed");

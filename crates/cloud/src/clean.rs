@@ -263,7 +263,10 @@ fn run_step(
         Step::Radius { radius_m, least } => outliers::radius(tiles, *radius_m, *least, kept, number)?,
         Step::Low { cell_m, gap_m } => elm::low_points(tiles, *cell_m, *gap_m, plan.working_bytes(), number)?,
         Step::Isolated(options) => isolated::find(tiles, options, kept, number)?,
-        Step::Ground(options) => smrf::ground(tiles, options, plan.working_bytes(), number, plan.drop_objects)?,
+        Step::Ground(options) => {
+            let objects = if plan.drop_objects { smrf::Objects::Go } else { smrf::Objects::Stay };
+            smrf::ground(tiles, options, plan.working_bytes(), number, objects)?
+        }
     };
     let is_ground = matches!(step, Step::Ground(_));
     let drops = if is_ground { plan.drop_objects } else { plan.drop_noise };

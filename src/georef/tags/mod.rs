@@ -110,16 +110,23 @@ impl Edit for TagEdit {
     }
 }
 
-/// Takes back the last edit, byte for byte. With `dry_run` it is only checked that it could be.
+/// Whether an edit is taken back, or only asked whether it could be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Undo {
+    Now,
+    DryRun,
+}
+
+/// Takes back the last edit, byte for byte.
 ///
 /// # Errors
 /// [`Error::Usage`] when the file holds no undo record, or another program has changed it since; [`Error::Io`].
-pub fn undo(image: &Path, dry_run: bool) -> Result<Undone> {
+pub fn undo(image: &Path, how: Undo) -> Result<Undone> {
     let mut file = open_for_writing(image)?;
     let record = journal::read(image, &file)?;
     let io = |e| Error::io(image, "restore", e);
     let more_below = journal::has_record(&file, record.old_length).map_err(io)?;
-    if !dry_run {
+    if how == Undo::Now {
         journal::undo(&mut file, &record).map_err(io)?;
     }
     Ok(Undone { length_bytes: record.old_length, program: record.program, more_below })

@@ -191,12 +191,20 @@ pub fn provisional_terrain(mut lowest: Surface, options: &Options) -> Surface {
     lowest
 }
 
-/// Classifies all active points as ground (2) or not (1). Answers how many are not ground. `drop_objects` takes these from
-/// the steps that follow.
+/// What becomes of points that are not ground.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Objects {
+    /// The steps that follow see them.
+    Stay,
+    /// They do not.
+    Go,
+}
+
+/// Classifies all active points as ground (2) or not (1). Answers how many are not ground.
 ///
 /// # Errors
 /// When the surface does not fit into `budget_bytes`, and those of the scratch disk.
-pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, drop_objects: bool) -> Result<u64> {
+pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, objects: Objects) -> Result<u64> {
     let mut min = [f64::INFINITY; 2];
     let mut max = [f64::NEG_INFINITY; 2];
     each_active(tiles, |xyz| {
@@ -233,19 +241,19 @@ pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, dro
     let surface = provisional_terrain(Surface { columns: frame.columns, rows: frame.rows, values }, options);
     let slopes = Spline::new(surface.slope(options.cell_m));
     let terrain = Terrain { frame, heights: Spline::new(surface), slopes, options: *options };
-    let mut objects = 0;
+    let mut count = 0;
     tiles.update(|_, points| {
-        objects += points
+        count += points
             .par_iter_mut()
             .filter(|point| point.is_active())
             .map(|point| {
                 let is_ground = terrain.is_ground(point.xyz);
                 let class = if is_ground { GROUND } else { OBJECT };
-                point.classify(class, step, !is_ground && drop_objects);
+                point.classify(class, step, !is_ground && objects == Objects::Go);
                 u64::from(!is_ground)
             })
             .sum::<u64>();
         Ok(true)
     })?;
-    Ok(objects)
+    Ok(count)
 }

@@ -6,7 +6,7 @@ use anyhow::bail;
 use autoref_raster as raster;
 use autoref_raster::atomic::Transaction;
 use autoref_raster::memory_plan;
-use autoref_stream::georef::transfer;
+use autoref_stream::georef::transfer::{self, Edges};
 use autoref_stream::georef::write::Output;
 use autoref_stream::result::RunResult;
 use clap::Args;
@@ -52,10 +52,11 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     if let Some(refused) = result.refused() {
         bail!("{}: there is no georeference to apply: {}", args.result.display(), refused.reason);
     }
+    let edges = if args.same_extent { Edges::Coincide } else { Edges::Unknown };
     let (image, result, page) = match &args.to {
         // From lists alone: whatever raster is named is the image.
         Some(other) if result.image.is_none() && !args.same_extent => (other.clone(), result, args.page.unwrap_or(0)),
-        Some(other) => (other.clone(), transfer::carry(&result, other, args.same_extent)?, args.page.unwrap_or(0)),
+        Some(other) => (other.clone(), transfer::carry(&result, other, edges)?, args.page.unwrap_or(0)),
         None => {
             let solved = result.options.get("page").and_then(serde_json::Value::as_u64).unwrap_or(0);
             let page = args.page.unwrap_or(solved as usize);

@@ -147,8 +147,8 @@ pub struct SynthArgs {
     /// Replace existing outputs.
     #[arg(long, help_heading = "File")]
     pub overwrite: bool,
-    /// No progress bar.
-    #[arg(long, help_heading = "File")]
+    /// Print nothing but errors.
+    #[arg(long, help_heading = "Messages")]
     pub quiet: bool,
     /// Print what was written as one JSON document on standard output.
     #[arg(long, help_heading = "Messages")]
@@ -248,6 +248,9 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
             "false_objects": truth.clutter.len(),
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
+    if args.quiet {
         return Ok(());
     }
     println!(

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use autoref_stream::georef::tags;
+use autoref_stream::georef::tags::{self, Undo};
 use clap::Args;
 
 /// Take back the tags that `--write tags` put into an image, byte for byte.
@@ -26,10 +26,11 @@ pub struct UndoArgs {
 }
 
 pub fn run(args: &UndoArgs) -> anyhow::Result<()> {
+    let how = if args.dry_run { Undo::DryRun } else { Undo::Now };
     let mut rows = Vec::new();
     for file in &args.files {
         loop {
-            let undone = tags::undo(file, args.dry_run)?;
+            let undone = tags::undo(file, how)?;
             let more = args.all && undone.more_below && !args.dry_run;
             if !args.quiet && !args.json {
                 let verb = if args.dry_run { "would be" } else { "is" };

@@ -386,7 +386,7 @@ impl TiffDecoder {
     }
 
     pub(super) fn row_u16(&self, raw: &[u8], row: &mut [u16]) {
-        predictor::words(raw, row, self.order == ByteOrder::Big);
+        predictor::words(raw, row, self.order);
         if self.layout.predictor {
             predictor::undo_u16(self.kernel, row, self.layout.block_samples());
         }

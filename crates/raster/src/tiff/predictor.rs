@@ -5,6 +5,8 @@
 //! 29(12), 1986).
 #![allow(unsafe_code)]
 
+use super::container::ByteOrder;
+
 /// Which kernel to take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
@@ -63,11 +65,11 @@ fn scalar<T: Copy>(row: &mut [T], stride: usize, done: usize, add: impl Fn(T, T)
 }
 
 /// 16-bit samples from the file's bytes, in this machine's order.
-pub fn words(bytes: &[u8], out: &mut [u16], big_endian: bool) {
+pub fn words(bytes: &[u8], out: &mut [u16], order: ByteOrder) {
     let pairs = out.iter_mut().zip(bytes.as_chunks::<2>().0);
-    match big_endian {
-        true => pairs.for_each(|(word, &pair)| *word = u16::from_be_bytes(pair)),
-        false => pairs.for_each(|(word, &pair)| *word = u16::from_le_bytes(pair)),
+    match order {
+        ByteOrder::Big => pairs.for_each(|(word, &pair)| *word = u16::from_be_bytes(pair)),
+        ByteOrder::Little => pairs.for_each(|(word, &pair)| *word = u16::from_le_bytes(pair)),
     }
 }
 
@@ -194,9 +196,9 @@ mod tests {
     #[test]
     fn byte_order_is_that_of_the_file() {
         let mut out = [0; 2];
-        words(&[1, 2, 3, 4], &mut out, true);
+        words(&[1, 2, 3, 4], &mut out, ByteOrder::Big);
         assert_eq!(out, [0x0102, 0x0304]);
-        words(&[1, 2, 3, 4], &mut out, false);
+        words(&[1, 2, 3, 4], &mut out, ByteOrder::Little);
         assert_eq!(out, [0x0201, 0x0403]);
     }
 }
