@@ -147,10 +147,10 @@ fn a_frame_unlike_its_roll_is_doubtful_and_says_why() {
     let folder = tempfile::tempdir().expect("a folder");
     let (scans, out) = (folder.path().join("scans"), folder.path().join("out"));
     let camera = "svalbard-zeiss-1936";
-    draw(&scans, camera, &["--pixel-um", "40", "--frames", "7"]);
-    draw(&scans, camera, &["--pixel-um", "41", "--seed", "8"]);
-    draw(&scans, camera, &["--pixel-um", "40", "--seed", "9", "--mirrored"]);
-    draw(&scans, camera, &["--pixel-um", "40", "--seed", "10", "--quarters", "2"]);
+    draw(&scans, camera, &["--pixel-um", "60", "--frames", "7"]);
+    draw(&scans, camera, &["--pixel-um", "61.5", "--seed", "8"]);
+    draw(&scans, camera, &["--pixel-um", "60", "--seed", "9", "--mirrored"]);
+    draw(&scans, camera, &["--pixel-um", "60", "--seed", "10", "--quarters", "2"]);
     let text = said(&examine(std::slice::from_ref(&scans), &out, camera, &[]).code(1));
     assert!(text.contains("10 frames: 7 OK, 3 doubtful, 0 failed"), "{text}");
     for (k, why) in
