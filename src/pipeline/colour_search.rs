@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::matching::MatchOutcome;
 use crate::pipeline::georeference::{Job, Outcome, Run, find, orient_again};
-use crate::pipeline::second_pass::{strongest, taught};
+use crate::pipeline::second_pass::{keep_strongest, strongest, taught};
 use crate::pipeline::{MarkDetector, ScanOutcome, scan};
 use crate::profile::Profile;
 use crate::profile::colour::lab_from_srgb;
@@ -79,15 +79,16 @@ pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSea
     let mut search = ColourSearch { objects: seen.candidates.len(), clusters: Vec::new(), elapsed_s: 0.0 };
     let mut solved = None;
     for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
-        let candidates: Vec<Candidate> = members.iter().map(|&i| seen.candidates[i].clone()).collect();
+        let mut candidates: Vec<Candidate> = members.iter().map(|&i| seen.candidates[i].clone()).collect();
         let colour = median_colour(&candidates);
+        keep_strongest(&mut candidates, job.gcps.len());
         let [r, g, b] = colour;
         let outcome = oriented(job, &candidates, colour)?;
         let matched = match &outcome {
             Some(Outcome::Solved(orientation)) => orientation.marks.len() + orientation.check_marks.len(),
             _ => 0,
         };
-        let (objects, adopted) = (candidates.len(), matched > 0);
+        let (objects, adopted) = (members.len(), matched > 0);
         search.clusters.push(ColourCluster { colour: format!("#{r:02X}{g:02X}{b:02X}"), objects, matched, adopted });
         if let Some(outcome) = outcome.filter(|_| adopted) {
             solved = Some(Run {

@@ -99,6 +99,14 @@ pub struct Orientation {
 /// When the raster cannot be read. Not to find a solution is an [`Outcome`], not an error.
 pub fn georeference(job: &Job<'_>) -> Result<Run> {
     let scan = scan(job.source, job.plan, job.detector, job.progress)?;
+    match_and_orient(job, scan)
+}
+
+/// The second half: the pattern among the candidates of a scan, and the orientation by it.
+///
+/// # Errors
+/// When the raster cannot be read.
+pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> {
     let started = Instant::now();
     job.progress.stage("matching the marks to the list");
     let outcome = tracing::info_span!("match").in_scope(|| find(job, &scan.candidates));

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::learn::{DEFAULT_REACH_PX, learn};
-use crate::pipeline::MarkDetector;
-use crate::pipeline::georeference::{Job, Outcome, Run, georeference, orient_again};
+use crate::pipeline::georeference::{Job, Outcome, Run, match_and_orient, orient_again};
+use crate::pipeline::{MarkDetector, scan};
 use crate::profile::Profile;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
@@ -14,6 +14,10 @@ use autoref_raster::{Patch, RasterSource, read_patch};
 
 /// Most marks that teach.
 const MOST_TEACHERS: usize = 12;
+/// After a refusal nobody knows whether marks have taught or ground. Marks are like their teachers and score best; ground gives
+/// thousands of candidates, and to refuse them would take minutes. So many of the strongest are matched, or so many for each point.
+const MOST_LEARNED: usize = 200;
+const MOST_LEARNED_EACH: usize = 5;
 
 /// What the second pass did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,11 +105,17 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let relaxed = detector.relaxed();
     // The plan's halo was made for the first profile; a taught one has no filters and needs none.
     job.progress.pass("second pass, with the colours learned");
-    let second = georeference(&Job { detector: detector.as_detector(), refiner: relaxed.as_detector(), ..*job })?;
+    let job = Job { detector: detector.as_detector(), refiner: relaxed.as_detector(), ..*job };
+    let mut seen = scan(job.source, job.plan, job.detector, job.progress)?;
+    let candidates_after = seen.candidates.len();
+    if matches!(first.outcome, Outcome::Refused(_)) {
+        keep_strongest(&mut seen.candidates, job.gcps.len());
+    }
+    let second = match_and_orient(&job, seen)?;
     let (before, after) = (matched(&first), matched(&second));
     let adopted = after > before;
     let report = SecondPass {
-        candidates_after: second.scan.candidates.len(),
+        candidates_after,
         matched_after: after,
         adopted,
         ..SecondPass::of(&first, taught_by, &profile, Looked::Image)
@@ -143,6 +153,24 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
         ..SecondPass::of(&first, taught_by, &profile, Looked::Windows)
     };
     Ok((if after > before { second } else { first }, Some(report)))
+}
+
+/// Leaves the candidates of the best scores that are worth matching to so many points after a refusal, in their order.
+pub(super) fn keep_strongest(candidates: &mut Vec<Candidate>, points: usize) {
+    let most = MOST_LEARNED.max(MOST_LEARNED_EACH * points);
+    if candidates.len() <= most {
+        return;
+    }
+    let score = |c: &Candidate| c.score.unwrap_or(f64::NEG_INFINITY);
+    let mut scores: Vec<f64> = candidates.iter().map(score).collect();
+    scores.sort_by(|a, b| b.total_cmp(a));
+    let least = scores[most - 1];
+    let mut equals = most - scores.partition_point(|s| *s > least);
+    candidates.retain(|c| {
+        let equal = score(c) == least && equals > 0;
+        equals -= usize::from(equal);
+        equal || score(c) > least
+    });
 }
 
 fn matched(run: &Run) -> usize {
@@ -189,4 +217,32 @@ pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Res
         }
     }
     Ok(learn("second pass", &marks).ok())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_strongest_stay_in_their_order() {
+        let candidate = |score: f64| Candidate {
+            centre: PixelPoint { x: score, y: 0.0 },
+            covariance_px2: None,
+            score: Some(score),
+            area_px: None,
+            size_px: None,
+            elevation_m: None,
+            code: None,
+            paint: None,
+        };
+        // 0, 1, …, 6, 0, 1, … : ties at the cut, early and late.
+        let mut all: Vec<Candidate> = (0..700).map(|i| candidate(f64::from(i % 7))).collect();
+        keep_strongest(&mut all, 60);
+        assert_eq!(all.len(), 300);
+        assert_eq!(all.iter().filter(|c| c.score == Some(5.0)).count(), 100);
+        assert_eq!((all[0].score, all[1].score, all[2].score), (Some(4.0), Some(5.0), Some(6.0)));
+        let before = all.clone();
+        keep_strongest(&mut all, 1000);
+        assert_eq!(all, before);
+    }
 }
