@@ -13,7 +13,7 @@ use autoref_raster::RasterSource;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use rayon::prelude::*;
 
-const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data");
+const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
 
 fn large() -> bool {
     std::env::var_os("AUTOREF_LARGE").is_some()
