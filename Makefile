@@ -88,8 +88,7 @@ bench: build
 	$(CARGO) bench -p autoref-benches --bench decode --bench detection
 	benches/compare.sh
 
-# GDAL and PROJ keep what they have looked up: that is no leak of ours.
-# `make fuzz TARGET=native_tiff SECONDS=600`
+# `make fuzz TARGET=native_tiff SECONDS=600`. Leaks are not looked for: GDAL's binding keeps a CRS that it cannot read.
 TARGET ?= native_tiff
 SECONDS ?= 600
 fuzz:

@@ -5,6 +5,7 @@
 //! `frames/frame/markers/marker/location`, by the numbers of marker and camera.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::path::Path;
 
 use quick_xml::Reader;
@@ -120,11 +121,11 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
 /// Where markers were seen, by the numbers that the document gives to cameras and markers.
 #[derive(Default)]
 struct Sightings {
-    /// Number and label of each camera.
-    cameras: Vec<(String, String)>,
+    /// Label of each camera by its number.
+    cameras: HashMap<String, String>,
     /// The marker that is being read: its number, and its place among the points if it becomes one.
     point: Option<(String, usize)>,
-    points: Vec<(String, usize)>,
+    points: HashMap<String, usize>,
     /// The marker of the frame that is being read.
     marker: Option<String>,
     /// Numbers of marker and camera, place in the image.
@@ -154,10 +155,8 @@ impl Sightings {
 
     fn give(self, points: &mut [RawPoint]) {
         for (marker, camera, at) in self.locations {
-            let image = self.cameras.iter().find(|(id, _)| *id == camera).map(|(_, label)| label.clone());
-            let point = self.points.iter().find(|(id, _)| *id == marker);
-            if let Some(point) = point.and_then(|(_, index)| points.get_mut(*index)) {
-                point.pixels.push(Seen { image, at });
+            if let Some(point) = self.points.get(&marker).and_then(|index| points.get_mut(*index)) {
+                point.pixels.push(Seen { image: self.cameras.get(&camera).cloned(), at });
             }
         }
     }

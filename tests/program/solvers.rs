@@ -247,6 +247,17 @@ fn patterns_are_shown_and_thresholds_tried() {
         row["matched"].as_u64().expect("a number")
     };
     assert_eq!(of(0.05, 0.05), 14);
+    // The table of docs/thesis-comparison.md.
+    let agree: Vec<u64> = rows.iter().map(|row| row["agree"].as_u64().expect("a number")).collect();
+    let table = [
+        [7, 7, 7, 7, 7, 8],
+        [12, 12, 12, 12, 12, 12],
+        [14, 14, 14, 14, 14, 15],
+        [14, 15, 15, 15, 15, 15],
+        [14, 15, 15, 15, 15, 15],
+        [14, 15, 15, 15, 15, 17],
+    ];
+    assert_eq!(agree, table.as_flattened());
     let refused = |more: &[&str], words: &[&str]| {
         let all = [&["patterns", candidates.as_str(), "--gcps", gcps.as_str()], more].concat();
         let output = program(&all);

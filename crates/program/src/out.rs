@@ -5,7 +5,7 @@ use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Words for people are left out, on standard output and on standard error.
+/// Words for people are left out, by stream.
 static MUTE: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
 
 /// Which stream says nothing more of its own accord.
@@ -35,7 +35,7 @@ static FAULT: Mutex<Option<String>> = Mutex::new(None);
 
 /// Writes to standard output; see [`fault`].
 pub fn write(text: std::fmt::Arguments<'_>) {
-    if MUTE[0].load(Ordering::Relaxed) {
+    if MUTE[Stream::Output as usize].load(Ordering::Relaxed) {
         return;
     }
     keep(std::io::stdout().write_fmt(text));
@@ -43,7 +43,7 @@ pub fn write(text: std::fmt::Arguments<'_>) {
 
 /// Writes to standard error; when that is gone there is nobody to tell.
 pub fn write_err(text: std::fmt::Arguments<'_>) {
-    if MUTE[1].load(Ordering::Relaxed) {
+    if MUTE[Stream::Errors as usize].load(Ordering::Relaxed) {
         return;
     }
     let _ = std::io::stderr().write_fmt(text);

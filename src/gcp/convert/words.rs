@@ -1,5 +1,7 @@
 //! Lists as text.
 
+use std::collections::HashMap;
+
 use quick_xml::escape::{escape, partial_escape};
 use serde_json::{Map, Value, json};
 
@@ -233,12 +235,13 @@ fn metashape_xml(survey: &Survey) -> String {
     let mut text =
         String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"1.2.0\">\n  <chunk>\n");
     let mut cameras: Vec<&str> = Vec::new();
+    let mut numbers: HashMap<&str, usize> = HashMap::new();
     let mut locations = String::new();
     for (id, point) in survey.points.iter().enumerate() {
         let mut marker = String::new();
         for seen in &point.pixels {
             let Some(image) = seen.image.as_deref() else { continue };
-            let camera = cameras.iter().position(|name| *name == image).unwrap_or_else(|| {
+            let camera = *numbers.entry(image).or_insert_with(|| {
                 cameras.push(image);
                 cameras.len() - 1
             });
