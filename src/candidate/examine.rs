@@ -16,6 +16,8 @@ use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local};
 use super::patch::{Ground, Scene};
 use super::pixel_set::PixelSet;
+use super::shadow::{self, Relit};
+use super::two_lights;
 use super::uncertainty::Place;
 use super::whole::{self, Whole};
 use crate::profile::{CentreMode, Filters, Profile, Shape};
@@ -149,7 +151,7 @@ impl Looks<'_> {
     /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it leaves open.
     fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
         let grown = whole::whole(seen, plateau(seen));
-        let mut best = match &grown {
+        let best = match &grown {
             Whole::Is => first,
             Whole::Beaten => return None,
             Whole::Endless => {
@@ -176,32 +178,64 @@ impl Looks<'_> {
             _ => seen.own.clone(),
         };
         let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
-        if let Some(even) = whole::relit(&mark) {
-            let paint =
-                PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), seen.width, seen.height).and(&seen.valid);
-            let scene = Scene::of_pixels(&even, mark.own.clone(), &paint.or(&mark.own));
-            let own = match whole::whole(&scene, plateau(&scene)) {
-                Whole::Grown(own) => own,
-                _ => scene.own.clone(),
-            };
-            let scene = Scene::of_pixels(&even, own.clone(), &own.or(&scene.other));
-            // The blocks of a JPEG hold the uneven light: without them.
-            /// How far off the border of the shadow may be moves the centre by so large a share of a side.
-            const LINE_OF_SIDE: f64 = 0.06;
-            /// Where even light makes no mark of it, the centre lies this share of a side off the fitted part's.
-            const PART_OF_SIDE: f64 = 0.15;
-            let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;
-            let evidence = widen(self.measured(&scene, None), [line, 0.0, line]);
-            // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
-            if self.score(&evidence) >= self.profile.examine.min_score || better_fit(&evidence, &best) {
-                best = evidence;
-            } else {
-                // Of a mark in two lights it is not known where it ends.
-                let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
-                best = widen(best, [open, 0.0, open]);
+        let shaded = shadow::grown_into_shade(&mark, plateau(&mark))
+            .map(|own| Scene::of_pixels(seen.patch, own, &seen.paint()))
+            .and_then(|whole| shadow::relit(&whole).map(|relit| (whole, relit)));
+        Some(match shaded.or_else(|| shadow::relit(&mark).map(|relit| (mark, relit))) {
+            Some((mark, relit)) => self.in_even_light(best, &mark, &relit),
+            None => best,
+        })
+    }
+
+    /// The evidence of a mark in two lights: shape and contrast as even light shows them, the centre by the fit of mark and lights
+    /// together. `best` is what was found without heeding the light.
+    fn in_even_light(&self, best: Evidence, mark: &Scene<'_>, relit: &Relit) -> Evidence {
+        /// How far off the border of the shadow may be moves the centre by so large a share of a side, where only the even light was
+        /// fitted.
+        const LINE_OF_SIDE: f64 = 0.06;
+        /// Share of the squared distance of the two centres that stays in doubt.
+        const DOUBT: f64 = 0.25;
+        /// Where even light makes no mark of it, the centre lies this share of a side off the fitted part's.
+        const PART_OF_SIDE: f64 = 0.15;
+        let (even, width, height) = (&relit.even, mark.width, mark.height);
+        let paint = PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), width, height).and(&mark.valid);
+        let scene = Scene::of_pixels(even, mark.own.clone(), &paint.or(&mark.own));
+        let own = match whole::whole(&scene, plateau(&scene)) {
+            Whole::Grown(own) => own,
+            _ => scene.own.clone(),
+        };
+        let scene = Scene::of_pixels(even, own.clone(), &own.or(&scene.other));
+        // The blocks of a JPEG hold the uneven light: without them.
+        let mut evidence = self.measured(&scene, None);
+        let texture = ring_ground(&scene).map(|ground| ground.covariance);
+        let joint = evidence
+            .fit
+            .as_ref()
+            .zip(texture)
+            .and_then(|(fit, texture)| two_lights::fit(mark, &own, fit, (&relit.border, relit.ratio), texture));
+        match joint {
+            Some(joint) => {
+                let window = &mark.patch.window;
+                let at = (window.x as f64 + joint.x, window.y as f64 + joint.y);
+                // Two ways to the same centre: where they part, neither is trusted.
+                let (dx, dy) = (at.0 - evidence.centre.0, at.1 - evidence.centre.1);
+                evidence.centre = at;
+                evidence.covariance_px2 = joint.covariance_px2;
+                evidence = widen(evidence, [dx * dx, dx * dy, dy * dy].map(|d| DOUBT * d));
+            }
+            None => {
+                let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;
+                evidence = widen(evidence, [line, 0.0, line]);
             }
         }
-        Some(best)
+        // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
+        if self.score(&evidence) >= self.profile.examine.min_score || better_fit(&evidence, &best) {
+            evidence
+        } else {
+            // Of a mark in two lights it is not known where it ends.
+            let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
+            widen(best, [open, 0.0, open])
+        }
     }
 
     fn measured(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {

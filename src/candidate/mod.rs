@@ -23,7 +23,9 @@ mod local;
 pub mod patch;
 pub(crate) mod pixel_set;
 pub mod prototype_options;
+mod shadow;
 pub mod split;
+mod two_lights;
 mod uncertainty;
 mod whole;
 

@@ -2,15 +2,13 @@
 //!
 //! The colour test only says where to look. Where a part of a mark lies beyond its limit, the part has a centre of its own, and a
 //! fit to it knows nothing of the rest. So the pixels connected to the region that look more like its paint than like the ground
-//! beside it are its mark too; the ground is measured again around what has grown until nothing changes. A mark that the border
-//! of a shadow crosses is lit evenly first ([`relit`]).
+//! beside it are its mark too; the ground is measured again around what has grown until nothing changes.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::fit::{Fit, Form};
 use super::patch::{Ground, Scene};
 use super::pixel_set::PixelSet;
-use autoref_raster::Patch;
 
 /// Rounds of growing; the ground changes little after the second.
 const ROUNDS: usize = 3;
@@ -157,223 +155,10 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
     (open, sides)
 }
 
-/// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted by a line. The
-/// line and its width follow from paint and ground together, the ratio of the two lights, band by band, from the paint alone;
-/// everything beyond the line is divided by the ratio. `None` where the light is even already.
-pub(super) fn relit(scene: &Scene<'_>) -> Option<Patch> {
-    /// Lights that differ by less are one.
-    const LEAST_RATIO: f64 = 1.25;
-    /// Least share of the region on either side.
-    const LEAST_SHARE: f64 = 0.08;
-    /// Even light must explain most of what differs: a mark of two paints is not made one.
-    const MOST_LEFT_OVER: f64 = 0.35;
-    // Pixels that the border is mixed into have a brightness of their own.
-    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| core.count() >= 20)?;
-    let mut seen: Vec<Seen> = Vec::with_capacity(core.count());
-    core.for_each(|i| {
-        let colour = scene.colour(i);
-        seen.push(((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5, colour.sum() / 3.0, colour));
-    });
-    let mut sorted: Vec<f64> = seen.iter().map(|s| s.2).collect();
-    sorted.sort_by(f64::total_cmp);
-    let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q).round() as usize];
-    if at(0.92) < LEAST_RATIO * at(0.08).max(1.0) {
-        return None;
-    }
-    let first = Line::through(&seen, Grid::FINE)?;
-    let paint = lit_paint(&seen, &first)?;
-    // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the mark.
-    let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
-    // The paint alone is asked whether that is its border too.
-    let own = |line: &Line| line.left_over(&seen) <= MOST_LEFT_OVER && line.parts(&seen) >= LEAST_SHARE;
-    let line = line.into_iter().chain([first]).find(own)?;
-    let (lit, dark): (Vec<Seen>, Vec<Seen>) =
-        seen.iter().copied().filter(|s| line.out(s.0, s.1).abs() > 1.0).partition(|s| line.out(s.0, s.1) > 0.0);
-    if lit.len() < 3 || dark.len() < 3 {
-        return None;
-    }
-    let middle = |side: &[Seen], c: usize| super::patch::median(side.iter().map(|s| s.3[c]).collect());
-    let pairs: [(f64, f64); 3] = std::array::from_fn(|c| (middle(&lit, c), middle(&dark, c)));
-    let of_paint = pairs.iter().map(|p| p.1).sum::<f64>() / pairs.iter().map(|p| p.0).sum::<f64>();
-    let all = of_paint.clamp(0.05, 1.0);
-    if all > 1.0 / LEAST_RATIO {
-        return None;
-    }
-    // A band that the paint hardly has tells nothing of the light in it.
-    let ratio = pairs.map(|(lit, dark)| if lit > 60.0 { (dark / lit).clamp(0.7 * all, 1.4 * all) } else { all });
-    let mut patch = scene.patch.clone();
-    let white = f64::from(patch.white);
-    for (i, rgb) in patch.rgb.iter_mut().enumerate() {
-        let light = line.light((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
-        for c in 0..3 {
-            let lit = f64::from(rgb[c]) / (ratio[c] + (1.0 - ratio[c]) * light);
-            rgb[c] = lit.round().min(white) as u16;
-        }
-    }
-    Some(patch)
-}
-
-/// A pixel's middle, x and y, its brightness and colour.
-type Seen = (f64, f64, f64, Vector3<f64>);
-
-/// The border of a shadow.
-struct Line {
-    /// Towards the light.
-    direction: (f64, f64),
-    offset: f64,
-    width: f64,
-}
-
-impl Line {
-    /// Light from 0 in the shadow to 1.
-    fn light(&self, x: f64, y: f64) -> f64 {
-        ramp(self.out(x, y) / self.width)
-    }
-
-    fn out(&self, x: f64, y: f64) -> f64 {
-        x * self.direction.0 + y * self.direction.1 - self.offset
-    }
-
-    /// Share of the brightness's variance that the line does not explain, the best pair of lights being a regression.
-    fn left_over(&self, seen: &[Seen]) -> f64 {
-        let lights = seen.iter().map(|s| (self.light(s.0, s.1), s.2));
-        let (left, total) = unexplained(lights);
-        if total > 0.0 { left / total } else { 1.0 }
-    }
-
-    /// The smaller share of the pixels on either side.
-    fn parts(&self, seen: &[Seen]) -> f64 {
-        let lit = seen.iter().filter(|s| self.out(s.0, s.1) > 0.0).count() as f64 / seen.len() as f64;
-        lit.min(1.0 - lit)
-    }
-
-    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, then the best made
-    /// finer.
-    fn through(seen: &[Seen], grid: Grid) -> Option<Line> {
-        let n = seen.len() as f64;
-        let (cx, cy) = (seen.iter().map(|s| s.0).sum::<f64>() / n, seen.iter().map(|s| s.1).sum::<f64>() / n);
-        let reach = seen.iter().map(|s| (s.0 - cx).hypot(s.1 - cy)).fold(0.0, f64::max) * grid.reach;
-        let try_one = |angle: f64, off: f64, width: f64| {
-            let (sin, cos) = angle.sin_cos();
-            let light = |s: &Seen| ramp(((s.0 - cx) * cos + (s.1 - cy) * sin - off) / width);
-            unexplained(seen.iter().map(|s| (light(s), s.2))).0
-        };
-        let mut best: (f64, f64, f64, f64) = (f64::INFINITY, 0.0, 0.0, 1.2);
-        let steps = (reach / grid.step_px).ceil() as i32;
-        for k in 0..grid.angles {
-            let angle = f64::from(k) * std::f64::consts::TAU / f64::from(grid.angles);
-            for j in -steps..=steps {
-                let off = f64::from(j) * grid.step_px;
-                let cost = try_one(angle, off, 1.2);
-                if cost < best.0 {
-                    best = (cost, angle, off, 1.2);
-                }
-            }
-        }
-        let (mut turn, mut slide, mut stretch) = (0.1f64, 0.25f64, 1.4f64);
-        for _ in 0..24 {
-            let (_, a, o, w) = best;
-            let mut better = false;
-            let tries = [(a + turn, o, w), (a - turn, o, w), (a, o + slide, w), (a, o - slide, w)];
-            for (a, o, w) in tries.into_iter().chain([(a, o, (w * stretch).min(6.0)), (a, o, (w / stretch).max(0.4))]) {
-                let cost = try_one(a, o, w);
-                if cost < best.0 {
-                    best = (cost, a, o, w);
-                    better = true;
-                }
-            }
-            if !better {
-                (turn, slide, stretch) = (turn / 2.0, slide / 2.0, f64::sqrt(stretch));
-            }
-        }
-        let (cost, angle, off, width) = best;
-        let (sin, cos) = angle.sin_cos();
-        cost.is_finite().then_some(Line { direction: (cos, sin), offset: off + cx * cos + cy * sin, width })
-    }
-}
-
-/// Which lines are tried first.
-#[derive(Clone, Copy)]
-struct Grid {
-    angles: u32,
-    step_px: f64,
-    /// Share of the pixels' own reach that the line may lie off their middle.
-    reach: f64,
-}
-
-impl Grid {
-    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0 };
-    /// For many pixels about the mark, through which the line goes.
-    const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4 };
-}
-
-/// Sum of squares of what a line in the first does not explain of the second, and all of it. The light lies on the bright side.
-fn unexplained(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
-    let (mut n, mut s1, mut s2, mut b1, mut b2, mut sb) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    for (l, b) in pairs {
-        n += 1.0;
-        s1 += l;
-        s2 += l * l;
-        b1 += b;
-        b2 += b * b;
-        sb += l * b;
-    }
-    let (total, var, both) = (b2 - b1 * b1 / n, s2 - s1 * s1 / n, sb - s1 * b1 / n);
-    (if var > 1e-6 && both > 0.0 { (total - both * both / var).max(0.0) } else { total }, total)
-}
-
-/// Colour of the paint in the light.
-fn lit_paint(seen: &[Seen], line: &Line) -> Option<Vector3<f64>> {
-    let lit: Vec<&Seen> = seen.iter().filter(|s| line.out(s.0, s.1) > 1.0).collect();
-    let band = |c: usize| super::patch::median(lit.iter().map(|s| s.3[c]).collect());
-    (lit.len() >= 3).then(|| Vector3::new(band(0), band(1), band(2)))
-}
-
-/// Colour of the ground in the light, in the ring around the mark.
-fn lit_ground(scene: &Scene<'_>, line: &Line) -> Option<Vector3<f64>> {
-    let ring = scene.ring(RING_PX);
-    let lit = |i: usize| ring.has(i) && line.out((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5) > 2.0;
-    scene.statistics(&PixelSet::from_fn(scene.width, scene.height, lit)).map(|ground| ground.mean)
-}
-
-/// The light on each pixel about the mark, which is 1 where the two colours were seen: what it takes of both of them to make the
-/// pixel's colour (non-negative least squares).
-fn lights(scene: &Scene<'_>, paint: Vector3<f64>, ground: Vector3<f64>) -> Vec<Seen> {
-    let (pp, pg, gg) = (paint.dot(&paint), paint.dot(&ground), ground.dot(&ground));
-    let det = pp * gg - pg * pg;
-    let hidden = scene.beside_other().minus(&scene.own);
-    let mut seen = Vec::new();
-    scene.own.grown(RING_PX.1).and(&scene.valid).minus(&hidden).for_each(|i| {
-        let colour = scene.colour(i);
-        let (p, g) = (colour.dot(&paint), colour.dot(&ground));
-        let (of_paint, of_ground) = ((gg * p - pg * g) / det, (pp * g - pg * p) / det);
-        let light = match (of_paint > 0.0, of_ground > 0.0) {
-            (true, true) => of_paint + of_ground,
-            (true, false) => p / pp,
-            _ => g / gg,
-        };
-        if light.is_finite() {
-            seen.push(((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5, light.min(2.0), colour));
-        }
-    });
-    seen
-}
-
-/// From 0 to 1 about 0, as a blurred edge.
-fn ramp(v: f64) -> f64 {
-    if v < -4.0 {
-        return 0.0;
-    }
-    if v > 4.0 {
-        return 1.0;
-    }
-    // The logistic function that lies nearest to the normal distribution's.
-    1.0 / (1.0 + (-1.702 * v).exp())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::Patch;
     use autoref_raster::window::Window;
 
     const SIDE: u64 = 48;
@@ -416,19 +201,5 @@ mod tests {
         let (small, large) = (inside(18..21, 18..30), inside(23..30, 18..30));
         let scene = Scene::of_pixels(&patch, small.clone(), &small.or(&large));
         assert!(matches!(whole(&scene, Vector3::new(250.0, 100.0, 10.0)), Whole::Beaten));
-    }
-
-    #[test]
-    fn half_a_shadow_is_taken_out_and_even_light_is_left_alone() {
-        let shaded = patch(|x, y| if x + 0.3 * y > 31.0 { 0.4 } else { 1.0 });
-        let own = inside(18..30, 18..30);
-        let scene = Scene::of_pixels(&shaded, own.clone(), &own);
-        let even = relit(&scene).expect("two brightnesses");
-        // Away from the shadow's border all paint has one colour again.
-        for i in own.iter().filter(|i| ((i % 48) as f64 + 0.3 * (i / 48) as f64 - 30.4).abs() > 2.5) {
-            assert!(even.rgb[i][0].abs_diff(250) < 14, "{i}: {:?}", even.rgb[i]);
-        }
-        let lit = patch(|_, _| 1.0);
-        assert!(relit(&Scene::of_pixels(&lit, own.clone(), &own)).is_none());
     }
 }
