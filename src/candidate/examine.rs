@@ -14,7 +14,7 @@ use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
 use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local};
-use super::patch::{Ground, Scene};
+use super::patch::{Ground, RING_PX, Scene};
 use super::pixel_set::PixelSet;
 use super::shadow::{self, Relit};
 use super::two_lights;
@@ -26,8 +26,6 @@ use crate::segment::label::Region;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::{Patch, Pixels};
 
-/// The ring of ground starts and ends so far outside the region, beyond the blurred border.
-const RING_PX: (usize, usize) = (4, 9);
 /// The fit sees this far outside the region.
 const FIT_REACH_PX: usize = 4;
 /// And this far inside: deeper pixels of a large mark say nothing about its place.

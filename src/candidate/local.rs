@@ -82,8 +82,7 @@ impl<'a> Local<'a> {
     /// Grows the region over the pixels connected to it that are more paint than ground.
     pub fn grow(&self) -> Growth {
         let scene = self.scene;
-        let at_edge = |set: &PixelSet| set.iter().any(|i| is_at_edge(i, scene.width, scene.height));
-        if at_edge(&scene.own) {
+        if scene.at_edge(&scene.own) {
             return Growth::Whole;
         }
         let mut grown = scene.own.clone();
@@ -94,7 +93,7 @@ impl<'a> Local<'a> {
             asked = asked.or(&beside);
             front = PixelSet::empty(scene.width, scene.height);
             beside.iter().filter(|&i| (0.5..1.5).contains(&self.share(i))).for_each(|i| front.insert(i));
-            if at_edge(&front) {
+            if scene.at_edge(&front) {
                 return Growth::Whole;
             }
             grown = grown.or(&front);
@@ -115,11 +114,6 @@ impl<'a> Local<'a> {
         }
         Growth::Grown(grown)
     }
-}
-
-fn is_at_edge(i: usize, width: usize, height: usize) -> bool {
-    let (x, y) = (i % width, i / width);
-    x == 0 || y == 0 || x + 1 == width || y + 1 == height
 }
 
 /// Mean colour of the ring near a pixel; `None` when no ground is near.

@@ -13,6 +13,8 @@
 
 mod code;
 pub(crate) mod descent;
+#[cfg(test)]
+mod drawn;
 pub mod examine;
 pub mod fit;
 pub mod gates;

@@ -8,6 +8,8 @@ use crate::segment::label::Region;
 use autoref_raster::Patch;
 use autoref_raster::srgb::{linear_from_srgb, linear_of_bytes};
 
+/// The ring of ground around a mark starts and ends so far outside, beyond the blurred border.
+pub(super) const RING_PX: (usize, usize) = (4, 9);
 /// So far from paint its blur reaches.
 const BLURRED_PX: usize = 2;
 
@@ -147,6 +149,12 @@ impl<'a> Scene<'a> {
     /// Other paint and what it may have blurred into.
     pub fn beside_other(&self) -> PixelSet {
         self.other.grown(BLURRED_PX)
+    }
+
+    /// Whether a set reaches the edge of the patch.
+    pub fn at_edge(&self, set: &PixelSet) -> bool {
+        let (width, height) = (self.width, self.height);
+        set.iter().any(|i| i % width == 0 || i % width + 1 == width || i < width || i / width + 1 == height)
     }
 
     /// Number of separate pieces of paint in the patch, the candidate included.

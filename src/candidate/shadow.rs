@@ -2,12 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::patch::{Scene, median};
+use super::patch::{RING_PX, Scene, median};
 use super::pixel_set::PixelSet;
+use super::whole::LEAST_GROWTH;
 use autoref_raster::Patch;
-
-/// The ring of ground around a mark on which the border is looked for.
-const RING_PX: (usize, usize) = (4, 9);
 
 /// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted by a line. The
 /// line and its width follow from paint and ground together, the ratio of the two lights, band by band, from the paint alone;
@@ -70,8 +68,6 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
 pub(super) fn grown_into_shade(scene: &Scene<'_>, paint: Vector3<f64>) -> Option<PixelSet> {
     /// A mark is at most so many times the part that was found of it.
     const MOST_GROWTH: usize = 4;
-    /// A region that grows by less has no part in a shadow.
-    const LEAST_GROWTH: f64 = 0.12;
     /// Darker paint than this cannot be told from what is black.
     const LEAST_LIGHT: f64 = 0.2;
     let ground = scene.statistics(&scene.ring(RING_PX))?.mean;
@@ -83,11 +79,7 @@ pub(super) fn grown_into_shade(scene: &Scene<'_>, paint: Vector3<f64>) -> Option
     let near = PixelSet::from_fn(scene.width, scene.height, |i| reach.has(i) && like(i)).and(&scene.valid);
     let grown = scene.own.or(&near).piece(scene.own.first()?).or(&scene.own);
     let (before, after) = (scene.own.count(), grown.count());
-    let edge = |i: usize| {
-        let (x, y) = (i % scene.width, i / scene.width);
-        x == 0 || y == 0 || x + 1 == scene.width || y + 1 == scene.height
-    };
-    let ends = after <= MOST_GROWTH * before && !grown.iter().any(edge);
+    let ends = after <= MOST_GROWTH * before && !scene.at_edge(&grown);
     (ends && after as f64 > before as f64 * (1.0 + LEAST_GROWTH)).then_some(grown)
 }
 
@@ -266,30 +258,8 @@ pub(super) fn ramp(v: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::drawn::{inside, patch};
     use super::*;
-    use autoref_raster::window::Window;
-
-    const SIDE: u64 = 48;
-
-    /// A square of paint of 12 px about the middle on grey ground, each pixel through `light`.
-    fn patch(light: impl Fn(f64, f64) -> f64) -> Patch {
-        let at = |i: u64| ((i % SIDE) as f64 + 0.5, (i / SIDE) as f64 + 0.5);
-        let rgb = (0..SIDE * SIDE)
-            .map(|i| {
-                let (x, y) = at(i);
-                let paint = (x - 24.0).abs() < 6.0 && (y - 24.0).abs() < 6.0;
-                let grain = ((i * 7919) % 5) as f64 - 2.0;
-                let colour = if paint { [250.0, 100.0, 10.0] } else { [110.0 + grain, 105.0 - grain, 95.0 + grain] };
-                colour.map(|v| (v * light(x, y)).round() as u16)
-            })
-            .collect();
-        Patch { window: Window::new(0, 0, SIDE, SIDE), rgb, valid: vec![true; (SIDE * SIDE) as usize], white: 255 }
-    }
-
-    fn inside(x: std::ops::Range<usize>, y: std::ops::Range<usize>) -> PixelSet {
-        let side = SIDE as usize;
-        PixelSet::from_fn(side, side, |i| x.contains(&(i % side)) && y.contains(&(i / side)))
-    }
 
     #[test]
     fn half_a_shadow_is_taken_out_and_even_light_is_left_alone() {

@@ -7,15 +7,13 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::fit::{Fit, Form};
-use super::patch::{Ground, Scene};
+use super::patch::{Ground, RING_PX, Scene};
 use super::pixel_set::PixelSet;
 
 /// Rounds of growing; the ground changes little after the second.
 const ROUNDS: usize = 3;
 /// A region that grows by less than this share is whole.
-const LEAST_GROWTH: f64 = 0.12;
-/// The ring of ground around what has grown starts and ends so far outside.
-const RING_PX: (usize, usize) = (4, 9);
+pub(super) const LEAST_GROWTH: f64 = 0.12;
 
 /// What a region is of its mark.
 pub(super) enum Whole {
@@ -33,7 +31,7 @@ pub(super) enum Whole {
 pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
     let before = scene.own.count();
     let mut own = scene.own.clone();
-    if at_edge(&own, scene) {
+    if scene.at_edge(&own) {
         return Whole::Is;
     }
     let mut grew = false;
@@ -57,7 +55,7 @@ pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
         let connected = scene.own.or(&PixelSet::from_fn(scene.width, scene.height, like)).and(&scene.valid);
         let Some(start) = scene.own.first() else { return Whole::Is };
         let next = connected.piece(start).or(&scene.own);
-        if at_edge(&next, scene) {
+        if scene.at_edge(&next) {
             return if grew { Whole::Endless } else { runs_away(&next, before) };
         }
         let done = next == own;
@@ -84,11 +82,6 @@ pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
 
 fn runs_away(next: &PixelSet, before: usize) -> Whole {
     if next.count() as f64 > 1.5 * before as f64 { Whole::Endless } else { Whole::Is }
-}
-
-fn at_edge(set: &PixelSet, scene: &Scene<'_>) -> bool {
-    let (width, height) = (scene.width, scene.height);
-    set.iter().any(|i| i % width == 0 || i % width + 1 == width || i < width || i / width + 1 == height)
 }
 
 /// Ground in the ring around a set, clear of paint that is not connected to it.
@@ -157,31 +150,8 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
 
 #[cfg(test)]
 mod tests {
+    use super::super::drawn::{inside, patch};
     use super::*;
-    use autoref_raster::Patch;
-    use autoref_raster::window::Window;
-
-    const SIDE: u64 = 48;
-
-    /// A square of paint of 12 px about the middle on grey ground, each pixel through `light`.
-    fn patch(light: impl Fn(f64, f64) -> f64) -> Patch {
-        let at = |i: u64| ((i % SIDE) as f64 + 0.5, (i / SIDE) as f64 + 0.5);
-        let rgb = (0..SIDE * SIDE)
-            .map(|i| {
-                let (x, y) = at(i);
-                let paint = (x - 24.0).abs() < 6.0 && (y - 24.0).abs() < 6.0;
-                let grain = ((i * 7919) % 5) as f64 - 2.0;
-                let colour = if paint { [250.0, 100.0, 10.0] } else { [110.0 + grain, 105.0 - grain, 95.0 + grain] };
-                colour.map(|v| (v * light(x, y)).round() as u16)
-            })
-            .collect();
-        Patch { window: Window::new(0, 0, SIDE, SIDE), rgb, valid: vec![true; (SIDE * SIDE) as usize], white: 255 }
-    }
-
-    fn inside(x: std::ops::Range<usize>, y: std::ops::Range<usize>) -> PixelSet {
-        let side = SIDE as usize;
-        PixelSet::from_fn(side, side, |i| x.contains(&(i % side)) && y.contains(&(i / side)))
-    }
 
     #[test]
     fn a_part_grows_to_the_edge_that_the_picture_shows() {
