@@ -17,6 +17,7 @@ use super::local::{Growth, Local};
 use super::patch::{Ground, RING_PX, Scene};
 use super::pixel_set::PixelSet;
 use super::shadow::{self, Relit};
+use super::split::region_of;
 use super::two_lights;
 use super::uncertainty::Place;
 use super::whole::{self, Whole};
@@ -146,6 +147,11 @@ impl Looks<'_> {
         if evidence.hopeless { f64::NEG_INFINITY } else { score(evidence, self.profile, self.gates) }
     }
 
+    /// What has grown must pass the gates that a region passes.
+    fn has_size_of_mark(&self, own: &PixelSet, patch: &Patch) -> bool {
+        region_of(own, patch).is_some_and(|region| self.gates.shape(&region))
+    }
+
     /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it leaves open.
     fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
         let grown = whole::whole(seen, plateau(seen));
@@ -160,23 +166,29 @@ impl Looks<'_> {
                 first
             }
             Whole::Grown(own) => {
-                let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
-                let evidence = self.measured(&scene, around);
-                if self.score(&evidence) >= self.score(&first).min(self.profile.examine.min_score) {
-                    evidence
-                } else {
+                let least = self.score(&first).min(self.profile.examine.min_score);
+                let grown = self.has_size_of_mark(own, seen.patch).then(|| {
+                    let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
+                    // What was looked at against local ground was grown by it too, and is not asked again.
+                    if first.local { self.measured_once(&scene, around) } else { self.measured(&scene, around) }
+                });
+                grown.filter(|grown| self.score(grown) >= least).unwrap_or_else(|| {
                     let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(own, seen.width));
                     let (dx, dy) = (ax - bx, ay - by);
                     widen(first, [dx * dx, dx * dy, dy * dy])
-                }
+                })
             }
         };
         let own = match &grown {
             Whole::Grown(own) => own.clone(),
             _ => seen.own.clone(),
         };
+        if !self.has_size_of_mark(&own, seen.patch) {
+            return Some(best);
+        }
         let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
         let shaded = shadow::grown_into_shade(&mark, plateau(&mark))
+            .filter(|own| self.has_size_of_mark(own, seen.patch))
             .map(|own| Scene::of_pixels(seen.patch, own, &seen.paint()))
             .and_then(|whole| shadow::relit(&whole).map(|relit| (whole, relit)));
         Some(match shaded.or_else(|| shadow::relit(&mark).map(|relit| (mark, relit))) {
@@ -205,11 +217,19 @@ impl Looks<'_> {
         let scene = Scene::of_pixels(even, own.clone(), &own.or(&scene.other));
         // The blocks of a JPEG hold the uneven light: without them.
         let mut evidence = self.measured(&scene, None);
+        // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
+        let likely = self.score(&evidence) >= self.profile.examine.min_score;
+        if !likely && !better_fit(&evidence, &best) {
+            // Of a mark in two lights it is not known where it ends.
+            let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
+            return widen(best, [open, 0.0, open]);
+        }
         let texture = ring_ground(&scene).map(|ground| ground.covariance);
         let joint = evidence
             .fit
             .as_ref()
             .zip(texture)
+            .filter(|_| likely)
             .and_then(|(fit, texture)| two_lights::fit(mark, &own, fit, (&relit.border, relit.ratio), texture));
         match joint {
             Some(joint) => {
@@ -219,25 +239,23 @@ impl Looks<'_> {
                 let (dx, dy) = (at.0 - evidence.centre.0, at.1 - evidence.centre.1);
                 evidence.centre = at;
                 evidence.covariance_px2 = joint.covariance_px2;
-                evidence = widen(evidence, [dx * dx, dx * dy, dy * dy].map(|d| DOUBT * d));
+                widen(evidence, [dx * dx, dx * dy, dy * dy].map(|d| DOUBT * d))
             }
             None => {
                 let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;
-                evidence = widen(evidence, [line, 0.0, line]);
+                widen(evidence, [line, 0.0, line])
             }
-        }
-        // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
-        if self.score(&evidence) >= self.profile.examine.min_score || better_fit(&evidence, &best) {
-            evidence
-        } else {
-            // Of a mark in two lights it is not known where it ends.
-            let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
-            widen(best, [open, 0.0, open])
         }
     }
 
-    fn measured(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
+    fn measured_once(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
         let mut evidence = measure_scene(scene, around, self.region, self.classifier, self.profile);
+        evidence.area_px = scene.own.count() as f64;
+        evidence
+    }
+
+    fn measured(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
+        let mut evidence = self.measured_once(scene, around);
         if worth_another_look(&evidence, self.profile, self.gates) {
             let again = look_again(scene, around, self.region, self.classifier, self.profile);
             evidence = again.unwrap_or(evidence);

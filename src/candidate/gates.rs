@@ -83,6 +83,12 @@ impl Gates {
 
     /// Does the region pass every gate?
     pub fn region(&self, region: &Region) -> bool {
+        let ratio = region.area as f64 / region.perimeter.max(1) as f64;
+        ratio >= self.area_per_perimeter.0 && ratio <= self.area_per_perimeter.1 && self.shape(region)
+    }
+
+    /// Does it pass every gate but those on its outline's length?
+    pub fn shape(&self, region: &Region) -> bool {
         let (w, h) = (region.bounds.width, region.bounds.height);
         if region.area < self.area.0 || region.area > self.area.1 {
             return false;
@@ -92,10 +98,6 @@ impl Gates {
         }
         let tightness = region.area as f64 / (w * h) as f64;
         if tightness < self.tightness.0 || tightness > self.tightness.1 {
-            return false;
-        }
-        let ratio = region.area as f64 / region.perimeter.max(1) as f64;
-        if ratio < self.area_per_perimeter.0 || ratio > self.area_per_perimeter.1 {
             return false;
         }
         (self.eccentricity.0..=self.eccentricity.1).contains(&eccentricity(region))

@@ -99,7 +99,7 @@ pub struct Equations {
 
 /// eˣ for x ≤ 0 to a relative 2e-10, without a branch: 2ⁿ·eʳ with |r| ≤ ½ ln 2 and eight terms of Taylor's series.
 #[inline(always)]
-fn exp_of_negative(x: f64) -> f64 {
+pub(super) fn exp_of_negative(x: f64) -> f64 {
     // Adding it leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;
     const LN2_HIGH: f64 = 6.931_471_803_691_238e-1;

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::kernels::exp_of_negative;
 use super::patch::{RING_PX, Scene, median};
 use super::pixel_set::PixelSet;
 use super::whole::LEAST_GROWTH;
@@ -30,7 +31,8 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     if at(0.92) < LEAST_RATIO * at(0.08).max(1.0) {
         return None;
     }
-    let first = Line::through(&seen, Grid::FINE)?;
+    // No line explains the paint better than this one.
+    let first = Line::through(&seen, Grid::FINE).filter(|first| first.left_over(&seen) <= MOST_LEFT_OVER)?;
     let paint = lit_paint(&seen, &first)?;
     // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the mark.
     let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
@@ -139,36 +141,34 @@ impl Line {
         lit.min(1.0 - lit)
     }
 
-    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, then the best made
-    /// finer.
+    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, with a sharp border,
+    /// then the best made finer. `None` where the best sharp border explains nearly nothing.
     fn through(seen: &[Seen], grid: Grid) -> Option<Line> {
         let n = seen.len() as f64;
         let (cx, cy) = (seen.iter().map(|s| s.0).sum::<f64>() / n, seen.iter().map(|s| s.1).sum::<f64>() / n);
-        let reach = seen.iter().map(|s| (s.0 - cx).hypot(s.1 - cy)).fold(0.0, f64::max) * grid.reach;
-        let try_one = |angle: f64, off: f64, width: f64| {
+        /// So many pixels tell a line.
+        const ENOUGH: usize = 700;
+        let each = seen.len().div_ceil(ENOUGH).max(1);
+        let about: Vec<[f64; 3]> = seen.iter().step_by(each).map(|s| [s.0 - cx, s.1 - cy, s.2]).collect();
+        let (angle, off, total) = sharp_border(&about, grid)?;
+        let cost = |angle: f64, off: f64, width: f64| {
             let (sin, cos) = angle.sin_cos();
-            let light = |s: &Seen| ramp(((s.0 - cx) * cos + (s.1 - cy) * sin - off) / width);
-            unexplained(seen.iter().map(|s| (light(s), s.2))).0
+            unexplained(about.iter().map(|[x, y, b]| (ramp((x * cos + y * sin - off) / width), *b))).0
         };
-        let mut best: (f64, f64, f64, f64) = (f64::INFINITY, 0.0, 0.0, 1.2);
-        let steps = (reach / grid.step_px).ceil() as i32;
-        for k in 0..grid.angles {
-            let angle = f64::from(k) * std::f64::consts::TAU / f64::from(grid.angles);
-            for j in -steps..=steps {
-                let off = f64::from(j) * grid.step_px;
-                let cost = try_one(angle, off, 1.2);
-                if cost < best.0 {
-                    best = (cost, angle, off, 1.2);
-                }
-            }
+        let mut best = [0.6, 1.2, 2.4].map(|width| (cost(angle, off, width), angle, off, width));
+        best.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let [mut best, ..] = best;
+        if best.0 > grid.most_left_over * total {
+            return None;
         }
         let (mut turn, mut slide, mut stretch) = (0.1f64, 0.25f64, 1.4f64);
-        for _ in 0..24 {
+        // The fit of mark and lights together makes it finer still.
+        while slide > 0.03 {
             let (_, a, o, w) = best;
             let mut better = false;
             let tries = [(a + turn, o, w), (a - turn, o, w), (a, o + slide, w), (a, o - slide, w)];
             for (a, o, w) in tries.into_iter().chain([(a, o, (w * stretch).min(6.0)), (a, o, (w / stretch).max(0.4))]) {
-                let cost = try_one(a, o, w);
+                let cost = cost(a, o, w);
                 if cost < best.0 {
                     best = (cost, a, o, w);
                     better = true;
@@ -184,6 +184,47 @@ impl Line {
     }
 }
 
+/// Angle and offset of the sharp border that leaves least of the brightnesses unexplained, of pixels about their middle: one
+/// histogram of brightness an angle holds the sums on both sides of all offsets.
+fn sharp_border(about: &[[f64; 3]], grid: Grid) -> Option<(f64, f64, f64)> {
+    let n = about.len() as f64;
+    let far = about.iter().map(|[x, y, _]| x.hypot(*y)).fold(0.0, f64::max);
+    let reach = far * grid.reach;
+    let all = about.iter().map(|p| p[2]).sum::<f64>();
+    let total = about.iter().map(|p| p[2] * p[2]).sum::<f64>() - all * all / n;
+    let steps = (far / grid.step_px).ceil();
+    let mut best = ((1.0 - grid.most_left_over) * total, None);
+    let mut bins = vec![[0.0f64; 2]; 2 * steps as usize + 2];
+    // Half a turn: which side is lit, the sums tell.
+    for k in 0..grid.angles / 2 {
+        let angle = f64::from(k) * std::f64::consts::TAU / f64::from(grid.angles);
+        let (sin, cos) = angle.sin_cos();
+        bins.fill([0.0; 2]);
+        for [x, y, b] in about {
+            let bin = &mut bins[((x * cos + y * sin) / grid.step_px + steps).max(0.0) as usize];
+            bin[0] += 1.0;
+            bin[1] += b;
+        }
+        let (mut below, mut sum) = (0.0, 0.0);
+        for (i, bin) in bins.iter().enumerate() {
+            below += bin[0];
+            sum += bin[1];
+            let off = (i as f64 + 1.0 - steps) * grid.step_px;
+            if off.abs() > reach || below == 0.0 || below == n {
+                continue;
+            }
+            let step = (all - sum) / (n - below) - sum / below;
+            let explained = step * step * below * (n - below) / n;
+            if explained > best.0 {
+                let lit_above = (angle, off, total);
+                let lit_below = (angle + std::f64::consts::PI, -off, total);
+                best = (explained, Some(if step > 0.0 { lit_above } else { lit_below }));
+            }
+        }
+    }
+    best.1
+}
+
 /// Which lines are tried first.
 #[derive(Clone, Copy)]
 struct Grid {
@@ -191,12 +232,14 @@ struct Grid {
     step_px: f64,
     /// Share of the pixels' own reach that the line may lie off their middle.
     reach: f64,
+    /// Share of the brightness's variance that the best sharp border may leave unexplained.
+    most_left_over: f64,
 }
 
 impl Grid {
-    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0 };
+    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0, most_left_over: 0.5 };
     /// For many pixels about the mark, through which the line goes.
-    const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4 };
+    const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4, most_left_over: 1.0 };
 }
 
 /// Sum of squares of what a line in the first does not explain of the second, and all of it. The light lies on the bright side.
@@ -244,16 +287,11 @@ fn lights(scene: &Scene<'_>, paint: Vector3<f64>, ground: Vector3<f64>) -> Vec<S
     seen
 }
 
-/// From 0 to 1 about 0, as a blurred edge.
+/// From 0 to 1 about 0, as a blurred edge: the logistic function that lies nearest to the normal distribution's.
+#[inline]
 pub(super) fn ramp(v: f64) -> f64 {
-    if v < -4.0 {
-        return 0.0;
-    }
-    if v > 4.0 {
-        return 1.0;
-    }
-    // The logistic function that lies nearest to the normal distribution's.
-    1.0 / (1.0 + (-1.702 * v).exp())
+    let e = exp_of_negative(-1.702 * v.abs());
+    (if v < 0.0 { e } else { 1.0 }) / (1.0 + e)
 }
 
 #[cfg(test)]
