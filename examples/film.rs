@@ -12,7 +12,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let frame = Finder::new(&camera)?.find(&scene, &FindOptions::default())?;
     let found = frame.marks.iter().filter(|mark| mark.centre.is_some()).count();
     println!("{found} of {} marks found; usable without a look: {}", camera.marks.len(), frame.is_ok());
-    if let Some(interior) = &frame.inner {
+    if let Some(interior) = &frame.interior {
         println!("scan pixels to film millimetres: {:?}", interior.pixel_to_mm);
     }
     Ok(())

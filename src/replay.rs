@@ -10,7 +10,7 @@ use crate::result::RunResult;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
-use autoref_review::{Action, Edit, Patch, Target};
+use autoref_review::{Action, Edit, PatchFile, Target};
 use autoref_solve::{Pair, solve_as};
 
 /// What a replay gives.
@@ -38,7 +38,7 @@ struct Held {
 /// [`Error::Usage`] when the result's best pattern refers to what the result does not have; [`Error::Format`] when an edit
 /// names a GCP or candidate that the result does not have, accepts a GCP that has no mark, puts one outside the image, or when
 /// one candidate ends as the mark of two GCPs.
-pub fn replay(recorded: &RunResult, patch: &Patch, patch_path: &Path) -> Result<Replayed> {
+pub fn replay(recorded: &RunResult, patch: &PatchFile, patch_path: &Path) -> Result<Replayed> {
     let pairs = recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs);
     if pairs.into_iter().any(|&(c, g)| c >= recorded.candidates.len() || g >= recorded.gcps.len()) {
         return Err(Error::usage(
@@ -216,8 +216,8 @@ mod tests {
         .expect("a result")
     }
 
-    fn patch(edits: serde_json::Value) -> Patch {
-        Patch {
+    fn patch(edits: serde_json::Value) -> PatchFile {
+        PatchFile {
             schema: SCHEMA.into(),
             schema_version: SCHEMA_VERSION,
             subject: Subject::Gcps,

@@ -4,7 +4,7 @@
 mod common;
 
 use autoref_raster::mosaic::tile_map::TileMap;
-use autoref_review::{Patch, Subject};
+use autoref_review::{PatchFile, Subject};
 use autoref_stream::georef::candidate_list;
 use autoref_stream::learn::read_colours;
 use autoref_stream::profile::Profile;
@@ -21,8 +21,8 @@ fuzz_target!(|data: &[u8]| {
             }
         }
         Some("json") => {
-            let _ = Patch::read(path, Subject::Gcps);
-            let _ = Patch::read(path, Subject::Fiducials);
+            let _ = PatchFile::read(path, Subject::Gcps);
+            let _ = PatchFile::read(path, Subject::Fiducials);
             let _ = RunResult::read(path);
         }
         Some("csv") => {

@@ -254,7 +254,7 @@ impl Surface<PARAMETERS> for Problem<'_> {
 /// Weights by Tukey's biweight, with the noise that the residuals show about a fit whose bright and dark are `height` apart.
 pub(crate) fn tukey_weights(residuals: &[f64], height: f64) -> Vec<f64> {
     const CUT: f64 = 4.7;
-    let spread = 1.4826 * crate::candidate::patch::median(residuals.iter().map(|r| r.abs()).collect());
+    let spread = 1.4826 * crate::candidate::scene::median(residuals.iter().map(|r| r.abs()).collect());
     // A hundredth of the height: paint, print and cloth are never flatter than that.
     let noise = spread.max(0.01 * height.abs()).max(0.3);
     let weight = |r: &f64| {

@@ -12,7 +12,7 @@ use nalgebra::{SMatrix, SVector, Vector3};
 use super::fit::{Fit, Form, add_priors};
 use super::jpeg_steps::{CELLS, Cells, Cosines, N, TO_YCC, Tables};
 use super::kernels::{self, Model};
-use super::patch::{Ground, Scene};
+use super::scene::{Ground, Scene};
 use crate::segment::classify::Classifier;
 use autoref_raster::Patch;
 

@@ -8,8 +8,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::patch::{Scene, ground};
 use super::pixel_set::PixelSet;
+use super::scene::{Scene, ground};
 
 /// Each of the two box filters that make a local mean reaches this far.
 const BOX_REACH: usize = 4;

@@ -2,7 +2,7 @@
 //! plain centres, candidates too close to each other, and the order of the list.
 
 use super::Candidate;
-use super::patch::Scene;
+use super::scene::Scene;
 use crate::profile::colour::lab_from_srgb;
 use crate::profile::{CentreMode, Density, Ordering, Profile, Property, Rule, Shape, TooClose};
 use crate::segment::classify::Classifier;

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use super::kernels::exp_of_negative;
-use super::patch::{RING_PX, Scene, median};
 use super::pixel_set::PixelSet;
+use super::scene::{RING_PX, Scene, median};
 use super::whole::LEAST_GROWTH;
 use autoref_raster::Patch;
 

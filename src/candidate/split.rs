@@ -6,8 +6,8 @@
 use super::Candidate;
 use super::examine::{examine_part, examine_whole, measure_scene, near, score};
 use super::gates::Gates;
-use super::patch::Scene;
 use super::pixel_set::PixelSet;
+use super::scene::Scene;
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;

@@ -12,8 +12,8 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use super::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
 use super::fit::{Fit, Form, add_priors, correlated_scatter};
 use super::kernels::{self, Model, Sample, Samples};
-use super::patch::Scene;
 use super::pixel_set::PixelSet;
+use super::scene::Scene;
 use super::shadow::{Line, ramp};
 
 /// Parameters: centre x, y; logarithms of the sides; angle; logarithm of the blur; direction of the light, offset and logarithm of the

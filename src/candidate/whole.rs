@@ -7,8 +7,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::fit::{Fit, Form};
-use super::patch::{Ground, RING_PX, Scene};
 use super::pixel_set::PixelSet;
+use super::scene::{Ground, RING_PX, Scene};
 
 /// Rounds of growing; the ground changes little after the second.
 const ROUNDS: usize = 3;

@@ -15,7 +15,6 @@
 mod accuracy_list;
 pub mod convert;
 mod csv_list;
-mod frame;
 mod geojson;
 mod kof;
 pub mod odm;
@@ -26,10 +25,11 @@ mod raw;
 mod read;
 mod select;
 mod text;
+mod working_crs;
 mod xml;
 
-pub use frame::{Delivered, Frame, Reproject};
 pub use read::{GcpList, GcpOptions, ImageGeoreference, read};
+pub use working_crs::{Delivered, Reproject, WorkingCrs};
 
 use serde::{Deserialize, Serialize};
 

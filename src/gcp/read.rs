@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use crate::gcp::convert::ListFormat;
-use crate::gcp::frame::{Frame, Reproject};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
+use crate::gcp::working_crs::{Reproject, WorkingCrs};
 use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, place, qgis, text, xml};
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
@@ -79,12 +79,12 @@ pub struct ImageGeoreference {
 /// A list as it will be used: coordinates in metres.
 #[derive(Clone, Debug)]
 pub struct GcpList {
-    /// Easting, northing and height in metres, whatever the CRS counts in; see [`Frame`].
+    /// Easting, northing and height in metres, whatever the CRS counts in; see [`WorkingCrs`].
     pub gcps: Vec<Gcp>,
     /// CRS of the outputs.
     pub crs: Option<Crs>,
     /// From the metres of the fit to the outputs.
-    pub frame: Frame,
+    pub working_crs: WorkingCrs,
     /// What was assumed or looks odd, in plain words.
     pub notes: Vec<String>,
 }
@@ -269,7 +269,7 @@ fn enter(
     let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
     let Some(source) = source else {
         return match target {
-            None => Ok(GcpList { gcps, crs: None, frame: Frame::local(), notes }),
+            None => Ok(GcpList { gcps, crs: None, working_crs: WorkingCrs::local(), notes }),
             Some(_) => Err(Error::usage(
                 format!("{}: --to-crs needs to know where the coordinates come from", path.display()),
                 "give --crs too",
@@ -279,9 +279,9 @@ fn enter(
     if options.datum_accuracy_m.is_nan() || options.datum_accuracy_m < 0.0 {
         return Err(Error::usage("--datum-accuracy is no length", "give metres, 0 or more"));
     }
-    let (frame, crs) =
-        Frame::enter(path, &mut gcps, source, target, options.reproject, options.datum_accuracy_m, &mut notes)?;
-    Ok(GcpList { gcps, crs: Some(crs), frame, notes })
+    let (working_crs, crs) =
+        WorkingCrs::enter(path, &mut gcps, source, target, options.reproject, options.datum_accuracy_m, &mut notes)?;
+    Ok(GcpList { gcps, crs: Some(crs), working_crs, notes })
 }
 
 /// Duplicate names are an error, duplicate places a note.

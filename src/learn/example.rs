@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use crate::candidate::patch::{median, sample_ground};
 use crate::candidate::pixel_set::PixelSet;
+use crate::candidate::scene::{median, sample_ground};
 use autoref_raster::Patch;
 use autoref_raster::coords::PixelPoint;
 

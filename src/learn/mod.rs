@@ -5,8 +5,8 @@ mod example;
 mod statistics;
 
 use crate::candidate::Gates;
-use crate::candidate::patch::median;
 use crate::candidate::pixel_set::PixelSet;
+use crate::candidate::scene::median;
 use crate::candidate::split::score_of;
 use crate::profile::colour::{Cloud, Metric, Space, lab_from_srgb};
 use crate::profile::mixing::cloud;

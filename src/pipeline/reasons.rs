@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
-use crate::candidate::patch::{Ground, sample_ground};
+use crate::candidate::scene::{Ground, sample_ground};
 use crate::gcp::Gcp;
 use crate::pipeline::georeference::Orientation;
 use crate::profile::colour::lab_from_srgb;

@@ -86,7 +86,7 @@ struct Page<'a> {
     warnings: Vec<&'a str>,
     sections: &'a [Section],
     details: serde_json::Value,
-    patch: Option<&'a autoref_review::Patch>,
+    patch: Option<&'a autoref_review::PatchFile>,
 }
 
 #[derive(Serialize)]

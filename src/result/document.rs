@@ -80,7 +80,7 @@ pub(super) struct Document<'a> {
     chosen_model: Option<serde_json::Value>,
     #[serde(default)]
     warnings: Vec<String>,
-    patch: Option<autoref_review::Patch>,
+    patch: Option<autoref_review::PatchFile>,
     #[serde(default)]
     candidates: Cow<'a, [Candidate]>,
     #[serde(default)]

@@ -61,7 +61,7 @@ pub struct RunResult {
     pub diagnoses: Vec<crate::matching::diagnosis::Diagnosis>,
     pub warnings: Vec<String>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
-    pub patch: Option<autoref_review::Patch>,
+    pub patch: Option<autoref_review::PatchFile>,
     pub files_written: Vec<String>,
     pub reading: Option<Reading>,
     /// What the self-taught second pass did, when there was one.

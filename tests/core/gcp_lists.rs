@@ -391,10 +391,10 @@ fn feet_are_fitted_in_metres_and_written_in_feet() {
     assert!((list.gcps[0].height.expect("kept") - 30.0 * survey_foot).abs() < 1e-9);
     assert!(list.notes.iter().any(|note| note.contains("0.304800610")), "{:?}", list.notes);
     let mut back = [Coordinate { x: list.gcps[1].easting, y: list.gcps[1].northing, height: list.gcps[1].height }];
-    list.frame.leave(&mut back).expect("a scale");
+    list.working_crs.leave(&mut back).expect("a scale");
     assert!((back[0].x - 980100.0).abs() < 1e-9 && (back[0].height.expect("kept") - 31.0).abs() < 1e-9, "{back:?}");
     let fitted = autoref_raster::coords::GeoTransform([1000.0, 0.03, 0.0, 2000.0, 0.0, -0.03]);
-    let delivered = list.frame.deliver(&fitted, (100.0, 100.0)).expect("a scale");
+    let delivered = list.working_crs.deliver(&fitted, (100.0, 100.0)).expect("a scale");
     assert!((delivered.transform.0[1] - 0.03 / survey_foot).abs() < 1e-15 && delivered.departure_px == 0.0);
     // International feet are 2 ppm shorter: 0.6 m at this distance from the origin.
     let international = folder
@@ -413,14 +413,14 @@ fn after_the_fit_an_affine_transform_says_what_it_leaves_out() {
     assert_eq!(list.gcps[0].easting, 570000.0, "the points stay where they are until the fit");
     assert_eq!(list.crs.as_ref().map(|c| c.label()).as_deref(), Some("EPSG:25833"));
     let fitted = autoref_raster::coords::GeoTransform([570000.0, 0.03, 0.001, 7032400.0, 0.001, -0.03]);
-    let delivered = list.frame.deliver(&fitted, (13000.0, 13000.0)).expect("one datum");
+    let delivered = list.working_crs.deliver(&fitted, (13000.0, 13000.0)).expect("one datum");
     assert!(delivered.departure_px < 0.5 && delivered.departure_px > 0.0, "{}", delivered.departure_px);
     assert!(delivered.notes[0].contains("px"), "{:?}", delivered.notes);
     // The centre of the image agrees with PROJ.
     let centre = autoref_raster::coords::PixelPoint { x: 6500.0, y: 6500.0 };
     let ground = fitted.apply(centre);
     let mut exact = [Coordinate { x: ground.easting, y: ground.northing, height: None }];
-    list.frame.leave(&mut exact).expect("one datum");
+    list.working_crs.leave(&mut exact).expect("one datum");
     let found = delivered.transform.apply(centre);
     assert!((found.easting - exact[0].x).hypot(found.northing - exact[0].y) < 0.02, "{found:?} {exact:?}");
 }

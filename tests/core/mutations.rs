@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::common::{Random, trials};
 use autoref_raster::crs::Crs;
-use autoref_review::{Patch, Subject};
+use autoref_review::{PatchFile, Subject};
 use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::georef::candidate_list;
 use autoref_stream::profile::Profile;
@@ -128,7 +128,7 @@ fn profiles_patches_results_and_candidates() {
     let orange = Profile::builtin("orange").expect("shipped").to_toml();
     survive(&[("p.toml", orange.as_str())], |path| drop(Profile::load(path.to_str().expect("plain"))));
     let patch = r#"{"schema":"autoref-stream-patch","schema_version":1,"for":"gcps","source":"a.autoref.json","edits":[{"gcp":"A","action":"reject"},{"gcp":"B","action":"move","x":1.5,"y":2}],"shown":{"points":5,"rmse_m":0.1,"geotransform":[1,2,3,4,5,6]}}"#;
-    survive(&[("patch.json", patch)], |path| drop(Patch::read(path, Subject::Gcps)));
+    survive(&[("patch.json", patch)], |path| drop(PatchFile::read(path, Subject::Gcps)));
     let table = "x,y,score,cov_xx,cov_xy,cov_yy,area,width,height,elevation,code\n12.5,40.25,3.5,0.01,0,0.01,96,12,12,80.1,aruco-4x4-50:7\n100,200,,,,,,,,,\n";
     survive(&[("c.csv", table)], |path| drop(candidate_list::read_csv(path)));
     let result = r#"{"schema_version":1,"program":"autoref-stream 0.1.0","status":"refused","reason":"x","image":null,"gcp_file":"a","options":{},"geotransform":null,"crs":null,"rmse_m":null,"rmse_e_m":null,"rmse_n_m":null,"rmse_px":null,"scale_m_per_px":null,"rotation_deg":null,"gcps_listed":3,"gcps_in_image":null,"candidates_found":0,"false_alarms":null,"log10_false_alarms":null,"matches":[],"check_points":[],"accuracy":null,"solution":null,"runner_up":null,"best_pattern":null,"search":{"hypotheses_possible":1.0,"hypotheses_tried":1,"budget_spent":false},"prior_georeference":null,"patch":null,"reading":null,"memory_plan":null,"peak_memory_bytes":null,"elapsed_s":0.1}"#;

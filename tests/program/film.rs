@@ -266,7 +266,7 @@ fn the_real_wild_frame_shows_all_marks_where_they_were_measured_by_hand() {
         println!("{name}: {off:.2} px from the measurement by hand, residual {:?} µm", mark.residual_um);
         assert!(off < 1.5, "{name}: {off}");
     }
-    let inner = found.inner.expect("solved");
+    let inner = found.interior.expect("solved");
     println!("affine, all 8 marks: RMSE {:.1} µm, pixel {:.3} µm", inner.rmse_um, inner.pixel_um);
     assert!(inner.rmse_um < 25.0 && (inner.pixel_um - 42.26).abs() < 0.1);
 }

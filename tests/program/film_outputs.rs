@@ -6,12 +6,12 @@ use std::process::{Command, Output};
 
 use crate::browser::{Browser, Page};
 use autoref_film::drawn::{FilmGround, FilmScene, FilmSpec};
-use autoref_film::inner::{Observation, solve};
+use autoref_film::interior::{Observation, solve};
 use autoref_film::resample::banding::Banding;
 use autoref_film::resample::kernel::Kernel;
 use autoref_film::resample::{self, Light, ResampleOptions, lighting};
 use autoref_film::{
-    Camera, FrameResult, FrameStatus, InnerModel, InnerOrientation, MarkStatus, contact_sheet, load_camera,
+    Camera, FrameResult, FrameStatus, InteriorModel, InteriorOrientation, MarkStatus, contact_sheet, load_camera,
 };
 use autoref_raster::coords::{Handedness, PixelPoint};
 use serde_json::Value;
@@ -356,7 +356,7 @@ fn a_review_of_the_contact_sheet_replays_to_the_same_numbers() {
         for name in [a, b] {
             let reviewed: FrameResult =
                 serde_json::from_str(&text(&roll.out(&format!("{name}.reviewed.json")))).expect("a result");
-            let inner = reviewed.inner.as_ref().expect("solved");
+            let inner = reviewed.interior.as_ref().expect("solved");
             let shown = &shown[name];
             let close = |a: f64, b: &Value, what: &str| {
                 let b = b.as_f64().unwrap_or_else(|| panic!("{what}: {b}"));
@@ -433,7 +433,7 @@ fn a_sheet_of_a_thousand_frames_opens_at_once() {
         .collect();
     let page = roll.out("contact_sheet.html");
     let started = std::time::Instant::now();
-    contact_sheet::write_sheet(&page, &roll.camera, &frames, InnerModel::Affine).expect("written");
+    contact_sheet::write_sheet(&page, &roll.camera, &frames, InteriorModel::Affine).expect("written");
     let made_s = started.elapsed().as_secs_f64();
     let bytes = std::fs::metadata(&page).expect("there").len();
     let Some(mut browser) = Browser::start() else { return };
@@ -497,7 +497,7 @@ fn resampled_frames_are_those_of_gdalwarp() {
         let output = autoref(&[&args[..], &["--resample-mm", &size, "--kernel", kernel, "--overwrite"]].concat());
         assert!(output.status.code().is_some_and(|c| c < 2), "{}", String::from_utf8_lossy(&output.stderr));
         let frame = roll.frame(name);
-        let inner = frame.inner.expect("solved");
+        let inner = frame.interior.expect("solved");
         let (w, h, ours) = pixels(&roll.out(&format!("{name}.resampled.tif")));
 
         // The scan with the orientation as its geotransform (the camera's y runs up, as GDAL's).
@@ -607,7 +607,7 @@ fn resampled(spec: &FilmSpec, ground: &FilmGround, options: &ResampleOptions, li
     (w, values.into_iter().map(|v| v / 65_535.0).collect())
 }
 
-fn scene(spec: &FilmSpec, ground: &FilmGround) -> (FilmScene, InnerOrientation) {
+fn scene(spec: &FilmSpec, ground: &FilmGround) -> (FilmScene, InteriorOrientation) {
     let scene = FilmScene::new(spec, ground).expect("drawable");
     let marks: Vec<Observation> = scene
         .truth()
@@ -621,7 +621,7 @@ fn scene(spec: &FilmSpec, ground: &FilmGround) -> (FilmScene, InnerOrientation) 
             covariance_px2: [0.01, 0.0, 0.01],
         })
         .collect();
-    let inner = solve(&spec.camera, &marks, InnerModel::Affine, Handedness::AsIs).expect("solved");
+    let inner = solve(&spec.camera, &marks, InteriorModel::Affine, Handedness::AsIs).expect("solved");
     (scene, inner)
 }
 
@@ -792,7 +792,7 @@ fn scans_that_stream_give_the_same_frame_as_tiles() {
 
 /// The numbers of the tables and of the JSON against least squares written out here.
 #[test]
-fn tables_of_the_inner_orientation_are_those_of_an_independent_calculation() {
+fn tables_of_the_interior_orientation_are_those_of_an_independent_calculation() {
     let roll = Roll::new("wild-15-4", "80", &["--frames", "3", "--seed", "4"]);
     roll.fiducials(&["--exports"], 0);
     let cell = |row: &csv::StringRecord, k: usize| row[k].parse::<f64>().unwrap_or_else(|_| panic!("{row:?} {k}"));
@@ -828,7 +828,7 @@ fn tables_of_the_inner_orientation_are_those_of_an_independent_calculation() {
         close(6, rms(&residuals) * (n as f64 / 10.0).sqrt());
         close(7, residuals.iter().map(size).fold(0.0, f64::max));
         close(8, rms(&left_out));
-        let inner = frame.inner.as_ref().expect("solved");
+        let inner = frame.interior.as_ref().expect("solved");
         for (i, r) in residuals.iter().enumerate() {
             let (said, out) = (frame.marks[i].residual_um.expect("solved"), inner.leave_one_out_um[i].expect("enough"));
             assert!((said[0] - r[0]).hypot(said[1] - r[1]) < 1e-6 && size(&left_out[i]) > size(r));
@@ -870,7 +870,7 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
             Observation { name: m.name.clone(), mm, pixel: at(mm, k), covariance_px2 }
         })
         .collect();
-    for (model, free) in [(InnerModel::Similarity, 4), (InnerModel::Affine, 6), (InnerModel::Projective, 8)] {
+    for (model, free) in [(InteriorModel::Similarity, 4), (InteriorModel::Affine, 6), (InteriorModel::Projective, 8)] {
         let inner = solve(&camera, &marks, model, Handedness::AsIs).expect("solved");
         // Similarity: a = h0, b = −h1, X₀, Y₀; the others: h0 and on.
         let free_of =
@@ -905,7 +905,7 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
         // One mark fewer than the model needs to be left out: the corners are enough for a similarity and an affine only.
         let four = solve(&camera, &marks[..4], model, Handedness::AsIs).expect("solved");
         assert!(four.leave_one_out_um.iter().all(Option::is_some) && four.leave_one_out_rmse_um.is_some());
-        assert_ne!(four.model, InnerModel::Projective, "four marks leave a projective unchecked");
+        assert_ne!(four.model, InteriorModel::Projective, "four marks leave a projective unchecked");
         let two = solve(&camera, &marks[..2], model, Handedness::AsIs).expect("solved");
         assert!(two.leave_one_out_um.iter().all(Option::is_none) && two.leave_one_out_rmse_um.is_none());
     }

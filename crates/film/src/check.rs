@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::inner::{distance, fit_pose};
+use super::interior::{distance, fit_pose};
 use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// What the comparison says of one mark.

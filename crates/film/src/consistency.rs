@@ -5,7 +5,7 @@
 //! Median and median absolute deviation after F. R. Hampel, "The influence curve and its role in robust estimation", Journal
 //! of the American Statistical Association, 1974. A frame only ever loses by this: nothing doubtful becomes good.
 
-use super::inner::distance;
+use super::interior::distance;
 use super::remeasure::median;
 use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::coords::{Handedness, PixelPoint};
@@ -38,12 +38,12 @@ pub struct Facts {
 impl Facts {
     /// `None` for a frame without interior orientation.
     pub fn of(camera: &Camera, frame: &FrameResult) -> Option<Facts> {
-        let inner = frame.inner.as_ref()?;
+        let interior = frame.interior.as_ref()?;
         let found: Vec<(usize, PixelPoint)> = camera
             .marks
             .iter()
             .enumerate()
-            .filter(|(_, m)| inner.marks.contains(&m.name))
+            .filter(|(_, m)| interior.marks.contains(&m.name))
             .filter_map(|(k, m)| Some((k, frame.marks.iter().find(|f| f.mark == m.name)?.centre?)))
             .collect();
         let mut lengths_px = vec![];
@@ -51,12 +51,12 @@ impl Facts {
             lengths_px.extend(found[n + 1..].iter().map(|(b, q)| (*a, *b, distance(*p, *q))));
         }
         let [x, y] = camera.film_centre();
-        let middle = inner.to_pixel([x, camera.y_sign() * y])?;
-        let mm = inner.pixel_um / 1e3;
+        let middle = interior.to_pixel([x, camera.y_sign() * y])?;
+        let mm = interior.pixel_um / 1e3;
         Some(Facts {
-            pixel_um: inner.pixel_um,
-            quarters: (inner.rotation_deg / 90.0).round().rem_euclid(4.0) as u8,
-            mirrored: inner.mirrored,
+            pixel_um: interior.pixel_um,
+            quarters: (interior.rotation_deg / 90.0).round().rem_euclid(4.0) as u8,
+            mirrored: interior.mirrored,
             lengths_px,
             offset_mm: [(middle.x - 0.5 * frame.width as f64) * mm, (middle.y - 0.5 * frame.height as f64) * mm],
             size_px: [frame.width, frame.height],

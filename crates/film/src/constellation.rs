@@ -4,7 +4,7 @@
 //! pose that most marks agree with, best scores first, is taken. The frame's turn is a matter of its own: side and corner marks
 //! lie nearly symmetrically, and only how far a camera's calibrated positions are from symmetric tells its turns apart.
 
-use super::inner::{Pose, distance, fit_pose, rms_px};
+use super::interior::{Pose, distance, fit_pose, rms_px};
 use super::search::Peak;
 use autoref_raster::coords::{Handedness, PixelPoint};
 

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind};
+use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, MarkFind};
 use super::window::{around, open_scan, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::atomic;
@@ -24,7 +24,7 @@ const SEARCHED_MM: f64 = 16.0;
 ///
 /// # Errors
 /// When the page or a picture cannot be written.
-pub fn write_sheet(path: &Path, camera: &Camera, frames: &[FrameResult], model: InnerModel) -> Result<()> {
+pub fn write_sheet(path: &Path, camera: &Camera, frames: &[FrameResult], model: InteriorModel) -> Result<()> {
     let folder = path.with_extension("");
     std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "create", e))?;
     atomic::with_temporary(path, |part| {
@@ -83,9 +83,9 @@ fn entry(camera: &Camera, frame: &FrameResult, folder: &Path) -> Result<Value> {
                 "y": m.centre.map(|c| c.y), "left": left, "top": top, "step": step, "col": col})
         })
         .collect();
-    let mirrored = frame.inner.as_ref().is_some_and(|i| i.mirrored.is_mirrored());
+    let mirrored = frame.interior.as_ref().is_some_and(|i| i.mirrored.is_mirrored());
     Ok(json!({"name": frame.name, "status": status, "reasons": reasons, "marks": marks, "columns": columns,
-        "flip": mirrored != (camera.y_sign() < 0.0), "worst": frame.inner.as_ref().map_or(0.0, |i| i.rmse_um)}))
+        "flip": mirrored != (camera.y_sign() < 0.0), "worst": frame.interior.as_ref().map_or(0.0, |i| i.rmse_um)}))
 }
 
 /// A square window of the scan, plain and equalised.

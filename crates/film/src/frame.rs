@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use super::check::agreement;
 use super::constellation::{Assembly, assemble};
-use super::inner::{Observation, Pose, distance, fit_pose, residual_um, solve};
+use super::interior::{Observation, Pose, distance, fit_pose, residual_um, solve};
 use super::remeasure::Measured;
 use super::search::{Peak, search};
 use super::sketch::{Sketches, upright};
 use super::template::Model;
-use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkFind, MarkStatus};
+use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, MarkFind, MarkStatus};
 use super::window::{around, open_scan};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::{Handedness, PixelPoint};
@@ -33,7 +33,7 @@ pub struct FindOptions {
     /// Size of a scanned pixel on the film; `None`: from the film's and the scan's sizes.
     pub pixel_um: Option<f64>,
     /// The interior orientation that is solved when marks allow it.
-    pub model: InnerModel,
+    pub model: InteriorModel,
     /// Clockwise turn of the frames in the scans, 0, 90, 180 or 270; `None`: found.
     pub turn_deg: Option<f64>,
     /// Whether the scans show the film from the wrong side; `None`: found.
@@ -52,7 +52,7 @@ impl Default for FindOptions {
         FindOptions {
             method: Method::Correlation,
             pixel_um: None,
-            model: InnerModel::Affine,
+            model: InteriorModel::Affine,
             turn_deg: None,
             mirrored: None,
             box_share: 0.10,
@@ -159,7 +159,7 @@ impl Finder {
             height: info.height,
             status: FrameStatus::Failed { reasons: vec!["no two marks fit the camera".into()] },
             marks: vec![],
-            inner: None,
+            interior: None,
             notes: vec![],
             elapsed_s: 0.0,
         };
@@ -349,22 +349,22 @@ impl Finder {
                 reasons.push(format!("mark {}: {reason}", m.mark));
             }
         }
-        let Some(inner) = solve(&self.camera, &observations, options.model, pose.mirrored) else {
+        let Some(interior) = solve(&self.camera, &observations, options.model, pose.mirrored) else {
             reasons.insert(0, format!("{} marks to be trusted: no interior orientation", observations.len()));
             result.status = FrameStatus::Failed { reasons };
             return;
         };
         for m in &mut result.marks {
             let mm = self.camera.marks.iter().find(|c| c.name == m.mark).and_then(|c| c.x_mm.zip(c.y_mm));
-            m.residual_um = mm.zip(m.centre).and_then(|(mm, p)| residual_um(&inner, [mm.0, mm.1], p));
+            m.residual_um = mm.zip(m.centre).and_then(|(mm, p)| residual_um(&interior, [mm.0, mm.1], p));
         }
         if observations.len() < self.film.len() {
             reasons.insert(0, format!("solved with {} of {} marks", observations.len(), self.film.len()));
         }
-        if inner.mirrored.is_mirrored() {
+        if interior.mirrored.is_mirrored() {
             result.notes.push("the scan shows the film from the wrong side (mirrored)".into());
         }
-        result.inner = Some(inner);
+        result.interior = Some(interior);
         result.status = if reasons.is_empty() { FrameStatus::Ok } else { FrameStatus::Doubtful { reasons } };
     }
 }
@@ -420,7 +420,7 @@ pub fn find_frame(finder: &Finder, path: &Path, options: &FindOptions) -> FrameR
             height: 0,
             status: FrameStatus::Failed { reasons: vec![error.to_string()] },
             marks: vec![],
-            inner: None,
+            interior: None,
             notes: vec![],
             elapsed_s: started.elapsed().as_secs_f64(),
         },

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use super::frame::{FindOptions, Finder};
-use super::inner::{Pose, fit_pose};
+use super::interior::{Pose, fit_pose};
 use super::template::{LearnedTemplate, Model};
 use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
 use super::window::{Grey, around, open_scan, read_grey};
@@ -220,15 +220,15 @@ fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(u
 
 fn pose_of(camera: &Camera, frame: &FrameResult) -> Option<Pose> {
     let film = camera.film_points();
-    let inner = frame.inner.as_ref()?;
+    let interior = frame.interior.as_ref()?;
     let points: Vec<_> = camera
         .marks
         .iter()
         .enumerate()
-        .filter(|(_, m)| inner.marks.contains(&m.name))
+        .filter(|(_, m)| interior.marks.contains(&m.name))
         .filter_map(|(k, m)| Some((film[k], frame.marks.iter().find(|f| f.mark == m.name)?.centre?)))
         .collect();
-    fit_pose(&points, inner.mirrored)
+    fit_pose(&points, interior.mirrored)
 }
 
 fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> {

@@ -2,7 +2,7 @@
 //! refines them to a fraction of a pixel, solves the interior orientation and says which frames a person must look at.
 //!
 //! ```text
-//! Camera → Template → search windows → peaks → constellation → refined marks → checks → InnerOrientation
+//! Camera → Template → search windows → peaks → constellation → refined marks → checks → InteriorOrientation
 //! ```
 //!
 //! Only windows that can hold marks are read ([`window`]); a frame costs the same memory however large its scan is.
@@ -19,14 +19,14 @@ pub mod contact_sheet;
 mod correlate;
 pub mod drawn;
 pub mod frame;
-pub mod inner;
+pub mod interior;
 mod kernel;
 pub mod learn;
 pub mod micmac;
 mod naming;
-pub mod patch;
 pub mod refine;
 mod remeasure;
+pub mod replay;
 pub mod resample;
 pub mod roll;
 pub mod search;

@@ -40,7 +40,7 @@ pub fn camera_xml(camera: &Camera) -> String {
 /// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its interior orientation, pixels counted from
 /// `origin`; `None` when it has none.
 pub fn image_xml(frame: &FrameResult, origin: PixelOrigin) -> Option<String> {
-    frame.inner.as_ref()?;
+    frame.interior.as_ref()?;
     let points: Vec<_> = used_marks(frame, origin).map(|(m, at)| (m.mark.clone(), at)).collect();
     let one = measures(&file_name(frame), &points, "    ");
     Some(format!("<?xml version=\"1.0\" ?>\n<SetOfMesureAppuisFlottants>\n{one}</SetOfMesureAppuisFlottants>\n"))

@@ -2,7 +2,7 @@
 
 use super::constellation::{Naming, namings};
 use super::frame::{FindOptions, Finder};
-use super::inner::{Pose, distance, fit_pose};
+use super::interior::{Pose, distance, fit_pose};
 use super::remeasure::{Measured, located};
 use super::template::Model;
 use autoref_raster::coords::Handedness;

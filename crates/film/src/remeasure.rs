@@ -4,7 +4,7 @@
 use super::check::agreement;
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
-use super::inner::{Pose, distance, fit_pose};
+use super::interior::{Pose, distance, fit_pose};
 use super::refine::{Refined, Refiner};
 use super::search::{Levels, Peak, climb, near, search, settle};
 use super::sketch::{Sketches, refined_mm};

@@ -216,8 +216,8 @@ fn table_rows(frame: &FrameResult, out: &mut dyn Write) -> std::io::Result<()> {
         FrameStatus::Failed { reasons } => ("failed", reasons.join("; ")),
     };
     let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
-    let inner = frame.inner.as_ref();
-    let (rmse, size) = (number(inner.map(|i| i.rmse_um), 2), number(inner.map(|i| i.pixel_um), 4));
+    let interior = frame.interior.as_ref();
+    let (rmse, size) = (number(interior.map(|i| i.rmse_um), 2), number(interior.map(|i| i.pixel_um), 4));
     let name = quoted(&frame.name);
     if frame.marks.is_empty() {
         writeln!(out, "{name},{status},,,,,,,,,{rmse},{size},{}", quoted(&reasons))?;

@@ -64,7 +64,7 @@ pub(super) fn upright([a, b, c, d]: Linear) -> Linear {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::inner::Pose;
+    use crate::interior::Pose;
     use crate::template::draw;
     use crate::types::MarkKind;
 

@@ -6,7 +6,7 @@
 
 use serde_json::{Value, json};
 
-use super::types::{Camera, FrameResult, FrameStatus, InnerModel, InnerOrientation, MarkFind, MarkStatus};
+use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, InteriorOrientation, MarkFind, MarkStatus};
 use autoref_raster::coords::PixelPoint;
 
 /// From where the pixels of an export count.
@@ -29,7 +29,7 @@ impl PixelOrigin {
 
 /// The marks of the interior orientation with their pixels from `origin`.
 pub fn used_marks(frame: &FrameResult, origin: PixelOrigin) -> impl Iterator<Item = (&MarkFind, [f64; 2])> {
-    let used = frame.inner.as_ref().map_or(&[][..], |inner| &inner.marks);
+    let used = frame.interior.as_ref().map_or(&[][..], |interior| &interior.marks);
     frame.marks.iter().filter(|m| used.contains(&m.mark)).filter_map(move |m| {
         let centre = m.centre?;
         Some((m, [centre.x + origin.shift(), centre.y + origin.shift()]))
@@ -150,30 +150,30 @@ pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {
             FrameStatus::Failed { .. } => "failed",
         };
         let mut row = vec![frame.name.clone(), status.into()];
-        match &frame.inner {
+        match &frame.interior {
             None => row.extend((0..12).map(|_| String::new())),
-            Some(inner) => {
-                let (model, free) = match inner.model {
-                    InnerModel::Similarity => ("similarity", 4),
-                    InnerModel::Affine => ("affine", 6),
-                    InnerModel::Projective => ("projective", 8),
+            Some(interior) => {
+                let (model, free) = match interior.model {
+                    InteriorModel::Similarity => ("similarity", 4),
+                    InteriorModel::Affine => ("affine", 6),
+                    InteriorModel::Projective => ("projective", 8),
                 };
                 let largest = used_marks(frame, PixelOrigin::Corner)
                     .filter_map(|(m, _)| m.residual_um)
                     .map(|r| r[0].hypot(r[1]))
                     .fold(0.0, f64::max);
-                let form = deformation(camera, inner);
+                let form = deformation(camera, interior);
                 row.extend([
                     model.into(),
-                    inner.marks.len().to_string(),
-                    (2 * inner.marks.len()).saturating_sub(free).to_string(),
-                    digits(Some(inner.rmse_um), 3),
-                    digits(inner.sigma0_um, 3),
+                    interior.marks.len().to_string(),
+                    (2 * interior.marks.len()).saturating_sub(free).to_string(),
+                    digits(Some(interior.rmse_um), 3),
+                    digits(interior.sigma0_um, 3),
                     digits(Some(largest), 3),
-                    digits(inner.leave_one_out_rmse_um, 3),
-                    digits(Some(inner.pixel_um), 5),
-                    digits(Some(inner.rotation_deg), 5),
-                    inner.mirrored.is_mirrored().to_string(),
+                    digits(interior.leave_one_out_rmse_um, 3),
+                    digits(Some(interior.pixel_um), 5),
+                    digits(Some(interior.rotation_deg), 5),
+                    interior.mirrored.is_mirrored().to_string(),
                     digits(form.map(|f| 1e6 * f[0]), 1),
                     digits(form.map(|f| 1e6 * f[1]), 1),
                 ]);
@@ -185,10 +185,10 @@ pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {
 }
 
 /// Relative difference of the pixel's sizes along x and y, and the shear in radians.
-fn deformation(camera: &Camera, inner: &InnerOrientation) -> Option<[f64; 2]> {
+fn deformation(camera: &Camera, interior: &InteriorOrientation) -> Option<[f64; 2]> {
     let centre = camera.film_centre();
-    let middle = inner.to_pixel([centre[0], camera.y_sign() * centre[1]])?;
-    let at = |dx: f64, dy: f64| inner.to_mm(PixelPoint { x: middle.x + dx, y: middle.y + dy });
+    let middle = interior.to_pixel([centre[0], camera.y_sign() * centre[1]])?;
+    let at = |dx: f64, dy: f64| interior.to_mm(PixelPoint { x: middle.x + dx, y: middle.y + dy });
     let along = |dx: f64, dy: f64| {
         let (a, b) = (at(dx, dy)?, at(-dx, -dy)?);
         Some([a[0] - b[0], a[1] - b[1]])

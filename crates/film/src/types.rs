@@ -1,4 +1,4 @@
-//! The values that pass between the steps and that are written to the frame's JSON: cameras, marks found, the inner
+//! The values that pass between the steps and that are written to the frame's JSON: cameras, marks found, the interior
 //! orientation. Pixels follow `docs/coordinates.md`; millimetres are on the film, with the axes that the camera states.
 
 use std::path::PathBuf;
@@ -174,7 +174,7 @@ pub struct MarkFind {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum InnerModel {
+pub enum InteriorModel {
     Similarity,
     Affine,
     Projective,
@@ -182,8 +182,8 @@ pub enum InnerModel {
 
 /// Image → film.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct InnerOrientation {
-    pub model: InnerModel,
+pub struct InteriorOrientation {
+    pub model: InteriorModel,
     /// Row by row the 3 × 3 matrix H, H\[8\] = 1, with (x, y) a [`PixelPoint`] and (X, Y) the camera's millimetres:
     /// `X = (h0·x + h1·y + h2) / w`, `Y = (h3·x + h4·y + h5) / w`, `w = h6·x + h7·y + h8`. For similarity and affine h6 and
     /// h7 are zero.
@@ -213,7 +213,7 @@ pub struct InnerOrientation {
     pub mirrored: Handedness,
 }
 
-impl InnerOrientation {
+impl InteriorOrientation {
     /// Pixels → millimetres; `None` on or beyond the horizon of a projective orientation.
     pub fn to_mm(&self, p: PixelPoint) -> Option<[f64; 2]> {
         let h = &self.pixel_to_mm;
@@ -240,7 +240,8 @@ pub struct FrameResult {
     pub height: u64,
     pub status: FrameStatus,
     pub marks: Vec<MarkFind>,
-    pub inner: Option<InnerOrientation>,
+    #[serde(rename = "inner")]
+    pub interior: Option<InteriorOrientation>,
     /// What is worth knowing but is no reason to look.
     #[serde(default)]
     pub notes: Vec<String>,

@@ -1,5 +1,5 @@
 "use strict";
-// The fit that the program makes of the marks in use (crates/film/src/inner.rs), so that the page shows what a replay gives.
+// The fit that the program makes of the marks in use (crates/film/src/interior.rs), so that the page shows what a replay gives.
 const Fit = (() => {
   // Two and three marks: similarity; four of a projective: affine, since nothing else would be checked.
   const model = (wanted, n) => n < 2 ? null : n < 4 ? "similarity" : wanted === "projective" && n === 4 ? "affine" : wanted;

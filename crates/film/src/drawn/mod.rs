@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 mod render;
 
-use crate::inner::Pose;
+use crate::interior::Pose;
 use crate::template::Model;
 use crate::types::Camera;
 use crate::window::grey_info;

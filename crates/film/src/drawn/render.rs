@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{FilmGround, FilmMark, FilmSpec, GreyPhoto};
-use crate::inner::Pose;
+use crate::interior::Pose;
 use crate::template::{Model, invert};
 use crate::types::Camera;
 use autoref_raster::coords::PixelPoint;

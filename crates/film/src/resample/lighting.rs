@@ -12,7 +12,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::remeasure::median;
-use crate::types::{Camera, InnerOrientation};
+use crate::types::{Camera, InteriorOrientation};
 use crate::window::read_grey;
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;
@@ -64,7 +64,7 @@ fn terms([x, y]: [f64; 2]) -> [f64; OF_ROLL] {
 pub fn cells(
     source: &dyn RasterSource,
     camera: &Camera,
-    inner: &InnerOrientation,
+    interior: &InteriorOrientation,
     unit: impl Fn([f64; 2]) -> [f64; 2],
     masked: impl Fn([f64; 2]) -> bool,
 ) -> Result<Cells> {
@@ -80,7 +80,7 @@ pub fn cells(
         sorted.extend_from_slice(&grey.data);
         for (i, v) in grey.data.iter().enumerate() {
             let at = grey.to_scan((i % grey.width) as f64 + 0.5, (i / grey.width) as f64 + 0.5);
-            let Some([x, y]) = inner.to_mm(at) else { continue };
+            let Some([x, y]) = interior.to_mm(at) else { continue };
             let film = [x, camera.y_sign() * y];
             let place = unit(film);
             if place.iter().all(|v| v.abs() < 1.0) && !masked(film) {

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
-use super::types::{Camera, InnerOrientation};
+use super::types::{Camera, InteriorOrientation};
 use super::window::{Grey, read_grey};
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::PixelPoint;
@@ -52,14 +52,14 @@ pub enum Light<'a> {
 }
 
 /// What a frame's file says of itself, in its TIFF description, so that a roll that was stopped goes on where it was.
-pub fn description(camera: &Camera, inner: &InnerOrientation, options: &ResampleOptions, light: &str) -> String {
+pub fn description(camera: &Camera, interior: &InteriorOrientation, options: &ResampleOptions, light: &str) -> String {
     let boxes = [&camera.masked_mm[..], &options.boxes_mm[..]].concat();
     serde_json::json!({
         "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")), "camera": camera.name,
         "pixel_mm": options.pixel_mm, "kernel": options.kernel.name(), "mask_radius_mm": options.mask_radius_mm,
         "boxes_mm": boxes,
         "banding": options.banding.name(), "lighting": light,
-        "film_of_first_pixel_mm": camera.film_box().0, "pixel_to_mm": inner.pixel_to_mm,
+        "film_of_first_pixel_mm": camera.film_box().0, "pixel_to_mm": interior.pixel_to_mm,
     })
     .to_string()
 }
@@ -91,13 +91,13 @@ pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing)
 pub fn resample(
     source: &dyn RasterSource,
     camera: &Camera,
-    inner: &InnerOrientation,
+    interior: &InteriorOrientation,
     options: &ResampleOptions,
     light: Light,
     description: &str,
     [image, mask]: [&Path; 2],
 ) -> Result<()> {
-    let mut grid = Grid::new(source, camera, inner, options)?;
+    let mut grid = Grid::new(source, camera, interior, options)?;
     grid.bands = match grid.ground() {
         Some(region) => banding::find(source, region, options.banding)?,
         None => Bands::default(),
@@ -127,15 +127,15 @@ pub fn resample(
 pub fn frame_cells(
     source: &dyn RasterSource,
     camera: &Camera,
-    inner: &InnerOrientation,
+    interior: &InteriorOrientation,
     options: &ResampleOptions,
 ) -> Result<Cells> {
-    Grid::new(source, camera, inner, options)?.cells(camera)
+    Grid::new(source, camera, interior, options)?.cells(camera)
 }
 
 struct Grid<'a> {
     source: &'a dyn RasterSource,
-    inner: &'a InnerOrientation,
+    interior: &'a InteriorOrientation,
     options: &'a ResampleOptions,
     /// Film (millimetres, y down) → scan, row by row.
     to_scan: [f64; 9],
@@ -156,7 +156,7 @@ impl<'a> Grid<'a> {
     fn new(
         source: &'a dyn RasterSource,
         camera: &Camera,
-        inner: &'a InnerOrientation,
+        interior: &'a InteriorOrientation,
         options: &'a ResampleOptions,
     ) -> Result<Self> {
         let (low, high) = camera.film_box();
@@ -166,7 +166,7 @@ impl<'a> Grid<'a> {
             return Err(Error::usage(what, "use a size near that of the scan, such as 0.0135"));
         }
         let sign = camera.y_sign();
-        let inverse = nalgebra::Matrix3::from_row_slice(&inner.pixel_to_mm)
+        let inverse = nalgebra::Matrix3::from_row_slice(&interior.pixel_to_mm)
             .try_inverse()
             .ok_or_else(|| Error::usage("the interior orientation is singular", "look at the frame's marks"))?;
         let to_scan: [f64; 9] = std::array::from_fn(|k| inverse[(k / 3, k % 3)] * if k % 3 == 1 { sign } else { 1.0 });
@@ -178,11 +178,11 @@ impl<'a> Grid<'a> {
             let (y0, y1) = (sign * b[1], sign * b[3]);
             [b[0].min(b[2]), y0.min(y1), b[0].max(b[2]), y0.max(y1)]
         });
-        let ratio = options.pixel_mm * 1e3 / inner.pixel_um;
+        let ratio = options.pixel_mm * 1e3 / interior.pixel_um;
         let factor = ((2.0 * ratio / WIDEST).floor() as u64).max(1);
         Ok(Grid {
             source,
-            inner,
+            interior,
             options,
             to_scan,
             marks: camera.film_points(),
@@ -218,7 +218,7 @@ impl<'a> Grid<'a> {
     }
 
     fn cells(&self, camera: &Camera) -> Result<Cells> {
-        lighting::cells(self.source, camera, self.inner, |film| self.unit(film), |film| self.masked(film))
+        lighting::cells(self.source, camera, self.interior, |film| self.unit(film), |film| self.masked(film))
     }
 
     /// An upright window of the scan inside the ground, for bands; `None` when there is none.
@@ -266,8 +266,8 @@ impl<'a> Grid<'a> {
     fn tiles(&self) -> Vec<(usize, usize)> {
         let [width, height] = self.size;
         let across = self.to_scan[0].abs() >= self.to_scan[3].abs();
-        let (outer, inner) = if across { (height, width) } else { (width, height) };
-        let all = (0..outer).step_by(TILE).flat_map(|o| (0..inner).step_by(TILE).map(move |i| (o, i)));
+        let (outer, interior) = if across { (height, width) } else { (width, height) };
+        let all = (0..outer).step_by(TILE).flat_map(|o| (0..interior).step_by(TILE).map(move |i| (o, i)));
         all.map(|(o, i)| if across { (i, o) } else { (o, i) }).collect()
     }
 

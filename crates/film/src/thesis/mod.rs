@@ -11,7 +11,7 @@ mod hole;
 mod threshold;
 
 use super::frame::{FindOptions, Finder};
-use super::inner::{Pose, distance, fit_pose};
+use super::interior::{Pose, distance, fit_pose};
 use super::remeasure::{Measured, located, placed};
 use super::search::{Peak, search};
 use super::template::{Linear, Picture};

@@ -17,8 +17,8 @@ use autoref_stream::profile::{Profile, Rule, Size};
 use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
-use crate::cli::frame::{self, FrameArgs};
 use crate::cli::patterns::PatternArgs;
+use crate::cli::working_crs::{self, WorkingCrsArgs};
 
 /// How the image is read and with what means.
 #[derive(Args, Debug)]
@@ -178,7 +178,7 @@ pub struct GcpArgs {
     #[command(flatten)]
     pub accuracy: AccuracyArgs,
     #[command(flatten)]
-    pub frame: FrameArgs,
+    pub working_crs: WorkingCrsArgs,
 }
 
 impl GcpArgs {
@@ -194,10 +194,10 @@ impl GcpArgs {
             names: self.names.clone(),
             check: self.check.clone(),
             accuracy: self.accuracy.accuracy.clone(),
-            image: image.and_then(frame::of_image),
+            image: image.and_then(working_crs::of_image),
             ..GcpOptions::default()
         };
-        self.frame.fill(&mut options);
+        self.working_crs.fill(&mut options);
         options
     }
 }

@@ -13,7 +13,7 @@ use autoref_stream::matching::{Evidence, Priors, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
 use crate::cli::common::MatchArgs;
-use crate::cli::frame::Force;
+use crate::cli::working_crs::Force;
 
 /// Titles of a column with names of marks.
 const NAMES: [&str; 5] = ["name", "label", "gcp", "gcp_name", "marker"];
@@ -28,7 +28,7 @@ pub fn examine(
     forced: &[Force],
 ) {
     // Coordinates in metres are those of the CRS only when it counts in metres.
-    let crs = list.crs.as_ref().filter(|_| list.frame.is_plain());
+    let crs = list.crs.as_ref().filter(|_| list.working_crs.is_plain());
     let surroundings =
         Surroundings { crs, known, max_false_alarms: matching.max_false_alarms, time_limit: time_limit.clone() };
     diagnose(outcome, candidates, &list.gcps, &priors.with_mark_sizes(candidates), surroundings);
@@ -60,7 +60,7 @@ fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
 
 /// Where the image's own georeference puts its centre, in the metres of the list.
 pub fn known_place(info: &RasterInfo, list: &GcpList) -> Option<KnownPlace> {
-    let (transform, crs) = (info.geotransform?, list.crs.as_ref().filter(|_| list.frame.is_plain())?);
+    let (transform, crs) = (info.geotransform?, list.crs.as_ref().filter(|_| list.working_crs.is_plain())?);
     let own = Crs::parse(info.crs_wkt.as_deref()?).ok()?;
     let centre_px = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
     let place = transform.apply(centre_px);

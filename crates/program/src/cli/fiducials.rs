@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use autoref_film::{
-    self, FindOptions, Finder, FrameResult, FrameStatus, InnerModel, Method,
+    self, FindOptions, Finder, FrameResult, FrameStatus, InteriorModel, Method,
     learn::{self, Pointed},
     roll,
 };
@@ -119,9 +119,9 @@ impl FiducialsArgs {
             },
             pixel_um: self.pixel_um,
             model: match self.model {
-                Model::Similarity => InnerModel::Similarity,
-                Model::Affine => InnerModel::Affine,
-                Model::Projective => InnerModel::Projective,
+                Model::Similarity => InteriorModel::Similarity,
+                Model::Affine => InteriorModel::Affine,
+                Model::Projective => InteriorModel::Projective,
             },
             turn_deg: self.turn.map(|t| match t {
                 Turn::Upright => 0.0,

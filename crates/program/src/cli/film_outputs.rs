@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use autoref_film::tables::PixelOrigin;
-use autoref_film::{Camera, FrameResult, InnerModel, contact_sheet, micmac, patch, tables};
+use autoref_film::{Camera, FrameResult, InteriorModel, contact_sheet, micmac, replay, tables};
 use autoref_raster::atomic;
-use autoref_review::{Patch, Subject};
+use autoref_review::{PatchFile, Subject};
 use clap::ValueEnum;
 
 #[derive(clap::Args, Debug)]
@@ -35,7 +35,7 @@ pub fn write_outputs(
     dir: &Path,
     camera: &Camera,
     frames: &mut [FrameResult],
-    model: InnerModel,
+    model: InteriorModel,
     args: &FilmOutputArgs,
 ) -> anyhow::Result<()> {
     if let Some(path) = &args.patch {
@@ -54,16 +54,16 @@ fn replay(
     dir: &Path,
     camera: &Camera,
     frames: &mut [FrameResult],
-    model: InnerModel,
+    model: InteriorModel,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let edits = Patch::read(path, Subject::Fiducials)?;
-    let mut named = edits.edits.iter().filter_map(patch::names);
+    let edits = PatchFile::read(path, Subject::Fiducials)?;
+    let mut named = edits.edits.iter().filter_map(replay::names);
     if let Some((frame, _)) = named.find(|(name, _)| frames.iter().all(|f| f.name != *name)) {
         bail!("{}: frame {frame} is not in this roll", path.display());
     }
     for frame in frames.iter_mut() {
-        if let Some(next) = patch::replay(camera, frame, &edits, model)? {
+        if let Some(next) = replay::replay(camera, frame, &edits, model)? {
             let json = serde_json::to_vec_pretty(&next).context("a result is plain data")?;
             atomic::write(&dir.join(format!("{}.reviewed.json", next.name)), &json)?;
             *frame = next;
@@ -76,7 +76,7 @@ fn export(
     dir: &Path,
     camera: &Camera,
     frames: &[FrameResult],
-    model: InnerModel,
+    model: InteriorModel,
     args: &FilmOutputArgs,
 ) -> anyhow::Result<()> {
     let origin = match args.pixels_from {

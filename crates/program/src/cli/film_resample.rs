@@ -101,7 +101,7 @@ impl ResampleArgs {
 /// it before any work; frames that fail are told when the others are done.
 pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: &ResampleArgs) -> anyhow::Result<()> {
     let options = args.options()?;
-    let solved: Vec<&FrameResult> = frames.iter().filter(|f| f.inner.is_some()).collect();
+    let solved: Vec<&FrameResult> = frames.iter().filter(|f| f.interior.is_some()).collect();
     let light = match args.lighting {
         LightingName::Off => "as scanned".to_string(),
         LightingName::Frame => "frame".into(),
@@ -110,11 +110,11 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
     };
     let mut missing = Vec::new();
     for frame in solved.iter().copied() {
-        let Some(inner) = &frame.inner else { continue };
+        let Some(interior) = &frame.interior else { continue };
         let outputs = outputs(dir, frame);
-        let description = resample::description(camera, inner, &options, &light);
+        let description = resample::description(camera, interior, &options, &light);
         if !resample::is_done(&outputs[0], &outputs[1], &description, Existing::of_flag(args.overwrite))? {
-            missing.push((frame, inner, outputs, description));
+            missing.push((frame, interior, outputs, description));
         }
     }
     if missing.len() < solved.len() {
@@ -125,14 +125,14 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
     }
     let of_roll = if args.lighting == LightingName::Roll { Some(roll_light(camera, &solved, &options)?) } else { None };
     let mut failed = Vec::new();
-    for (frame, inner, [image, mask], description) in &missing {
+    for (frame, interior, [image, mask], description) in &missing {
         let light = match (&of_roll, args.lighting) {
             (Some(roll), _) => Light::OfRoll(roll),
             (None, LightingName::Frame) => Light::OfFrame,
             (None, _) => Light::AsScanned,
         };
         let done = window::open_scan(&frame.path).and_then(|source| {
-            resample::resample(source.as_ref(), camera, inner, &options, light, description, [image, mask])
+            resample::resample(source.as_ref(), camera, interior, &options, light, description, [image, mask])
         });
         if let Err(error) = done {
             failed.push(error.to_string());
@@ -152,9 +152,9 @@ fn roll_light(camera: &Camera, frames: &[&FrameResult], options: &ResampleOption
     let every = frames.len().div_ceil(LIGHT_FRAMES).max(1);
     let mut cells = Vec::new();
     for frame in frames.iter().step_by(every) {
-        let Some(inner) = &frame.inner else { continue };
+        let Some(interior) = &frame.interior else { continue };
         let read = window::open_scan(&frame.path)
-            .and_then(|source| resample::frame_cells(source.as_ref(), camera, inner, options));
+            .and_then(|source| resample::frame_cells(source.as_ref(), camera, interior, options));
         match read {
             Ok(one) => cells.push(one),
             Err(error) => tracing::warn!("{}: not used for the roll's light: {error}", frame.name),

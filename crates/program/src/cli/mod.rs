@@ -22,7 +22,6 @@ pub mod fiducials;
 pub mod film_outputs;
 mod film_resample;
 pub mod flight;
-pub mod frame;
 pub mod gcps;
 pub mod inputs;
 pub mod mask;
@@ -46,6 +45,7 @@ pub mod synth;
 pub mod synth_film;
 pub mod synth_flight;
 pub mod undo;
+pub mod working_crs;
 pub mod write;
 
 /// Georeferences very large rasters from painted marks, without a click.

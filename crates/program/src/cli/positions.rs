@@ -11,7 +11,7 @@ use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterInfo, RasterSource};
 use autoref_stream::gcp::{self, GcpOptions, Reproject};
 
-use crate::cli::frame;
+use crate::cli::working_crs;
 
 /// How marks are pointed at.
 #[derive(Debug, clap::Args)]
@@ -103,13 +103,13 @@ impl PositionArgs {
             reproject: Reproject::After,
             names: self.names.clone(),
             layer: self.gcp_layer.clone(),
-            image: frame::of_image(info),
+            image: working_crs::of_image(info),
             ..GcpOptions::default()
         };
         let list = gcp::read(path, &options)?;
         let mut points: Vec<Coordinate> =
             list.gcps.iter().map(|g| Coordinate { x: g.easting, y: g.northing, height: g.height }).collect();
-        list.frame.leave(&mut points)?;
+        list.working_crs.leave(&mut points)?;
         let pixel = |p: &Coordinate| {
             transform
                 .invert(MapPoint { easting: p.x, northing: p.y })

@@ -8,8 +8,8 @@ use anyhow::bail;
 use autoref_raster::atomic::Existing;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::Crs;
-use autoref_review::{Patch, Subject};
-use autoref_stream::gcp::{Frame, GcpList};
+use autoref_review::{PatchFile, Subject};
+use autoref_stream::gcp::{GcpList, WorkingCrs};
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::replay::{Replayed, replay};
@@ -32,7 +32,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         autoref_raster::atomic::check_outputs(&[output], Existing::of_flag(args.overwrite))?;
     }
     let recorded = RunResult::read(&args.candidates)?;
-    let patch = Patch::read(patch_path, Subject::Gcps)?;
+    let patch = PatchFile::read(patch_path, Subject::Gcps)?;
     let replayed = replay(&recorded, &patch, patch_path)?;
     let delivery = Delivery::of(&recorded, &args.candidates)?;
     let mut notes = Vec::new();
@@ -41,7 +41,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         notes.push(format!("the patch was made from {}, not from {name}", patch.source));
     }
     let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
-    let list = GcpList { gcps: recorded.gcps.clone(), crs, frame: Frame::local(), notes };
+    let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes };
     let outcome = match replayed {
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
@@ -97,7 +97,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
 }
 
 /// Whether the page had shown another transform: the patch belongs to another result, or was changed since.
-fn differs(patch: &Patch, now: Option<[f64; 6]>) -> bool {
+fn differs(patch: &PatchFile, now: Option<[f64; 6]>) -> bool {
     let Some(shown) = &patch.shown else { return false };
     let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(1.0);
     match (shown.geotransform, now) {

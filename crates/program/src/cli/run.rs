@@ -30,11 +30,11 @@ use autoref_stream::result::{
 use clap::Args;
 
 use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
-use crate::cli::frame;
 use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
+use crate::cli::working_crs;
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, diagnosis};
 
@@ -201,7 +201,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
             &priors[0],
             known,
             (&args.matching, &time_limit),
-            &args.gcps.frame.force,
+            &args.gcps.working_crs.force,
         );
     });
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
@@ -223,7 +223,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
-    frame::deliver(&mut document.result, &list, place.size_px)?;
+    working_crs::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
     let report_started = Instant::now();
@@ -330,7 +330,7 @@ impl Document {
             crs: list.crs.as_ref().map(autoref_raster::crs::Crs::label),
             gcps_listed: list.gcps.len(),
             gcps: list.gcps.clone(),
-            delivered: !list.frame.is_plain(),
+            delivered: !list.working_crs.is_plain(),
             candidates_found: candidates.len(),
             candidates,
             log10_false_alarms: evidence.log10_false_alarms,

@@ -14,10 +14,10 @@ use clap::Args;
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::diagnosis;
-use crate::cli::frame;
 use crate::cli::replay;
 use crate::cli::run::{self, Document};
 use crate::cli::solving::{ImagePlace, SolvingArgs};
+use crate::cli::working_crs;
 
 /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
 #[derive(Args, Debug)]
@@ -89,7 +89,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         &priors,
         None,
         (&args.matching, &time_limit),
-        &args.gcps.frame.force,
+        &args.gcps.working_crs.force,
     );
     diagnosis::labels(&args.candidates, &mut outcome, &list)?;
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
@@ -99,7 +99,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
     let seen = extent(size, &document.result.candidates);
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
-    frame::deliver(&mut document.result, &list, size)?;
+    working_crs::deliver(&mut document.result, &list, size)?;
     if let Some(dem) = dem {
         let mut transaction = autoref_raster::atomic::Transaction::new();
         dem.stage(&document.result, &mut transaction)?;

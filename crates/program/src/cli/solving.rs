@@ -195,7 +195,7 @@ impl SolvingArgs {
             PlacedModel::new(model, &name, place.size_px, place.georeference, list.crs.as_ref())?.over(self.dem_area);
         let to_map = |p: MapPoint| {
             let mut point = [Coordinate { x: p.easting, y: p.northing, height: None }];
-            list.frame.leave(&mut point)?;
+            list.working_crs.leave(&mut point)?;
             Ok(MapPoint { easting: point[0].x, northing: point[0].y })
         };
         let mut solved = heights::correct(orientation, &list.gcps, &placed, &to_map)?;

@@ -8,7 +8,7 @@ use super::container::{ByteOrder, Directories};
 use super::empty_blocks::{EmptyBlocks, holds_nothing};
 use super::layout::{Codec, Layout};
 use super::rows::Stream;
-use super::{codec, mapping, predictor, stream};
+use super::{decompress, mapping, predictor, stream};
 use crate::cache::Chunk;
 use crate::chunked::{CHUNK_BYTES, ChunkDecoder, ChunkedSource, Counters, group_blocks};
 use crate::error::{Error, Result};
@@ -212,7 +212,7 @@ impl TiffDecoder {
 
     fn decompress(&self, block: u64, data: &[u8], out: &mut [u8]) -> Result<()> {
         let rows = out.len() as u64 / self.layout.block_row_bytes();
-        codec::decompress(&self.layout, data, rows, out).map_err(|what| self.broken(block, what))
+        decompress::decompress(&self.layout, data, rows, out).map_err(|what| self.broken(block, what))
     }
 
     pub(super) fn undo_predictor_u8(&self, bytes: &mut [u8]) {

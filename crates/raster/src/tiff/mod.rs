@@ -1,8 +1,8 @@
 //! The native TIFF and BigTIFF reader: a thin layer over the codecs.
 
-mod codec;
 pub mod container;
 mod decoder;
+mod decompress;
 mod empty_blocks;
 mod jpeg;
 mod layout;

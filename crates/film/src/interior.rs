@@ -3,7 +3,7 @@
 
 use nalgebra::DMatrix;
 
-use super::types::{Camera, InnerModel, InnerOrientation};
+use super::types::{Camera, InteriorModel, InteriorOrientation};
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::planar;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
@@ -102,20 +102,20 @@ pub struct Observation {
 pub fn solve(
     camera: &Camera,
     marks: &[Observation],
-    model: InnerModel,
+    model: InteriorModel,
     mirrored: Handedness,
-) -> Option<InnerOrientation> {
+) -> Option<InteriorOrientation> {
     let model = match (model, marks.len()) {
         (_, 0..=1) => return None,
-        (_, 2..=3) => InnerModel::Similarity,
-        (InnerModel::Projective, 4) => InnerModel::Affine,
+        (_, 2..=3) => InteriorModel::Similarity,
+        (InteriorModel::Projective, 4) => InteriorModel::Affine,
         (m, _) => m,
     };
     let sign = camera.y_sign();
     let film: Vec<([f64; 2], PixelPoint)> = marks.iter().map(|m| ([m.mm[0], sign * m.mm[1]], m.pixel)).collect();
     let pose = fit_pose(&film, mirrored)?;
     let h = matrix(marks, model, sign, mirrored)?;
-    let mut inner = InnerOrientation {
+    let mut interior = InteriorOrientation {
         model,
         pixel_to_mm: h,
         rmse_um: 0.0,
@@ -129,39 +129,44 @@ pub fn solve(
         mirrored,
     };
     let residuals: Vec<[f64; 2]> =
-        marks.iter().map(|m| residual_um(&inner, m.mm, m.pixel)).collect::<Option<Vec<_>>>()?;
+        marks.iter().map(|m| residual_um(&interior, m.mm, m.pixel)).collect::<Option<Vec<_>>>()?;
     let square: f64 = residuals.iter().map(|r| r[0] * r[0] + r[1] * r[1]).sum();
     let free = match model {
-        InnerModel::Similarity => 4,
-        InnerModel::Affine => 6,
-        InnerModel::Projective => 8,
+        InteriorModel::Similarity => 4,
+        InteriorModel::Affine => 6,
+        InteriorModel::Projective => 8,
     };
-    inner.rmse_um = (square / marks.len() as f64).sqrt();
+    interior.rmse_um = (square / marks.len() as f64).sqrt();
     let left_out: Option<Vec<f64>> =
-        inner.leave_one_out_um.iter().map(|r| r.map(|r| r[0] * r[0] + r[1] * r[1])).collect();
-    inner.leave_one_out_rmse_um = left_out.map(|r| (r.iter().sum::<f64>() / r.len() as f64).sqrt());
+        interior.leave_one_out_um.iter().map(|r| r.map(|r| r[0] * r[0] + r[1] * r[1])).collect();
+    interior.leave_one_out_rmse_um = left_out.map(|r| (r.iter().sum::<f64>() / r.len() as f64).sqrt());
     let redundancy = 2 * marks.len() as i64 - free;
-    inner.sigma0_um = (redundancy > 0).then(|| (square / redundancy as f64).sqrt());
-    inner.covariance = covariance(&inner, marks, sign)?;
-    Some(inner)
+    interior.sigma0_um = (redundancy > 0).then(|| (square / redundancy as f64).sqrt());
+    interior.covariance = covariance(&interior, marks, sign)?;
+    Some(interior)
 }
 
 /// Measured − calibrated, micrometres, in the camera's axes.
-pub fn residual_um(inner: &InnerOrientation, mm: [f64; 2], pixel: PixelPoint) -> Option<[f64; 2]> {
-    inner.to_mm(pixel).map(|at| [1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])])
+pub fn residual_um(interior: &InteriorOrientation, mm: [f64; 2], pixel: PixelPoint) -> Option<[f64; 2]> {
+    interior.to_mm(pixel).map(|at| [1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])])
 }
 
 /// Pixels → millimetres of the camera; `None` when the marks do not determine the model.
-fn matrix(marks: &[Observation], model: InnerModel, sign: f64, mirrored: Handedness) -> Option<[f64; 9]> {
+fn matrix(marks: &[Observation], model: InteriorModel, sign: f64, mirrored: Handedness) -> Option<[f64; 9]> {
     match model {
-        InnerModel::Similarity => similarity_matrix(marks, sign, mirrored),
-        InnerModel::Affine => planar_matrix(marks, planar::Kind::Affine),
-        InnerModel::Projective => planar_matrix(marks, planar::Kind::Projective),
+        InteriorModel::Similarity => similarity_matrix(marks, sign, mirrored),
+        InteriorModel::Affine => planar_matrix(marks, planar::Kind::Affine),
+        InteriorModel::Projective => planar_matrix(marks, planar::Kind::Projective),
     }
 }
 
 /// Every mark against the model solved from the others.
-fn leave_one_out(marks: &[Observation], model: InnerModel, sign: f64, mirrored: Handedness) -> Vec<Option<[f64; 2]>> {
+fn leave_one_out(
+    marks: &[Observation],
+    model: InteriorModel,
+    sign: f64,
+    mirrored: Handedness,
+) -> Vec<Option<[f64; 2]>> {
     let of = |i: usize| {
         let others = [&marks[..i], &marks[i + 1..]].concat();
         let h = matrix(&others, model, sign, mirrored)?;
@@ -199,31 +204,31 @@ fn planar_matrix(marks: &[Observation], kind: planar::Kind) -> Option<[f64; 9]> 
 
 /// Covariance of the free coefficients: (J'P J)⁻¹ with P from the marks' own covariances on the film, scaled by the
 /// variance of unit weight when that is larger than 1.
-fn covariance(inner: &InnerOrientation, marks: &[Observation], sign: f64) -> Option<Vec<Vec<f64>>> {
-    let h = &inner.pixel_to_mm;
-    let n = match inner.model {
-        InnerModel::Similarity => 4,
-        InnerModel::Affine => 6,
-        InnerModel::Projective => 8,
+fn covariance(interior: &InteriorOrientation, marks: &[Observation], sign: f64) -> Option<Vec<Vec<f64>>> {
+    let h = &interior.pixel_to_mm;
+    let n = match interior.model {
+        InteriorModel::Similarity => 4,
+        InteriorModel::Affine => 6,
+        InteriorModel::Projective => 8,
     };
     let mut normal = DMatrix::<f64>::zeros(n, n);
     let mut misfit = 0.0;
     // Pixels are scaled so that the normal matrix keeps its digits.
     let unit = marks.iter().map(|m| m.pixel.x.abs().max(m.pixel.y.abs())).fold(1.0, f64::max);
-    let mirror = inner.mirrored.sign();
+    let mirror = interior.mirrored.sign();
     for m in marks {
         let (x, y) = (m.pixel.x / unit, m.pixel.y / unit);
         let w = h[6] * m.pixel.x + h[7] * m.pixel.y + h[8];
-        let at = inner.to_mm(m.pixel)?;
-        let rows: [Vec<f64>; 2] = match inner.model {
-            InnerModel::Similarity => [vec![mirror * x, -y, 1.0, 0.0], vec![sign * y, sign * mirror * x, 0.0, 1.0]],
-            InnerModel::Affine => [vec![x, y, 1.0, 0.0, 0.0, 0.0], vec![0.0, 0.0, 0.0, x, y, 1.0]],
-            InnerModel::Projective => [
+        let at = interior.to_mm(m.pixel)?;
+        let rows: [Vec<f64>; 2] = match interior.model {
+            InteriorModel::Similarity => [vec![mirror * x, -y, 1.0, 0.0], vec![sign * y, sign * mirror * x, 0.0, 1.0]],
+            InteriorModel::Affine => [vec![x, y, 1.0, 0.0, 0.0, 0.0], vec![0.0, 0.0, 0.0, x, y, 1.0]],
+            InteriorModel::Projective => [
                 vec![x / w, y / w, 1.0 / w, 0.0, 0.0, 0.0, -at[0] * x / w, -at[0] * y / w],
                 vec![0.0, 0.0, 0.0, x / w, y / w, 1.0 / w, -at[1] * x / w, -at[1] * y / w],
             ],
         };
-        let pixel_mm = inner.pixel_um / 1e3;
+        let pixel_mm = interior.pixel_um / 1e3;
         // One number per mark: the marks' error ellipses are nearly round.
         let variance = 0.5 * (m.covariance_px2[0] + m.covariance_px2[2]) * pixel_mm * pixel_mm;
         let p = 1.0 / variance.max(1e-10);
@@ -234,15 +239,15 @@ fn covariance(inner: &InnerOrientation, marks: &[Observation], sign: f64) -> Opt
                 }
             }
         }
-        let r = residual_um(inner, m.mm, m.pixel)?;
+        let r = residual_um(interior, m.mm, m.pixel)?;
         misfit += p * (r[0] * r[0] + r[1] * r[1]) * 1e-6;
     }
     let redundancy = 2.0 * marks.len() as f64 - n as f64;
     let scale = if redundancy > 0.0 { (misfit / redundancy).max(1.0) } else { 1.0 };
     let inverse = normal.try_inverse()? * scale;
-    let in_pixels = |k: usize| match (inner.model, k) {
-        (InnerModel::Similarity, 0 | 1) => 1.0 / unit,
-        (InnerModel::Affine | InnerModel::Projective, 0 | 1 | 3 | 4 | 6 | 7) => 1.0 / unit,
+    let in_pixels = |k: usize| match (interior.model, k) {
+        (InteriorModel::Similarity, 0 | 1) => 1.0 / unit,
+        (InteriorModel::Affine | InteriorModel::Projective, 0 | 1 | 3 | 4 | 6 | 7) => 1.0 / unit,
         _ => 1.0,
     };
     Some((0..n).map(|a| (0..n).map(|b| inverse[(a, b)] * in_pixels(a) * in_pixels(b)).collect()).collect())
@@ -276,13 +281,13 @@ mod tests {
             {
                 let pose = Pose::about(camera.film_centre(), PixelPoint { x: 6000.0, y: 5900.0 }, 70.0, turn, mirrored);
                 let marks = observed(&camera, &pose);
-                for model in [InnerModel::Similarity, InnerModel::Affine, InnerModel::Projective] {
-                    let inner = solve(&camera, &marks, model, mirrored).expect("well determined");
-                    assert!(inner.rmse_um < 1e-3, "{name} {model:?}: {}", inner.rmse_um);
-                    assert!((inner.pixel_um - 1e3 / 70.0).abs() < 1e-6);
-                    let back = inner.to_pixel(marks[1].mm).expect("regular");
+                for model in [InteriorModel::Similarity, InteriorModel::Affine, InteriorModel::Projective] {
+                    let interior = solve(&camera, &marks, model, mirrored).expect("well determined");
+                    assert!(interior.rmse_um < 1e-3, "{name} {model:?}: {}", interior.rmse_um);
+                    assert!((interior.pixel_um - 1e3 / 70.0).abs() < 1e-6);
+                    let back = interior.to_pixel(marks[1].mm).expect("regular");
                     assert!(distance(back, marks[1].pixel) < 1e-6);
-                    assert!(inner.covariance.iter().enumerate().all(|(k, row)| row[k] > 0.0));
+                    assert!(interior.covariance.iter().enumerate().all(|(k, row)| row[k] > 0.0));
                 }
             }
         }

@@ -8,7 +8,7 @@ use autoref_stream::result::RunResult;
 use clap::{Args, ValueEnum};
 
 #[derive(Args, Debug)]
-pub struct FrameArgs {
+pub struct WorkingCrsArgs {
     /// Whether --to-crs is applied to the points before the fit, or to the result after it.
     #[arg(long, value_enum, default_value = "before", help_heading = "Ground control points")]
     pub reproject: ReprojectArg,
@@ -69,7 +69,7 @@ pub enum ReprojectArg {
     After,
 }
 
-impl FrameArgs {
+impl WorkingCrsArgs {
     pub fn fill(&self, options: &mut GcpOptions) {
         options.reproject = match self.reproject {
             ReprojectArg::Before => Reproject::Before,
@@ -94,7 +94,7 @@ pub fn of_image(info: &RasterInfo) -> Option<ImageGeoreference> {
 /// Brings transform and points of a result from the metres of the fit into the units and CRS of the outputs. Residuals,
 /// scale and the solution itself stay in metres.
 pub fn deliver(result: &mut RunResult, list: &GcpList, size_px: Option<(f64, f64)>) -> anyhow::Result<()> {
-    let Some(solved) = result.solved_mut().filter(|_| !list.frame.is_plain()) else { return Ok(()) };
+    let Some(solved) = result.solved_mut().filter(|_| !list.working_crs.is_plain()) else { return Ok(()) };
     let mut points: Vec<Coordinate> = solved
         .matches
         .iter()
@@ -103,8 +103,8 @@ pub fn deliver(result: &mut RunResult, list: &GcpList, size_px: Option<(f64, f64
         .collect();
     // Without an image the marks tell how far the transform has to hold.
     let marks = solved.matches.iter().fold((1.0, 1.0), |(w, h): (f64, f64), row| (w.max(row.x), h.max(row.y)));
-    let delivered = list.frame.deliver(&solved.geotransform, size_px.unwrap_or(marks))?;
-    list.frame.leave(&mut points)?;
+    let delivered = list.working_crs.deliver(&solved.geotransform, size_px.unwrap_or(marks))?;
+    list.working_crs.leave(&mut points)?;
     for (row, point) in solved.matches.iter_mut().chain(&mut solved.check_points).zip(points) {
         (row.easting, row.northing, row.height) = (point.x, point.y, point.height);
     }

@@ -2,12 +2,12 @@
 
 use super::check::agreement;
 use super::frame::FindOptions;
-use super::inner::{Observation, residual_um, solve};
-use super::types::{Camera, FrameResult, FrameStatus, InnerModel, MarkStatus};
+use super::interior::{Observation, residual_um, solve};
+use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, MarkStatus};
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
-use autoref_review::{Action, Edit, Patch, Target};
+use autoref_review::{Action, Edit, PatchFile, Target};
 
 /// The frame and the mark that an edit is about; `None` for edits of GCPs, which a patch for fiducial marks has not.
 pub fn names(edit: &Edit) -> Option<(&str, &str)> {
@@ -22,7 +22,12 @@ pub fn names(edit: &Edit) -> Option<(&str, &str)> {
 ///
 /// # Errors
 /// [`Error::Usage`] when an edit names a mark that the camera has not, accepts one that has no place, or picks.
-pub fn replay(camera: &Camera, frame: &FrameResult, patch: &Patch, model: InnerModel) -> Result<Option<FrameResult>> {
+pub fn replay(
+    camera: &Camera,
+    frame: &FrameResult,
+    patch: &PatchFile,
+    model: InteriorModel,
+) -> Result<Option<FrameResult>> {
     let mine = |e| names(e).filter(|(of, _)| *of == frame.name).map(|(_, mark)| (e, mark));
     let mut edits = patch.edits.iter().filter_map(mine).peekable();
     if edits.peek().is_none() {
@@ -69,7 +74,7 @@ fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness) ->
     let points: Vec<([f64; 2], PixelPoint)> =
         used.iter().filter_map(|&k| Some((film[k], frame.marks[k].centre?))).collect();
     let options = FindOptions::default();
-    let pixel_um = frame.inner.as_ref().map_or(f64::INFINITY, |inner| inner.pixel_um);
+    let pixel_um = frame.interior.as_ref().map_or(f64::INFINITY, |interior| interior.pixel_um);
     let tolerance_px = (options.agreement_um / pixel_um).max(options.agreement_px);
     agreement(&points, mirrored, tolerance_px)
         .iter()
@@ -78,7 +83,7 @@ fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness) ->
         .collect()
 }
 
-fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
+fn resolve(camera: &Camera, frame: &mut FrameResult, model: InteriorModel) {
     let place = |name: &str| camera.marks.iter().find(|c| c.name == name).and_then(|c| Some([c.x_mm?, c.y_mm?]));
     let used: Vec<Observation> = frame
         .marks
@@ -89,23 +94,23 @@ fn resolve(camera: &Camera, frame: &mut FrameResult, model: InnerModel) {
             Some(Observation { name: m.mark.clone(), mm: place(&m.mark)?, pixel: m.centre?, covariance_px2 })
         })
         .collect();
-    let mirrored = frame.inner.as_ref().map_or(Handedness::AsIs, |i| i.mirrored);
-    frame.inner = solve(camera, &used, model, mirrored);
+    let mirrored = frame.interior.as_ref().map_or(Handedness::AsIs, |i| i.mirrored);
+    frame.interior = solve(camera, &used, model, mirrored);
     for m in &mut frame.marks {
-        m.residual_um = match (&frame.inner, m.centre, place(&m.mark)) {
-            (Some(inner), Some(c), Some(mm)) => residual_um(inner, mm, c),
+        m.residual_um = match (&frame.interior, m.centre, place(&m.mark)) {
+            (Some(interior), Some(c), Some(mm)) => residual_um(interior, mm, c),
             _ => None,
         };
     }
     let short = format!("{} of {} marks after review", used.len(), camera.marks.len());
-    frame.status = match (&frame.inner, used.len()) {
+    frame.status = match (&frame.interior, used.len()) {
         (None, _) => FrameStatus::Failed { reasons: vec![short] },
         (Some(_), 0..=2) => FrameStatus::Doubtful { reasons: vec![short] },
         (Some(_), n) if n < camera.marks.len() => FrameStatus::Doubtful { reasons: vec![short] },
         (Some(_), _) => FrameStatus::Ok,
     };
     let contradictions = contradictions(camera, frame, mirrored);
-    if frame.inner.is_some() && !contradictions.is_empty() {
+    if frame.interior.is_some() && !contradictions.is_empty() {
         frame.status = FrameStatus::Doubtful { reasons: contradictions };
     }
     frame.notes.push("reviewed by hand".into());

@@ -1,4 +1,4 @@
-//! The frame in which a fit is made, metres, and the way from there to the CRS of the outputs.
+//! The CRS in which a fit is made, in metres, and the way from there to the CRS of the outputs.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ pub enum Reproject {
 /// How coordinates of the fit become those of the outputs. Everything between reading and writing is in metres: points in
 /// feet are scaled before the fit, and the transform is scaled back after it, exactly.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct WorkingCrs {
     /// System of the points, in its own units; `None` for local coordinates.
     crs: Option<Crs>,
     metres_per_unit: f64,
@@ -39,10 +39,10 @@ pub struct Delivered {
     pub notes: Vec<String>,
 }
 
-impl Frame {
+impl WorkingCrs {
     /// Local coordinates in metres.
     pub fn local() -> Self {
-        Frame { crs: None, metres_per_unit: 1.0, height_metres_per_unit: 1.0, to: None, worst_accuracy_m: 0.0 }
+        WorkingCrs { crs: None, metres_per_unit: 1.0, height_metres_per_unit: 1.0, to: None, worst_accuracy_m: 0.0 }
     }
 
     /// Brings surveyed points into metres, in place; says what was done in `notes`.
@@ -54,7 +54,7 @@ impl Frame {
         reproject: Reproject,
         worst_accuracy_m: f64,
         notes: &mut Vec<String>,
-    ) -> Result<(Frame, Crs)> {
+    ) -> Result<(WorkingCrs, Crs)> {
         let before = |wanted: &Option<Crs>| match reproject {
             Reproject::Before => wanted.clone(),
             Reproject::After => None,
@@ -89,14 +89,14 @@ impl Frame {
         }
         let to = target.filter(|to| *to != fit_crs);
         let output = to.clone().unwrap_or_else(|| fit_crs.clone());
-        let frame = Frame {
+        let working = WorkingCrs {
             crs: Some(fit_crs),
             metres_per_unit: unit,
             height_metres_per_unit: height_unit,
             to,
             worst_accuracy_m,
         };
-        Ok((frame, output))
+        Ok((working, output))
     }
 
     /// Whether outputs differ from the fit.

@@ -15,7 +15,7 @@ pub const SCHEMA_VERSION: u32 = 1;
 
 /// A patch file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Patch {
+pub struct PatchFile {
     pub schema: String,
     pub schema_version: u32,
     #[serde(rename = "for")]
@@ -95,16 +95,16 @@ pub struct Shown {
     pub geotransform: Option<[f64; 6]>,
 }
 
-impl Patch {
+impl PatchFile {
     /// Reads and checks a patch file.
     ///
     /// # Errors
     /// When the file cannot be read, is no patch of this version, is for something else than `subject`, or has an edit that
     /// lacks what its action needs; the message names the edit.
-    pub fn read(path: &Path, subject: Subject) -> Result<Patch> {
+    pub fn read(path: &Path, subject: Subject) -> Result<PatchFile> {
         let bytes = bounded::read(path, "a patch", bounded::TEXT_BYTES)?;
         let format = |place: String, what: String| Error::format(path, place, what);
-        let patch: Patch = serde_json::from_slice(&bytes)
+        let patch: PatchFile = serde_json::from_slice(&bytes)
             .map_err(|e| format(format!("line {}", e.line()), format!("no patch file: {e}")))?;
         if patch.schema != SCHEMA || patch.schema_version != SCHEMA_VERSION {
             let found = format!("{} version {}", patch.schema, patch.schema_version);
@@ -153,10 +153,10 @@ impl Edit {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Patch> {
+    fn read(text: &str) -> Result<PatchFile> {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
         std::fs::write(file.path(), text).expect("writable");
-        Patch::read(file.path(), Subject::Gcps)
+        PatchFile::read(file.path(), Subject::Gcps)
     }
 
     #[test]
