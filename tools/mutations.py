@@ -26,7 +26,7 @@ MUTATIONS = [
     ("matching: hits count once", "src/matching/evidence.rs",
      "state[hits] += state[hits - 1] * p;", "state[hits] = state[hits - 1] * p;", CORE + ["--lib", "matching::"]),
     ("solve: y of the derivatives downwards", "crates/solve/src/similarity.rs",
-     "let (x, y) = (p.x - centre.x, -(p.y - centre.y));", "let (x, y) = (p.x - centre.x, p.y - centre.y);",
+     "let (x, y) = upright(p.x - centre.x, p.y - centre.y, mirrored);", "let (x, y) = upright(p.x - centre.x, centre.y - p.y, mirrored);",
      ["-p", "autoref-solve", "--lib"]),
     ("gcp: titles of longitude and latitude exchanged", "src/gcp/csv_list.rs",
      "pair(LONGITUDES, LATITUDES)", "pair(LATITUDES, LONGITUDES)", CORE + ["--test", "core", "--", "gcp_lists::"]),
@@ -57,6 +57,9 @@ MUTATIONS = [
 def main():
     top = pathlib.Path(__file__).resolve().parent.parent
     word = sys.argv[1] if len(sys.argv) > 1 else ""
+    for name, path, before, _, _ in MUTATIONS:
+        if (stands := (top / path).read_text(encoding="utf-8").count(before)) != 1:
+            sys.exit(f"{name}: `{before}` stands {stands} times in {path}: mend tools/mutations.py")
     environment = {**os.environ, "CARGO_INCREMENTAL": "0"}
     environment.setdefault("CARGO_TARGET_DIR", str(top / "target/mutations"))
     survived = []
@@ -72,8 +75,6 @@ def main():
                     continue
                 file = tree / path
                 text = file.read_text(encoding="utf-8")
-                if text.count(before) != 1:
-                    sys.exit(f"{name}: `{before}` stands {text.count(before)} times in {path}: mend tools/mutations.py")
                 file.write_text(text.replace(before, after), encoding="utf-8")
                 ran = subprocess.run(["cargo", "test", "--quiet", *tests], cwd=tree, env=environment, capture_output=True, text=True)
                 broken = "could not compile" in ran.stderr

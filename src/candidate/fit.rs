@@ -429,4 +429,24 @@ mod tests {
             assert!((f.sides_px[0] - 8.0).abs() < 0.05, "{f:?}");
         }
     }
+
+    /// The definition, pair by pair.
+    #[test]
+    fn neighbours_are_weighed_by_bartletts_kernel_of_four_cells() {
+        let push = |k: i64, m: i64| ((k * m) % 17) as f64 - 8.0;
+        let pushes: Vec<(i64, i64, f64, f64)> =
+            (0..60).filter(|k| k % 7 != 3).map(|k| (40 + k % 9, 70 + k / 9, push(k, 5), push(k, 11))).collect();
+        let weight = |d: i64| (1.0 - d.abs() as f64 / 4.0).max(0.0);
+        let mut sums = [0.0; 3];
+        for a in &pushes {
+            for b in &pushes {
+                let w = weight(a.0 - b.0) * weight(a.1 - b.1);
+                sums[0] += w * a.2 * b.2;
+                sums[1] += w * (a.2 * b.3 + a.3 * b.2) / 2.0;
+                sums[2] += w * a.3 * b.3;
+            }
+        }
+        let scatter = correlated_scatter(&pushes);
+        assert!(sums.iter().zip(scatter).all(|(a, b)| (a - b).abs() < 1e-9 * a.abs().max(1.0)), "{sums:?} {scatter:?}");
+    }
 }
