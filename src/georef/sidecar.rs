@@ -165,6 +165,12 @@ mod tests {
     }
 
     #[test]
+    fn a_world_file_counts_from_the_middle_of_the_first_pixel() {
+        let turned = GeoTransform([500_000.0, 0.5, 0.25, 7_000_000.0, -0.125, -0.75]);
+        assert_eq!(world_file(&turned), "0.5\n-0.125\n0.25\n-0.75\n500000.375\n6999999.5625\n");
+    }
+
+    #[test]
     fn what_is_not_ours_stays_in_the_aux_file() {
         let old = "<PAMDataset>\n  <SRS>old</SRS>\n  <PAMRasterBand band=\"1\">\n    <Metadata><MDI key=\"STATISTICS_MEAN\">7</MDI></Metadata>\n  </PAMRasterBand>\n</PAMDataset>";
         let new = aux_xml(&GeoTransform([1.0, 2.0, 0.0, 3.0, 0.0, -2.0]), None, Some((Path::new("a"), old)))
