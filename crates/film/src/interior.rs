@@ -274,6 +274,18 @@ mod tests {
     }
 
     #[test]
+    fn residuals_are_micrometres_on_the_film() {
+        let camera = load_camera("wild-15-4").expect("built in");
+        let pose = Pose::about(camera.film_centre(), PixelPoint { x: 6000.0, y: 5900.0 }, 50.0, 0.0, Handedness::AsIs);
+        let marks = observed(&camera, &pose);
+        let interior = solve(&camera, &marks, InteriorModel::Similarity, Handedness::AsIs).expect("well determined");
+        // 50 px to a millimetre: a pixel aside is 20 µm.
+        let beside = PixelPoint { x: marks[0].pixel.x + 1.0, y: marks[0].pixel.y };
+        let [x, y] = residual_um(&interior, marks[0].mm, beside).expect("regular");
+        assert!((x.hypot(y) - 20.0).abs() < 1e-6, "{x} {y}");
+    }
+
+    #[test]
     fn every_model_gives_back_an_exact_frame_turned_and_mirrored() {
         for name in ["svalbard-zeiss-1936", "wild-15-4"] {
             let camera = load_camera(name).expect("built in");
