@@ -48,7 +48,7 @@ MUTATIONS = [
     ("review: every schema is taken", "crates/review/src/patch_file.rs",
      "if patch.schema != SCHEMA || patch.schema_version != SCHEMA_VERSION {", "if false {", ["-p", "autoref-review"]),
     ("synth: noise without a seed", "crates/synth/src/rng.rs",
-     "mix(seed ^ (x as u64)", "mix((x as u64)", CORE + ["--test", "core", "--", "synth::"]),
+     "mix(seed ^ (x as u64)", "mix((x as u64)", ["-p", "autoref-synth", "--lib"]),
     ("program: a refusal exits with 0", "crates/program/src/cli/run.rs",
      "Status::Refused => ExitCode::from(1)", "Status::Refused => ExitCode::SUCCESS", PROGRAM + ["main_job::"]),
 ]

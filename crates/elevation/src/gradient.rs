@@ -251,3 +251,16 @@ fn four_sides(east: f64, north: f64, altitude_deg: f64) -> f64 {
         .sum();
     1.0 + 127.0 * sum / steepness / (1.0 + steepness).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::aspect;
+
+    #[test]
+    fn aspects_point_downhill_clockwise_from_north() {
+        // Heights that rise to the west fall to the east.
+        let near = |east, north, degrees: f64| (aspect(east, north).expect("a slope") - degrees).abs() < 1e-9;
+        assert!(near(-1.0, 0.0, 90.0) && near(0.0, 1.0, 180.0) && near(1.0, 0.0, 270.0) && near(-1.0, -1.0, 45.0));
+        assert!(aspect(0.0, 0.0).is_none());
+    }
+}

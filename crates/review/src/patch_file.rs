@@ -172,6 +172,15 @@ mod tests {
     }
 
     #[test]
+    fn another_schema_or_version_is_not_read() {
+        let named = |schema: &str, version: u32| {
+            read(&format!(r#"{{"schema":"{schema}","schema_version":{version},"for":"gcps","source":"","edits":[]}}"#))
+        };
+        assert!(named(SCHEMA, SCHEMA_VERSION).is_ok());
+        assert!(named(SCHEMA, SCHEMA_VERSION + 1).is_err() && named("autoref-stream-result", SCHEMA_VERSION).is_err());
+    }
+
+    #[test]
     fn what_an_action_lacks_is_said_with_its_place() {
         let with = |edit: &str| {
             read(&format!(

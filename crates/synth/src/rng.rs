@@ -4,7 +4,7 @@
 use autoref_raster::random::SplitMix64;
 pub use autoref_raster::random::mix;
 
-/// A hash of a place on an integer lattice.
+/// A hash of a place on an integer lattice; odd x and y have the same as −x and −y.
 #[inline]
 pub fn hash2(seed: u64, x: i64, y: i64) -> u64 {
     mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f))
@@ -100,4 +100,17 @@ pub fn value_noise(seed: u64, x: f32, y: f32) -> f32 {
     let top = at(i, j) + (at(i + 1, j) - at(i, j)) * sx;
     let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * sx;
     top + (bottom - top) * sy
+}
+
+#[cfg(test)]
+mod tests {
+    use super::hash2;
+
+    #[test]
+    fn places_have_numbers_of_their_own_and_other_ones_with_another_seed() {
+        let places = || (0..10).flat_map(|x| (0..10).map(move |y| (x, y)));
+        let numbers: std::collections::HashSet<u64> = places().map(|(x, y)| hash2(2016, x, y)).collect();
+        assert_eq!(numbers.len(), 100);
+        assert!(places().all(|(x, y)| hash2(2016, x, y) != hash2(2017, x, y)));
+    }
 }

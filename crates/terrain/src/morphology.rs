@@ -142,6 +142,14 @@ mod tests {
         })
     }
 
+    #[test]
+    fn a_closing_fills_a_hole_and_leaves_the_outline() {
+        let square = |x: usize, y: usize| (8..20).contains(&x) && (8..20).contains(&y);
+        let whole = BitMask::from_fn(28, 28, square);
+        let pierced = BitMask::from_fn(28, 28, |x, y| square(x, y) && (x, y) != (13, 14));
+        assert!(close(&pierced, &Kernel::ellipse(3)) == whole);
+    }
+
     /// What `cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (k, k))` prints.
     #[test]
     fn ellipses_are_opencvs() {
