@@ -148,13 +148,18 @@ impl Looks<'_> {
     }
 
     /// What has grown must pass the gates that a region passes.
-    fn has_size_of_mark(&self, own: &PixelSet, patch: &Patch) -> bool {
+    fn may_be_mark(&self, own: &PixelSet, patch: &Patch) -> bool {
         region_of(own, patch).is_some_and(|region| self.gates.shape(&region))
     }
 
     /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it leaves open.
     fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
         let grown = whole::whole(seen, plateau(seen));
+        let own = match &grown {
+            Whole::Grown(own) => own.clone(),
+            _ => seen.own.clone(),
+        };
+        let may_be_mark = self.may_be_mark(&own, seen.patch);
         let best = match &grown {
             Whole::Is => first,
             Whole::Beaten => return None,
@@ -165,30 +170,26 @@ impl Looks<'_> {
                 first.unsupported = first.unsupported.max(1.0);
                 first
             }
-            Whole::Grown(own) => {
+            Whole::Grown(_) => {
                 let least = self.score(&first).min(self.profile.examine.min_score);
-                let grown = self.has_size_of_mark(own, seen.patch).then(|| {
+                let grown = may_be_mark.then(|| {
                     let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
                     // What was looked at against local ground was grown by it too, and is not asked again.
                     if first.local { self.measured_once(&scene, around) } else { self.measured(&scene, around) }
                 });
                 grown.filter(|grown| self.score(grown) >= least).unwrap_or_else(|| {
-                    let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(own, seen.width));
+                    let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(&own, seen.width));
                     let (dx, dy) = (ax - bx, ay - by);
                     widen(first, [dx * dx, dx * dy, dy * dy])
                 })
             }
         };
-        let own = match &grown {
-            Whole::Grown(own) => own.clone(),
-            _ => seen.own.clone(),
-        };
-        if !self.has_size_of_mark(&own, seen.patch) {
+        if !may_be_mark {
             return Some(best);
         }
         let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
         let shaded = shadow::grown_into_shade(&mark, plateau(&mark))
-            .filter(|own| self.has_size_of_mark(own, seen.patch))
+            .filter(|own| self.may_be_mark(own, seen.patch))
             .map(|own| Scene::of_pixels(seen.patch, own, &seen.paint()))
             .and_then(|whole| shadow::relit(&whole).map(|relit| (whole, relit)));
         Some(match shaded.or_else(|| shadow::relit(&mark).map(|relit| (mark, relit))) {

@@ -142,7 +142,7 @@ impl Line {
     }
 
     /// The line that explains the brightnesses best: every direction is tried and every place near the middle, with a sharp border,
-    /// then the best made finer. `None` where the best sharp border explains nearly nothing.
+    /// then the best made finer. `None` where the best sharp border leaves more unexplained than the grid allows.
     fn through(seen: &[Seen], grid: Grid) -> Option<Line> {
         let n = seen.len() as f64;
         let (cx, cy) = (seen.iter().map(|s| s.0).sum::<f64>() / n, seen.iter().map(|s| s.1).sum::<f64>() / n);
@@ -184,8 +184,9 @@ impl Line {
     }
 }
 
-/// Angle and offset of the sharp border that leaves least of the brightnesses unexplained, of pixels about their middle: one
-/// histogram of brightness an angle holds the sums on both sides of all offsets.
+/// Angle and offset of the sharp border that leaves least of the brightnesses unexplained, of pixels about their middle, and the sum of
+/// squares of all brightnesses about their mean. One histogram of brightness an angle holds the sums on both sides of all offsets.
+/// `None` where every border leaves more than the grid allows.
 fn sharp_border(about: &[[f64; 3]], grid: Grid) -> Option<(f64, f64, f64)> {
     let n = about.len() as f64;
     let far = about.iter().map(|[x, y, _]| x.hypot(*y)).fold(0.0, f64::max);
