@@ -264,3 +264,60 @@ fn a_page_has_a_map_and_bad_tables_of_colours_are_named() {
     let output = autoref(&["dem", "colour", text(&a), "--table", text(&table), "-o", text(&folder.at("c.tif"))]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
+
+/// GDAL's warper brings the same heights to the ellipsoid by itself: the two ways must meet.
+#[test]
+fn heights_above_a_geoid_meet_those_above_the_ellipsoid() {
+    let folder = Folder::new();
+    let (geoid, ellipsoid, elsewhere) = (folder.at("geoid.tif"), folder.at("ellipsoid.tif"), folder.at("utm.tif"));
+    write(&geoid, (0.0, 0.0), (200, 160), hills);
+    let step = 0.001;
+    let set = |path: &Path, crs: &str| {
+        let mut dataset = gdal::Dataset::open_ex(
+            path,
+            gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..Default::default() },
+        )
+        .expect("writable");
+        dataset.set_geo_transform(&[11.0, step, 0.0, 47.0, 0.0, -step]).expect("a geotransform");
+        dataset.set_spatial_ref(&SpatialRef::from_definition(crs).expect("known")).expect("a CRS");
+    };
+    set(&geoid, "EPSG:4326+5773");
+    let warp = |options: &[&str], from: &Path, to: &Path| {
+        let done = Command::new("gdalwarp").arg("-q").args(options).args([from, to]).status().expect("GDAL's programs");
+        assert!(done.success());
+    };
+    warp(&["-t_srs", "EPSG:4979"], &geoid, &ellipsoid);
+    let (out, aligned) = (folder.at("compared"), folder.at("aligned.tif"));
+    let found = document(&autoref(&["dem", "compare", text(&geoid), text(&ellipsoid), "-o", text(&out), "--json"]));
+    let heights = found["heights"].as_str().expect("a sentence");
+    assert!(heights.contains("EGM96") && heights.contains("added"), "{heights}");
+    let figure = |key: &str| found[key].as_f64().expect(key);
+    assert!(figure("mean_m").abs() < 0.001 && figure("rmse_m") < 0.002, "{found:#}");
+    assert_eq!(figure("common_cells"), 200.0 * 160.0, "seen cell for cell, not resampled");
+    // What is written counts from B's datum, and says so.
+    let shift =
+        document(&autoref(&["dem", "align", text(&geoid), "--to", text(&ellipsoid), "-o", text(&aligned), "--json"]));
+    assert!(shift["shift_h_m"].as_f64().expect("a shift").abs() < 0.001, "{shift:#}");
+    let written = gdal::Dataset::open(&aligned).expect("readable").spatial_ref().expect("a CRS");
+    assert_eq!(written.axes_count(), 3);
+    assert!(written.get_attr_value("VERT_CS|VERT_DATUM", 0).ok().flatten().is_none(), "no geoid any more");
+    let undulation = read(&aligned).0[0] - read(&geoid).0[0];
+    assert!((40.0..55.0).contains(&undulation), "{undulation} m in the Alps");
+    // Another projection beside: the geoid's heights go along unchanged, and are brought up after.
+    warp(&["-t_srs", "EPSG:32632+5773", "-tr", "80", "80", "-r", "cubic"], &geoid, &elsewhere);
+    let out = folder.at("projected");
+    let found = document(&autoref(&["dem", "compare", text(&elsewhere), text(&ellipsoid), "-o", text(&out), "--json"]));
+    assert!(found["median_m"].as_f64().expect("a median").abs() < 1.0, "{found:#}");
+    // No grid for this one is shipped with PROJ: it is named, nothing is written.
+    set(&geoid, "EPSG:4937");
+    set(&elsewhere, "EPSG:4258+5941");
+    let out = folder.at("refused");
+    let refused = autoref(&["dem", "compare", text(&elsewhere), text(&geoid), "-o", text(&out)]);
+    let message = String::from_utf8_lossy(&refused.stderr);
+    if !message.is_empty() {
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains("NN2000") && message.contains("utm.tif") && message.contains("projsync"), "{message}");
+        assert_eq!(message.lines().count(), 1, "{message}");
+        assert!(!out.exists());
+    }
+}

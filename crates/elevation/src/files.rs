@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use gdal::raster::GdalDataType;
-use gdal::spatial_ref::SpatialRef;
 use gdal::vector::LayerAccess;
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
 use crate::align::{self, Alignment, Method, Outcome};
+use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::model::Model;
@@ -78,101 +78,6 @@ impl Resources {
     pub fn held_cells(&self) -> u64 {
         self.memory_budget_bytes / 5 / 4
     }
-}
-
-/// Both models, brought to one CRS.
-pub struct Couple {
-    pub a: Model,
-    pub b: Model,
-    /// A is seen through a projection: its cells are resampled.
-    pub projected: bool,
-    _warped: Option<tempfile::TempPath>,
-}
-
-/// Opens two models and brings A into B's CRS where they differ.
-///
-/// # Errors
-/// When one cannot be opened, their units or vertical datums do not go together, or PROJ has no way between them.
-pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
-    let (ma, mb) = (Model::open(a)?, Model::open(b)?);
-    check_units(&ma, &mb)?;
-    let (va, vb) = (vertical(ma.wkt()), vertical(mb.wkt()));
-    match (&va, &vb) {
-        (Some(x), None) | (None, Some(x)) => {
-            let (with, without) = if va.is_some() { (a, b) } else { (b, a) };
-            return Err(Error::usage(
-                format!("{}: missing vertical datum, while {} has {x}", without.display(), with.display()),
-                "name it in the CRS (gdal_edit.py -a_srs EPSG:horizontal+vertical), or take it from the other",
-            ));
-        }
-        _ => {}
-    }
-    let same = match (ma.crs(), mb.crs()) {
-        (Some(x), Some(y)) => x.wkt() == y.wkt() || same_reference(ma.wkt(), mb.wkt()),
-        // What names no CRS is taken to have that of the other.
-        _ => true,
-    };
-    if same {
-        return Ok(Couple { a: ma, b: mb, projected: false, _warped: None });
-    }
-    let (Some(from), Some(to)) = (ma.crs(), mb.crs()) else { return Err(Error::usage("no CRS", "give one")) };
-    let (x, y) = ma.grid().centre();
-    let mut probe = [crate::crs::Coordinate { x, y, height: Some(0.0) }];
-    from.transform(&mut probe, to, crate::crs::DEFAULT_DATUM_ACCURACY_M)?;
-    if va != vb {
-        return Err(Error::usage(
-            format!("{}: heights above {}, those of {} above {}", a.display(), text(&va), b.display(), text(&vb)),
-            "bring one to the other first: gdalwarp -s_srs … -t_srs … with both vertical CRSs named",
-        ));
-    }
-    let warped = warp(a, mb.wkt())?;
-    let ma = Model::open(&warped)?;
-    Ok(Couple { a: ma, b: mb, projected: true, _warped: Some(warped) })
-}
-
-fn text(vertical: &Option<String>) -> &str {
-    vertical.as_deref().unwrap_or("an unnamed datum")
-}
-
-/// A virtual raster of A in another CRS.
-fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
-    let file = tempfile::Builder::new().prefix("autoref-elevation.").suffix(".vrt").tempfile();
-    let path = file.map_err(|e| Error::io(std::env::temp_dir(), "make a temporary file in", e))?.into_temp_path();
-    let source = a.canonicalize().map_err(|e| Error::io(a, "find", e))?;
-    let options = ["-of", "VRT", "-t_srs", wkt, "-r", "cubic", "-overwrite", "-dstnodata", "-9999", "-ot", "Float32"];
-    crate::derive::warp(&source, &path, &options)?;
-    Ok(path)
-}
-
-fn same_reference(a: &str, b: &str) -> bool {
-    match (SpatialRef::from_wkt(a), SpatialRef::from_wkt(b)) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
-    }
-}
-
-/// The vertical datum that a CRS names: that of its vertical part, or the ellipsoid of a three-dimensional one.
-pub fn vertical(wkt: &str) -> Option<String> {
-    let reference = SpatialRef::from_wkt(wkt).ok()?;
-    let named = reference.get_attr_value("VERT_CS|VERT_DATUM", 0).ok().flatten();
-    named.or_else(|| (reference.axes_count() == 3).then(|| "the ellipsoid".to_string()))
-}
-
-fn check_units(a: &Model, b: &Model) -> Result<()> {
-    let (with, without) = match (a.unit_name(), b.unit_name()) {
-        (Some(_), None) if a.metres_per_value() != 1.0 => (a, b),
-        (None, Some(_)) if b.metres_per_value() != 1.0 => (b, a),
-        _ => return Ok(()),
-    };
-    Err(Error::usage(
-        format!(
-            "{}: heights in {}, and {} names no unit",
-            with.path().display(),
-            with.unit_name().unwrap_or("?"),
-            without.path().display()
-        ),
-        "name it with gdal_edit.py -units m (or ft)",
-    ))
 }
 
 /// Reads polygons of a vector file into a CRS; the name of each is its attribute `name`, `id` or the like, or its number.
@@ -291,13 +196,17 @@ impl AlignedFiles {
         let old = a.grid();
         let grid = Grid { x0: old.x0 + alignment.shift.0, y0: old.y0 + alignment.shift.1, ..old };
         let nodata = a.nodata().filter(|v| v.is_finite()).unwrap_or(-9999.0);
-        let wkt = if a.wkt().is_empty() { self.couple.b.wkt() } else { a.wkt() };
+        // Heights above B's datum belong under B's name for it.
+        let lifted = self.couple.heights.lifted();
+        let wkt = if a.wkt().is_empty() || lifted { self.couple.b.wkt() } else { a.wkt() };
+        let metres_per_value = if lifted { self.couple.b.metres_per_value() } else { a.metres_per_value() };
         let form = Form { grid, wkt, bands: 1, nodata: Some(nodata), predictor: 3, threads: self.means.threads };
+        let stored = |metres: f64| if metres.is_nan() { nodata } else { metres / metres_per_value };
         crate::atomic::with_temporary(out, |path| {
             if a.kind() == GdalDataType::Float64 {
-                self.copy::<f64>(path, &form, alignment, nodata, |v| v, unit)
+                self.copy::<f64>(path, &form, alignment, stored, unit)
             } else {
-                self.copy::<f32>(path, &form, alignment, nodata, |v| v as f32, unit)
+                self.copy::<f32>(path, &form, alignment, |metres| stored(metres) as f32, unit)
             }
         })
     }
@@ -307,8 +216,7 @@ impl AlignedFiles {
         path: &Path,
         form: &Form<'_>,
         alignment: &Alignment,
-        nodata: f64,
-        cast: impl Fn(f64) -> T + Sync,
+        stored: impl Fn(f64) -> T + Sync,
         unit: crate::grid::GroundUnit,
     ) -> Result<()> {
         let (a, grid) = (&self.couple.a, form.grid);
@@ -324,8 +232,7 @@ impl AlignedFiles {
                 let values = heights.iter().enumerate().map(|(i, z)| {
                     let x = grid.x0 + ((window.x + (i % width) as u64) as f64 + 0.5) * grid.step_x;
                     let y = grid.y0 + ((window.y + (i / width) as u64) as f64 + 0.5) * grid.step_y;
-                    let corrected = (z + alignment.height_at(x, y, &unit)) / a.metres_per_value();
-                    cast(if corrected.is_nan() { nodata } else { corrected })
+                    stored(z + alignment.height_at(x, y, &unit))
                 });
                 Ok(values.collect::<Vec<T>>())
             },

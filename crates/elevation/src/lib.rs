@@ -7,12 +7,14 @@
 
 pub mod align;
 pub mod compare;
+pub mod couple;
 pub mod derive;
 pub mod exact;
 pub mod files;
 pub mod gradient;
 pub mod grid;
 pub mod histogram;
+pub mod lift;
 pub mod model;
 pub mod mosaic;
 pub mod output;

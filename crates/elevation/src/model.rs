@@ -10,6 +10,7 @@ use crate::coords::GeoTransform;
 use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
+use crate::lift::Lift;
 use crate::source::{Heights, Patch};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
@@ -24,6 +25,8 @@ pub struct Model {
     /// What a stored value is multiplied with to be metres, and what the file calls its unit.
     metres_per_value: f64,
     unit_name: Option<String>,
+    /// From the file's vertical datum to the one that is asked for.
+    lift: Option<Lift>,
     pool: Mutex<Vec<Dataset>>,
 }
 
@@ -78,7 +81,17 @@ impl Model {
         let (nodata, kind, block) = (band.no_data_value(), band.band_type(), band.block_size());
         let pool = Mutex::new(vec![dataset]);
         let path = path.to_path_buf();
-        Ok(Model { path, grid, crs, wkt, nodata, kind, block, metres_per_value, unit_name, pool })
+        Ok(Model { path, grid, crs, wkt, nodata, kind, block, metres_per_value, unit_name, lift: None, pool })
+    }
+
+    /// The same cells in the unit of height of another model.
+    pub fn in_unit_of(self, other: &Model) -> Model {
+        Model { metres_per_value: other.metres_per_value, unit_name: other.unit_name.clone(), ..self }
+    }
+
+    /// The same heights above another vertical datum.
+    pub fn lifted(self, lift: Lift) -> Model {
+        Model { lift: Some(lift), ..self }
     }
 
     pub fn path(&self) -> &Path {
@@ -140,7 +153,7 @@ impl Model {
         result
     }
 
-    /// Stored values of a window that lies in the raster, as `T`.
+    /// Stored values of a window that lies in the raster, as `T`: without unit, without change of datum.
     ///
     /// # Errors
     /// When they cannot be read.
@@ -194,8 +207,15 @@ impl Heights for Model {
                 out[from..from + columns].copy_from_slice(line);
             }
         }
-        for value in out {
+        for value in out.iter_mut() {
             *value = if self.is_void(*value) { f64::NAN } else { *value * self.metres_per_value };
+        }
+        if let Some(lift) = &self.lift {
+            for (row, line) in (patch.y..).zip(out.chunks_exact_mut(patch.width)) {
+                for (column, value) in (patch.x..).zip(line) {
+                    *value += lift.at(column as f64 + 0.5, row as f64 + 0.5);
+                }
+            }
         }
         Ok(())
     }

@@ -14,8 +14,9 @@ use std::path::Path;
 use autoref_raster::random::mix;
 use serde::Serialize;
 
+use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
-use crate::files::{Couple, Resources, SMALLEST_BUDGET_BYTES, open_couple, read_zones};
+use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
 use crate::grid::{Grid, GroundUnit};
 use crate::output::{self, Form};
 use crate::resample::{Interpolation, Resampled, Scratch};
@@ -518,10 +519,6 @@ impl CompareJob<'_> {
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
         let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, 0);
         let all = &statistics[0];
-        let heights = match (crate::files::vertical(couple.a.wkt()), crate::files::vertical(couple.b.wkt())) {
-            (Some(datum), _) => format!("above {datum}"),
-            _ => "neither file names a vertical datum: both are taken to have the same".into(),
-        };
         Ok(Summary {
             a: self.a.display().to_string(),
             b: self.b.display().to_string(),
@@ -532,7 +529,7 @@ impl CompareJob<'_> {
                 Interpolation::Bilinear => "bilinear",
                 Interpolation::Cubic => "cubic",
             },
-            heights,
+            heights: couple.heights.to_string(),
             cells: scan.grid.width * scan.grid.height,
             common_cells: all.n,
             within_m: self.within_m,

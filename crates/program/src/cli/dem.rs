@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::bail;
 use autoref_elevation::align::{Alignment, Method, Outcome};
 use autoref_elevation::compare::{CompareJob, Summary};
+use autoref_elevation::couple::Couple;
 use autoref_elevation::derive::{self, Drawing};
 use autoref_elevation::files::{AlignJob, Resources};
 use autoref_elevation::gradient::{self, Edges, Kernel, Picture};
@@ -367,9 +368,8 @@ fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         Outcome::Aligned(alignment) => alignment,
     };
     found.write(alignment, &args.out)?;
-    let grid = autoref_elevation::source::Heights::grid(&found.couple.a);
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&document(args, alignment, &grid, found.couple.projected))?);
+        println!("{}", serde_json::to_string_pretty(&document(args, alignment, &found.couple))?);
         return Ok(ExitCode::SUCCESS);
     }
     let [e, n, h] = alignment.shift_m;
@@ -389,6 +389,9 @@ fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
             1e3 * tilt.north_se
         );
     }
+    if found.couple.heights.lifted() {
+        println!("Heights              {}", found.couple.heights);
+    }
     println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
     println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
     println!("Written              {}", args.out.display());
@@ -400,7 +403,8 @@ fn number(value: f64) -> Value {
     serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
 }
 
-fn document(args: &AlignArgs, found: &Alignment, grid: &autoref_elevation::grid::Grid, projected: bool) -> Value {
+fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
+    let grid = autoref_elevation::source::Heights::grid(&couple.a);
     let mut out = Map::new();
     let mut put = |key: &str, value: Value| {
         out.insert(key.into(), value);
@@ -431,7 +435,8 @@ fn document(args: &AlignArgs, found: &Alignment, grid: &autoref_elevation::grid:
     put("stable_share", number(found.stable_share));
     put("common_cells", found.common_cells.into());
     put("iterations", found.iterations.into());
-    put("resampled", projected.into());
+    put("resampled", couple.projected.into());
+    put("heights", couple.heights.to_string().into());
     put("output", args.out.display().to_string().into());
     Value::Object(out)
 }

@@ -8,6 +8,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+mod grids;
 mod transform;
 
 pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M};

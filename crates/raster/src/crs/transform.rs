@@ -62,12 +62,17 @@ impl Crs {
         let (transform, accuracy) = self.operation(points, to)?;
         match accuracy {
             Accuracy::Metres(metres) if metres > worst_accuracy_m => {
+                let grids = self.missing_grids(points, to);
                 return Err(self.failed(
                     to,
-                    &format!("the best transformation that is installed is good to {metres} m only"),
                     &format!(
-                        "install the datum grid (apt install proj-data, or projsync), give the points in their own datum, \
-                         or accept it with --datum-accuracy {metres}"
+                        "the best transformation that is installed is good to {metres} m only{}",
+                        and_miss(&grids)
+                    ),
+                    &format!(
+                        "install the datum grid ({}), give the points in their own datum, \
+                         or accept it with --datum-accuracy {metres}",
+                        how_to_install(&grids)
                     ),
                 ));
             }
@@ -114,11 +119,16 @@ impl Crs {
             transform.transform_coords(&mut x, &mut y, &mut z).is_ok() && x[0].is_finite() && y[0].is_finite()
         };
         let any = create(None).ok().filter(works).ok_or_else(|| {
+            let grids = self.missing_grids(points, to);
+            let why = if grids.is_empty() {
+                "a datum or geoid grid is missing, or the points lie outside".to_string()
+            } else {
+                format!("the datum or geoid grid is missing: {}", grids.join(", "))
+            };
             self.failed(
                 to,
-                "no transformation between them can be carried out here: a datum or geoid grid is missing, \
-                 or the points lie outside",
-                "install the grid (apt install proj-data, or projsync), or give --crs and --to-crs on one datum",
+                &format!("no transformation between them can be carried out here: {why}"),
+                &format!("install the grid ({}), or give both systems on one datum", how_to_install(&grids)),
             )
         })?;
         for accuracy_m in LADDER_M {
@@ -128,6 +138,11 @@ impl Crs {
             }
         }
         Ok((any, Accuracy::Unstated))
+    }
+
+    /// Names of the grids that the best operation would need and that are not installed.
+    fn missing_grids(&self, points: &[Coordinate], to: &Crs) -> Vec<String> {
+        super::grids::missing(self, to, self.around(points))
     }
 
     /// West, south, east and north of the points, degrees, with a small margin.
@@ -158,6 +173,17 @@ impl Crs {
     fn failed(&self, to: &Crs, why: &str, remedy: &str) -> Error {
         let why = why.split_whitespace().collect::<Vec<_>>().join(" ");
         Error::usage(format!("cannot bring coordinates from {} to {}: {why}", self.title(), to.title()), remedy)
+    }
+}
+
+fn and_miss(grids: &[String]) -> String {
+    if grids.is_empty() { String::new() } else { format!(" (a better one needs {})", grids.join(", ")) }
+}
+
+fn how_to_install(grids: &[String]) -> String {
+    match grids.first() {
+        Some(name) => format!("projsync --file {name}, or apt install proj-data"),
+        None => "apt install proj-data, or projsync".into(),
     }
 }
 
@@ -210,7 +236,10 @@ mod tests {
     #[test]
     fn a_missing_grid_is_an_error_never_a_zero() {
         match at("EPSG:5972", "EPSG:4979", 570_000.0, 7_032_000.0, Some(80.0)) {
-            Err(error) => assert!(error.to_string().contains("grid is missing"), "{error}"),
+            Err(error) => {
+                let text = error.to_string();
+                assert!(text.contains("grid is missing: ") && text.contains("NN2000"), "it is named: {text}");
+            }
             Ok((point, _)) => {
                 assert!((30.0..50.0).contains(&(point.height.expect("kept") - 80.0)), "the geoid: {point:?}")
             }
