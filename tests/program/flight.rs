@@ -617,6 +617,15 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
         .output()
         .expect("the program starts");
     expect(&missing, 2, &["`colmap` is not there", "apt-get install colmap"]);
+    // A mask that cannot be this camera's.
+    place.write("mask.pgm", "P5\n1 1\n255\n\u{1}");
+    let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nglobal = \"mask.pgm\"\n";
+    let masked = place.write("masked.toml", &masked);
+    expect(
+        &autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("masked"))], Some(&bin), &[]),
+        2,
+        &["mask.pgm: the mask has 1 x 1 pixels, the frame f0.png"],
+    );
     // A frame that went missing is one frame less, and the stages are worked anew.
     std::fs::remove_file(place.at("frames").join("f4.png")).expect("removed");
     let fewer = solve("whole", &bin, &[]);
@@ -660,6 +669,10 @@ fn frames_become_cameras() {
     let pairs = document["pairs"].as_array().expect("a list");
     let tied = |pair: &Value| pair["frames"].as_array().map_or(0, Vec::len) == 2 && pair["ties"].as_u64() > Some(20);
     assert!(pairs.iter().filter(|pair| tied(pair)).count() >= 4, "{pairs:?}");
+    let lines = document["lines"].as_array().expect("a list");
+    let frames = |line: &Value| line["frames"].as_array().map_or(0, Vec::len);
+    assert_eq!(lines.iter().map(frames).collect::<Vec<_>>(), [5], "{lines:?}");
+    assert_eq!(lines[0]["gcp_statistics"], document["gcp_statistics"]);
     let differences = document["rough_differences"]["frames"].as_array().expect("a list");
     assert!(differences.len() == 5 && differences.iter().all(|d| d["d_m"].as_f64() < Some(30.0)), "{differences:?}");
     let outlines: Value =

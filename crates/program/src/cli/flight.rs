@@ -8,6 +8,7 @@ pub(in crate::cli) mod ortho;
 mod page;
 mod project;
 mod relative;
+mod runs;
 mod ties;
 mod views;
 

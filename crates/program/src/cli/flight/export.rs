@@ -9,6 +9,7 @@ use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint};
 use autoref_raster::atomic::{self, Existing};
 
 use super::project::{ordered_frames, read_project};
+use super::runs;
 use super::{check_output, image_size, lists, views};
 
 /// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its commands.
@@ -43,10 +44,9 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     let names: Vec<String> = flight.names.iter().map(|n| escaped(n)).collect();
     let images = format!("({})", names.join("|"));
     let count = flight.names.len();
-    let pairs: Vec<(String, String)> = (0..count)
-        .flat_map(|a| (a + 1..count).take(project.pairs.neighbours).map(move |b| (a, b)))
-        .map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone()))
-        .collect();
+    let (_, near) = runs::lines_and_pairs(&project, &flight.names, &flight.rows, None);
+    let pairs: Vec<(String, String)> =
+        near.into_iter().map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone())).collect();
     let mut files = vec![micmac_files::camera_database(&camera, &images), micmac_files::image_pairs(&pairs)];
     if let Some(gcps) = &project.gcps {
         let list = base.join(&gcps.list);
@@ -66,7 +66,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
         let frames: Vec<&str> = flight.names.iter().map(String::as_str).collect();
-        let masks = if views::masks(&flight.folder, &frames).len() == count { Masks::Beside } else { Masks::None };
+        let beside = views::Masks { folder: flight.folder.clone(), global: None };
+        let masks = if beside.files(&frames).len() == count { Masks::Beside } else { Masks::None };
         let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
         files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
     }

@@ -210,9 +210,14 @@ fn statistics(out: &mut String, document: &Value) {
         ("cameras − rough table", &document["rough_differences"]["statistics"]),
     ];
     *out += "<h2>Residuals, metres</h2><table><tr><th></th><th>n</th><th></th><th>max</th><th>min</th><th>mean</th><th>SD</th><th>RMS</th></tr>";
-    for (what, of) in all.iter().filter(|(_, of)| of.is_object()) {
+    let lines = rows(document, "lines");
+    let names: Vec<String> = lines.iter().map(|line| format!("control points of line {}", name(line))).collect();
+    let of_lines = names.iter().map(String::as_str).zip(lines.iter().map(|line| &line["gcp_statistics"]));
+    // Of one line they are those of all.
+    let of_lines = of_lines.filter(|_| lines.len() > 1);
+    for (what, of) in all.into_iter().chain(of_lines).filter(|(_, of)| of.is_object()) {
         for (i, axis) in ["x", "y", "z", "d"].iter().enumerate() {
-            let (what, n) = if i == 0 { (*what, of["n"].to_string()) } else { ("", String::new()) };
+            let (what, n) = if i == 0 { (what, of["n"].to_string()) } else { ("", String::new()) };
             let _ = write!(out, "<tr><td>{what}</td><td>{n}</td><td>{axis}</td>");
             for key in ["max", "min", "mean", "sd", "rms"] {
                 let _ = write!(out, "<td>{}</td>", fixed(&of[axis][key], 2));

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::relative::{Flight, GroundPlane};
-use super::{check_output, document, footprints, image_size, interior, lists, page, views};
+use super::{check_output, document, footprints, image_size, interior, lists, page, runs, views};
 
 /// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
 #[derive(Debug, clap::Args)]
@@ -69,6 +69,8 @@ pub struct Project {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs: Option<String>,
     pub frames: Frames,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub masks: Option<MaskPart>,
     #[serde(default)]
     pub camera: CameraPart,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -87,6 +89,18 @@ pub struct Frames {
     pub folder: PathBuf,
     /// Names with `*`.
     pub pattern: Vec<String>,
+}
+
+/// Masks have 0 where a frame is not to be used, and its size.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MaskPart {
+    /// The folder of `NAME_Masq.tif`, as `mask` writes them. Default: beside the frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folder: Option<PathBuf>,
+    /// One for all frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub global: Option<PathBuf>,
 }
 
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -131,8 +145,10 @@ pub struct Gcps {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Pairs {
-    /// Frames to each side along the order of the names (or of the table).
+    /// Frames to each side along the line, in the order of the table (or of the names).
     pub neighbours: usize,
+    /// Frames of other lines that each is compared with: those that see most of the same ground.
+    pub across: usize,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -146,7 +162,7 @@ pub struct Adjust {
 
 impl Default for Pairs {
     fn default() -> Self {
-        Pairs { neighbours: 3 }
+        Pairs { neighbours: 3, across: 4 }
     }
 }
 
@@ -236,6 +252,7 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     let project = Project {
         crs: args.crs.clone(),
         frames: Frames { folder, pattern },
+        masks: None,
         camera: CameraPart { f_px: args.f_px, pp_px: args.pp_px.as_ref().map(|p| [p[0], p[1]]) },
         rough: match &args.cameras {
             Some(t) => Some(Rough { table: absolute(t)?, sigma_m: default_rough_m(), pitch_deg: None, ground_m: None }),
@@ -272,6 +289,7 @@ pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
 /// The frames in the order of the table, which is that of the flight, else of the names; and the table.
 pub struct OrderedFrames {
     pub folder: PathBuf,
+    pub masks: views::Masks,
     pub names: Vec<String>,
     pub rows: Vec<tables::CameraRow>,
 }
@@ -294,12 +312,17 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     }
     order.extend((0..names.len()).filter(|i| !order.contains(i)).collect::<Vec<_>>());
     let names = order.into_iter().map(|i| names[i].clone()).collect();
-    Ok(OrderedFrames { folder, names, rows })
+    let part = project.masks.clone().unwrap_or_default();
+    let masks = views::Masks {
+        folder: part.folder.map_or(Ok(folder.clone()), |f| absolute(&base.join(f)))?,
+        global: part.global.map(|f| absolute(&base.join(f))).transpose()?,
+    };
+    Ok(OrderedFrames { folder, masks, names, rows })
 }
 
 pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let (project, base) = read_project(&args.project)?;
-    let OrderedFrames { folder, names, rows } = ordered_frames(&project, &base)?;
+    let OrderedFrames { folder, masks, names, rows } = ordered_frames(&project, &base)?;
     std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
     let out = absolute(&args.output)?;
 
@@ -317,12 +340,16 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let flight = Flight {
         project: &project,
         folder: &folder,
+        masks: &masks,
         out: &out,
         ordered: names.iter().map(String::as_str).collect(),
         size_px: image_size(&folder.join(&names[0]), None)?,
         anew: args.overwrite,
+        near: Vec::new(),
     };
     let plane = ground_plane(&project, &points, &rows, &flight);
+    let (lines, near) = runs::lines_and_pairs(&project, &names, &rows, plane.as_ref().map(|p| (p, &flight)));
+    let flight = Flight { near, ..flight };
     let tied = match &plane {
         Some(plane) => {
             let control = points.load(None)?;
@@ -365,6 +392,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     if let Some(pairs) = pairs {
         document["pairs"] = pairs;
     }
+    document["lines"] = runs::document(&lines, &names, &document);
     if project.rough.is_some() {
         document["rough_differences"] = footprints::rough_differences(&found, &model, &rows, &world);
     }

@@ -11,16 +11,19 @@ use nalgebra::Rotation3;
 
 use super::project::Project;
 use super::ties::{self, Ties};
-use super::views::{self, Interior, View};
+use super::views::{Interior, Masks, View};
 
 /// A flight's frames in the order in which it took them.
 pub struct Flight<'a> {
     pub project: &'a Project,
     pub folder: &'a Path,
+    pub masks: &'a Masks,
     pub out: &'a Path,
     pub ordered: Vec<&'a str>,
     pub size_px: [f64; 2],
     pub anew: bool,
+    /// Frames that are compared with each other, by their numbers, the smaller first.
+    pub near: Vec<(usize, usize)>,
 }
 
 /// Where the frames are thought to stand, in the order of the flight, and the height of the ground below them, in the world's frame.
@@ -91,14 +94,8 @@ pub struct Tied {
 }
 
 impl<'a> Flight<'a> {
-    fn pp_px(&self) -> [f64; 2] {
+    pub fn pp_px(&self) -> [f64; 2] {
         self.project.camera.pp_px.unwrap_or([self.size_px[0] / 2.0, self.size_px[1] / 2.0])
-    }
-
-    /// Frames that are compared with each other.
-    fn near(&self) -> Vec<(usize, usize)> {
-        let count = self.ordered.len();
-        (0..count).flat_map(|a| (a + 1..count).take(self.project.pairs.neighbours).map(move |b| (a, b))).collect()
     }
 
     fn hash(&self) -> Result<Hash> {
@@ -124,9 +121,9 @@ impl<'a> Flight<'a> {
     }
 
     fn tied_once(&self, plane: &GroundPlane, ground: &[GroundPoint], stage: &str) -> Result<Option<Tied>> {
-        let near = self.near();
+        let near = &self.near;
         let mut hash = self.hash()?;
-        for mask in views::masks(self.folder, &self.ordered) {
+        for mask in self.masks.files(&self.ordered) {
             hash.file(&mask)?;
         }
         hash.bytes(format!("{} {near:?}", plane.ground_m).as_bytes());
@@ -139,8 +136,9 @@ impl<'a> Flight<'a> {
         }
         let job = ties::Job {
             frames: self.folder,
+            masks: self.masks,
             views: &plane.views,
-            pairs: &near,
+            pairs: near,
             interior: Interior { f_px: plane.f_px, pp_px: self.pp_px() },
             ground_m: plane.ground_m,
             features: self.project.adjust.features,
@@ -166,6 +164,8 @@ impl<'a> Flight<'a> {
         let mut hash = self.hash()?;
         if let Some(ties) = ties {
             hash.file(&ties.join("ties.json"))?;
+        } else {
+            self.masks.files(&self.ordered).iter().try_for_each(|mask| hash.file(mask))?;
         }
         let text = |p: &Path| p.display().to_string();
         // One thread throughout: with more, the order of images and of random draws differs from run to run.
@@ -186,6 +186,10 @@ impl<'a> Flight<'a> {
                     "feature_importer"
                 }
                 None => {
+                    let masks = self.out.join("masks");
+                    if self.masks.write_for_colmap(self.folder, &self.ordered, &masks)? {
+                        a.push(("ImageReader.mask_path", text(&masks)));
+                    }
                     a.push(("SiftExtraction.use_gpu", "0".into()));
                     a.push(("SiftExtraction.num_threads", "1".into()));
                     a.push(("SiftExtraction.max_num_features", project.adjust.features.to_string()));
@@ -195,8 +199,8 @@ impl<'a> Flight<'a> {
             colmap_run(&self.out.join(format!("{stage}features.log")), &a, command)
         })?;
 
-        let near = self.near();
-        let pairs: String = near.iter().map(|(a, b)| format!("{} {}\n", self.ordered[*a], self.ordered[*b])).collect();
+        let pairs: String =
+            self.near.iter().map(|(a, b)| format!("{} {}\n", self.ordered[*a], self.ordered[*b])).collect();
         let pair_list = self.out.join("pairs.txt");
         autoref_raster::atomic::write(&pair_list, pairs.as_bytes())?;
         hash.bytes(pairs.as_bytes());

@@ -14,7 +14,7 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-use super::views::{Counted, Interior, Shelf, View, homography, mapped};
+use super::views::{Counted, Interior, Masks, Shelf, View, homography, mapped};
 
 /// A feature of a warped neighbour is one of the frame itself when it lies this close.
 const SAME_PX: f64 = 1.0;
@@ -25,6 +25,7 @@ const LEAST_OVERLAP: f64 = 0.03;
 pub struct Job<'a> {
     /// The folder of the frames.
     pub frames: &'a Path,
+    pub masks: &'a Masks,
     pub views: &'a [View],
     /// Indices into `views`, the lower first, in order.
     pub pairs: &'a [(usize, usize)],
@@ -221,7 +222,8 @@ fn draw(images: &Path, job: &Job<'_>) -> Result<Vec<(usize, usize, Matrix3<f64>)
 
 fn gather(database: &Database, job: &Job<'_>, warped: &[(usize, usize, Matrix3<f64>)]) -> Result<Ties> {
     let count = job.views.len();
-    let counted: Vec<Counted> = job.views.iter().map(|v| Counted::read(job.frames, &v.name)).collect::<Result<_>>()?;
+    let counted: Vec<Counted> =
+        job.views.iter().map(|v| Counted::read(job.frames, &v.name, job.masks)).collect::<Result<_>>()?;
     let mut points: Vec<KeyPoints> = Vec::with_capacity(count);
     for (i, counted) in counted.iter().enumerate() {
         let mut own = KeyPoints::default();

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use autoref_flight::{Error, Pose};
 use autoref_terrain::smooth;
 use gdal::Dataset;
@@ -39,15 +39,77 @@ pub fn is_mask(name: &str) -> bool {
     name.ends_with("_Masq.tif")
 }
 
-fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
-    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-    let path = folder.join(format!("{stem}_Masq.tif"));
-    path.is_file().then_some(path)
+/// Where masks lie: 0 where a frame is not to be used.
+#[derive(Clone, Debug, Default)]
+pub struct Masks {
+    /// The folder of those of single frames, `NAME_Masq.tif`.
+    pub folder: PathBuf,
+    /// One for all frames: the film's border, data strips, fiducial marks.
+    pub global: Option<PathBuf>,
 }
 
-/// The files that the ties of a frame depend on besides the frame.
-pub fn masks(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
-    names.iter().filter_map(|n| mask_of(folder, n)).collect()
+impl Masks {
+    /// The masks of a frame.
+    pub fn of(&self, name: &str) -> Vec<PathBuf> {
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        let own = self.folder.join(format!("{stem}_Masq.tif"));
+        self.global.iter().cloned().chain(own.is_file().then_some(own)).collect()
+    }
+
+    /// The files that the ties of frames depend on besides the frames.
+    pub fn files(&self, names: &[&str]) -> Vec<PathBuf> {
+        let all: std::collections::BTreeSet<PathBuf> = names.iter().flat_map(|n| self.of(n)).collect();
+        all.into_iter().collect()
+    }
+
+    /// The masks of a frame of `frame_px` together, at the size of `layout`; `None` when it has none.
+    ///
+    /// # Errors
+    /// When one cannot be read, or is of another size than the frame.
+    fn read(&self, name: &str, frame_px: (usize, usize), layout: &Layout) -> Result<Option<Vec<u8>>> {
+        let mut together: Option<Vec<u8>> = None;
+        for path in self.of(name) {
+            let failed = || format!("{}: cannot be read", path.display());
+            let mask = Dataset::open(&path).with_context(failed)?;
+            if mask.raster_size() != frame_px {
+                let ((w, h), (fw, fh)) = (mask.raster_size(), frame_px);
+                bail!("{}: the mask has {w} x {h} pixels, the frame {name} has {fw} x {fh}", path.display());
+            }
+            let band = mask.rasterband(1).with_context(failed)?;
+            let nearest = Some(ResampleAlg::NearestNeighbour);
+            let read = band.read_as::<u8>((0, 0), frame_px, (layout.width, layout.height), nearest);
+            let values = read.with_context(failed)?.data().to_vec();
+            match &mut together {
+                Some(all) => all.iter_mut().zip(values).for_each(|(all, v)| *all = u8::from(*all != 0 && v != 0)),
+                None => together = Some(values),
+            }
+        }
+        Ok(together)
+    }
+
+    /// Writes the masks of frames as COLMAP reads them, `NAME.png` of the frame's size, 255 where it may be used; whether there are any.
+    ///
+    /// # Errors
+    /// As for reading a mask; when one cannot be written.
+    pub fn write_for_colmap(&self, frames: &Path, names: &[&str], into: &Path) -> Result<bool> {
+        let mut any = false;
+        if into.exists() {
+            // Those of an earlier run may be of frames that have none now.
+            std::fs::remove_dir_all(into).map_err(|e| Error::io(into, "remove", e))?;
+        }
+        std::fs::create_dir_all(into).map_err(|e| Error::io(into, "create", e))?;
+        for name in names {
+            let path = frames.join(name);
+            let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
+            let (width, height) = frame.raster_size();
+            let layout = Layout { width, height, scale: 1.0 };
+            let Some(mut pixels) = self.read(name, (width, height), &layout)? else { continue };
+            pixels.iter_mut().for_each(|v| *v = if *v == 0 { 0 } else { 255 });
+            Grey { layout, pixels }.write(&into.join(format!("{name}.png")))?;
+            any = true;
+        }
+        Ok(any)
+    }
 }
 
 /// How a frame is laid out in grey: at most [`LARGEST_PX`] wide or high.
@@ -68,7 +130,7 @@ pub struct Grey {
 /// Which pixels of a frame count.
 pub struct Counted {
     layout: Layout,
-    /// Of the mask beside the frame, when there is one.
+    /// Of the frame's masks, when there are any.
     mask: Option<Vec<u8>>,
 }
 
@@ -82,23 +144,11 @@ impl Layout {
 }
 
 impl Counted {
-    pub fn read(folder: &Path, name: &str) -> Result<Self> {
+    pub fn read(folder: &Path, name: &str, masks: &Masks) -> Result<Self> {
         let path = folder.join(name);
         let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
         let layout = Layout::of(&frame);
-        let mask = match mask_of(folder, name) {
-            Some(mask) => {
-                let failed = || format!("{}: cannot be read", mask.display());
-                let mask = Dataset::open(&mask).with_context(failed)?;
-                let band = mask.rasterband(1).with_context(failed)?;
-                let size = (layout.width, layout.height);
-                let nearest = Some(ResampleAlg::NearestNeighbour);
-                Some(
-                    band.read_as::<u8>((0, 0), mask.raster_size(), size, nearest).with_context(failed)?.data().to_vec(),
-                )
-            }
-            None => None,
-        };
+        let mask = masks.read(name, frame.raster_size(), &layout)?;
         Ok(Counted { layout, mask })
     }
 
@@ -213,14 +263,21 @@ fn even_contrast(pixels: &[u8], width: usize, height: usize) -> Vec<u8> {
     (0..pixels.len()).map(even).collect()
 }
 
+/// Frames in grey that are held at once.
+const MOST_HELD: usize = 32;
+
 /// Frames in grey that are needed at the moment.
 #[derive(Default)]
 pub struct Shelf(BTreeMap<usize, Grey>);
 
 impl Shelf {
     pub fn get(&mut self, folder: &Path, views: &[View], index: usize) -> Result<&Grey> {
-        if let std::collections::btree_map::Entry::Vacant(empty) = self.0.entry(index) {
-            empty.insert(Grey::read(folder, &views[index].name)?);
+        if !self.0.contains_key(&index) {
+            // The first is at work; the last is needed the latest.
+            if self.0.len() >= MOST_HELD {
+                self.0.pop_last();
+            }
+            self.0.insert(index, Grey::read(folder, &views[index].name)?);
         }
         Ok(&self.0[&index])
     }
@@ -257,6 +314,35 @@ pub fn mapped(h: &Matrix3<f64>, pixel: [f64; 2]) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
     use autoref_flight::YawPitchRoll;
+
+    fn picture(path: &Path, (width, height): (usize, usize), value: impl Fn(usize, usize) -> u8) {
+        let pixels = (0..width * height).map(|i| value(i % width, i / width)).collect();
+        Grey { layout: Layout { width, height, scale: 1.0 }, pixels }.write(path).expect("writable");
+    }
+
+    #[test]
+    fn masks_of_the_camera_and_of_the_frame_count_together() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        picture(&at("f.png"), (40, 30), |x, _| x as u8);
+        picture(&at("f_Masq.tif"), (40, 30), |x, _| u8::from(x < 20));
+        picture(&at("border.png"), (40, 30), |_, y| u8::from(y >= 5));
+        let mut masks = Masks { folder: folder.path().into(), global: Some(at("border.png")) };
+        let counted = Counted::read(folder.path(), "f.png", &masks).expect("readable");
+        for (pixel, truth) in [([3.5, 8.5], true), ([25.5, 8.5], false), ([3.5, 2.5], false), ([41.0, 8.5], false)] {
+            assert_eq!(counted.has(pixel), truth, "{pixel:?}");
+        }
+        assert!(masks.write_for_colmap(folder.path(), &["f.png"], &at("masks")).expect("writable"));
+        let written = Dataset::open(at("masks").join("f.png.png")).expect("readable");
+        let values = written.rasterband(1).expect("a band").read_band_as::<u8>().expect("values");
+        let truth: Vec<u8> = (0..1200).map(|i| if i % 40 < 20 && i / 40 >= 5 { 255 } else { 0 }).collect();
+        assert_eq!(values.data(), truth);
+        picture(&at("border.png"), (40, 31), |_, _| 1);
+        let error = Counted::read(folder.path(), "f.png", &masks).err().expect("another size").to_string();
+        assert!(error.contains("border.png") && error.contains("40 x 31") && error.contains("f.png"), "{error}");
+        masks = Masks { folder: at("masks"), global: None };
+        assert!(!masks.write_for_colmap(folder.path(), &["f.png"], &at("none")).expect("nothing to write"));
+    }
 
     #[test]
     fn a_point_of_the_plane_maps_from_frame_to_frame() {

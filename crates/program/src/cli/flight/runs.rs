@@ -1,0 +1,76 @@
+//! Flight lines of a project, which frames are compared, and what a result says of each line.
+
+use autoref_flight::Camera;
+use autoref_flight::lines::{self, Line, Sight, Station};
+use autoref_flight::read::{same_image, tables::CameraRow};
+use autoref_flight::statistics::Residuals;
+use autoref_raster::crs::Crs;
+use serde_json::{Value, json};
+
+use super::project::Project;
+use super::relative::{Flight, GroundPlane};
+
+/// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand; without it the
+/// nearest places of other lines are taken.
+pub fn lines_and_pairs(
+    project: &Project,
+    names: &[String],
+    rows: &[CameraRow],
+    sight: Option<(&GroundPlane, &Flight<'_>)>,
+) -> (Vec<Line>, Vec<(usize, usize)>) {
+    let metric = project.crs.as_deref().is_none_or(|text| Crs::parse(text).map_or(true, |crs| !crs.is_geographic()));
+    let stations: Vec<Station> = (0..names.len())
+        .map(|i| {
+            let row = rows.iter().find(|r| same_image(&r.name, names.iter().map(String::as_str)) == Some(i));
+            let view = sight.map(|(plane, _)| plane.views[i].pose);
+            let place = row.map(|r| [r.xyz[0], r.xyz[1]]).filter(|_| metric);
+            Station {
+                // In the world's own frame where it is known: metres, whatever the table counts in.
+                place_m: view.map(|pose| [pose.centre.x, pose.centre.y]).or(place),
+                azimuth_rad: view
+                    .as_ref()
+                    .map(lines::azimuth_rad)
+                    .or_else(|| row.and_then(|r| r.yaw_deg).map(f64::to_radians)),
+                line: row.and_then(|r| r.line.clone()),
+            }
+        })
+        .collect();
+    let sigma_m = project.rough.as_ref().map_or(0.0, |r| r.sigma_m);
+    let found = lines::lines(&stations, sigma_m);
+    let poses: Option<Vec<_>> = sight.map(|(plane, _)| plane.views.iter().map(|v| v.pose).collect());
+    let camera = sight.map(|(plane, flight)| Camera::pinhole("film", flight.size_px, plane.f_px, flight.pp_px()));
+    let seen = sight.zip(poses.as_ref()).zip(camera.as_ref());
+    let sight = seen.map(|(((plane, _), poses), camera)| Sight { camera, poses, ground_m: plane.ground_m });
+    let pairs = lines::pairs(&stations, &found, (project.pairs.neighbours, project.pairs.across), sight);
+    (found, pairs)
+}
+
+/// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis of 2017 has them.
+pub fn document(lines: &[Line], names: &[String], solved: &Value) -> Value {
+    let residuals = |key: &str, frames: &[&str]| {
+        let points = solved[key].as_array().map_or(&[][..], Vec::as_slice);
+        let in_line = |p: &&Value| {
+            let images = p["images"].as_array().map_or(&[][..], Vec::as_slice);
+            images.iter().any(|i| i["frame"].as_str().is_some_and(|f| frames.contains(&f)))
+        };
+        let all: Vec<[f64; 3]> = points
+            .iter()
+            .filter(in_line)
+            .filter_map(|p| {
+                let r = p["residual_m"].as_array()?;
+                Some([r.first()?.as_f64()?, r.get(1)?.as_f64()?, r.get(2)?.as_f64()?])
+            })
+            .collect();
+        Residuals::of(&all)
+    };
+    let of = |line: &Line| {
+        let frames: Vec<&str> = line.frames.iter().map(|i| names[*i].as_str()).collect();
+        json!({
+            "name": line.name,
+            "frames": frames,
+            "gcp_statistics": residuals("gcps", &frames),
+            "check_point_statistics": residuals("check_points", &frames),
+        })
+    };
+    lines.iter().map(of).collect()
+}
