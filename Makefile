@@ -1,6 +1,8 @@
 # make demo          installs what is missing, builds, makes a sample and runs the main job on it
 # make test          everything needed to pass the whole test suite
-# make check         what CI runs: formatting, lints, documentation, tests
+# make check         what CI runs: formatting, lints, documentation, tests; and `make deny`
+# make deny          licences, sources and duplicates of all dependencies (cargo-deny)
+# make sbom          target/autoref-stream.cdx.json: what a release is made of (cargo-cyclonedx)
 # make bench         stage by stage and against other programs (minutes)
 # make fixtures      draws the small images of fixtures/ anew
 # make fuzz          ten minutes of a parser under cargo-fuzz (needs a nightly toolchain): fuzz/README.md
@@ -18,7 +20,7 @@ PEERS := target/peers
 # Odd, old and corrupt TIFFs to begin with, where they are there; the other parsers begin with what fuzz/seeds.py writes.
 FUZZ_SEEDS = $(if $(filter native_tiff,$(TARGET)),$(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio)))
 
-.PHONY: all fixtures deps test-deps build demo test check lint doc bench fuzz check-large clean
+.PHONY: all fixtures deps test-deps build demo test check lint doc deny sbom bench fuzz check-large clean
 
 all: build
 
@@ -81,7 +83,23 @@ lint: deps
 doc: deps
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --features coded
 
-check: lint doc test
+check: lint doc deny test
+
+# The advisories of RustSec are fetched by cargo-deny itself, where that can be done.
+deny:
+	@if $(CARGO) deny --version >/dev/null 2>&1; then \
+	  $(CARGO) deny --workspace check --hide-inclusion-graph licenses bans sources && \
+	  { $(CARGO) deny --workspace fetch db >/dev/null 2>&1 || { echo "The database of advisories cannot be reached: not looked at."; exit 0; } && \
+	    $(CARGO) deny --workspace check --hide-inclusion-graph advisories; }; \
+	else echo "No cargo-deny (cargo install cargo-deny): dependencies are not looked at."; fi
+
+sbom: deps
+	@$(CARGO) cyclonedx --version >/dev/null 2>&1 || { echo "cargo install cargo-cyclonedx first"; exit 1; }
+	$(CARGO) cyclonedx --quiet --format json --features coded --manifest-path crates/program/Cargo.toml --override-filename autoref-stream.cdx
+	@mkdir -p target
+	sed 's|$(CURDIR)||g' crates/program/autoref-stream.cdx.json >target/autoref-stream.cdx.json
+	@# It writes one for every crate of the house.
+	@rm -f autoref-stream.cdx.json {tools,benches,crates/*}/autoref-stream.cdx.json
 
 bench: build
 	$(CARGO) bench -p autoref-benches --bench stages -- --output-format bencher | benches/table.sh
