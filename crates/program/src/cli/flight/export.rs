@@ -44,7 +44,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     let names: Vec<String> = flight.names.iter().map(|n| escaped(n)).collect();
     let images = format!("({})", names.join("|"));
     let count = flight.names.len();
-    let (_, near) = runs::lines_and_pairs(&project, &flight.names, &flight.rows, None);
+    let listed: Vec<&str> = flight.names.iter().map(String::as_str).collect();
+    let (_, near) = runs::lines_and_pairs(&project, &listed, &flight.rows, None);
     let pairs: Vec<(String, String)> =
         near.into_iter().map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone())).collect();
     let mut files = vec![micmac_files::camera_database(&camera, &images), micmac_files::image_pairs(&pairs)];
@@ -65,9 +66,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
             .collect();
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
-        let frames: Vec<&str> = flight.names.iter().map(String::as_str).collect();
         let beside = views::Masks { folder: flight.folder.clone(), global: None };
-        let masks = if beside.files(&frames).len() == count { Masks::Beside } else { Masks::None };
+        let masks = if beside.files(&listed).len() == count { Masks::Beside } else { Masks::None };
         let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
         files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
     }

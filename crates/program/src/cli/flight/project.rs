@@ -348,7 +348,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         near: Vec::new(),
     };
     let plane = ground_plane(&project, &points, &rows, &flight);
-    let (lines, near) = runs::lines_and_pairs(&project, &names, &rows, plane.as_ref().map(|p| (p, &flight)));
+    let (lines, near) = runs::lines_and_pairs(&project, &flight.ordered, &rows, plane.as_ref().map(|p| (p, &flight)));
     let flight = Flight { near, ..flight };
     let tied = match &plane {
         Some(plane) => {
@@ -392,7 +392,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     if let Some(pairs) = pairs {
         document["pairs"] = pairs;
     }
-    document["lines"] = runs::document(&lines, &names, &document);
+    document["lines"] = runs::document(&lines, &flight.ordered, &document);
     if project.rough.is_some() {
         document["rough_differences"] = footprints::rough_differences(&found, &model, &rows, &world);
     }
@@ -428,8 +428,8 @@ fn ground_plane(
     let ground_m = world.to_world([first[0], first[1], height])?.z;
     let names = &flight.ordered;
     let mut rough = Vec::new();
-    for i in 0..names.len() {
-        let row = rows.iter().find(|r| same_image(&r.name, names.iter().copied()) == Some(i))?;
+    for row in runs::rows_of(names, rows) {
+        let row = row?;
         // A pitch that is one for all frames is less sure than what a table says of each.
         let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
         rough.push(RoughPose {

@@ -10,18 +10,30 @@ use serde_json::{Value, json};
 use super::project::Project;
 use super::relative::{Flight, GroundPlane};
 
+/// The table's row of each frame.
+pub fn rows_of<'a>(names: &[&str], rows: &'a [CameraRow]) -> Vec<Option<&'a CameraRow>> {
+    let mut of = vec![None; names.len()];
+    for row in rows {
+        if let Some(i) = same_image(&row.name, names.iter().copied()) {
+            of[i].get_or_insert(row);
+        }
+    }
+    of
+}
+
 /// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand; without it the
 /// nearest places of other lines are taken.
 pub fn lines_and_pairs(
     project: &Project,
-    names: &[String],
+    names: &[&str],
     rows: &[CameraRow],
     sight: Option<(&GroundPlane, &Flight<'_>)>,
 ) -> (Vec<Line>, Vec<(usize, usize)>) {
     let metric = project.crs.as_deref().is_none_or(|text| Crs::parse(text).map_or(true, |crs| !crs.is_geographic()));
-    let stations: Vec<Station> = (0..names.len())
-        .map(|i| {
-            let row = rows.iter().find(|r| same_image(&r.name, names.iter().map(String::as_str)) == Some(i));
+    let stations: Vec<Station> = rows_of(names, rows)
+        .into_iter()
+        .enumerate()
+        .map(|(i, row)| {
             let view = sight.map(|(plane, _)| plane.views[i].pose);
             let place = row.map(|r| [r.xyz[0], r.xyz[1]]).filter(|_| metric);
             Station {
@@ -46,7 +58,7 @@ pub fn lines_and_pairs(
 }
 
 /// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis of 2017 has them.
-pub fn document(lines: &[Line], names: &[String], solved: &Value) -> Value {
+pub fn document(lines: &[Line], names: &[&str], solved: &Value) -> Value {
     let residuals = |key: &str, frames: &[&str]| {
         let points = solved[key].as_array().map_or(&[][..], Vec::as_slice);
         let in_line = |p: &&Value| {
@@ -64,7 +76,7 @@ pub fn document(lines: &[Line], names: &[String], solved: &Value) -> Value {
         Residuals::of(&all)
     };
     let of = |line: &Line| {
-        let frames: Vec<&str> = line.frames.iter().map(|i| names[*i].as_str()).collect();
+        let frames: Vec<&str> = line.frames.iter().map(|i| names[*i]).collect();
         json!({
             "name": line.name,
             "frames": frames,
