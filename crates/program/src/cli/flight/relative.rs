@@ -186,7 +186,7 @@ impl<'a> Flight<'a> {
                     "feature_importer"
                 }
                 None => {
-                    let masks = self.out.join("masks");
+                    let masks = self.out.join("colmap_masks");
                     if self.masks.write_for_colmap(self.folder, &self.ordered, &masks)? {
                         a.push(("ImageReader.mask_path", text(&masks)));
                     }

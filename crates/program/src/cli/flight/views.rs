@@ -93,19 +93,24 @@ impl Masks {
     /// As for reading a mask; when one cannot be written.
     pub fn write_for_colmap(&self, frames: &Path, names: &[&str], into: &Path) -> Result<bool> {
         let mut any = false;
-        if into.exists() {
-            // Those of an earlier run may be of frames that have none now.
-            std::fs::remove_dir_all(into).map_err(|e| Error::io(into, "remove", e))?;
-        }
         std::fs::create_dir_all(into).map_err(|e| Error::io(into, "create", e))?;
         for name in names {
             let path = frames.join(name);
             let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
             let (width, height) = frame.raster_size();
             let layout = Layout { width, height, scale: 1.0 };
-            let Some(mut pixels) = self.read(name, (width, height), &layout)? else { continue };
+            let target = into.join(format!("{name}.png"));
+            let Some(mut pixels) = self.read(name, (width, height), &layout)? else {
+                // That of an earlier run would still hold.
+                match std::fs::remove_file(&target) {
+                    Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                        return Err(Error::io(&target, "remove", e).into());
+                    }
+                    _ => continue,
+                }
+            };
             pixels.iter_mut().for_each(|v| *v = if *v == 0 { 0 } else { 255 });
-            Grey { layout, pixels }.write(&into.join(format!("{name}.png")))?;
+            Grey { layout, pixels }.write(&target)?;
             any = true;
         }
         Ok(any)
@@ -340,8 +345,11 @@ mod tests {
         picture(&at("border.png"), (40, 31), |_, _| 1);
         let error = Counted::read(folder.path(), "f.png", &masks).err().expect("another size").to_string();
         assert!(error.contains("border.png") && error.contains("40 x 31") && error.contains("f.png"), "{error}");
+        // Without masks what an earlier run wrote goes, and nothing else.
+        std::fs::write(at("masks").join("mine.txt"), "kept").expect("writable");
         masks = Masks { folder: at("masks"), global: None };
-        assert!(!masks.write_for_colmap(folder.path(), &["f.png"], &at("none")).expect("nothing to write"));
+        assert!(!masks.write_for_colmap(folder.path(), &["f.png"], &at("masks")).expect("nothing to write"));
+        assert!(!at("masks").join("f.png.png").exists() && at("masks").join("mine.txt").exists());
     }
 
     #[test]
