@@ -51,10 +51,17 @@ pub fn lines(stations: &[Station], sigma_m: f64) -> Vec<Line> {
         let goes_on = lines.last().filter(|line| follows(stations, &line.frames, next, longest_m, noise_m)).is_some();
         match lines.last_mut().filter(|_| goes_on) {
             Some(line) => line.frames.push(next),
-            None => lines.push(Line { name: (lines.len() + 1).to_string(), frames: vec![next] }),
+            None => lines.push(Line { name: free_name(&lines, stations), frames: vec![next] }),
         }
     }
     lines
+}
+
+/// The least number that names no line.
+fn free_name(lines: &[Line], stations: &[Station]) -> String {
+    let taken =
+        |name: &str| lines.iter().any(|l| l.name == name) || stations.iter().any(|s| s.line.as_deref() == Some(name));
+    (1..).map(|n: usize| n.to_string()).find(|name| !taken(name)).expect("there are more numbers than lines")
 }
 
 /// Does a frame go on with the line of these?
