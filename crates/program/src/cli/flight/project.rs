@@ -440,3 +440,28 @@ fn ground_plane(
     }
     Some(GroundPlane::of_table(names, rough, f_px, ground_m, flight.size_px))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every key of the documented example is one that is read, and every default that it shows is the program's.
+    #[test]
+    fn the_documented_project_is_read() {
+        let page = include_str!("../../../../../docs/flight.md");
+        let example = page.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+        let project: Project = toml::from_str(example).expect("the example is a project");
+        let (pairs, adjust) = (Pairs::default(), Adjust::default());
+        assert_eq!((project.pairs.neighbours, project.pairs.across), (pairs.neighbours, pairs.across));
+        assert_eq!((project.adjust.features, project.adjust.seed), (adjust.features, adjust.seed));
+        let gcps = project.gcps.as_ref().expect("it has GCPs");
+        assert_eq!((gcps.sigma_ground_m, gcps.sigma_image_px), (default_ground_m(), default_image_px()));
+        let shown: toml::Table = toml::from_str(example).expect("TOML");
+        let whole: toml::Table = toml::from_str(&toml::to_string(&project).expect("TOML")).expect("TOML");
+        for (part, keys) in whole.iter().filter_map(|(part, keys)| Some((part, keys.as_table()?))) {
+            for key in keys.keys() {
+                assert!(shown[part].get(key).is_some(), "{part}.{key} is not documented");
+            }
+        }
+    }
+}
