@@ -92,7 +92,8 @@ fn follows(stations: &[Station], line: &[usize], next: usize, longest_m: f64, no
     // A step that turns, by more than the places' errors can make it.
     let turns = aside.atan2(along) > SAME_DIRECTION_RAD;
     let off = if along > 0.0 { aside } else { length(step) };
-    !(turns && off > noise_m)
+    // The errors of the step, and those of the way so far, drawn out to the step's length.
+    !(turns && off > noise_m * (length(step) / length(track)).hypot(1.0))
 }
 
 fn between(a: &Station, b: &Station) -> Option<[f64; 2]> {
@@ -225,6 +226,10 @@ mod tests {
             })
             .collect();
         assert_eq!(lines(&straight, 200.0).len(), 1, "errors of the table end no line");
+        // The first way is 12° off to the left, the next step 21° to the right.
+        let bent = [[0.0, 0.0], [1800.0, 380.0], [3500.0, -280.0], [5300.0, 40.0], [7100.0, 0.0]];
+        let bent = bent.map(|place| Station { place_m: Some(place), ..Station::default() });
+        assert_eq!(lines(&bent, 200.0).len(), 1, "nor do those of two frames' way");
         assert_eq!(lines(&vec![Station::default(); 4], 200.0).len(), 1, "nothing is known");
         let mut named = block(true);
         named.iter_mut().enumerate().for_each(|(i, s)| s.line = Some(["S36a", "S36b"][i % 2].into()));
