@@ -283,7 +283,7 @@ fn exchanged_labels_show_when_marks_carry_names() {
 /// Correct lists: with the pattern in the image, with a part of it, and without it.
 #[test]
 fn nothing_is_claimed_about_correct_lists() {
-    let count = crate::common::trials(12, 600);
+    let count = crate::common::trials(8, 600);
     let crs = Crs::from_epsg(25832).expect("a zone");
     let mut random = Random::new(77);
     let (mut solved, mut possible) = (0, 0);

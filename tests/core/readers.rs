@@ -194,7 +194,7 @@ fn tiff_crate_samples(path: &Path) -> Option<Vec<u16>> {
 #[test]
 fn every_layout_codec_depth_and_byte_order_decodes_to_the_same_samples() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let (mut count, mut not_compared) = (0, 0);
+    let (mut count, mut written, mut not_compared) = (0, 0, 0);
     for bands in [1, 3, 4, 5] {
         for sixteen in [false, true] {
             for codec in codecs() {
@@ -202,6 +202,11 @@ fn every_layout_codec_depth_and_byte_order_decodes_to_the_same_samples() {
                     for interleave in ["INTERLEAVE=PIXEL", "INTERLEAVE=BAND"] {
                         for order in ["ENDIANNESS=LITTLE", "ENDIANNESS=BIG"] {
                             count += 1;
+                            // Half of the combinations, so that any two options meet; all with AUTOREF_LARGE=1.
+                            if !crate::common::large() && (count + count / 2 + count / 4) % 2 == 0 {
+                                continue;
+                            }
+                            written += 1;
                             let big = if count % 2 == 0 { "BIGTIFF=YES" } else { "BIGTIFF=NO" };
                             let options = [&codec[..], layout, &[interleave, order, big]].concat();
                             let kind = Kind::new(bands, sixteen, &options);
@@ -215,8 +220,8 @@ fn every_layout_codec_depth_and_byte_order_decodes_to_the_same_samples() {
             }
         }
     }
-    println!("{count} files, {not_compared} of them not taken by the tiff crate");
-    assert!(not_compared < count / 20);
+    println!("{written} files, {not_compared} of them not taken by the tiff crate");
+    assert!(not_compared < written / 20);
 }
 
 fn check_against_truth(path: &Path, kind: &Kind, seed: usize, what: &str) -> bool {

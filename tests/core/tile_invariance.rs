@@ -151,7 +151,7 @@ mod files {
     #[test]
     fn layouts_codecs_and_readers_do_not_change_a_byte() {
         let large = std::env::var_os("AUTOREF_LARGE").is_some();
-        let size = if large { (3001, 2003) } else { (1301, 707) };
+        let size = if large { (3001, 2003) } else { (1001, 607) };
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut expected: Option<Vec<u8>> = None;
         let layouts = [FileLayout::Tiles(256), FileLayout::Strips(7)];
@@ -348,7 +348,7 @@ mod options {
     }
 
     fn cases() -> u32 {
-        if std::env::var_os("AUTOREF_LARGE").is_some() { 500 } else { 24 }
+        if std::env::var_os("AUTOREF_LARGE").is_some() { 500 } else { 16 }
     }
 
     fn side() -> impl Strategy<Value = u64> {
