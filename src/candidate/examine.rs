@@ -173,7 +173,7 @@ impl Looks<'_> {
             Whole::Grown(_) => {
                 let least = self.score(&first).min(self.profile.examine.min_score);
                 let grown = may_be_mark.then(|| {
-                    let scene = Scene::of_pixels(seen.patch, own.clone(), &own.or(&seen.other));
+                    let scene = seen.with_own(own.clone(), &own.or(&seen.other));
                     // What was looked at against local ground was grown by it too, and is not asked again.
                     if first.local { self.measured_once(&scene, around) } else { self.measured(&scene, around) }
                 });
@@ -187,10 +187,10 @@ impl Looks<'_> {
         if !may_be_mark {
             return Some(best);
         }
-        let mark = Scene::of_pixels(seen.patch, own, &seen.paint());
+        let mark = seen.with_own(own, &seen.paint());
         let shaded = shadow::grown_into_shade(&mark, plateau(&mark))
             .filter(|own| self.may_be_mark(own, seen.patch))
-            .map(|own| Scene::of_pixels(seen.patch, own, &seen.paint()))
+            .map(|own| seen.with_own(own, &seen.paint()))
             .and_then(|whole| shadow::relit(&whole).map(|relit| (whole, relit)));
         Some(match shaded.or_else(|| shadow::relit(&mark).map(|relit| (mark, relit))) {
             Some((mark, relit)) => self.in_even_light(best, &mark, &relit),
@@ -380,7 +380,7 @@ fn look_again(
         Growth::Whole => None,
         Growth::Grown(own) => {
             let paint = own.or(&scene.other);
-            Some(Scene::of_pixels(scene.patch, own, &paint))
+            Some(scene.with_own(own, &paint))
         }
     };
     let (scene, paint, seen) = match &grown {
@@ -469,7 +469,14 @@ fn fit_shape(
     if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
         let window = &scene.patch.window;
         let mut place = Place::of(&best);
-        if let Some(around) = around.filter(|_| best.rms <= rms_limit / SLACK) {
+        let mut open = [0.0; 3];
+        // Neither edges nor a better centre raise a score: clutter is not asked for them.
+        if populations.likelihood_ratio(contrast, best.rms) >= min_score {
+            (open, evidence.unsupported) = whole::unsupported(scene, &shares, &best);
+        }
+        let likely =
+            best.rms <= rms_limit / SLACK && populations.score(contrast, best.rms, evidence.unsupported) >= min_score;
+        if let Some(around) = around.filter(|_| likely) {
             let mut spread = [0.0; 3];
             if let Some(other) = fit_in_linear_light(scene, evidence.local, profile.shape) {
                 (place, spread) = place.averaged_with(&best, &other);
@@ -482,8 +489,6 @@ fn fit_shape(
             }
         }
         evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
-        let (open, sides) = whole::unsupported(scene, &shares, &best);
-        evidence.unsupported = sides;
         evidence.covariance_px2 = std::array::from_fn(|k| place.covariance_px2[k] + open[k]);
         evidence.fit = Some(best);
     }
@@ -607,9 +612,7 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     {
         return f64::from(-50);
     }
-    // A side without an edge is worth as much as most of what a mark gains by its contrast.
-    const PER_SIDE: f64 = 4.0;
-    Populations::of(evidence.local).likelihood_ratio(evidence.contrast, fit.rms) - PER_SIDE * evidence.unsupported
+    Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
 }
 
 /// From better than any fit to as bad as none, rising.
@@ -643,6 +646,13 @@ const LOCAL_LOOK: Populations = Populations {
 impl Populations {
     fn of(local: bool) -> &'static Populations {
         if local { &LOCAL_LOOK } else { &RING_LOOK }
+    }
+
+    /// Less for so many sides of an outline that no edge supports.
+    fn score(&self, contrast: f64, rms: f64, unsupported: f64) -> f64 {
+        // A side without an edge is worth as much as most of what a mark gains by its contrast.
+        const PER_SIDE: f64 = 4.0;
+        self.likelihood_ratio(contrast, rms) - PER_SIDE * unsupported
     }
 
     fn likelihood_ratio(&self, contrast: f64, rms: f64) -> f64 {

@@ -82,22 +82,13 @@ impl<'a> Local<'a> {
     /// Grows the region over the pixels connected to it that are more paint than ground.
     pub fn grow(&self) -> Growth {
         let scene = self.scene;
-        if scene.at_edge(&scene.own) {
+        if scene.own.at_edge() {
             return Growth::Whole;
         }
-        let mut grown = scene.own.clone();
-        let mut asked = scene.own.clone();
-        let mut front = scene.own.clone();
-        while !front.is_empty() {
-            let beside = front.grown(1).and(&scene.valid).minus(&asked);
-            asked = asked.or(&beside);
-            front = PixelSet::empty(scene.width, scene.height);
-            beside.iter().filter(|&i| (0.5..1.5).contains(&self.share(i))).for_each(|i| front.insert(i));
-            if scene.at_edge(&front) {
-                return Growth::Whole;
-            }
-            grown = grown.or(&front);
-        }
+        let like = |i: usize| (0.5..1.5).contains(&self.share(i));
+        let Some(grown) = scene.own.spread(&scene.valid, like, |front, _| !front.at_edge()) else {
+            return Growth::Whole;
+        };
         let before = scene.own.count();
         if grown.count() as f64 <= before as f64 * (1.0 + LEAST_GROWTH) {
             return Growth::Whole;

@@ -195,6 +195,44 @@ impl PixelSet {
         }
     }
 
+    /// Whether one of its pixels lies in the window's first or last row or column.
+    pub fn at_edge(&self) -> bool {
+        let any = |row: &[u64]| row.iter().any(|&word| word != 0);
+        let last = 1 << (BITS - 1 - (self.stride * BITS - self.width));
+        let beside = |row: &[u64]| row[0] & 1 != 0 || row[self.stride - 1] & last != 0;
+        let mut rows = self.words.chunks_exact(self.stride);
+        self.words.len() >= self.stride
+            && (any(&self.words[..self.stride])
+                || any(&self.words[self.words.len() - self.stride..])
+                || rows.any(beside))
+    }
+
+    /// With all pixels of `within` that are 8-connected to it by such as `wanted` holds of. `go_on` sees what each round adds and
+    /// all there is by then. `None` where it says no. Few pixels are asked for: those beside what was reached.
+    pub fn spread(
+        &self,
+        within: &PixelSet,
+        wanted: impl Fn(usize) -> bool,
+        mut go_on: impl FnMut(&PixelSet, &PixelSet) -> bool,
+    ) -> Option<PixelSet> {
+        let (mut all, mut asked, mut front) = (self.clone(), self.clone(), self.clone());
+        while !front.is_empty() {
+            let beside = front.grown(1).and(within).minus(&asked);
+            asked = asked.or(&beside);
+            front.words.fill(0);
+            beside.for_each(|i| {
+                if wanted(i) {
+                    front.insert(i);
+                }
+            });
+            all = all.or(&front);
+            if !go_on(&front, &all) {
+                return None;
+            }
+        }
+        Some(all)
+    }
+
     /// Fills the runs of `mask` in row `y` that row `beside` touches or that it holds a part of; whether anything changed.
     fn fill_row(&mut self, mask: &PixelSet, y: usize, beside: usize) -> bool {
         let row = |y: usize| y * self.stride..(y + 1) * self.stride;
@@ -311,6 +349,20 @@ mod tests {
                 todo.extend(set.iter().filter(|&j| far(&set, i, j) == 1 && !twin.has(j)));
             }
             prop_assert_eq!(piece, twin);
+        }
+
+        #[test]
+        fn what_spreads_is_what_hangs_together(set in window(), seed: u64) {
+            let Some(start) = set.first() else { return Ok(()) };
+            let mut one = PixelSet { words: vec![0; set.words.len()], ..set };
+            one.insert(start);
+            let within = PixelSet::from_fn(set.width, set.words.len() / set.stride, |i| (i as u64 ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 62 != 1);
+            let spread = one.spread(&within, |i| set.has(i), |_, _| true);
+            prop_assert_eq!(spread, Some(set.and(&within).or(&one).piece(start)));
+            prop_assert_eq!(one.spread(&within, |i| set.has(i), |_, _| false), None);
+            let height = set.words.len() / set.stride;
+            let at_edge = |i: usize| i % set.width == 0 || i % set.width + 1 == set.width || i < set.width || i / set.width + 1 == height;
+            prop_assert_eq!(set.at_edge(), set.iter().any(at_edge));
         }
 
         #[test]

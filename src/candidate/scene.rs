@@ -64,6 +64,11 @@ impl<'a> Scene<'a> {
         Scene::among(patch, own, paint, PixelSet::of(&patch.valid, patch.window.width as usize))
     }
 
+    /// The scene of other pixels of the same patch among all that is paint.
+    pub fn with_own(&self, own: PixelSet, paint: &PixelSet) -> Scene<'a> {
+        Scene::among(self.patch, own, paint, self.valid.clone())
+    }
+
     fn among(patch: &'a Patch, own: PixelSet, paint: &PixelSet, valid: PixelSet) -> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let scale = 255.0 / f64::from(patch.white);
@@ -112,11 +117,19 @@ impl<'a> Scene<'a> {
         if self.linear {
             return (0..self.patch.rgb.len()).map(|i| self.colour(i).dot(&direction) - origin).collect();
         }
-        let ([a, b, c], scale) = ([direction[0], direction[1], direction[2]], self.scale);
+        self.patch.rgb.iter().map(|v| self.sample_along(*v, direction) - origin).collect()
+    }
+
+    /// The same of one pixel, which is not in linear light.
+    pub fn one_along(&self, i: usize, direction: Vector3<f64>, origin: f64) -> f64 {
+        debug_assert!(!self.linear);
+        self.sample_along(self.patch.rgb[i], direction) - origin
+    }
+
+    fn sample_along(&self, v: [u16; 3], direction: Vector3<f64>) -> f64 {
         // Scaled before it is weighed: a multiple of 257 of a byte is that byte, to the last bit.
-        let sample = |v: u16| f64::from(v) * scale;
-        let along = |v: &[u16; 3]| sample(v[0]) * a + sample(v[1]) * b + sample(v[2]) * c - origin;
-        self.patch.rgb.iter().map(along).collect()
+        let sample = |v: u16| f64::from(v) * self.scale;
+        sample(v[0]) * direction[0] + sample(v[1]) * direction[1] + sample(v[2]) * direction[2]
     }
 
     /// Robust statistics of the pixels of a set; `None` of fewer than 12.
@@ -149,12 +162,6 @@ impl<'a> Scene<'a> {
     /// Other paint and what it may have blurred into.
     pub fn beside_other(&self) -> PixelSet {
         self.other.grown(BLURRED_PX)
-    }
-
-    /// Whether a set reaches the edge of the patch.
-    pub fn at_edge(&self, set: &PixelSet) -> bool {
-        let (width, height) = (self.width, self.height);
-        set.iter().any(|i| i % width == 0 || i % width + 1 == width || i < width || i / width + 1 == height)
     }
 
     /// Number of separate pieces of paint in the patch, the candidate included.

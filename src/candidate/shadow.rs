@@ -1,5 +1,7 @@
 //! The border of a shadow that crosses a mark: where it lies, how much darker it is beyond, and the patch with even light.
 
+use std::cell::OnceCell;
+
 use nalgebra::Vector3;
 
 use super::kernels::exp_of_negative;
@@ -25,9 +27,9 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
         let colour = scene.colour(i);
         seen.push(((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5, colour.sum() / 3.0, colour));
     });
-    let mut sorted: Vec<f64> = seen.iter().map(|s| s.2).collect();
-    sorted.sort_by(f64::total_cmp);
-    let at = |q: f64| sorted[((sorted.len() - 1) as f64 * q).round() as usize];
+    let mut brightness: Vec<f64> = seen.iter().map(|s| s.2).collect();
+    let last = (brightness.len() - 1) as f64;
+    let mut at = |q: f64| *brightness.select_nth_unstable_by((last * q).round() as usize, f64::total_cmp).1;
     if at(0.92) < LEAST_RATIO * at(0.08).max(1.0) {
         return None;
     }
@@ -77,12 +79,20 @@ pub(super) fn grown_into_shade(scene: &Scene<'_>, paint: Vector3<f64>) -> Option
         let (of_paint, of_ground) = mixture(scene.colour(i), paint, ground);
         of_paint > of_ground && (LEAST_LIGHT..1.2).contains(&(of_paint + of_ground))
     };
-    let reach = scene.own.grown((2.0 * (scene.own.count() as f64).sqrt()).ceil() as usize);
-    let near = PixelSet::from_fn(scene.width, scene.height, |i| reach.has(i) && like(i)).and(&scene.valid);
-    let grown = scene.own.or(&near).piece(scene.own.first()?).or(&scene.own);
-    let (before, after) = (scene.own.count(), grown.count());
-    let ends = after <= MOST_GROWTH * before && !scene.at_edge(&grown);
-    (ends && after as f64 > before as f64 * (1.0 + LEAST_GROWTH)).then_some(grown)
+    let before = scene.own.count();
+    // Most have no pixel beside them that is like them.
+    let reach = OnceCell::new();
+    let near = |i| reach.get_or_init(|| scene.own.grown((2.0 * (before as f64).sqrt()).ceil() as usize)).has(i);
+    let start = scene.own.piece(scene.own.first().filter(|_| !scene.own.at_edge())?);
+    let within = scene.own.or(&scene.valid);
+    let grown = start.spread(
+        &within,
+        |i| scene.own.has(i) || like(i) && near(i),
+        |front, all| all.count() <= MOST_GROWTH * before && !front.at_edge(),
+    )?;
+    let grown = grown.or(&scene.own);
+    let after = grown.count();
+    (after <= MOST_GROWTH * before && after as f64 > before as f64 * (1.0 + LEAST_GROWTH)).then_some(grown)
 }
 
 /// How much of two colours it takes to make a third: not below 0 each, by least squares.

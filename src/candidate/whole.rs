@@ -31,9 +31,7 @@ pub(super) enum Whole {
 pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
     let before = scene.own.count();
     let mut own = scene.own.clone();
-    if scene.at_edge(&own) {
-        return Whole::Is;
-    }
+    let Some(start) = own.first().map(|first| own.piece(first)).filter(|_| !own.at_edge()) else { return Whole::Is };
     let mut grew = false;
     for _ in 0..ROUNDS {
         let Some(ground) = ground_around(scene, &own) else { return Whole::Is };
@@ -46,17 +44,24 @@ pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
         if contrast2 < 9.0 {
             return Whole::Is;
         }
-        let shares = scene.along(direction / contrast2, direction.dot(&ground.mean) / contrast2);
+        let (direction, origin) = (direction / contrast2, direction.dot(&ground.mean) / contrast2);
         let like = |i: usize| {
             // Across the direction too it must be nearer to the paint: a white line beside a mark is brighter than both.
             let colour = scene.colour(i);
-            shares[i] > 0.5 && (colour - plateau).norm_squared() < (colour - ground.mean).norm_squared()
+            scene.own.has(i)
+                || scene.one_along(i, direction, origin) > 0.5
+                    && (colour - plateau).norm_squared() < (colour - ground.mean).norm_squared()
         };
-        let connected = scene.own.or(&PixelSet::from_fn(scene.width, scene.height, like)).and(&scene.valid);
-        let Some(start) = scene.own.first() else { return Whole::Is };
-        let next = connected.piece(start).or(&scene.own);
-        if scene.at_edge(&next) {
-            return if grew { Whole::Endless } else { runs_away(&next, before) };
+        let runs_away = |set: &PixelSet| set.count() as f64 > 1.5 * before as f64;
+        let mut open = false;
+        let ends = |front: &PixelSet, all: &PixelSet| {
+            open |= front.at_edge();
+            !(open && (grew || runs_away(all)))
+        };
+        let Some(next) = start.spread(&scene.valid, like, ends) else { return Whole::Endless };
+        let next = next.or(&scene.own);
+        if open {
+            return if grew || runs_away(&next) { Whole::Endless } else { Whole::Is };
         }
         let done = next == own;
         own = next;
@@ -78,10 +83,6 @@ pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
         }
     }
     Whole::Grown(own)
-}
-
-fn runs_away(next: &PixelSet, before: usize) -> Whole {
-    if next.count() as f64 > 1.5 * before as f64 { Whole::Endless } else { Whole::Is }
 }
 
 /// Ground in the ring around a set, clear of paint that is not connected to it.
