@@ -162,7 +162,8 @@ fn micmac_is_run_where_it_is_installed() {
     std::fs::create_dir(&prepared).expect("a folder");
     for p in &place.flight.model.photographs {
         let (c, r) = (p.pose.centre, p.pose.rotation);
-        let row = |i: usize| format!("<L{}>{} {} {}</L{}>", i + 1, r[(i, 0)], r[(i, 1)], r[(i, 2)], i + 1);
+        // MicMac writes camera to world.
+        let row = |i: usize| format!("<L{}>{} {} {}</L{}>", i + 1, r[(0, i)], r[(1, i)], r[(2, i)], i + 1);
         let xml = format!(
             "<?xml version=\"1.0\"?><ExportAPERO><OrientationConique><FileInterne>AutoCal.xml</FileInterne>\
              <RelativeNameFI>true</RelativeNameFI><Externe><Centre>{} {} {}</Centre><ParamRotation><CodageMatr>{}{}{}\
