@@ -200,9 +200,9 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
             });
         }
     } else if model.reference_lla.is_some() || control.own_datum {
-        // A block that stands on the Earth already keeps its datum, loosely: few GCPs may fix neither its turns nor its tilt.
+        // A block that stands on the Earth already keeps its datum, loosely.
         for (slot, p) in rough.iter_mut().zip(&model.photographs) {
-            *slot = Some(RoughPose { pose: p.pose, sigma_m: Vector3::repeat(5.0), sigma_rad: 10f64.to_radians() });
+            *slot = Some(RoughPose { pose: p.pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY });
         }
     }
     let options = AdjustOptions {
