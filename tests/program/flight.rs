@@ -16,12 +16,12 @@ use crate::common::{Random, data, skipped};
 const SIDE: usize = 480;
 const F_PX: f64 = 500.0;
 
-fn text(path: &Path) -> &str {
+pub(super) fn text(path: &Path) -> &str {
     path.to_str().expect("plain")
 }
 
 /// Runs the program with `colmap` taken from `bin` alone, or from where the system has it.
-fn autoref(args: &[&str], bin: Option<&Path>, words: &[(&str, &str)]) -> Output {
+pub(super) fn autoref(args: &[&str], bin: Option<&Path>, words: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
     command.args(args).envs(words.iter().copied());
     if let Some(bin) = bin {
@@ -34,13 +34,13 @@ fn autoref(args: &[&str], bin: Option<&Path>, words: &[(&str, &str)]) -> Output 
     output
 }
 
-fn said(output: &Output) -> String {
+pub(super) fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).trim().to_string()
 }
 
 /// The exit code, and all that was said has these words.
 #[track_caller]
-fn expect(output: &Output, code: i32, words: &[&str]) {
+pub(super) fn expect(output: &Output, code: i32, words: &[&str]) {
     let said = said(output);
     assert_eq!(output.status.code(), Some(code), "{said}");
     assert!(words.iter().all(|w| said.contains(w)), "{words:?} in: {said}");
@@ -51,7 +51,7 @@ fn expect(output: &Output, code: i32, words: &[&str]) {
 }
 
 #[track_caller]
-fn json(output: &Output) -> Value {
+pub(super) fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {}", said(output)))
 }
 
@@ -93,8 +93,8 @@ fn meets(camera: &Camera, pose: &Pose, pixel: [f64; 2]) -> Vector3<f64> {
 type DrawnGcp = (String, Vector3<f64>, Vec<(usize, [f64; 2])>);
 
 /// A line of five frames that look down, 400 m above the ground, with ties and eight GCPs: a truth to compare with.
-struct Flight {
-    model: Reconstruction,
+pub(super) struct Flight {
+    pub(super) model: Reconstruction,
     /// Name, place, frame and pixel.
     gcps: Vec<DrawnGcp>,
 }
@@ -186,7 +186,7 @@ impl Flight {
     }
 
     /// COLMAP's text model in a frame of its own.
-    fn write_model(&self, folder: &Path) {
+    pub(super) fn write_model(&self, folder: &Path) {
         std::fs::create_dir_all(folder).expect("a folder");
         let by = autoref_flight::Similarity {
             scale: 0.01,
@@ -206,7 +206,7 @@ impl Flight {
     }
 
     /// Largest distance of a camera of the document from the truth.
-    fn worst_camera_m(&self, document: &Value) -> f64 {
+    pub(super) fn worst_camera_m(&self, document: &Value) -> f64 {
         let cameras = document["cameras"].as_array().expect("cameras");
         let distance = |c: &Value| {
             let p = &self.model.photographs[self.model.find(c["name"].as_str().expect("a name")).expect("known")];
@@ -256,27 +256,27 @@ fn has_the_keys(document: &Value) {
     }
 }
 
-struct Place {
+pub(super) struct Place {
     folder: tempfile::TempDir,
-    flight: Flight,
+    pub(super) flight: Flight,
 }
 
 impl Place {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let place = Place { folder: tempfile::tempdir().expect("a temporary folder"), flight: Flight::new() };
         place.write("gcps.txt", &place.flight.gcp_list());
         place.write("table.csv", &place.flight.table());
         place
     }
-    fn at(&self, name: &str) -> PathBuf {
+    pub(super) fn at(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
-    fn write(&self, name: &str, content: &str) -> PathBuf {
+    pub(super) fn write(&self, name: &str, content: &str) -> PathBuf {
         std::fs::write(self.at(name), content).expect("written");
         self.at(name)
     }
     /// `flight init` on frames that are empty files, or drawn.
-    fn init(&self) -> PathBuf {
+    pub(super) fn init(&self) -> PathBuf {
         let toml = self.at("FLIGHT.toml");
         let (frames, table, gcps) = (self.at("frames"), self.at("table.csv"), self.at("gcps.txt"));
         let output = autoref(
@@ -302,7 +302,7 @@ impl Place {
         toml
     }
     /// A stand-in for COLMAP whose mapper copies the model of the truth.
-    fn stand_in(&self) -> PathBuf {
+    pub(super) fn stand_in(&self) -> PathBuf {
         let bin = self.at("bin");
         std::fs::create_dir_all(&bin).expect("a folder");
         self.flight.write_model(&self.at("prepared"));
@@ -330,7 +330,7 @@ impl Place {
         std::fs::set_permissions(bin.join("colmap"), std::fs::Permissions::from_mode(0o755)).expect("executable");
         bin
     }
-    fn five_frames(&self) {
+    pub(super) fn five_frames(&self) {
         std::fs::create_dir_all(self.at("frames")).expect("a folder");
         for p in &self.flight.model.photographs {
             write_png(&self.at("frames").join(&p.name), &vec![100; SIDE * SIDE]);

@@ -26,6 +26,7 @@ mod film_outputs;
 mod film_rolls;
 mod fixtures;
 mod flight;
+mod flight_input;
 mod heights;
 mod inputs;
 mod main_job;

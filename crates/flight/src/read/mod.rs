@@ -54,7 +54,9 @@ pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) 
     let stem = |n: &str| {
         let b = base(n);
         let cut = b.rsplit_once('.').map(|(s, _)| s.to_string());
-        cut.filter(|s| !s.is_empty()).unwrap_or(b).to_lowercase()
+        let stem = cut.filter(|s| !s.is_empty()).unwrap_or(b).to_lowercase();
+        // `fiducials --resample` calls the frame of a scan so.
+        stem.strip_suffix(".resampled").map_or(stem.clone(), str::to_string)
     };
     if let Some(i) = names.clone().position(|n| n == name) {
         return Some(i);

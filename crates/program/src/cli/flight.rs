@@ -1,9 +1,13 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
+mod click;
 mod document;
 mod export;
 mod footprints;
+mod frames;
+mod init;
 mod lists;
+mod micmac;
 pub(in crate::cli) mod ortho;
 mod page;
 mod project;
@@ -33,12 +37,13 @@ pub struct FlightArgs {
 
 #[derive(Debug, clap::Subcommand)]
 enum FlightCommand {
-    Init(project::InitArgs),
+    Init(init::InitArgs),
     Solve(project::SolveArgs),
     Adjust(AdjustArgs),
     Resect(ResectArgs),
     Orthorectify(ortho::OrthorectifyArgs),
     Export(export::ExportArgs),
+    Click(click::ClickArgs),
 }
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
@@ -117,7 +122,7 @@ impl FlightArgs {
     /// Whether the result is asked for as JSON.
     fn json(&self) -> bool {
         match &self.command {
-            FlightCommand::Init(_) | FlightCommand::Export(_) => false,
+            FlightCommand::Init(_) | FlightCommand::Export(_) | FlightCommand::Click(_) => false,
             FlightCommand::Solve(args) => args.json,
             FlightCommand::Adjust(args) => args.json,
             FlightCommand::Resect(args) => args.json,
@@ -128,8 +133,9 @@ impl FlightArgs {
 
 pub fn run(args: &FlightArgs) -> Result<ExitCode> {
     let done = match &args.command {
-        FlightCommand::Init(args) => project::init(args),
+        FlightCommand::Init(args) => init::init(args),
         FlightCommand::Export(args) => export::export(args),
+        FlightCommand::Click(args) => click::click(args),
         FlightCommand::Solve(args) => project::solve(args),
         FlightCommand::Adjust(args) => run_adjust(args),
         FlightCommand::Resect(args) => run_resect(args),

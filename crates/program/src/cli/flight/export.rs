@@ -1,16 +1,19 @@
 //! A flight as other programs read it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use autoref_flight::Error;
-use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint};
+use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint, TextFile};
 use autoref_raster::atomic::{self, Existing};
 
-use super::project::{ordered_frames, read_project};
+use super::project::{OrderedFrames, Project, ordered_frames, read_project};
 use super::runs;
 use super::{check_output, image_size, lists, views};
+
+/// Size of a pixel on the film where none is stated: any will do, MicMac's focal length is in the same millimetres.
+pub const PIXEL_MM: f64 = 0.01;
 
 /// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its commands.
 #[derive(Debug, clap::Args)]
@@ -21,7 +24,7 @@ pub struct ExportArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Size of a pixel on the film, with which the focal length is written in millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 0.01)]
+    #[arg(long, value_name = "MM", default_value_t = PIXEL_MM)]
     pixel_mm: f64,
     /// Replace existing outputs.
     #[arg(long)]
@@ -34,18 +37,40 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     }
     let (project, base) = read_project(&args.project)?;
     let flight = ordered_frames(&project, &base)?;
+    let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
+    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+    let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
+    for path in &paths {
+        check_output(Some(path), Existing::of_flag(args.overwrite))?;
+    }
+    for (path, (_, text)) in paths.iter().zip(&files) {
+        atomic::write(path, text.as_bytes())?;
+        println!("{}", path.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What MicMac reads of a flight; `file` is the project's, for messages, and `pixel_mm` the size of a pixel on the film.
+///
+/// # Errors
+/// When the project has no focal length, or its GCPs cannot be read.
+pub fn files(
+    file: &Path,
+    (project, base): (&Project, &Path),
+    flight: &OrderedFrames,
+    pixel_mm: f64,
+) -> Result<Vec<TextFile>> {
     let Some(f_px) = project.camera.f_px else {
-        bail!("{}: MicMac needs a focal length; give camera.f_px", args.project.display())
+        bail!("{}: MicMac needs a focal length; give camera.f_px", file.display())
     };
     let size = image_size(&flight.folder.join(&flight.names[0]), None)?;
-    let camera =
-        FilmCamera { name: "film".into(), f_mm: f_px * args.pixel_mm, size_mm: size.map(|s| s * args.pixel_mm) };
+    let camera = FilmCamera { name: "film".into(), f_mm: f_px * pixel_mm, size_mm: size.map(|s| s * pixel_mm) };
     // Alternatives in full: any pattern of the project may take files that are no frames.
     let names: Vec<String> = flight.names.iter().map(|n| escaped(n)).collect();
     let images = format!("({})", names.join("|"));
     let count = flight.names.len();
     let listed: Vec<&str> = flight.names.iter().map(String::as_str).collect();
-    let (_, near) = runs::lines_and_pairs(&project, &listed, &flight.rows, None);
+    let (_, near) = runs::lines_and_pairs(project, &listed, &flight.rows, None);
     let pairs: Vec<(String, String)> =
         near.into_iter().map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone())).collect();
     let mut files = vec![micmac_files::camera_database(&camera, &images), micmac_files::image_pairs(&pairs)];
@@ -71,16 +96,7 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
         let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
         files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
     }
-    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
-    let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
-    for path in &paths {
-        check_output(Some(path), Existing::of_flag(args.overwrite))?;
-    }
-    for (path, (_, text)) in paths.iter().zip(&files) {
-        atomic::write(path, text.as_bytes())?;
-        println!("{}", path.display());
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok(files)
 }
 
 /// A name as a regular expression that takes it alone.

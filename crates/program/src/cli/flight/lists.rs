@@ -17,7 +17,7 @@ pub struct PointArgs {
     /// of points, with --observations.
     #[arg(long, value_name = "LIST")]
     pub gcps: PathBuf,
-    /// Where the GCPs were seen, when the list does not say: a table with name, image, px, py, or MicMac's measurements.
+    /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, or MicMac's measurements.
     #[arg(long, value_name = "FILE")]
     pub observations: Option<PathBuf>,
     /// CRS of the list; `local` for metric coordinates on a plane.
@@ -212,6 +212,8 @@ pub fn load(
         } else {
             tables::image_points(&file)?.1.into_iter().map(|p| (p.image, p.name, p.pixel)).collect()
         };
+        // They have the last word: what the list says of images is left out.
+        control.points.iter_mut().for_each(|p| p.seen.clear());
         for (image, name, pixel) in measured {
             if let Some(p) = control.points.iter_mut().find(|p| p.name == name) {
                 p.seen.push((image, pixel));

@@ -1,49 +1,18 @@
 //! FLIGHT.toml, and the chain that it describes: features, matches, relative orientation (COLMAP), adjustment.
 
-use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use autoref_flight::Error;
 use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust};
-use autoref_flight::read::{same_image, tables};
+use autoref_flight::read::{Reconstruction, same_image, tables};
+use autoref_flight::world::World;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::relative::{Flight, GroundPlane};
-use super::{check_output, document, footprints, image_size, interior, lists, page, runs, views};
-
-/// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
-#[derive(Debug, clap::Args)]
-pub struct InitArgs {
-    /// The folder of the frames.
-    folder: PathBuf,
-    /// Rough camera table: name, x, y, z and yaw (or omega, phi, kappa).
-    #[arg(long, value_name = "TABLE")]
-    cameras: Option<PathBuf>,
-    /// GCPs.
-    #[arg(long, value_name = "LIST")]
-    gcps: Option<PathBuf>,
-    /// Where the GCPs were seen, when the list does not say.
-    #[arg(long, value_name = "FILE")]
-    observations: Option<PathBuf>,
-    /// CRS of table and list; `local` for metric coordinates on a plane.
-    #[arg(long, value_name = "CRS")]
-    crs: Option<String>,
-    /// Focal length in pixels.
-    #[arg(long, value_name = "PX")]
-    f_px: Option<f64>,
-    /// Principal point. Default: the image's centre.
-    #[arg(long, value_name = "X,Y", value_delimiter = ',')]
-    pp_px: Option<Vec<f64>>,
-    /// The project file.
-    #[arg(short, long, value_name = "TOML")]
-    output: PathBuf,
-    /// Replace an existing output.
-    #[arg(long)]
-    overwrite: bool,
-}
+use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, views};
 
 /// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
 #[derive(Debug, clap::Args)]
@@ -53,12 +22,23 @@ pub struct SolveArgs {
     /// The folder of the results; stages whose inputs have not changed are taken from it.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// What makes the relative orientation.
+    #[arg(long, value_enum, default_value_t = Engine::Colmap)]
+    engine: Engine,
     /// Work every stage anew.
     #[arg(long)]
     overwrite: bool,
     /// Print cameras.json on standard output.
     #[arg(long)]
     pub(super) json: bool,
+}
+
+/// Programs that orient frames to each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Engine {
+    Colmap,
+    /// MicMac's `mm3d`, where it is installed.
+    Micmac,
 }
 
 /// FLIGHT.toml. Paths are taken from the file's folder.
@@ -110,6 +90,20 @@ pub struct CameraPart {
     pub f_px: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pp_px: Option<[f64; 2]>,
+    /// What `f_px` is worth.
+    #[serde(default)]
+    pub focal: Focal,
+}
+
+/// What a focal length is worth in the relative orientation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Focal {
+    /// Known: it stays as it is.
+    #[default]
+    Held,
+    /// A start, as EXIF has it.
+    Rough,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -172,17 +166,15 @@ impl Default for Adjust {
     }
 }
 
-fn default_rough_m() -> f64 {
+pub fn default_rough_m() -> f64 {
     200.0
 }
-fn default_ground_m() -> f64 {
+pub fn default_ground_m() -> f64 {
     25.0
 }
-fn default_image_px() -> f64 {
+pub fn default_image_px() -> f64 {
     5.0
 }
-
-const IMAGES: [&str; 6] = ["tif", "tiff", "png", "jpg", "jpeg", "jp2"];
 
 fn matches_pattern(name: &str, pattern: &str) -> bool {
     let mut parts = pattern.split('*');
@@ -201,7 +193,7 @@ fn matches_pattern(name: &str, pattern: &str) -> bool {
     rest.is_empty()
 }
 
-fn frames(folder: &Path, patterns: &[String]) -> Result<Vec<String>> {
+pub fn frames_in(folder: &Path, patterns: &[String]) -> Result<Vec<String>> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "read the folder", e))?;
     let mut names: Vec<String> = entries
         .flatten()
@@ -213,69 +205,8 @@ fn frames(folder: &Path, patterns: &[String]) -> Result<Vec<String>> {
     Ok(names)
 }
 
-fn absolute(path: &Path) -> Result<PathBuf> {
+pub fn absolute(path: &Path) -> Result<PathBuf> {
     std::fs::canonicalize(path).map_err(|e| Error::io(path, "find", e).into())
-}
-
-pub fn init(args: &InitArgs) -> Result<ExitCode> {
-    if args.pp_px.as_ref().is_some_and(|p| p.len() != 2) {
-        bail!("--pp-px: 2 numbers with a comma between them are expected");
-    }
-    check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
-    let folder = absolute(&args.folder)?;
-    let all = frames(&folder, &["*".into()])?;
-    let extension = |n: &str| n.rsplit_once('.').map(|(_, e)| e.to_lowercase());
-    let mut pattern: Vec<String> = all
-        .iter()
-        .filter(|n| extension(n).is_some_and(|e| IMAGES.contains(&e.as_str())))
-        .filter_map(|n| n.rsplit_once('.').map(|(_, e)| format!("*.{e}")))
-        .collect();
-    pattern.sort();
-    pattern.dedup();
-    let names = frames(&folder, &pattern)?;
-    if names.is_empty() {
-        bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
-    }
-    if let Some(table) = &args.cameras {
-        let rows = tables::cameras(table)?;
-        let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
-        if known == 0 {
-            bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
-        }
-        eprintln!("{known} of {} rows of the table are frames", rows.len());
-    }
-    if let Some(list) = &args.gcps
-        && !list.is_file()
-    {
-        bail!("{}: is not there", list.display());
-    }
-    let project = Project {
-        crs: args.crs.clone(),
-        frames: Frames { folder, pattern },
-        masks: None,
-        camera: CameraPart { f_px: args.f_px, pp_px: args.pp_px.as_ref().map(|p| [p[0], p[1]]) },
-        rough: match &args.cameras {
-            Some(t) => Some(Rough { table: absolute(t)?, sigma_m: default_rough_m(), pitch_deg: None, ground_m: None }),
-            None => None,
-        },
-        gcps: match &args.gcps {
-            Some(list) => Some(Gcps {
-                list: absolute(list)?,
-                observations: args.observations.as_deref().map(absolute).transpose()?,
-                sigma_ground_m: default_ground_m(),
-                sigma_image_px: default_image_px(),
-                check: Vec::new(),
-            }),
-            None => None,
-        },
-        pairs: Pairs::default(),
-        adjust: Adjust::default(),
-    };
-    let text = format!("# A flight of {} frames; `autoref-stream flight solve` takes it.\n", names.len())
-        + &toml::to_string(&project)?;
-    autoref_raster::atomic::write(&args.output, text.as_bytes())?;
-    println!("{}", args.output.display());
-    Ok(ExitCode::SUCCESS)
 }
 
 /// The project and the folder that its paths start from.
@@ -296,7 +227,7 @@ pub struct OrderedFrames {
 
 pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     let folder = absolute(&base.join(&project.frames.folder))?;
-    let names = frames(&folder, &project.frames.pattern)?;
+    let names = frames_in(&folder, &project.frames.pattern)?;
     if names.len() < 2 {
         bail!("{}: {} frames match; two or more are needed", folder.display(), names.len());
     }
@@ -310,7 +241,13 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
             order.push(i);
         }
     }
-    order.extend((0..names.len()).filter(|i| !order.contains(i)).collect::<Vec<_>>());
+    // A frame that the table lacks goes behind the one before it by name.
+    for i in 0..names.len() {
+        if !order.contains(&i) {
+            let at = i.checked_sub(1).and_then(|before| order.iter().position(|k| *k == before));
+            order.insert(at.map_or(if rows.is_empty() { order.len() } else { 0 }, |at| at + 1), i);
+        }
+    }
     let names = order.into_iter().map(|i| names[i].clone()).collect();
     let part = project.masks.clone().unwrap_or_default();
     let masks = views::Masks {
@@ -320,46 +257,53 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     Ok(OrderedFrames { folder, masks, names, rows })
 }
 
-pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
-    let (project, base) = read_project(&args.project)?;
-    let OrderedFrames { folder, masks, names, rows } = ordered_frames(&project, &base)?;
-    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
-    let out = absolute(&args.output)?;
-
-    let Some(gcps) = &project.gcps else {
-        bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
-    };
-    let points = lists::PointArgs {
+/// Where the project has its GCPs.
+pub fn point_args(project: &Project, base: &Path) -> Option<lists::PointArgs> {
+    let gcps = project.gcps.as_ref()?;
+    Some(lists::PointArgs {
         gcps: base.join(&gcps.list),
         observations: gcps.observations.as_ref().map(|o| base.join(o)),
         crs: project.crs.clone(),
         check: gcps.check.clone(),
         sigma_ground: None,
         sigma_image: gcps.sigma_image_px,
+    })
+}
+
+pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
+    let (project, base) = read_project(&args.project)?;
+    let mut ordered = ordered_frames(&project, &base)?;
+    let listed = ordered.names.len();
+    let left_out;
+    (ordered.names, left_out) = frames::usable(&ordered.folder, &ordered.names);
+    let OrderedFrames { folder, masks, names, rows } = &ordered;
+    left_out.iter().for_each(|note| eprintln!("warning: {note}"));
+    if names.len() < 2 {
+        bail!("{}: {} of {listed} frames can be used; two or more are needed", folder.display(), names.len());
+    }
+    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+    let out = absolute(&args.output)?;
+
+    let (Some(gcps), Some(points)) = (&project.gcps, point_args(&project, &base)) else {
+        bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
     };
     let flight = Flight {
         project: &project,
-        folder: &folder,
-        masks: &masks,
+        folder,
+        masks,
         out: &out,
         ordered: names.iter().map(String::as_str).collect(),
         size_px: image_size(&folder.join(&names[0]), None)?,
         anew: args.overwrite,
         near: Vec::new(),
     };
-    let plane = ground_plane(&project, &points, &rows, &flight);
-    let (lines, near) = runs::lines_and_pairs(&project, &flight.ordered, &rows, plane.as_ref().map(|p| (p, &flight)));
+    let plane = ground_plane(&project, &points, rows, &flight);
+    let (lines, near) = runs::lines_and_pairs(&project, &flight.ordered, rows, plane.as_ref().map(|p| (p, &flight)));
     let flight = Flight { near, ..flight };
-    let tied = match &plane {
-        Some(plane) => {
-            let control = points.load(None)?;
-            let ground = control.in_world(&control.world()?, &flight.listed(plane), &points)?;
-            flight.tied(plane, &ground)?
-        }
-        None => None,
+    let (model, pairs) = match args.engine {
+        Engine::Colmap => by_colmap(&flight, plane.as_ref(), &points)?,
+        Engine::Micmac => (micmac::oriented(&args.project, (&project, &base), &ordered, &out)?, None),
     };
-    let pairs = plane.as_ref().zip(tied.as_ref()).map(|(plane, tied)| tied.ties.statistics(&plane.views));
-    let model = flight.relative(tied)?;
     let mut control = points.load(Some(&model))?;
     for p in &mut control.points {
         p.sigma.get_or_insert([gcps.sigma_ground_m; 3]);
@@ -367,34 +311,32 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let notes = control.notes(&model, &points, &out.join("sparse"))?;
     let world = control.world()?;
     let ground = control.in_world(&world, &model, &points)?;
-    let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
-    if let Some(r) = &project.rough {
-        for row in &rows {
-            // A table without pitch says where, not how far down: its positions count alone.
-            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(Some(0.0))) else { continue };
-            let stated = row.pose(None).is_some();
-            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
-                pose,
-                sigma_m: Vector3::repeat(r.sigma_m),
-                sigma_rad: if stated { 2f64.to_radians() } else { f64::INFINITY },
-            });
-        }
-    }
-    let options = AdjustOptions {
-        sigma_image_px: gcps.sigma_image_px,
-        interior: interior(&project.adjust.free)?,
-        rough,
-        ..AdjustOptions::default()
+    let rough = match args.engine {
+        Engine::Colmap => table_poses(&project, rows, &model, &world),
+        Engine::Micmac => micmac::held(&model, &world),
     };
+    let free = match args.engine {
+        Engine::Colmap => interior(&project.adjust.free)?,
+        // Compensated with the poses.
+        Engine::Micmac => Vec::new(),
+    };
+    let options =
+        AdjustOptions { sigma_image_px: gcps.sigma_image_px, interior: free, rough, ..AdjustOptions::default() };
     let mut found = adjust(&model, &ground, &options)?;
     found.notes.extend(notes);
-    let mut document = document::adjustment(&found, &model, &world, names.len(), control.crs_label());
+    found.notes.extend(left_out);
+    if args.engine == Engine::Micmac {
+        found.notes.push(micmac::note());
+    }
+    let lost = names.iter().filter(|n| model.find(n).is_none()).map(|n| format!("{n}: not registered"));
+    found.notes.extend(lost);
+    let mut document = document::adjustment(&found, &model, &world, listed, control.crs_label());
     if let Some(pairs) = pairs {
         document["pairs"] = pairs;
     }
     document["lines"] = runs::document(&lines, &flight.ordered, &document);
     if project.rough.is_some() {
-        document["rough_differences"] = footprints::rough_differences(&found, &model, &rows, &world);
+        document["rough_differences"] = footprints::rough_differences(&found, &model, rows, &world);
     }
     let ground = footprints::footprints(&found, &model, &world, control.crs.as_ref());
     autoref_raster::atomic::write(&out.join("footprints.geojson"), (ground.to_string() + "\n").as_bytes())?;
@@ -409,6 +351,47 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         println!("{}", out.join("cameras.json").display());
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Ties, relative orientation, and the ties of each pair, by COLMAP and the rough table.
+fn by_colmap(
+    flight: &Flight<'_>,
+    plane: Option<&GroundPlane>,
+    points: &lists::PointArgs,
+) -> Result<(Reconstruction, Option<serde_json::Value>)> {
+    let tied = match plane {
+        Some(plane) => {
+            let control = points.load(None)?;
+            let ground = control.in_world(&control.world()?, &flight.listed(plane), points)?;
+            flight.tied(plane, &ground)?
+        }
+        None => None,
+    };
+    let pairs = plane.zip(tied.as_ref()).map(|(plane, tied)| tied.ties.statistics(&plane.views));
+    Ok((flight.relative(tied)?, pairs))
+}
+
+/// What the rough table says of each photograph of a model, in the world's frame.
+fn table_poses(
+    project: &Project,
+    rows: &[tables::CameraRow],
+    model: &Reconstruction,
+    world: &World,
+) -> Vec<Option<RoughPose>> {
+    let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
+    if let Some(r) = &project.rough {
+        for row in rows {
+            // A table without pitch says where, not how far down: its positions count alone.
+            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(Some(0.0))) else { continue };
+            let stated = row.pose(None).is_some();
+            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
+                pose,
+                sigma_m: Vector3::repeat(r.sigma_m),
+                sigma_rad: if stated { 2f64.to_radians() } else { f64::INFINITY },
+            });
+        }
+    }
+    rough
 }
 
 /// What warps neighbours onto each other; `None` when focal length, a place or a direction is not known.
@@ -427,17 +410,17 @@ fn ground_plane(
     let first = control.points.first()?.xyz;
     let ground_m = world.to_world([first[0], first[1], height])?.z;
     let names = &flight.ordered;
-    let mut rough = Vec::new();
-    for row in runs::rows_of(names, rows) {
+    let stated = runs::rows_of(names, rows).into_iter().map(|row| {
         let row = row?;
         // A pitch that is one for all frames is less sure than what a table says of each.
         let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
-        rough.push(RoughPose {
+        Some(RoughPose {
             pose: world.pose_to_world(&row.pose(table.pitch_deg)?)?,
             sigma_m: Vector3::repeat(table.sigma_m),
             sigma_rad: sigma_deg.to_radians(),
-        });
-    }
+        })
+    });
+    let rough = runs::filled(&stated.collect::<Vec<_>>())?;
     Some(GroundPlane::of_table(names, rough, f_px, ground_m, flight.size_px))
 }
 

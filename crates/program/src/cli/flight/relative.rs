@@ -9,7 +9,7 @@ use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, start};
 use nalgebra::Rotation3;
 
-use super::project::Project;
+use super::project::{Focal, Project};
 use super::ties::{self, Ties};
 use super::views::{Interior, Masks, View};
 
@@ -241,7 +241,7 @@ impl<'a> Flight<'a> {
     fn grown(&self, matches: &Path, mut hash: Hash) -> Result<Reconstruction> {
         let (stages, project) = (self.stages(), self.project);
         let text = |p: &Path| p.display().to_string();
-        let held = if project.camera.f_px.is_some() { "0" } else { "1" };
+        let held = if project.camera.f_px.is_some() && project.camera.focal == Focal::Held { "0" } else { "1" };
         hash.bytes(&project.adjust.seed.to_le_bytes());
         let sparse = stages.run("sparse", &hash.hex(), |part| {
             std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
@@ -366,7 +366,26 @@ fn says(log: &Path, words: &str) -> bool {
     std::fs::read(log).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words))
 }
 
+/// Options of version 3.8 that later versions call otherwise.
+const RENAMED: [(&str, &str); 4] = [
+    ("SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"),
+    ("SiftExtraction.num_threads", "FeatureExtraction.num_threads"),
+    ("SiftMatching.use_gpu", "FeatureMatching.use_gpu"),
+    ("SiftMatching.num_threads", "FeatureMatching.num_threads"),
+];
+
+/// Runs a command of COLMAP with the names of 3.8, and with the later ones where it does not know those.
 fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
+    let first = colmap_once(log, arguments, command);
+    if first.is_ok() || !says(log, "unrecognised option") {
+        return first;
+    }
+    let later = |key: &str| RENAMED.iter().find(|r| r.0 == key).map(|r| r.1);
+    let renamed: Vec<(&str, String)> = arguments.iter().map(|(k, v)| (later(k).unwrap_or(k), v.clone())).collect();
+    colmap_once(log, &renamed, command)
+}
+
+fn colmap_once(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
     let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
     let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
     let mut run = Command::new("colmap");
@@ -384,7 +403,8 @@ fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result
         ),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
             bail!(
-                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap) and run the command again"
+                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap; conda: conda install colmap; Python's \
+                 pycolmap brings no such command) and run the command again"
             )
         }
         Err(e) => bail!("colmap cannot be run: {e}"),

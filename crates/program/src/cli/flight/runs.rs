@@ -1,9 +1,10 @@
 //! Flight lines of a project, which frames are compared, and what a result says of each line.
 
-use autoref_flight::Camera;
+use autoref_flight::adjust::RoughPose;
 use autoref_flight::lines::{self, Line, Sight, Station};
 use autoref_flight::read::{same_image, tables::CameraRow};
 use autoref_flight::statistics::Residuals;
+use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::Crs;
 use serde_json::{Value, json};
 
@@ -19,6 +20,33 @@ pub fn rows_of<'a>(names: &[&str], rows: &'a [CameraRow]) -> Vec<Option<&'a Came
         }
     }
     of
+}
+
+/// Poses for the frames that the table lacks: between those before and after, or on beyond the two nearest, less sure by half a
+/// base. `None` when fewer than half of the frames have one.
+pub fn filled(stated: &[Option<RoughPose>]) -> Option<Vec<RoughPose>> {
+    let known: Vec<usize> = (0..stated.len()).filter(|i| stated[*i].is_some()).collect();
+    if known.len() < 2 || 2 * known.len() < stated.len() {
+        return None;
+    }
+    let between = |i: usize| -> Option<RoughPose> {
+        if let Some(pose) = stated[i] {
+            return Some(pose);
+        }
+        let after = known.partition_point(|k| *k < i).clamp(1, known.len() - 1);
+        let (from, to) = (known[after - 1], known[after]);
+        let (a, b) = (stated[from]?, stated[to]?);
+        let share = (i as f64 - from as f64) / (to as f64 - from as f64);
+        let way = b.pose.centre - a.pose.centre;
+        let base_m = way.norm() / (to - from) as f64;
+        let nearest = if share < 0.5 { a } else { b };
+        Some(RoughPose {
+            pose: Pose { rotation: nearest.pose.rotation, centre: a.pose.centre + way * share },
+            sigma_m: nearest.sigma_m.add_scalar(0.5 * base_m),
+            sigma_rad: 2.0 * nearest.sigma_rad,
+        })
+    };
+    (0..stated.len()).map(between).collect()
 }
 
 /// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand; without it the

@@ -12,7 +12,7 @@ use gdal::raster::ResampleAlg;
 use nalgebra::{Matrix3, Vector3};
 
 /// COLMAP seeks no features in larger images.
-const LARGEST_PX: usize = 3200;
+pub const LARGEST_PX: usize = 3200;
 /// Contrast is made even over squares of this size to each side.
 const CONTRAST_PX: usize = 40;
 /// The standard deviation of grey values that it is made even to, and what is added to the one found: noise stays small.
@@ -34,15 +34,15 @@ pub struct Interior {
     pub pp_px: [f64; 2],
 }
 
-/// Whether the file is the mask of another frame, as MicMac names them.
+/// Whether the file is the mask of another frame, as MicMac or `fiducials --resample` names them.
 pub fn is_mask(name: &str) -> bool {
-    name.ends_with("_Masq.tif")
+    name.ends_with("_Masq.tif") || name.ends_with(".mask.tif")
 }
 
 /// Where masks lie: 0 where a frame is not to be used.
 #[derive(Clone, Debug, Default)]
 pub struct Masks {
-    /// The folder of those of single frames, `NAME_Masq.tif`.
+    /// The folder of those of single frames, `NAME_Masq.tif`, or `NAME.mask.tif` of `NAME.resampled.tif`.
     pub folder: PathBuf,
     /// One for all frames: the film's border, data strips, fiducial marks.
     pub global: Option<PathBuf>,
@@ -52,8 +52,10 @@ impl Masks {
     /// The masks of a frame.
     pub fn of(&self, name: &str) -> Vec<PathBuf> {
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-        let own = self.folder.join(format!("{stem}_Masq.tif"));
-        self.global.iter().cloned().chain(own.is_file().then_some(own)).collect()
+        let mut own = vec![format!("{stem}_Masq.tif")];
+        own.extend(stem.strip_suffix(".resampled").map(|film| format!("{film}.mask.tif")));
+        let own = own.into_iter().map(|name| self.folder.join(name)).filter(|path| path.is_file());
+        self.global.iter().cloned().chain(own).collect()
     }
 
     /// The files that the ties of frames depend on besides the frames.
@@ -140,9 +142,9 @@ pub struct Counted {
 }
 
 impl Layout {
-    fn of(frame: &Dataset) -> Self {
+    fn of(frame: &Dataset, largest_px: usize) -> Self {
         let (w, h) = frame.raster_size();
-        let scale = (LARGEST_PX as f64 / w.max(h).max(1) as f64).min(1.0);
+        let scale = (largest_px as f64 / w.max(h).max(1) as f64).min(1.0);
         let [width, height] = [w, h].map(|s| ((s as f64 * scale).round() as usize).max(1));
         Layout { width, height, scale }
     }
@@ -152,7 +154,7 @@ impl Counted {
     pub fn read(folder: &Path, name: &str, masks: &Masks) -> Result<Self> {
         let path = folder.join(name);
         let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
-        let layout = Layout::of(&frame);
+        let layout = Layout::of(&frame, LARGEST_PX);
         let mask = masks.read(name, frame.raster_size(), &layout)?;
         Ok(Counted { layout, mask })
     }
@@ -171,11 +173,19 @@ impl Counted {
 }
 
 impl Grey {
+    /// A frame as features are sought in it: its film grain smoothed, its contrast even.
     pub fn read(folder: &Path, name: &str) -> Result<Self> {
+        let Grey { layout, pixels } = Grey::plain(folder, name, LARGEST_PX)?;
+        let smoothed = smooth::gaussian(&pixels, layout.width, layout.height);
+        Ok(Grey { layout, pixels: even_contrast(&smoothed, layout.width, layout.height) })
+    }
+
+    /// A frame as it is, in grey, at most `largest_px` wide or high.
+    pub fn plain(folder: &Path, name: &str, largest_px: usize) -> Result<Self> {
         let path = folder.join(name);
         let failed = || format!("{}: cannot be read", path.display());
         let frame = Dataset::open(&path).with_context(failed)?;
-        let layout = Layout::of(&frame);
+        let layout = Layout::of(&frame, largest_px);
         let bands = if frame.raster_count() >= 3 { 3 } else { 1 };
         let mut sum = vec![0f32; layout.width * layout.height];
         for band in 1..=bands {
@@ -190,9 +200,8 @@ impl Grey {
         // Other than eight bits: the range that is there.
         let (black, white) = if low < 0.0 || high > 255.0 { (low, high) } else { (0.0, 255.0) };
         let range = (white - black).max(f32::MIN_POSITIVE);
-        let bytes: Vec<u8> = sum.iter().map(|v| ((v - black) / range * 255.0).round() as u8).collect();
-        let smoothed = smooth::gaussian(&bytes, layout.width, layout.height);
-        Ok(Grey { layout, pixels: even_contrast(&smoothed, layout.width, layout.height) })
+        let pixels = sum.iter().map(|v| ((v - black) / range * 255.0).round() as u8).collect();
+        Ok(Grey { layout, pixels })
     }
 
     /// Bilinear, at pixels of this image; `None` outside.

@@ -1,0 +1,122 @@
+//! A page in which GCPs are clicked on frames.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::world::World;
+use autoref_flight::{Camera, Error, Pose, read};
+use autoref_raster::atomic::{self, Existing};
+use serde_json::{Value, json};
+
+use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
+use super::{check_output, frames, image_size, lists, runs, views};
+use crate::cli::common::escaped_html;
+
+const PAGE: &str = include_str!("click.html");
+/// Frames are shown at most this wide or high.
+const LARGEST_PX: usize = 8000;
+
+/// Write a page in which GCPs are clicked on the frames; it saves the list that [gcps] observations names.
+#[derive(Debug, clap::Args)]
+pub struct ClickArgs {
+    /// The project file.
+    project: PathBuf,
+    /// The folder of the page and of the frames that it shows.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Cameras that say where GCPs are to be seen: cameras.json of an earlier solution. Default: the rough table.
+    #[arg(long, value_name = "JSON")]
+    cameras: Option<PathBuf>,
+    /// Replace an existing page.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Where each frame is thought to stand, in the world's frame, and its camera.
+type Thought = Vec<Option<(Pose, Camera)>>;
+
+pub fn click(args: &ClickArgs) -> Result<ExitCode> {
+    let page = args.output.join("click.html");
+    check_output(Some(&page), Existing::of_flag(args.overwrite))?;
+    let (project, base) = read_project(&args.project)?;
+    let OrderedFrames { folder, names, rows, .. } = ordered_frames(&project, &base)?;
+    let (names, left_out) = frames::usable(&folder, &names);
+    left_out.iter().for_each(|note| eprintln!("warning: {note}"));
+    let (Some(first), Some(points)) = (names.first(), point_args(&project, &base)) else {
+        bail!("{}: there are no frames, or no [gcps] to click; name a list", args.project.display())
+    };
+    let control = points.load(None)?;
+    let world = control.world()?;
+    let size_px = image_size(&folder.join(first), None)?;
+    let thought = match &args.cameras {
+        Some(path) => of_solution(path, &names, &world)?,
+        None => of_table(&project, &names, &rows, &world, size_px),
+    };
+    let shown = args.output.join("frames");
+    std::fs::create_dir_all(&shown).map_err(|e| Error::io(&shown, "create", e))?;
+    for (i, name) in names.iter().enumerate() {
+        views::Grey::plain(&folder, name, LARGEST_PX)?.write(&shown.join(format!("{i}.png")))?;
+    }
+    let data = json!({
+        "frames": names.iter().enumerate().map(|(i, name)| json!({
+            "name": name, "src": format!("frames/{i}.png"), "width": size_px[0], "height": size_px[1],
+        })).collect::<Vec<Value>>(),
+        "points": control.points.iter().map(|p| json!({"name": p.name})).collect::<Vec<Value>>(),
+        "marks": marks(&control, &names, &thought, &world),
+    });
+    let title = args.project.file_stem().unwrap_or_default().to_string_lossy();
+    let title = escaped_html(&format!("{title}: GCPs on frames"));
+    // Nothing in the data ends the script that holds it.
+    let data = data.to_string().replace('<', "\\u003c");
+    let text = PAGE.replace("@@TITLE@@", &title).replace("@@DATA@@", &data);
+    atomic::write(&page, text.as_bytes())?;
+    println!("{}", page.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Points in frames where they were measured or are to be expected.
+fn marks(control: &lists::Control, names: &[String], thought: &Thought, world: &World) -> Vec<Value> {
+    let mut all = Vec::new();
+    for (p, point) in control.points.iter().enumerate() {
+        let at = world.to_world(point.xyz);
+        for (f, frame) in thought.iter().enumerate() {
+            let predicted = frame.as_ref().zip(at).and_then(|((pose, camera), x)| {
+                camera.project(pose.to_camera(&x).into()).filter(|pixel| camera.contains(*pixel))
+            });
+            let known = || names.iter().map(String::as_str);
+            let seen = point.seen.iter().find(|(image, _)| read::same_image(image, known()) == Some(f));
+            if predicted.is_some() || seen.is_some() {
+                all.push(json!({"p": p, "f": f, "predicted": predicted, "at": seen.map(|s| s.1)}));
+            }
+        }
+    }
+    all
+}
+
+fn of_solution(path: &Path, names: &[String], world: &World) -> Result<Thought> {
+    let model = read::reconstruction(path)?;
+    let of = |name: &String| {
+        let frame = &model.photographs[model.find(name)?];
+        Some((world.pose_to_world(&frame.pose)?, model.cameras[frame.camera].clone()))
+    };
+    Ok(names.iter().map(of).collect())
+}
+
+fn of_table(
+    project: &Project,
+    names: &[String],
+    rows: &[read::tables::CameraRow],
+    world: &World,
+    size_px: [f64; 2],
+) -> Thought {
+    let Some(f_px) = project.camera.f_px else { return vec![None; names.len()] };
+    let pp_px = project.camera.pp_px.unwrap_or(size_px.map(|s| s / 2.0));
+    let camera = Camera::pinhole("film", size_px, f_px, pp_px);
+    let pitch = project.rough.as_ref().and_then(|r| r.pitch_deg);
+    let listed: Vec<&str> = names.iter().map(String::as_str).collect();
+    runs::rows_of(&listed, rows)
+        .into_iter()
+        .map(|row| Some((world.pose_to_world(&row?.pose(pitch)?)?, camera.clone())))
+        .collect()
+}

@@ -1,0 +1,199 @@
+//! What frames say of themselves: whether they can be used, by what camera they were taken, and where.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use autoref_raster::crs::{Coordinate, Crs};
+use gdal::{Dataset, Metadata};
+use rayon::prelude::*;
+
+use super::views::{Grey, LARGEST_PX};
+
+/// The frames that can be read and are of the size that most have, and a line about each of the others.
+pub fn usable(folder: &Path, names: &[String]) -> (Vec<String>, Vec<String>) {
+    let size = |name: &String| -> Result<(usize, usize)> {
+        let path = folder.join(name);
+        let size = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?.raster_size();
+        // A file that ends too early tells its size all the same.
+        Grey::plain(folder, name, LARGEST_PX)?;
+        Ok(size)
+    };
+    let sizes: Vec<Result<(usize, usize)>> = names.par_iter().map(size).collect();
+    let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for size in sizes.iter().flatten() {
+        *counts.entry(*size).or_default() += 1;
+    }
+    let most = counts.iter().max_by_key(|(_, count)| **count).map(|(size, _)| *size);
+    let (mut kept, mut left_out) = (Vec::new(), Vec::new());
+    for (name, size) in names.iter().zip(&sizes) {
+        match (size, most) {
+            (Ok(size), Some(most)) if *size == most => kept.push(name.clone()),
+            (Ok((w, h)), Some((mw, mh))) => {
+                left_out.push(format!("{name}: left out: it has {w} x {h} pixels, most frames have {mw} x {mh}"));
+            }
+            (Err(error), _) => left_out.push(format!("{name}: left out: {error:#}")),
+            (Ok(_), None) => {}
+        }
+    }
+    (kept, left_out)
+}
+
+/// Focal length and principal point, in pixels, of a frame that `fiducials --resample` made. `camera`: the film camera, a name
+/// or a file; without it the one that the frame names. `None` when the frame is none of these and no camera is asked for.
+///
+/// # Errors
+/// When the camera is unknown or has no focal length, or one is named and the frame was not resampled.
+pub fn film_interior(frame: &Path, camera: Option<&str>) -> Result<Option<(f64, [f64; 2])>> {
+    let said = Dataset::open(frame).ok().and_then(|d| d.metadata_item("TIFFTAG_IMAGEDESCRIPTION", ""));
+    let said: serde_json::Value = said.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+    let corner = &said["film_of_first_pixel_mm"];
+    let grid = said["pixel_mm"].as_f64().zip(corner[0].as_f64()).zip(corner[1].as_f64());
+    let Some(((pixel_mm, left_mm), top_mm)) = grid.filter(|((pixel_mm, _), _)| *pixel_mm > 0.0) else {
+        match camera {
+            Some(_) => bail!("{}: was not written by `fiducials --resample`; give --f-px and --pp-px", frame.display()),
+            None => return Ok(None),
+        }
+    };
+    let film = match (camera, said["camera"].as_str()) {
+        (Some(name), _) => autoref_film::load_camera(name)?,
+        (None, Some(name)) => match autoref_film::builtin_cameras().into_iter().find(|c| c.name == name) {
+            Some(film) => film,
+            None => bail!("{}: the camera `{name}` is none of the program's; give --film FILE", frame.display()),
+        },
+        (None, None) => return Ok(None),
+    };
+    let Some(f_mm) = film.focal_length_mm else {
+        bail!("camera `{}`: has no focal_length_mm; add it, or give --f-px", film.name)
+    };
+    let middle = principal_mm(&film);
+    Ok(Some((f_mm / pixel_mm, [(middle[0] - left_mm) / pixel_mm, (middle[1] - top_mm) / pixel_mm])))
+}
+
+/// The principal point in the film's millimetres, y down: the origin where the axes run through the middle, as a certificate has them,
+/// else the mean of the marks, which is that of the midpoints of opposite ones.
+fn principal_mm(film: &autoref_film::Camera) -> [f64; 2] {
+    let (low, high) = film.film_box();
+    let quarter = [0, 1].map(|k| 0.25 * (high[k] - low[k]));
+    if (0..2).all(|k| low[k] + quarter[k] < 0.0 && high[k] - quarter[k] > 0.0) {
+        return [0.0; 2];
+    }
+    let points = film.film_points();
+    [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / points.len() as f64)
+}
+
+/// What a digital camera wrote into a frame.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    pub f_px: Option<f64>,
+    /// Longitude and latitude in degrees, height in metres.
+    pub place: Option<[f64; 3]>,
+    /// Yaw, pitch and roll, degrees.
+    pub angles_deg: [Option<f64>; 3],
+}
+
+fn numbers(text: &str) -> Vec<f64> {
+    text.split(['(', ')', ' ', ',']).filter_map(|t| t.parse().ok()).collect()
+}
+
+/// The number after a key of an XMP packet, an attribute or an element.
+fn of_xmp(packet: &str, key: &str) -> Option<f64> {
+    let rest = &packet[packet.find(key)? + key.len()..];
+    let rest = rest.trim_start_matches(['=', '"', '>']);
+    let end = rest.find(|c: char| !(c.is_ascii_digit() || "+-.".contains(c))).unwrap_or(rest.len());
+    rest[..end].trim_start_matches('+').parse().ok()
+}
+
+/// EXIF's focal length and GPS, and the direction of a gimbal (DJI's XMP).
+pub fn told(frame: &Path) -> Told {
+    let Ok(set) = Dataset::open(frame) else { return Told::default() };
+    let (w, h) = set.raster_size();
+    let tag = |name: &str| {
+        let name = format!("EXIF_{name}");
+        set.metadata_item(&name, "").or_else(|| set.metadata_item(&name, "EXIF"))
+    };
+    let number = |name: &str| tag(name).and_then(|t| numbers(&t).first().copied());
+    let positive = |v: Option<f64>| v.filter(|v| *v > 0.0 && v.is_finite());
+    let per_mm = || {
+        let unit_mm = match number("FocalPlaneResolutionUnit")? as i64 {
+            2 => 25.4,
+            3 => 10.0,
+            4 => 1.0,
+            _ => return None,
+        };
+        let scale = positive(number("PixelXDimension")).map_or(1.0, |full| w as f64 / full);
+        Some(positive(number("FocalPlaneXResolution"))? / unit_mm * scale)
+    };
+    let by_sensor = || Some(positive(number("FocalLength"))? * per_mm()?);
+    // 35 mm film is 36 mm wide.
+    let f_px = positive(number("FocalLengthIn35mmFilm")).map(|f| f / 36.0 * w.max(h) as f64).or_else(by_sensor);
+    let degrees = |name: &str, negative: &str| {
+        let n = numbers(&tag(name)?);
+        let value = n.first()? + n.get(1).unwrap_or(&0.0) / 60.0 + n.get(2).unwrap_or(&0.0) / 3600.0;
+        let sign = if tag(&format!("{name}Ref")).is_some_and(|r| r.trim() == negative) { -1.0 } else { 1.0 };
+        Some(sign * value).filter(|v| v.is_finite())
+    };
+    let height = number("GPSAltitude").unwrap_or(0.0);
+    let below = tag("GPSAltitudeRef").is_some_and(|r| r.trim().ends_with('1'));
+    let place = degrees("GPSLongitude", "W").zip(degrees("GPSLatitude", "S"));
+    // A receiver without a fix writes zeros.
+    let place = place.filter(|p| *p != (0.0, 0.0)).map(|(x, y)| [x, y, if below { -height } else { height }]);
+    let packet = set.metadata_domain("xml:XMP").map(|lines| lines.join("\n")).unwrap_or_default();
+    let gimbal = |which: &str| of_xmp(&packet, &format!("drone-dji:Gimbal{which}Degree"));
+    let angles_deg = [gimbal("Yaw").or_else(|| number("GPSImgDirection")), gimbal("Pitch"), gimbal("Roll")];
+    Told { f_px, place, angles_deg }
+}
+
+/// The table of rough positions that frames tell, in `crs`, or in the UTM zone of the first; with the CRS.
+///
+/// # Errors
+/// When a position does not lie in the CRS.
+pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option<(String, Crs)>> {
+    let placed: Vec<(&String, &Told, [f64; 3])> =
+        names.iter().zip(told).filter_map(|(name, t)| Some((name, t, t.place?))).collect();
+    if placed.len() < 2 {
+        return Ok(None);
+    }
+    let earth = Crs::from_epsg(4326)?;
+    let crs = match crs {
+        Some(crs) => crs,
+        None => earth.utm_zone(placed[0].2[0], placed[0].2[1])?,
+    };
+    let mut text = "name,x,y,z,yaw,pitch,roll\n".to_string();
+    for (name, told, place) in placed {
+        let mut at = [Coordinate { x: place[0], y: place[1], height: None }];
+        earth.transform(&mut at, &crs, 100.0)?;
+        let angles = told.angles_deg.map(|a| a.map_or(String::new(), |a| a.to_string())).join(",");
+        text += &format!("\"{name}\",{:.3},{:.3},{:.3},{angles}\n", at[0].x, at[0].y, place[2]);
+    }
+    Ok(Some((text, crs)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_exif_and_xmp() {
+        assert_eq!(numbers("(46) (31) (12.5)"), [46.0, 31.0, 12.5]);
+        let packet = "<rdf drone-dji:GimbalYawDegree=\"+12.30\" drone-dji:GimbalPitchDegree=\"-89.9\"/>";
+        assert_eq!(of_xmp(packet, "drone-dji:GimbalYawDegree"), Some(12.3));
+        assert_eq!(of_xmp(packet, "drone-dji:GimbalPitchDegree"), Some(-89.9));
+        let element = "<drone-dji:GimbalRollDegree>-1.5</drone-dji:GimbalRollDegree>";
+        assert_eq!(of_xmp(element, "drone-dji:GimbalRollDegree"), Some(-1.5));
+        assert_eq!(of_xmp(packet, "drone-dji:GimbalRollDegree"), None);
+    }
+
+    #[test]
+    fn positions_become_metres() {
+        let told = |x: f64| Told { place: Some([x, 78.5, 500.0]), angles_deg: [Some(90.0), None, None], f_px: None };
+        let names = ["a.jpg".to_string(), "b.jpg".to_string()];
+        let (text, crs) = table(&names, &[told(15.0), told(15.1)], None).expect("inside").expect("two");
+        assert_eq!(crs.label(), "EPSG:32633");
+        assert!(
+            text.lines().nth(1).is_some_and(|l| l.starts_with("\"a.jpg\",500000.000,") && l.ends_with("500.000,90,,")),
+            "{text}"
+        );
+        assert!(table(&names[..1], &[told(15.0)], None).expect("inside").is_none());
+    }
+}

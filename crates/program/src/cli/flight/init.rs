@@ -1,0 +1,176 @@
+//! `flight init`: FLIGHT.toml from a folder of frames, and what they say of themselves.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::read::{same_image, tables};
+use autoref_raster::atomic::Existing;
+use autoref_raster::crs::Crs;
+
+use super::project::{
+    Adjust, CameraPart, Focal, Frames, Gcps, Pairs, Project, Rough, absolute, default_ground_m, default_image_px,
+    default_rough_m, frames_in,
+};
+use super::{check_output, frames, lists};
+
+/// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
+#[derive(Debug, clap::Args)]
+pub struct InitArgs {
+    /// The folder of the frames.
+    folder: PathBuf,
+    /// Rough camera table: name, x, y, z and yaw (or omega, phi, kappa). Default: a table written from EXIF's GPS, where there is one.
+    #[arg(long, value_name = "TABLE")]
+    cameras: Option<PathBuf>,
+    /// GCPs.
+    #[arg(long, value_name = "LIST")]
+    gcps: Option<PathBuf>,
+    /// Where the GCPs were seen, when the list does not say.
+    #[arg(long, value_name = "FILE")]
+    observations: Option<PathBuf>,
+    /// CRS of table and list; `local` for metric coordinates on a plane.
+    #[arg(long, value_name = "CRS")]
+    crs: Option<String>,
+    /// Focal length in pixels. Default: of resampled film its camera's, of digital frames EXIF's.
+    #[arg(long, value_name = "PX")]
+    f_px: Option<f64>,
+    /// Principal point. Default: the image's centre.
+    #[arg(long, value_name = "X,Y", value_delimiter = ',')]
+    pp_px: Option<Vec<f64>>,
+    /// The film camera of frames that `fiducials --resample` wrote: a name of its --list-cameras or a TOML file. Default: the one
+    /// that the frames name.
+    #[arg(long, value_name = "CAMERA")]
+    film: Option<String>,
+    /// Points that are kept out of the fit and compared afterwards.
+    #[arg(long, value_delimiter = ',', value_name = "A,B,…")]
+    check: Vec<String>,
+    /// 1σ of GCPs on the ground.
+    #[arg(long, value_name = "M", default_value_t = default_ground_m())]
+    sigma_ground: f64,
+    /// 1σ of GCPs in the image.
+    #[arg(long, value_name = "PX", default_value_t = default_image_px())]
+    sigma_image: f64,
+    /// The project file.
+    #[arg(short, long, value_name = "TOML")]
+    output: PathBuf,
+    /// Replace an existing output.
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// 1σ of positions by GPS.
+const GPS_M: f64 = 20.0;
+
+const IMAGES: [&str; 6] = ["tif", "tiff", "png", "jpg", "jpeg", "jp2"];
+
+pub fn init(args: &InitArgs) -> Result<ExitCode> {
+    if args.pp_px.as_ref().is_some_and(|p| p.len() != 2) {
+        bail!("--pp-px: 2 numbers with a comma between them are expected");
+    }
+    for (name, sigma) in [("ground", args.sigma_ground), ("image", args.sigma_image)] {
+        if !(sigma > 0.0 && sigma.is_finite()) {
+            bail!("--sigma-{name}: a positive number is expected");
+        }
+    }
+    check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
+    let folder = absolute(&args.folder)?;
+    let all = frames_in(&folder, &["*".into()])?;
+    let extension = |n: &str| n.rsplit_once('.').map(|(_, e)| e.to_lowercase());
+    let mut pattern: Vec<String> = all
+        .iter()
+        .filter(|n| extension(n).is_some_and(|e| IMAGES.contains(&e.as_str())))
+        .filter_map(|n| n.rsplit_once('.').map(|(_, e)| format!("*.{e}")))
+        .collect();
+    pattern.sort();
+    pattern.dedup();
+    let names = frames_in(&folder, &pattern)?;
+    if names.is_empty() {
+        bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
+    }
+    if let Some(table) = &args.cameras {
+        let rows = tables::cameras(table)?;
+        let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
+        if known == 0 {
+            bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
+        }
+        eprintln!("{known} of {} rows of the table are frames", rows.len());
+    }
+    if let Some(list) = &args.gcps
+        && !list.is_file()
+    {
+        bail!("{}: is not there", list.display());
+    }
+    let told: Vec<frames::Told> = names.iter().map(|n| frames::told(&folder.join(n))).collect();
+    let camera = init_camera(args, &folder.join(&names[0]), &told)?;
+    let (crs, rough) = init_rough(args, &names, &told)?;
+    let project = Project {
+        crs,
+        frames: Frames { folder, pattern },
+        masks: None,
+        camera,
+        rough,
+        gcps: match &args.gcps {
+            Some(list) => Some(Gcps {
+                list: absolute(list)?,
+                observations: args.observations.as_deref().map(absolute).transpose()?,
+                sigma_ground_m: args.sigma_ground,
+                sigma_image_px: args.sigma_image,
+                check: args.check.clone(),
+            }),
+            None => None,
+        },
+        pairs: Pairs::default(),
+        adjust: Adjust::default(),
+    };
+    let text = format!("# A flight of {} frames; `autoref-stream flight solve` takes it.\n", names.len())
+        + &toml::to_string(&project)?;
+    autoref_raster::atomic::write(&args.output, text.as_bytes())?;
+    println!("{}", args.output.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The camera that the command line, resampled film or EXIF states.
+fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<CameraPart> {
+    let pp_px = args.pp_px.as_ref().map(|p| [p[0], p[1]]);
+    if args.f_px.is_some() {
+        return Ok(CameraPart { f_px: args.f_px, pp_px, focal: Focal::Held });
+    }
+    if let Some((f_px, of_film)) = frames::film_interior(first, args.film.as_deref())? {
+        return Ok(CameraPart { f_px: Some(f_px), pp_px: pp_px.or(Some(of_film)), focal: Focal::Held });
+    }
+    let mut all: Vec<f64> = told.iter().filter_map(|t| t.f_px).collect();
+    all.sort_by(f64::total_cmp);
+    let f_px = all.get(all.len() / 2).copied();
+    if let Some(f_px) = f_px {
+        eprintln!("EXIF: focal length {f_px:.1} px");
+    }
+    Ok(CameraPart { f_px, pp_px, focal: if f_px.is_some() { Focal::Rough } else { Focal::Held } })
+}
+
+/// The table that the command line names, or one written from the frames' GPS beside the project; and the CRS of the project.
+fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Result<(Option<String>, Option<Rough>)> {
+    let rough = |table: PathBuf, sigma_m: f64| Rough { table, sigma_m, pitch_deg: None, ground_m: None };
+    if let Some(table) = &args.cameras {
+        return Ok((args.crs.clone(), Some(rough(absolute(table)?, default_rough_m()))));
+    }
+    if args.crs.as_deref().is_some_and(lists::is_local) {
+        return Ok((args.crs.clone(), None));
+    }
+    // The positions go into the CRS of the GCPs, in which the table is read.
+    let known = match &args.gcps {
+        Some(list) => lists::load(list, args.observations.as_deref(), args.crs.as_deref(), None)?.crs,
+        None => args.crs.as_deref().map(Crs::parse).transpose()?.filter(|crs| !crs.is_geographic()),
+    };
+    if args.gcps.is_some() && known.is_none() {
+        return Ok((args.crs.clone(), None));
+    }
+    let stated = known.is_some();
+    let Some((text, crs)) = frames::table(names, told, known)? else { return Ok((args.crs.clone(), None)) };
+    let stem = args.output.file_stem().unwrap_or_default().to_string_lossy();
+    let path = args.output.with_file_name(format!("{stem}_gps.csv"));
+    check_output(Some(&path), Existing::of_flag(args.overwrite))?;
+    autoref_raster::atomic::write(&path, text.as_bytes())?;
+    eprintln!("EXIF: {} positions, in {}", text.lines().count() - 1, path.display());
+    let project_crs = if stated { args.crs.clone() } else { Some(crs.label()) };
+    Ok((project_crs, Some(rough(absolute(&path)?, GPS_M))))
+}
