@@ -252,7 +252,7 @@ def run(program, scans, camera, out, *more):
     answer = subprocess.run([program, "fiducials", *scans, "--camera", camera, "-o", out, "--json", *more], capture_output=True, text=True)
     if answer.returncode == 2 or answer.returncode < 0:
         print(f"  exit {answer.returncode}: {answer.stderr.strip()[-300:]}")
-    return [json.loads(line) for line in answer.stdout.splitlines() if line.startswith("{")]
+    return [json.loads(line) for line in answer.stdout.splitlines() if line.startswith('{"')]
 
 
 def judge(args):
@@ -323,7 +323,10 @@ def wrong(args):
     for name, file in cameras.items():
         kind = name.removeprefix("drawn ")
         scans = [p for p, k in frames.items() if k != kind and kind not in same.get(k, ()) and not (kind in KINDS and KINDS[kind][1] == "learn")]
-        for f in run(args.program, scans, file, os.path.join(args.dir, "out"), "--turn", "0", "--mirrored", "false") if scans else []:
+        # A run takes no two scans of one name.
+        folders = {os.path.dirname(p): [q for q in scans if os.path.dirname(q) == os.path.dirname(p)] for p in scans}
+        answers = [f for part in folders.values() for f in run(args.program, part, file, os.path.join(args.dir, "out"), "--turn", "0", "--mirrored", "false")]
+        for f in answers:
             n += 1
             v = f["status"]["verdict"]
             verdicts[v] = verdicts.get(v, 0) + 1

@@ -127,6 +127,25 @@ mod tests {
     }
 
     #[test]
+    fn axes_that_differ_in_scale_are_no_error_and_hide_none() {
+        for percent in [-3.0, 0.5, 2.3, 3.0] {
+            let scanned = |errors: &[(usize, f64, f64)]| {
+                let mut points = frame(errors);
+                points.iter_mut().for_each(|(_, p)| p.x *= 1.0 + percent / 100.0);
+                points
+            };
+            assert!(agreement(&scanned(&[]), Handedness::AsIs, 1.5).iter().all(|a| a.agrees), "{percent} %");
+            for k in 0..4 {
+                let found = agreement(&scanned(&[(k, 4.0, 4.0)]), Handedness::AsIs, 1.5);
+                assert!(!found[k].agrees, "{percent} %, mark {k}: {found:?}");
+            }
+        }
+        let mut beyond = frame(&[]);
+        beyond.iter_mut().for_each(|(_, p)| p.x *= 1.05);
+        assert!(agreement(&beyond, Handedness::AsIs, 1.5).iter().all(|a| !a.agrees), "5 % is no scanner");
+    }
+
+    #[test]
     fn two_marks_check_nothing() {
         assert!(agreement(&frame(&[])[..2], Handedness::AsIs, 3.0).iter().all(|a| !a.agrees));
     }

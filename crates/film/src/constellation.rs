@@ -90,7 +90,7 @@ pub fn assemble(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Optio
     best
 }
 
-/// As [`assemble`] for scans whose axes differ in scale: three peaks give a pose with its stretch. At least three marks agree.
+/// As [`assemble`] for scans whose axes differ in scale: three peaks give a pose with its stretch. At least four marks agree: three check nothing then.
 pub fn assemble_stretched(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Option<Assembly> {
     let mut triples = vec![];
     for a in 0..film.len() {
@@ -126,7 +126,7 @@ pub fn assemble_stretched(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose
             }
         }
     }
-    best.filter(|b| b.marks() >= 3)
+    best.filter(|b| b.marks() >= 4)
 }
 
 /// Triples of marks tried, those that span most first, and peaks of each where a camera has more than four marks.

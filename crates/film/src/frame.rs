@@ -175,7 +175,8 @@ impl Finder {
             } else {
                 let mut negative = self.look(&Negative(source), options, stated, result)?;
                 negative.notes.push("the marks are dark on bright: a negative".into());
-                if marks_seen(&negative) > marks_seen(&positive) { negative } else { positive }
+                let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
+                if negative.interior.is_some() && dark > bright.max(2) { negative } else { positive }
             };
         }
         result.elapsed_s = started.elapsed().as_secs_f64();
