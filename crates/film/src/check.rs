@@ -1,8 +1,8 @@
 //! Do the marks agree? Each is compared with where the others put it; what does not fit is never passed as good.
 
-use nalgebra::{Matrix3, Vector3};
-
-use super::interior::{distance, fit_pose};
+use super::interior::{
+    MOST_DEFORMED, MOST_STRETCH, Stretch, affine, distance, fit_own_stretch, fit_pose, fit_stretched,
+};
 use autoref_raster::coords::{Handedness, PixelPoint};
 
 /// What the comparison says of one mark.
@@ -46,6 +46,9 @@ pub fn agreement(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, tolera
             let agrees = consistent && kept.contains(&k);
             let reason = (!agrees).then(|| match (points.len(), consistent) {
                 (0..=2, _) => "fewer than three marks: nothing checks it".to_owned(),
+                (3, false) if fit_own_stretch(points, mirrored).is_some() => {
+                    "three marks check nothing where the scan's axes may differ in scale".to_owned()
+                }
                 (_, true) => format!("lies {off:.1} px from where the other marks put it"),
                 (_, false) => {
                     format!("the marks contradict each other ({off:.1} px at this one) and do not tell which is wrong")
@@ -67,43 +70,20 @@ fn misfit(points: &[([f64; 2], PixelPoint)], kept: &[usize], mirrored: Handednes
 }
 
 /// Where `others` put the film point `mm`. Three or more say it by an affine transform, since film and scanners shear and
-/// shrink by a tenth of a per cent (the public Wild frame: 0.13 mm at the corners, by hand as by this program); two by a
-/// similarity.
+/// shrink by a tenth of a per cent (the public Wild frame: 0.13 mm at the corners, by hand as by this program), and the axes of
+/// scanners in archives differ by two per cent; two by a similarity.
 fn predict(others: &[([f64; 2], PixelPoint)], mm: [f64; 2], mirrored: Handedness) -> Option<PixelPoint> {
     let pose = fit_pose(others, mirrored)?;
     let similar = pose.apply(mm);
-    let Some(affine) = affine(others) else { return Some(similar) };
-    let at = [0, 1].map(|d| affine[d][0] * mm[0] + affine[d][1] * mm[1] + affine[d][2]);
-    let at = PixelPoint { x: at[0], y: at[1] };
-    // More than that is no film: the similarity's answer, which then contradicts somebody.
+    let Some([x, y]) = affine(others) else { return Some(similar) };
+    let at = PixelPoint { x: x[0] * mm[0] + x[1] * mm[1] + x[2], y: y[0] * mm[0] + y[1] * mm[1] + y[2] };
+    // What is neither stretch of an axis nor a small deformation is no film: the similarity's answer, which then contradicts
+    // somebody.
+    let stretch = Stretch::of_rows([[x[0], x[1]], [y[0], y[1]]]);
+    let stretched = fit_stretched(others, mirrored, stretch).filter(|_| stretch.0.abs() <= MOST_STRETCH);
     let size = others.iter().map(|o| (o.0[0] - mm[0]).hypot(o.0[1] - mm[1])).fold(0.0, f64::max);
-    Some(if distance(at, similar) < MOST_DEFORMED * size * pose.px_per_mm() { at } else { similar })
-}
-
-/// Shear and shrinkage that film and scanners may have, of a frame's size.
-const MOST_DEFORMED: f64 = 0.004;
-
-/// Film → scan by least squares, x and y rows; `None` below three points or when they lie on a line.
-fn affine(points: &[([f64; 2], PixelPoint)]) -> Option<[[f64; 3]; 2]> {
-    if points.len() < 3 {
-        return None;
-    }
-    let centre = points.iter().fold([0.0, 0.0], |c, p| [c[0] + p.0[0], c[1] + p.0[1]]).map(|v| v / points.len() as f64);
-    let (mut normal, mut right) = (Matrix3::<f64>::zeros(), [Vector3::zeros(), Vector3::zeros()]);
-    for (mm, p) in points {
-        let row = Vector3::new(mm[0] - centre[0], mm[1] - centre[1], 1.0);
-        normal += row * row.transpose();
-        right[0] += row * p.x;
-        right[1] += row * p.y;
-    }
-    // Nearly on a line: a tenth of the longer extent is the least that carries a prediction.
-    let spread = (normal[(0, 0)] + normal[(1, 1)]).max(1e-9);
-    let thin = (normal[(0, 0)] * normal[(1, 1)] - normal[(0, 1)].powi(2)) / (spread * spread);
-    let inverse = normal.try_inverse().filter(|_| thin > 0.0025)?;
-    Some(right.map(|r| {
-        let c = inverse * r;
-        [c[0], c[1], c[2] - c[0] * centre[0] - c[1] * centre[1]]
-    }))
+    let film = stretched.is_some_and(|p| distance(at, p.apply(mm)) < MOST_DEFORMED * size * pose.px_per_mm());
+    Some(if film { at } else { similar })
 }
 
 #[cfg(test)]
@@ -144,6 +124,25 @@ mod tests {
             p.y += 0.03 * (mm[0] - 90.0);
         }
         assert!(agreement(&points, Handedness::AsIs, 3.0).iter().all(|a| a.agrees));
+    }
+
+    #[test]
+    fn axes_that_differ_in_scale_are_no_error_and_hide_none() {
+        for percent in [-3.0, 0.5, 2.3, 3.0] {
+            let scanned = |errors: &[(usize, f64, f64)]| {
+                let mut points = frame(errors);
+                points.iter_mut().for_each(|(_, p)| p.x *= 1.0 + percent / 100.0);
+                points
+            };
+            assert!(agreement(&scanned(&[]), Handedness::AsIs, 1.5).iter().all(|a| a.agrees), "{percent} %");
+            for k in 0..4 {
+                let found = agreement(&scanned(&[(k, 4.0, 4.0)]), Handedness::AsIs, 1.5);
+                assert!(!found[k].agrees, "{percent} %, mark {k}: {found:?}");
+            }
+        }
+        let mut beyond = frame(&[]);
+        beyond.iter_mut().for_each(|(_, p)| p.x *= 1.05);
+        assert!(agreement(&beyond, Handedness::AsIs, 1.5).iter().all(|a| !a.agrees), "5 % is no scanner");
     }
 
     #[test]

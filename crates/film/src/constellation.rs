@@ -4,7 +4,7 @@
 //! pose that most marks agree with, best scores first, is taken. The frame's turn is a matter of its own: side and corner marks
 //! lie nearly symmetrically, and only how far a camera's calibrated positions are from symmetric tells its turns apart.
 
-use super::interior::{Pose, distance, fit_pose, rms_px};
+use super::interior::{Pose, Stretch, distance, fit_own_stretch, fit_pose, fit_stretched, refit, rms_px};
 use super::search::Peak;
 use autoref_raster::coords::{Handedness, PixelPoint};
 
@@ -24,6 +24,8 @@ pub struct Assembly {
     pub score: f64,
     /// The ways in which a frame may lie (turn, mirrored) that fit the scan as well as this one, which is the first.
     pub rivals: Vec<(f64, Handedness)>,
+    /// How many assemblies as good as this one specks would make by chance.
+    pub chance: f64,
 }
 
 impl Assembly {
@@ -31,6 +33,38 @@ impl Assembly {
         self.chosen.iter().flatten().count()
     }
 }
+
+/// Number of assemblies of as many marks that peaks as good as the chosen ones, strewn over their boxes, would make by chance: as
+/// many tries as the boxes have such peaks, and for each the share of its box in which the marks that do not determine the pose
+/// would be taken for right (D. Lowe, "Three-dimensional object recognition from single two-dimensional images", Artificial
+/// Intelligence, 1987, counts alike). `ways` is how many ways of lying were tried, `half_px` half the side of a box.
+pub fn chance(assembly: &Assembly, peaks: &[Vec<Peak>], half_px: f64, ways: usize) -> f64 {
+    let tries: f64 = assembly
+        .chosen
+        .iter()
+        .enumerate()
+        .filter_map(|(k, c)| {
+            let score = peaks[k][(*c)?].score - AS_GOOD_SCORE;
+            Some(peaks[k].iter().filter(|p| p.score >= score).count() as f64)
+        })
+        .product();
+    let unit = assembly.pose.px_per_mm();
+    let within = std::f64::consts::PI * (REACH_MM * unit / (2.0 * half_px)).powi(2);
+    let free = assembly.marks() as i32 - 2;
+    let checks = if assembly.pose.stretch == Stretch::NONE {
+        within.powi(free)
+    } else {
+        // The third mark lies in a strip that shear narrows and stretch does not.
+        let strip = (REACH_MM * unit / half_px) * (0.5 * STRETCHED_MM * unit / half_px).min(1.0);
+        strip * within.powi(free - 1)
+    };
+    ways as f64 * tries * checks
+}
+
+/// Correlations that differ by less tell no mark from a speck.
+const AS_GOOD_SCORE: f64 = 0.03;
+/// How far the largest stretch moves a mark against the others, of a frame 23 cm wide.
+const STRETCHED_MM: f64 = 12.0;
 
 /// The best assembly of `peaks` (one list per mark) about the pose `assumed`.
 pub fn assemble(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Option<Assembly> {
@@ -56,6 +90,49 @@ pub fn assemble(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Optio
     best
 }
 
+/// As [`assemble`] for scans whose axes differ in scale: three peaks give a pose with its stretch. At least four marks agree: three check nothing then.
+pub fn assemble_stretched(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Option<Assembly> {
+    let mut triples = vec![];
+    for a in 0..film.len() {
+        for b in a + 1..film.len() {
+            for c in b + 1..film.len() {
+                let area = (film[b][0] - film[a][0]) * (film[c][1] - film[a][1])
+                    - (film[c][0] - film[a][0]) * (film[b][1] - film[a][1]);
+                triples.push((area.abs(), [a, b, c]));
+            }
+        }
+    }
+    triples.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let most = if film.len() > 4 { PEAKS_OF_MANY } else { usize::MAX };
+    let mut best: Option<Assembly> = None;
+    for (_, [a, b, c]) in triples.into_iter().take(TRIPLES) {
+        for p in peaks[a].iter().take(most) {
+            for q in peaks[b].iter().take(most) {
+                // Two places that no frame has are left before a third is tried.
+                let two = fit_pose(&[(film[a], p.centre), (film[b], q.centre)], assumed.mirrored);
+                if two.is_none_or(|pose| !is_near(&pose, assumed)) {
+                    continue;
+                }
+                for r in peaks[c].iter().take(most) {
+                    let points = [(film[a], p.centre), (film[b], q.centre), (film[c], r.centre)];
+                    let Some(pose) = fit_own_stretch(&points, assumed.mirrored).filter(|p| is_near(p, assumed)) else {
+                        continue;
+                    };
+                    let assembly = gather(film, peaks, pose);
+                    if best.as_ref().is_none_or(|b| assembly.score > b.score) {
+                        best = Some(assembly);
+                    }
+                }
+            }
+        }
+    }
+    best.filter(|b| b.marks() >= 4)
+}
+
+/// Triples of marks tried, those that span most first, and peaks of each where a camera has more than four marks.
+const TRIPLES: usize = 8;
+const PEAKS_OF_MANY: usize = 6;
+
 fn is_near(pose: &Pose, assumed: &Pose) -> bool {
     let scale = pose.px_per_mm() / assumed.px_per_mm();
     let turn = (pose.turn_deg() - assumed.turn_deg() + 540.0).rem_euclid(360.0) - 180.0;
@@ -80,8 +157,9 @@ fn gather(film: &[[f64; 2]], peaks: &[Vec<Peak>], pose: Pose) -> Assembly {
     }
     let points: Vec<_> =
         chosen.iter().enumerate().filter_map(|(k, c)| Some((film[k], peaks[k][(*c)?].centre))).collect();
-    let pose = fit_pose(&points, pose.mirrored).unwrap_or(pose);
-    Assembly { pose, chosen, score, rivals: vec![] }
+    let pose = if pose.stretch == Stretch::NONE { fit_pose(&points, pose.mirrored) } else { refit(&points, &pose) }
+        .unwrap_or(pose);
+    Assembly { pose, chosen, score, rivals: vec![], chance: 0.0 }
 }
 
 /// One way of naming the marks that were found.
@@ -133,7 +211,7 @@ pub fn namings(
             continue;
         }
         let points: Vec<_> = names.iter().zip(places).map(|(n, (_, p))| (film[*n], *p)).collect();
-        if let Some((rms_px, leaves_out)) = robust_rms(&points, mirrored) {
+        if let Some((rms_px, leaves_out)) = robust_rms(&points, mirrored, now.stretch) {
             all.push(Naming { turn_deg, mirrored, names, rms_px, leaves_out });
         }
     }
@@ -145,14 +223,18 @@ pub fn namings(
 const ONE_WRONG_PX: f64 = 2.5;
 
 /// And whether the worst is left out.
-fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<(f64, bool)> {
-    let whole = rms_px(&fit_pose(points, mirrored)?, points);
+fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, stretch: Stretch) -> Option<(f64, bool)> {
+    // Where the axes differ in scale, each way round has a right to its own difference.
+    let own = || fit_own_stretch(points, mirrored).filter(|_| points.len() >= 4);
+    let stretched = if stretch == Stretch::NONE { None } else { own() };
+    let stretch = stretched.map_or(stretch, |p| p.stretch);
+    let whole = rms_px(&fit_stretched(points, mirrored, stretch)?, points);
     if points.len() < 4 || whole < ONE_WRONG_PX {
         return Some((whole, false));
     }
     let without = (0..points.len()).filter_map(|k| {
         let others = [&points[..k], &points[k + 1..]].concat();
-        Some(rms_px(&fit_pose(&others, mirrored)?, &others))
+        Some(rms_px(&fit_stretched(&others, mirrored, stretch)?, &others))
     });
     Some((without.min_by(f64::total_cmp)?, true))
 }

@@ -1,14 +1,14 @@
 //! Film ↔ scan: the pose that the search uses, and the interior orientation with residuals and covariance. The least squares are
 //! those of [`autoref_solve`].
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::types::{Camera, InteriorModel, InteriorOrientation};
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_solve::planar;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// Film (millimetres, y down) → scan: a similarity, perhaps mirrored.
+/// Film (millimetres, y down) → scan: a similarity, perhaps mirrored, seen by a scanner whose axes may differ in scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Row by row, pixels per millimetre.
@@ -16,6 +16,29 @@ pub struct Pose {
     /// Where the film's origin lies in the scan.
     pub offset: [f64; 2],
     pub mirrored: Handedness,
+    pub stretch: Stretch,
+}
+
+/// How far a scan's axes differ in scale: natural logarithm of (pixels per millimetre along x / along y); 0 for most scanners.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+pub struct Stretch(pub f64);
+
+impl Stretch {
+    pub const NONE: Stretch = Stretch(0.0);
+
+    /// The place as a scan with equal axes would have it.
+    fn undone(self, p: PixelPoint) -> PixelPoint {
+        if self == Stretch::NONE {
+            return p;
+        }
+        let by = (0.5 * self.0).exp();
+        PixelPoint { x: p.x / by, y: p.y * by }
+    }
+
+    /// That of an affine transform film → scan, row by row: how its rows differ in length.
+    pub fn of_rows(rows: [[f64; 2]; 2]) -> Stretch {
+        Stretch((rows[0][0].hypot(rows[0][1]) / rows[1][0].hypot(rows[1][1])).ln())
+    }
 }
 
 impl Pose {
@@ -26,7 +49,7 @@ impl Pose {
         let linear = [c * m, -s, s * m, c].map(|v| v * px_per_mm);
         let [x, y] = centre_mm;
         let offset = [centre.x - linear[0] * x - linear[1] * y, centre.y - linear[2] * x - linear[3] * y];
-        Pose { linear, offset, mirrored }
+        Pose { linear, offset, mirrored, stretch: Stretch::NONE }
     }
 
     pub fn apply(&self, mm: [f64; 2]) -> PixelPoint {
@@ -35,7 +58,8 @@ impl Pose {
     }
 
     pub fn px_per_mm(&self) -> f64 {
-        self.linear[0].hypot(self.linear[2])
+        let l = &self.linear;
+        (l[0] * l[3] - l[1] * l[2]).abs().sqrt()
     }
 
     /// Clockwise, degrees, where the film's down points relative to the scan's.
@@ -62,9 +86,45 @@ fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: Handedness) -> Pair {
     }
 }
 
-/// The pose through film points (y down) and their places in the scan; `None` below two or when they coincide.
+/// The pose through film points (y down) and their places in a scan whose axes are alike; `None` below two or when they coincide.
 pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<Pose> {
-    let pairs: Vec<Pair> = points.iter().map(|(mm, p)| pair(*mm, *p, mirrored)).collect();
+    fit_stretched(points, mirrored, Stretch::NONE)
+}
+
+/// The pose by an affine transform first: how its axes differ in scale is kept, the rest is a similarity. `None` where the points
+/// do not determine one, or it is further from a similarity than [`MOST_STRETCH`] and [`MOST_DEFORMED`] allow.
+pub fn fit_own_stretch(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<Pose> {
+    let [x, y] = affine(points)?;
+    let stretch = Stretch::of_rows([[x[0], x[1]], [y[0], y[1]]]);
+    let pose = fit_stretched(points, mirrored, stretch).filter(|_| stretch.0.abs() <= MOST_STRETCH)?;
+    let off = [pose.linear[0] - x[0], pose.linear[1] - x[1], pose.linear[2] - y[0], pose.linear[3] - y[1]];
+    let deformed = off.iter().map(|v| v * v).sum::<f64>().sqrt() / pose.px_per_mm();
+    (deformed <= MOST_DEFORMED).then_some(pose)
+}
+
+/// `pose` through other points of the same frame. A difference of scale between the axes is taken from four points or more, where
+/// it makes them fit so much better that it cannot be their errors; else the one of `pose` is kept.
+pub fn refit(points: &[([f64; 2], PixelPoint)], pose: &Pose) -> Option<Pose> {
+    let kept = fit_stretched(points, pose.mirrored, pose.stretch);
+    if points.len() < 4 {
+        return kept;
+    }
+    let plain = fit_pose(points, pose.mirrored)?;
+    let own = fit_own_stretch(points, pose.mirrored);
+    let tells = |own: &Pose| own.stretch.0.abs() > SURE_STRETCH && rms_px(own, points) < 0.5 * rms_px(&plain, points);
+    own.filter(tells).or(Some(plain))
+}
+
+/// Film shrinks by up to a tenth of a per cent without its scanner being wrong.
+const SURE_STRETCH: f64 = 0.003;
+/// Difference of scale between a scan's axes that is taken for a scanner's, as a logarithm: scans in archives reach 0.023.
+pub const MOST_STRETCH: f64 = 0.035;
+/// Shear and shrinkage beside that, which film and scanners may have, of a frame's size.
+pub const MOST_DEFORMED: f64 = 0.004;
+
+/// As [`fit_pose`] where the scan's axes differ in scale by what is known.
+pub fn fit_stretched(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, stretch: Stretch) -> Option<Pose> {
+    let pairs: Vec<Pair> = points.iter().map(|(mm, p)| pair(*mm, stretch.undone(*p), mirrored)).collect();
     let similarity = fit_equal_weights(&pairs)?;
     let sign = mirrored.sign();
     let to_scan = |x: f64, y: f64| {
@@ -72,8 +132,36 @@ pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Opti
         [sign * p.x, p.y]
     };
     let (o, x, y) = (to_scan(0.0, 0.0), to_scan(1.0, 0.0), to_scan(0.0, 1.0));
-    let pose = Pose { linear: [x[0] - o[0], y[0] - o[0], x[1] - o[1], y[1] - o[1]], offset: o, mirrored };
+    let mut pose = Pose { linear: [x[0] - o[0], y[0] - o[0], x[1] - o[1], y[1] - o[1]], offset: o, mirrored, stretch };
+    if stretch != Stretch::NONE {
+        let by = (0.5 * stretch.0).exp();
+        pose.linear = [by * pose.linear[0], by * pose.linear[1], pose.linear[2] / by, pose.linear[3] / by];
+        pose.offset = [by * o[0], o[1] / by];
+    }
     pose.linear.iter().chain(&pose.offset).all(|v| v.is_finite()).then_some(pose)
+}
+
+/// Film → scan by least squares, x and y rows; `None` below three points or when they lie on a line.
+pub fn affine(points: &[([f64; 2], PixelPoint)]) -> Option<[[f64; 3]; 2]> {
+    if points.len() < 3 {
+        return None;
+    }
+    let centre = points.iter().fold([0.0, 0.0], |c, p| [c[0] + p.0[0], c[1] + p.0[1]]).map(|v| v / points.len() as f64);
+    let (mut normal, mut right) = (Matrix3::<f64>::zeros(), [Vector3::zeros(), Vector3::zeros()]);
+    for (mm, p) in points {
+        let row = Vector3::new(mm[0] - centre[0], mm[1] - centre[1], 1.0);
+        normal += row * row.transpose();
+        right[0] += row * p.x;
+        right[1] += row * p.y;
+    }
+    // Nearly on a line: a tenth of the longer extent is the least that carries a prediction.
+    let spread = (normal[(0, 0)] + normal[(1, 1)]).max(1e-9);
+    let thin = (normal[(0, 0)] * normal[(1, 1)] - normal[(0, 1)].powi(2)) / (spread * spread);
+    let inverse = normal.try_inverse().filter(|_| thin > 0.0025)?;
+    Some(right.map(|r| {
+        let c = inverse * r;
+        [c[0], c[1], c[2] - c[0] * centre[0] - c[1] * centre[1]]
+    }))
 }
 
 /// Root mean square distance, pixels, between the points and what the pose says.
@@ -107,7 +195,10 @@ pub fn solve(
 ) -> Option<InteriorOrientation> {
     let model = match (model, marks.len()) {
         (_, 0..=1) => return None,
-        (_, 2..=3) => InteriorModel::Similarity,
+        (_, 2) => InteriorModel::Similarity,
+        // Three marks check no affine transform; but a similarity may be far from scans whose axes differ in scale.
+        (InteriorModel::Affine, 3) if three_tell_stretch(camera, marks, mirrored) => InteriorModel::Affine,
+        (_, 3) => InteriorModel::Similarity,
         (InteriorModel::Projective, 4) => InteriorModel::Affine,
         (m, _) => m,
     };
@@ -125,6 +216,7 @@ pub fn solve(
         leave_one_out_um: leave_one_out(marks, model, sign, mirrored),
         leave_one_out_rmse_um: None,
         pixel_um: 1e3 / pose.px_per_mm(),
+        pixel_xy_um: [h[0].hypot(h[3]), h[1].hypot(h[4])].map(|v| 1e3 * v),
         rotation_deg: pose.turn_deg(),
         mirrored,
     };
@@ -144,6 +236,13 @@ pub fn solve(
     interior.sigma0_um = (redundancy > 0).then(|| (square / redundancy as f64).sqrt());
     interior.covariance = covariance(&interior, marks, sign)?;
     Some(interior)
+}
+
+/// Whether three marks fit as those of a scan whose axes differ in scale, and otherwise not.
+fn three_tell_stretch(camera: &Camera, marks: &[Observation], mirrored: Handedness) -> bool {
+    let sign = camera.y_sign();
+    let points: Vec<_> = marks.iter().map(|m| ([m.mm[0], sign * m.mm[1]], m.pixel)).collect();
+    fit_own_stretch(&points, mirrored).is_some_and(|p| p.stretch.0.abs() > SURE_STRETCH)
 }
 
 /// Measured − calibrated, micrometres, in the camera's axes.

@@ -6,8 +6,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::clicks::shifts;
 use super::frame::{FindOptions, Finder};
-use super::interior::{Pose, fit_pose};
+use super::interior::{Pose, distance, fit_pose, refit, rms_px};
 use super::template::{LearnedTemplate, Model};
 use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
 use super::window::{Grey, around, open_scan, read_grey};
@@ -65,25 +66,40 @@ fn learn_visiting(
     }
     let mut templates: Vec<Option<LearnedTemplate>> = vec![None; camera.marks.len()];
     let mut finder = Finder::new(&drawn_only(camera, pointed)?)?;
+    let mut options = options.clone();
+    let mut shown = None;
     if !pointed.is_empty() {
-        let (pose, places) = pose_of_pointed(camera, pointed)?;
-        for (k, at) in places {
-            let grid = Grid::new(&pose, window_mm);
-            visit(0, &mut |scan| {
-                templates[k] = cut(scan, camera, &pose, k, at, &grid)?.map(|w| Stack::of(&w).average(&grid));
-                Ok(())
-            })?;
+        visit(0, &mut |scan| {
+            shown = Some(Shown::of(scan, camera, pointed, window_mm)?);
+            Ok(())
+        })?;
+        let shown = shown.as_ref().expect("the first scan was visited");
+        for (k, window) in &shown.windows {
+            templates[*k] = Some(Stack::of(window).average(&shown.grid));
         }
+        options.pixel_um.get_or_insert(1e3 / shown.pose.px_per_mm());
+        options.mirrored.get_or_insert(shown.pose.mirrored);
         finder = with_templates(camera, &templates)?;
     }
+    let options = &options;
     // The second round looks with the average of the first.
     for _ in 0..2 {
         let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
         let mut grid: Option<Grid> = None;
-        for number in 0..count {
+        // What somebody pointed at is a mark, whether or not it is found again.
+        if let Some(shown) = &shown {
+            grid = Some(shown.grid);
+            for (k, window) in &shown.windows {
+                stacks[*k] = Some(Stack::of(window));
+            }
+        }
+        for number in usize::from(shown.is_some())..count {
             visit(number, &mut |scan| {
                 let frame = finder.find(scan, options)?;
-                let Some(pose) = pose_of(&finder.camera, &frame) else { return Ok(()) };
+                let Some(pose) = pose_of(&finder.camera, &frame) else {
+                    tracing::warn!("{}: the marks were not found in it; not learned from", frame.path.display());
+                    return Ok(());
+                };
                 let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
                 for (k, at) in good_marks(camera, &frame) {
                     if let Some(w) = cut(scan, camera, &pose, k, at, &grid)? {
@@ -103,7 +119,8 @@ fn learn_visiting(
             ));
         };
         for (template, stack) in templates.iter_mut().zip(stacks) {
-            if let Some(stack) = stack.filter(|s| s.windows >= count.min(2)) {
+            let least = if shown.is_some() { 1 } else { count.min(2) };
+            if let Some(stack) = stack.filter(|s| s.windows >= least) {
                 *template = Some(stack.average(&grid));
             }
         }
@@ -196,8 +213,7 @@ fn with_templates(camera: &Camera, templates: &[Option<LearnedTemplate>]) -> Res
 }
 
 fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(usize, PixelPoint)>)> {
-    let film = camera.film_points();
-    let mut places = vec![];
+    let mut places: Vec<(usize, PixelPoint)> = vec![];
     for p in pointed {
         let Some(k) = camera.marks.iter().position(|m| m.name == p.mark) else {
             let names: Vec<&str> = camera.marks.iter().map(|m| m.name.as_str()).collect();
@@ -206,16 +222,116 @@ fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(u
                 format!("its marks are {}", names.join(", ")),
             ));
         };
+        if places.iter().any(|q| q.0 == k) {
+            return Err(Error::usage(format!("mark {} is pointed at twice", p.mark), "say one --at for every mark"));
+        }
         places.push((k, p.at));
     }
-    let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
-    let pose = (points.len() >= 2).then(|| fit_pose(&points, Handedness::AsIs)).flatten();
-    pose.map(|pose| (pose, places)).ok_or_else(|| {
+    pose_of_places(camera, &places).map(|pose| (pose, places)).ok_or_else(|| {
         Error::usage(
             "one mark does not say how the frame lies",
             "point at two or more different marks of the first frame",
         )
     })
+}
+
+/// The pose through marks and their places, mirrored where three or more fit better so.
+fn pose_of_places(camera: &Camera, places: &[(usize, PixelPoint)]) -> Option<Pose> {
+    let film = camera.film_points();
+    let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
+    let of =
+        |mirrored| fit_pose(&points, mirrored).and_then(|plain| refit(&points, &plain)).filter(|_| points.len() >= 2);
+    let ways: Vec<Pose> = if points.len() >= 3 {
+        Handedness::BOTH.into_iter().filter_map(of).collect()
+    } else {
+        of(Handedness::AsIs).into_iter().collect()
+    };
+    ways.into_iter().min_by(|a, b| rms_px(a, &points).total_cmp(&rms_px(b, &points)))
+}
+
+/// What somebody pointed at in the first scan, made exact.
+struct Shown {
+    pose: Pose,
+    grid: Grid,
+    /// Mark and what is about it.
+    windows: Vec<(usize, Vec<f32>)>,
+}
+
+/// Places further than this from where the other marks put them, of the frame's size, were not meant.
+const MISPOINTED: f64 = 0.05;
+
+impl Shown {
+    /// # Errors
+    /// [`Error::Usage`] that names the mark, the place and what is wrong there; those of reading the scan.
+    fn of(scan: &dyn RasterSource, camera: &Camera, pointed: &[Pointed], window_mm: [f64; 2]) -> Result<Shown> {
+        let (mut pose, mut places) = pose_of_pointed(camera, pointed)?;
+        let film = camera.film_points();
+        let size_px = pose.px_per_mm() * camera.film_size_mm[0].max(camera.film_size_mm[1]);
+        for (k, at) in &places {
+            let off = distance(pose.apply(film[*k]), *at);
+            if off > MISPOINTED * size_px {
+                return Err(Error::usage(
+                    format!(
+                        "mark {} at {:.0},{:.0} lies {:.1} mm from where the other places and the camera's millimetres put it",
+                        camera.marks[*k].name,
+                        at.x,
+                        at.y,
+                        off / pose.px_per_mm()
+                    ),
+                    "compare the names and places of --at with the camera's x_mm and y_mm",
+                ));
+            }
+        }
+        let grid = Grid::new(&pose, window_mm);
+        let first = windows_at(scan, camera, &pose, &places, &grid, window_mm)?;
+        // Clicks are a few pixels off; the marks themselves say by how much.
+        let windows: Vec<&[f32]> = first.iter().map(|(_, w)| w.as_slice()).collect();
+        for ((k, _), shift) in first.iter().zip(shifts(&windows, &grid)) {
+            let Some([dx, dy]) = shift else {
+                tracing::warn!(
+                    "mark {}: taken exactly where it was pointed at, since nothing there tells its centre",
+                    camera.marks[*k].name
+                );
+                continue;
+            };
+            let linear = pose.shape_linear(camera.turns_deg()[*k]);
+            let (u, v) = (dx * grid.step_mm, -dy * grid.step_mm);
+            let (_, at) = places.iter_mut().find(|p| p.0 == *k).expect("windows are cut at places");
+            *at = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
+        }
+        pose = pose_of_places(camera, &places).unwrap_or(pose);
+        let windows = windows_at(scan, camera, &pose, &places, &grid, window_mm)?;
+        Ok(Shown { pose, grid, windows })
+    }
+}
+
+/// Cuts every place out.
+fn windows_at(
+    scan: &dyn RasterSource,
+    camera: &Camera,
+    pose: &Pose,
+    places: &[(usize, PixelPoint)],
+    grid: &Grid,
+    window_mm: [f64; 2],
+) -> Result<Vec<(usize, Vec<f32>)>> {
+    let mut windows = vec![];
+    for &(k, at) in places {
+        let wrong = |what: String, remedy: &str| {
+            Err(Error::usage(format!("mark {} at {:.0},{:.0}: {what}", camera.marks[k].name, at.x, at.y), remedy))
+        };
+        let Some(window) = cut(scan, camera, pose, k, at, grid)? else {
+            return wrong(
+                format!("a window of {} x {} mm about it leaves the scan", window_mm[0], window_mm[1]),
+                "say a smaller --window-mm, or leave this mark out",
+            );
+        };
+        let (low, high) = window.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+        if high - low < 0.2 {
+            return wrong("nothing stands out there".into(), "point at the mark itself, in pixels of the scan");
+        }
+        windows.push((k, window));
+    }
+    Ok(windows)
 }
 
 fn pose_of(camera: &Camera, frame: &FrameResult) -> Option<Pose> {
@@ -228,7 +344,8 @@ fn pose_of(camera: &Camera, frame: &FrameResult) -> Option<Pose> {
         .filter(|(_, m)| interior.marks.contains(&m.name))
         .filter_map(|(k, m)| Some((film[k], frame.marks.iter().find(|f| f.mark == m.name)?.centre?)))
         .collect();
-    fit_pose(&points, interior.mirrored)
+    let plain = fit_pose(&points, interior.mirrored)?;
+    refit(&points, &plain)
 }
 
 fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> {
@@ -242,10 +359,10 @@ fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> 
 
 /// The values of a template: one grid for all frames of a roll, so that they can be averaged.
 #[derive(Clone, Copy, Debug)]
-struct Grid {
-    step_mm: f64,
-    width: usize,
-    height: usize,
+pub(super) struct Grid {
+    pub step_mm: f64,
+    pub width: usize,
+    pub height: usize,
 }
 
 impl Grid {

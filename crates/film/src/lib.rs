@@ -13,6 +13,7 @@
 
 pub mod camera;
 pub mod check;
+mod clicks;
 pub mod consistency;
 pub mod constellation;
 pub mod contact_sheet;
@@ -24,10 +25,13 @@ mod kernel;
 pub mod learn;
 pub mod micmac;
 mod naming;
+mod negative;
+mod plausible;
 pub mod refine;
 mod remeasure;
 pub mod replay;
 pub mod resample;
+pub mod resolution;
 pub mod roll;
 pub mod search;
 pub mod shape;

@@ -2,7 +2,7 @@
 
 use super::constellation::{Naming, namings};
 use super::frame::{FindOptions, Finder};
-use super::interior::{Pose, distance, fit_pose};
+use super::interior::{Pose, distance, refit};
 use super::remeasure::{Measured, located};
 use super::template::Model;
 use autoref_raster::coords::Handedness;
@@ -76,7 +76,7 @@ impl Finder {
         let from: Vec<usize> = places.iter().map(|p| p.0).collect();
         // Places that took no part in the naming follow it through the pose it gives.
         let points: Vec<_> = taken.names.iter().zip(&places).map(|(n, (_, p))| (self.film[*n], *p)).collect();
-        if let Some(next) = fit_pose(&points, taken.mirrored) {
+        if let Some(next) = refit(&points, &Pose { mirrored: taken.mirrored, ..*pose }) {
             *pose = next;
         }
         for (k, m) in before.into_iter().enumerate() {

@@ -4,7 +4,7 @@
 use super::check::agreement;
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
-use super::interior::{Pose, distance, fit_pose};
+use super::interior::{Pose, distance, refit};
 use super::refine::{Refined, Refiner};
 use super::search::{Levels, Peak, climb, near, search, settle};
 use super::sketch::{Sketches, refined_mm};
@@ -16,7 +16,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 
 /// A mark that correlates less is looked at by a person.
-const GOOD_SCORE: f64 = 0.5;
+pub(super) const GOOD_SCORE: f64 = 0.5;
 /// How far from its prediction a mark is taken, millimetres (and 4 pixels): by the pose of coarse peaks, and by that of marks
 /// which agree.
 const REACH_MM: f64 = 0.6;
@@ -83,7 +83,7 @@ impl Finder {
         let points = located(&self.film, &measured, |_| true);
         let agreed = agreeing(&self.film, &points, &pose, options.tolerance_px(&pose));
         if agreed.len() >= 3 {
-            pose = fit_pose(&placed(&self.film, &agreed), pose.mirrored).unwrap_or(pose);
+            pose = refit(&placed(&self.film, &agreed), &pose).unwrap_or(pose);
             for (k, slot) in measured.iter_mut().enumerate() {
                 let sound = slot.as_ref().is_some_and(|m| m.reason.is_none());
                 if (!sound || agreed.iter().all(|a| a.0 != k))

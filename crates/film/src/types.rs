@@ -207,6 +207,9 @@ pub struct InteriorOrientation {
     pub leave_one_out_rmse_um: Option<f64>,
     /// Size of a pixel on the film, micrometres.
     pub pixel_um: f64,
+    /// The same along the scan's x and y; 0 in files of earlier versions.
+    #[serde(default)]
+    pub pixel_xy_um: [f64; 2],
     /// Clockwise turn of the frame in the scan, degrees: 0 when the film's right is the scan's right.
     pub rotation_deg: f64,
     /// The scan shows the film from the wrong side.

@@ -53,7 +53,7 @@ pub struct FiducialsArgs {
     /// Transform of the interior orientation; with three marks it is a similarity.
     #[arg(long, value_enum, default_value_t = Model::Affine, help_heading = "Checking")]
     model: Model,
-    /// How far a mark may lie from where the other marks put it, micrometres on the film; never below 2.5 pixels.
+    /// How far a mark may lie from where the other marks put it, micrometres on the film; never below 1.5 pixels.
     #[arg(long, value_name = "UM", default_value_t = 40.0, help_heading = "Checking")]
     agreement_um: f64,
     /// Learn templates of the marks from these scans instead of examining them: writes a camera file with them into the output folder.

@@ -1,0 +1,106 @@
+//! Is what was found this camera's frame at all? Marks that agree with each other may be specks, or another camera's marks: they
+//! must not agree by chance, and the size of a pixel that they give must be one that the scan can have.
+
+use super::constellation::Assembly;
+use super::frame::{FindOptions, Finder};
+use super::interior::Pose;
+use super::resolution::Resolution;
+use super::types::{FrameResult, FrameStatus, InteriorModel, MarkStatus};
+
+/// Assemblies by chance above which a frame is looked at by a person.
+const MOST_CHANCE: f64 = 2e-3;
+/// By how much the size of a pixel may differ from a stated one: told, and looked at.
+const TOLD: f64 = 0.005;
+const ASTRAY: f64 = 0.04;
+/// A file's resolution further off than this many times says nothing of the scan.
+const NONSENSE: f64 = 3.0;
+/// What a scan shows of the film's width and height, where nothing else tells its scale.
+const SHOWN: std::ops::Range<f64> = 0.85..1.25;
+/// Differences of scale between the axes that are told: film alone shrinks unevenly by a tenth of a per cent.
+const TOLD_STRETCH: f64 = 0.003;
+
+impl Finder {
+    /// Adds to `result` what speaks against it as a whole, and what is worth knowing of its scale.
+    pub(super) fn doubt_whole(
+        &self,
+        options: &FindOptions,
+        stated: Option<Resolution>,
+        assembly: &Assembly,
+        result: &mut FrameResult,
+    ) {
+        let Some(interior) = &result.interior else { return };
+        let mut doubts = vec![];
+        let mut notes = vec![];
+        if assembly.chance > MOST_CHANCE {
+            doubts.push(format!(
+                "so many places look like marks that {} of them would agree as well by chance; say --pixel-um, --turn or --mirrored, \
+                 or take a smaller --box-share",
+                interior.marks.len()
+            ));
+        }
+        let pixel_um = interior.pixel_um;
+        let off = |other: f64| (pixel_um / other).ln();
+        let told = |what: String, other: f64| {
+            format!(
+                "by the marks a pixel is {pixel_um:.2} µm, by {what} {other:.2} µm ({:+.1} %)",
+                100.0 * (pixel_um / other - 1.0)
+            )
+        };
+        let by_file = stated.map(|r| (r, r.pixel_um())).filter(|(_, um)| off(*um).abs() < NONSENSE.ln());
+        if let Some(given) = options.pixel_um {
+            if off(given).abs() > ASTRAY {
+                doubts.push(told("--pixel-um".into(), given));
+            }
+        } else if let Some((resolution, um)) = by_file {
+            let text = told(format!("the file's resolution ({:.0} dpi)", resolution.0[0]), um);
+            if off(um).abs() > ASTRAY && !resolution.is_usual_default() {
+                doubts.push(format!("{text}: if the marks are right, say --pixel-um {pixel_um:.1}"));
+            } else if off(um).abs() > TOLD {
+                notes.push(text);
+            }
+        }
+        if let Some(resolution) = stated.filter(|_| by_file.is_none()) {
+            notes.push(format!("the file's resolution ({:.0} dpi) is not that of the scan", resolution.0[0]));
+        }
+        if options.pixel_um.is_none() && by_file.is_none_or(|(r, um)| r.is_usual_default() && off(um).abs() > ASTRAY) {
+            let turned = (interior.rotation_deg / 90.0).round() as i64 % 2 != 0;
+            let [w, h] = self.camera.film_size_mm;
+            let film = if turned { [h, w] } else { [w, h] };
+            let shown = [result.width, result.height].map(|v| v as f64 * pixel_um / 1e3);
+            if !(0..2).all(|k| SHOWN.contains(&(shown[k] / film[k]))) {
+                doubts.push(format!(
+                    "by the marks the scan shows {:.0} x {:.0} mm, the camera's film is {w:.0} x {h:.0} mm: if that is right, say --pixel-um \
+                     {pixel_um:.1}",
+                    shown[0], shown[1]
+                ));
+            }
+        }
+        let [x, y] = interior.pixel_xy_um;
+        if interior.model != InteriorModel::Similarity && (x / y).ln().abs() > TOLD_STRETCH {
+            notes.push(format!(
+                "the scan's axes differ in scale by {:.2} %: a pixel is {x:.3} x {y:.3} µm",
+                100.0 * (x / y - 1.0)
+            ));
+        }
+        result.notes.extend(notes);
+        if doubts.is_empty() {
+            return;
+        }
+        match &mut result.status {
+            FrameStatus::Doubtful { reasons } | FrameStatus::Failed { reasons } => reasons.extend(doubts),
+            status @ FrameStatus::Ok => *status = FrameStatus::Doubtful { reasons: doubts },
+        }
+        for mark in result.marks.iter_mut().filter(|m| m.status == MarkStatus::Ok) {
+            mark.status = MarkStatus::Doubtful;
+            mark.reason = Some("its frame as a whole is in doubt".to_owned());
+        }
+    }
+
+    /// More than this a fit may not leave, whatever agrees: micrometres.
+    pub(super) fn most_rmse_um(&self, options: &FindOptions, pose: &Pose) -> f64 {
+        options.agreement_um + RMSE_PX * 1e3 / pose.px_per_mm()
+    }
+}
+
+/// Pixels of root mean square that measuring may leave beside what film does.
+const RMSE_PX: f64 = 0.3;
