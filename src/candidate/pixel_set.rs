@@ -361,7 +361,10 @@ mod tests {
             prop_assert_eq!(spread, Some(set.and(&within).or(&one).piece(start)));
             prop_assert_eq!(one.spread(&within, |i| set.has(i), |_, _| false), None);
             let height = set.words.len() / set.stride;
-            let at_edge = |i: usize| i % set.width == 0 || i % set.width + 1 == set.width || i < set.width || i / set.width + 1 == height;
+            let at_edge = |i: usize| {
+            let (column, row) = (i % set.width, i / set.width);
+            column == 0 || column + 1 == set.width || row == 0 || row + 1 == height
+        };
             prop_assert_eq!(set.at_edge(), set.iter().any(at_edge));
         }
 
