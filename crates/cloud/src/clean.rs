@@ -265,7 +265,7 @@ fn run_step(
         Step::Isolated(options) => isolated::find(tiles, options, kept, number)?,
         Step::Ground(options) => {
             let objects = if plan.drop_objects { smrf::Objects::Go } else { smrf::Objects::Stay };
-            smrf::ground(tiles, options, plan.working_bytes(), number, objects)?
+            smrf::ground(tiles, options, smrf::Lattice::default(), plan.working_bytes(), number, objects)?
         }
     };
     let is_ground = matches!(step, Step::Ground(_));

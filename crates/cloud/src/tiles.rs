@@ -220,6 +220,14 @@ impl Tiles {
             .map_err(|e| self.scratch.error("write scratch data to", e))
     }
 
+    /// As [`Tiles::update`], for changes that need scratch files.
+    ///
+    /// # Errors
+    /// Those of `change`, and of the scratch disk.
+    pub fn update_with_scratch(&self, mut change: impl FnMut(&Scratch, &mut [Point]) -> Result<bool>) -> Result<()> {
+        self.update(|_, points| change(&self.scratch, points))
+    }
+
     /// Lets `change` see and change all points, tile by tile. Only tags may change between two calls of
     /// [`Tiles::prepare`], and the order must stay.
     ///

@@ -98,3 +98,59 @@ fn ground_of_the_isprs_samples() {
     let (te, _, ground) = agreement("samp11", Options::default()).expect("it was there");
     println!("samp11, thesis: te {te:.6}, ground {ground}");
 }
+
+/// Points of a file, or why it is refused.
+fn points_of(path: &std::path::Path) -> Result<u64, String> {
+    let (_, mut reader) = autoref_cloud::io::open(path).map_err(|e| e.to_string())?;
+    let mut batch = autoref_cloud::schema::Batch::default();
+    let mut points = 0;
+    loop {
+        reader.read(&mut batch, 1000).map_err(|e| e.to_string())?;
+        if batch.is_empty() {
+            return Ok(points);
+        }
+        points += batch.len() as u64;
+    }
+}
+
+#[test]
+fn odd_files_are_read_or_refused_in_one_line() {
+    let refused = [
+        ("1.2-no-points.las", "truncated"),
+        ("badheader.txt", "no column `Z`"),
+        ("garbage_nVariableLength.las", "truncated"),
+        ("no_vertex.ply", "no element `vertex`"),
+        ("simple-laszip-compressor-version-1.2r0.laz", "before 2011"),
+        ("sized_dims.ply", "no property `z`"),
+        ("unsized_dims.ply", "no property `z`"),
+        ("utm17_space.pcd", "VERSION"),
+    ];
+    let counted = [
+        ("1.2-empty-geotiff-vlrs.las", 43),
+        ("1.2-with-color.copc.laz", 1065),
+        ("bad-geotiff-keys.las", 10),
+        ("bad_vlr_count.las", 10),
+        ("extrabytes.las", 1065),
+        ("gps-time-nan.las", 1),
+        ("laszip-generated.laz", 1065),
+        ("laszip-generated_with2bytespadding.laz", 1065),
+        ("liblas-generated.laz", 1065),
+        ("lots_of_vlr.las", 1),
+        ("no-points.las", 0),
+        ("wontcompress3.las", 1000),
+    ];
+    let Some(folder) = shared("pdal_odd") else { return };
+    for entry in std::fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name().expect("a name").to_string_lossy().into_owned();
+        let found = points_of(&path);
+        if let Some((_, word)) = refused.iter().find(|(file, _)| *file == name) {
+            let message = found.expect_err(&name);
+            assert!(message.contains(word) && !message.contains('\n'), "{name}: {message}");
+        } else {
+            let points = found.unwrap_or_else(|message| panic!("{name}: {message}"));
+            let expected = counted.iter().find(|(file, _)| *file == name).map_or(points, |(_, expected)| *expected);
+            assert_eq!(points, expected, "{name}");
+        }
+    }
+}

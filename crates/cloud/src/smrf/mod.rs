@@ -5,13 +5,16 @@
 //! The surface is that of the author's Python: cell centres on multiples of the cell. Two things differ: the springs that
 //! fill holes are solved to the end instead of to LSQR's default tolerance, and a cloud may be narrower than four cells.
 
+mod blocks;
 mod inpaint;
 mod morphology;
 mod spline;
+mod streamed;
 mod surface;
 
 use rayon::prelude::*;
 
+pub use blocks::Lattice;
 pub use inpaint::inpaint;
 pub use morphology::{Extremum, extremum, opening};
 pub use spline::Spline;
@@ -20,7 +23,7 @@ pub use surface::{Frame, Surface};
 use crate::elm::each_active;
 use crate::error::{Error, Result};
 use crate::params;
-use crate::tiles::Tiles;
+use crate::tiles::{Point, Tiles};
 
 /// LAS classes.
 const OBJECT: u8 = 1;
@@ -200,11 +203,27 @@ pub enum Objects {
     Go,
 }
 
+/// Gives a point its class; 1 when it is not ground.
+fn classify(point: &mut Point, is_ground: bool, step: u8, objects: Objects) -> u64 {
+    let class = if is_ground { GROUND } else { OBJECT };
+    point.classify(class, step, !is_ground && objects == Objects::Go);
+    u64::from(!is_ground)
+}
+
 /// Classifies all active points as ground (2) or not (1). Answers how many are not ground.
 ///
+/// A surface of more than `lattice.whole` cells is worked on in blocks on the scratch disk.
+///
 /// # Errors
-/// When the surface does not fit into `budget_bytes`, and those of the scratch disk.
-pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, objects: Objects) -> Result<u64> {
+/// When a block does not fit into `budget_bytes`, and those of the scratch disk.
+pub fn ground(
+    tiles: &mut Tiles,
+    options: &Options,
+    lattice: Lattice,
+    budget_bytes: u64,
+    step: u8,
+    objects: Objects,
+) -> Result<u64> {
     let mut min = [f64::INFINITY; 2];
     let mut max = [f64::NEG_INFINITY; 2];
     each_active(tiles, |xyz| {
@@ -225,8 +244,11 @@ pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, obj
             .into(),
     };
     let frame = Frame::new(min, max, options.cell_m).ok_or_else(|| wide(u64::MAX))?;
+    if frame.cells() > lattice.whole {
+        return streamed::ground(tiles, frame, options, lattice, budget_bytes, step, objects);
+    }
     let needed = frame.cells().saturating_mul(CELL_BYTES);
-    if needed > budget_bytes || frame.cells() > u64::from(u32::MAX) {
+    if needed > budget_bytes {
         return Err(wide(needed));
     }
     let mut values = vec![f64::NAN; frame.cells() as usize];
@@ -246,12 +268,7 @@ pub fn ground(tiles: &Tiles, options: &Options, budget_bytes: u64, step: u8, obj
         count += points
             .par_iter_mut()
             .filter(|point| point.is_active())
-            .map(|point| {
-                let is_ground = terrain.is_ground(point.xyz);
-                let class = if is_ground { GROUND } else { OBJECT };
-                point.classify(class, step, !is_ground && objects == Objects::Go);
-                u64::from(!is_ground)
-            })
+            .map(|point| classify(point, terrain.is_ground(point.xyz), step, objects))
             .sum::<u64>();
         Ok(true)
     })?;

@@ -60,6 +60,10 @@ fn factored(count: usize) -> Vec<[f64; 7]> {
 /// A surface between the centres of its cells.
 pub struct Spline {
     coefficients: Surface,
+    /// Column and row of the first coefficient, where these are a part.
+    first: (usize, usize),
+    /// Columns and rows of the whole surface.
+    size: (usize, usize),
 }
 
 impl Spline {
@@ -96,13 +100,24 @@ impl Spline {
             let pivot = band[at][3];
             surface.values[at * columns..(at + 1) * columns].iter_mut().for_each(|value| *value /= pivot);
         }
-        Spline { coefficients: surface }
+        Spline { coefficients: surface, first: (0, 0), size: (columns, rows) }
+    }
+
+    /// A part of a surface of `size` columns and rows, out of the coefficients from column and row `first`.
+    pub fn part(coefficients: Surface, first: (usize, usize), size: (usize, usize)) -> Spline {
+        Spline { coefficients, first, size }
+    }
+
+    /// A number for each cell.
+    pub fn into_coefficients(self) -> Surface {
+        self.coefficients
     }
 
     /// The height at a place in cells, 0 being the outer edge of the first cell.
     pub fn value(&self, column: f64, row: f64) -> f64 {
-        let (first_column, across) = basis(column - 0.5, self.coefficients.columns);
-        let (first_row, down) = basis(row - 0.5, self.coefficients.rows);
+        let (first_column, across) = basis(column - 0.5, self.size.0);
+        let (first_row, down) = basis(row - 0.5, self.size.1);
+        let (first_column, first_row) = (first_column - self.first.0, first_row - self.first.1);
         (0..4)
             .map(|y| {
                 let row = &self.coefficients.row(first_row + y)[first_column..first_column + 4];
