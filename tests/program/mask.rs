@@ -174,3 +174,58 @@ fn samples_that_teach_nothing_are_named() {
         assert!(!folder.at("masks/a_Masq.tif").exists());
     }
 }
+
+#[test]
+fn a_camera_masks_its_marks_text_and_border() {
+    let folder = Folder::new();
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    // The box of the marks, 174.54 × 174.80 mm, 2 px a millimetre.
+    let (w, h) = (349, 350);
+    let resampled = folder.text("S36.tif");
+    let set = driver.create_with_band_type::<u8, _>(&resampled, w, h, 1).expect("writable");
+    let values = (0..w * h).map(|i| 30 + ((i * 7919) % 211) as u8).collect();
+    set.rasterband(1).and_then(|mut b| b.write((0, 0), (w, h), &mut Buffer::new((w, h), values))).expect("writable");
+    set.close().expect("closed");
+    let out = folder.text("masks");
+    let a = frame(&folder, "a.tif");
+    let camera = ["-o", &out, "--camera", "svalbard-zeiss-1936", "--sample", "ground=0,0,349,350@S36.tif", "--explain"];
+    let output = mask(&[&[resampled.as_str(), &a][..], &camera, &["--overwrite", "--json"]].concat());
+    // The other frame has not the shape of the camera's.
+    let said = lines(&output);
+    assert_eq!(
+        (output.status.code(), &said[0]["status"], &said[1]["status"]),
+        (Some(2), &"done".into(), &"error".into())
+    );
+    assert!(said[1]["error"].as_str().is_some_and(|text| text.contains("a.tif") && text.contains("--fiducials")));
+    let read = || {
+        let dataset = gdal::Dataset::open(folder.at("masks/S36_Masq.tif")).expect("readable");
+        dataset.rasterband(1).and_then(|band| band.read_band_as::<u8>()).expect("values").data().to_vec()
+    };
+    let at = |mask: &[u8], x: usize, y: usize| mask[y * w + x];
+    let values = read();
+    // Text left and right, the mark in the middle of the left edge, ground.
+    let places = [(20, 10), (330, 10), (2, 174), (175, 175), (175, 40)];
+    assert_eq!(places.map(|(x, y)| at(&values, x, y)), [0, 0, 0, 1, 1]);
+    assert!(folder.at("masks/S36_Scatter.svg").is_file());
+    let page = std::fs::read_to_string(folder.at("masks/masks.html")).expect("a page");
+    assert!(page.contains("S36_Scatter.svg"));
+    let boxes =
+        [&[resampled.as_str()], &camera[..], &["--overwrite", "--quiet", "--mask-box", "80,60,100,80"]].concat();
+    assert!(mask(&boxes).status.success());
+    let values = read();
+    assert_eq!([(20, 10), (175, 135)].map(|(x, y)| at(&values, x, y)), [1, 0]);
+}
+
+#[test]
+fn light_that_falls_off_is_evened_before_the_threshold() {
+    let folder = Folder::new();
+    let a = frame(&folder, "a.tif");
+    for (lighting, banding) in [("none", "off"), ("frame", "both"), ("thesis-2017", "rows")] {
+        let out = folder.text(lighting);
+        let options = ["-o", &out, "--lighting", lighting, "--banding", banding, "--quiet"];
+        let output = mask(&[&[a.as_str()], &options[..], &TAUGHT[..]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let values = read(&folder.at(&format!("{lighting}/a_Masq.tif")));
+        assert_eq!([values[120 * WIDE + 60], values[120 * WIDE + 260]], [1, 0], "{lighting}");
+    }
+}

@@ -13,6 +13,7 @@ use crate::bits::BitMask;
 use crate::classify::{Classes, Classifier, Cleaner, classify};
 use crate::clean::Cleaning;
 use crate::knn::Neighbours;
+use crate::light::Correction;
 use crate::model::{self, Labels};
 use crate::reduce::{Reading, Reduced, plane_memory, reduce_frame};
 use crate::shapes::{Lesson, Meaning, Shape};
@@ -51,6 +52,8 @@ pub struct Options {
     pub auto_area_share: f64,
     pub compression: MaskCompression,
     pub extras: Extras,
+    /// Corrections of bands and light, one after another, on the reduced frame.
+    pub corrections: Vec<Correction>,
     pub tile_px: u64,
     pub memory_budget_bytes: u64,
     pub reader: ReaderChoice,
@@ -144,6 +147,13 @@ impl Options {
             memory_budget_bytes: self.memory_budget_bytes,
         }
     }
+
+    /// The frame at the reduced scale, its light corrected.
+    fn reduced(&self, source: &Arc<dyn RasterSource>) -> Result<Reduced> {
+        let mut reduced = reduce_frame(source, &self.reading(source.as_ref()))?;
+        self.corrections.iter().try_for_each(|c| (c.change)(source.as_ref(), &mut reduced))?;
+        Ok(reduced)
+    }
 }
 
 /// A frame that something is taught from.
@@ -209,7 +219,7 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Cla
         let source = options.open(&path)?;
         let info = source.info();
         shapes.iter().try_for_each(|shape| shape.check_inside(&path, info.width, info.height))?;
-        let reduced = reduce_frame(&source, &options.reading(source.as_ref()))?;
+        let reduced = options.reduced(&source)?;
         let mut labels = Labels::new(&reduced);
         if let Some(mask) = mask {
             labels.read_mask(mask, &reduced)?;
@@ -256,6 +266,7 @@ pub struct Names {
     pub class: PathBuf,
     pub entropy: PathBuf,
     pub distance: PathBuf,
+    pub scatter: PathBuf,
 }
 
 impl Names {
@@ -273,6 +284,7 @@ impl Names {
             class: path("_Class.tif"),
             entropy: path("_Entropy.tif"),
             distance: path("_Distance.tif"),
+            scatter: path("_Scatter.svg"),
         }
     }
 }
@@ -296,7 +308,7 @@ fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
         given.lessons.iter().map(|l| format!("{} {}", file_mark(&l.frame), file_mark(&l.mask))).collect();
     let global = given.global_mask.as_deref().map(file_mark);
     let what = format!(
-        "{} {} {:?} {} {} {} {:?} {} {:?} {:?} {lessons:?} {global:?} {given:?}",
+        "{} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {lessons:?} {global:?} {given:?}",
         env!("CARGO_PKG_VERSION"),
         file_mark(frame),
         options.method,
@@ -307,6 +319,7 @@ fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
         options.auto_area_share,
         options.compression,
         options.extras,
+        options.corrections,
     );
     format!("{:016x}", fnv(&what))
 }
@@ -344,7 +357,7 @@ pub fn mask_frame(
     )?;
     let source = options.open(frame)?;
     let reading = options.reading(source.as_ref());
-    let reduced = reduce_frame(&source, &reading)?;
+    let reduced = options.reduced(&source)?;
     let cleaner = match options.method {
         Method::Auto => Cleaner::Areas(options.auto_area_share),
         _ => Cleaner::Thesis(options.cleaning.clone()),

@@ -14,6 +14,7 @@ pub mod explain;
 pub mod features;
 pub mod forest;
 pub mod knn;
+pub mod light;
 pub mod model;
 pub mod morphology;
 pub mod outline;

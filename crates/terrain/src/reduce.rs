@@ -21,6 +21,8 @@ pub struct Reduced {
     pub width: u64,
     pub height: u64,
     pub factor: usize,
+    /// Grey levels that the sample type's white is above its black: 255 of 8-bit frames, more where levels were spread.
+    pub white_steps: f64,
 }
 
 /// How a frame is read.
@@ -70,6 +72,10 @@ impl Levels {
         };
         let (low, high) = (percentile(0.001).unwrap_or(0) as f64, percentile(0.999).unwrap_or(65_535) as f64);
         Ok(Levels { low, high: high.max(low + 1.0), identity: false })
+    }
+
+    fn white_steps(&self, white: f64) -> f64 {
+        255.0 * white / (self.high - self.low)
     }
 
     fn level(&self, value: u16) -> u8 {
@@ -196,7 +202,14 @@ pub fn reduce_frame(source: &Arc<dyn RasterSource>, reading: &Reading) -> Result
             done.into_iter().try_for_each(|tile| store(tile?))?;
         }
     }
-    Ok(Reduced { grey, valid, width, height, factor: reading.factor })
+    Ok(Reduced {
+        grey,
+        valid,
+        width,
+        height,
+        factor: reading.factor,
+        white_steps: levels.white_steps(info.white.into()),
+    })
 }
 
 /// Full-width bands from the top down; the rows that two bands share are kept, so that nothing is read twice.

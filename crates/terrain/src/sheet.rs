@@ -1,4 +1,5 @@
-//! The contact sheet: every frame with its mask as a tint, shares and warnings, and a polygon to mend a mask by hand.
+//! The contact sheet: every frame with its mask as a tint, shares and warnings, and a polygon and a brush to
+//! mend a mask by hand.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +37,8 @@ impl Sheet {
             std::fs::create_dir_all(&previews).map_err(|e| Error::io(&previews, "make the folder", e))?;
             atomic::write(&self.folder.join(&name), &picture(reduced, mask)?)?;
         }
-        self.entries.push(entry(&done.report, &name));
+        let scatter = Some(format!("{stem}_Scatter.svg")).filter(|name| self.folder.join(name).is_file());
+        self.entries.push(entry(&done.report, &name, scatter.as_deref()));
         Ok(())
     }
 
@@ -54,12 +56,17 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
-fn entry(report: &Report, picture: &str) -> String {
+fn entry(report: &Report, picture: &str, scatter: Option<&str>) -> String {
     let frame = report.frame.file_name().unwrap_or_default().to_string_lossy();
     let warnings: String = report.warnings.iter().map(|w| format!("<li>{}</li>", escaped(w))).collect();
+    let plot = scatter
+        .map(|name| {
+            format!("<img loading=\"lazy\" src=\"{}\" alt=\"Entropy against intensity by class\">", escaped(name))
+        })
+        .unwrap_or_default();
     format!(
         "<figure data-frame=\"{frame}\" data-width=\"{}\" data-height=\"{}\"><div><img loading=\"lazy\" src=\"{}\" alt=\"\"><svg viewBox=\"0 0 {} {}\"></svg></div><figcaption><b>{frame}</b> \
-         {} · kept {:.1} % · masked {:.1} % · empty {:.1} % · unsure {:.1} %<ul>{warnings}</ul></figcaption></figure>\n",
+         {} · kept {:.1} % · masked {:.1} % · empty {:.1} % · unsure {:.1} %<ul>{warnings}</ul></figcaption>{plot}</figure>\n",
         report.width,
         report.height,
         escaped(picture),

@@ -74,6 +74,7 @@ fn options(method: Method) -> Options {
         auto_area_share: 0.001,
         compression: MaskCompression::CcittG4,
         extras: Extras::default(),
+        corrections: Vec::new(),
         tile_px: 0,
         memory_budget_bytes: 512 << 20,
         reader: ReaderChoice::Auto,

@@ -166,7 +166,7 @@ fn roll_light(camera: &Camera, frames: &[&FrameResult], options: &ResampleOption
     }
 }
 
-fn parse_box(text: &str) -> Result<Box4, String> {
+pub fn parse_box(text: &str) -> Result<Box4, String> {
     let numbers: Option<Vec<f64>> =
         text.split(',').map(|v| v.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
     let four: Option<[f64; 4]> = numbers.and_then(|v| v.try_into().ok());

@@ -16,6 +16,8 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::common::{Bytes, threads};
+use super::mask_camera::CameraArgs;
+use super::mask_light::{BandingArg, LightingArg, corrections};
 
 /// Mask the ground that image matching can use: without water, clouds, sky, featureless snow, film borders and text.
 ///
@@ -58,6 +60,15 @@ pub struct MaskArgs {
     /// Corrections (TOML or GeoJSON, such as masks.html saves); they have the last word.
     #[arg(long, value_name = "FILE", help_heading = "By hand")]
     mend: Vec<PathBuf>,
+    #[command(flatten)]
+    camera: CameraArgs,
+
+    /// Even out the light before pixels are told apart.
+    #[arg(long, value_enum, default_value_t = LightingArg::None, help_heading = "Method")]
+    lighting: LightingArg,
+    /// Remove bands that the scanner left along its rows or columns.
+    #[arg(long, value_enum, default_value_t = BandingArg::Off, help_heading = "Method")]
+    banding: BandingArg,
 
     /// Pixels that one pixel of the analysis stands for, along a side. Default: 4; auto takes 1 below 1500 px, 2 below 3000 px.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16), help_heading = "Method")]
@@ -167,6 +178,7 @@ impl MaskArgs {
                 CompressArg::Deflate => MaskCompression::Deflate,
             },
             extras: Extras { probability: self.probability, explain: self.explain, colmap: self.colmap },
+            corrections: corrections(self.lighting, self.banding),
             tile_px: self.tile.unwrap_or(0),
             memory_budget_bytes: self.memory.0,
             reader: ReaderChoice::Auto,
@@ -235,6 +247,7 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let options = args.options()?;
     let given = args.given()?;
     let frames = all_frames(&args.frames)?;
+    let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;
     pool.install(|| {
         let classifier = teach(&frames, &given, &options)?;
@@ -245,7 +258,13 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
         let (mut failed, mut sheet) = (0, Sheet::new(&args.output));
         for frame in &frames {
             bar.set_message(frame.file_name().unwrap_or_default().to_string_lossy().into_owned());
-            match mask_frame(frame, &args.output, &classifier, &given, &options) {
+            let shown = match &camera {
+                None => Ok(given.clone()),
+                Some(camera) => camera
+                    .of(frame)
+                    .map(|shapes| Given { global: [&given.global[..], &shapes[..]].concat(), ..given.clone() }),
+            };
+            match shown.and_then(|given| mask_frame(frame, &args.output, &classifier, &given, &options)) {
                 Ok(done) => {
                     sheet.add(&done)?;
                     tell(args, &bar, &done.report)?;

@@ -25,6 +25,8 @@ pub mod flight;
 pub mod gcps;
 pub mod inputs;
 pub mod mask;
+mod mask_camera;
+mod mask_light;
 pub mod mosaic;
 pub mod patterns;
 pub mod plan;
