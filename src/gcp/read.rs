@@ -1,5 +1,6 @@
 //! Lists of GCPs as files, of any format: recognised, chosen from, and brought into metres.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::gcp::convert::ListFormat;
@@ -105,9 +106,9 @@ pub(super) fn parse(path: &Path, layer: Option<&str>, from: Option<ListFormat>) 
     bounded::refuse_endless(path)?;
     let is_text = from.is_none_or(ListFormat::is_text);
     if is_text && layer.is_none() && !path.is_dir() && !OGR.contains(&extension(path).as_str()) {
+        refuse_many(path)?;
         let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
         if let Some(text) = text::decode(&bytes) {
-            refuse_many(path, &text)?;
             let format = from.unwrap_or_else(|| recognised(path, &text));
             if format.is_text() {
                 return Ok((parse_as(path, &text, format)?, format));
@@ -167,10 +168,37 @@ fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
     }
 }
 
-/// Each row or feature costs hundreds of bytes when it is read.
-fn refuse_many(path: &Path, text: &str) -> Result<()> {
-    let json = text.trim_start().starts_with('{');
-    let rows = if json { text.matches("\"geometry\"").count() } else { text.lines().count() };
+/// Each row or feature costs hundreds of bytes when it is read, so that they are counted before, in pieces.
+fn refuse_many(path: &Path) -> Result<()> {
+    const PIECE_BYTES: usize = 1 << 16;
+    const FEATURE: &[u8] = b"\"geometry\"";
+    if path.is_dir() {
+        return Ok(());
+    }
+    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
+    let mut piece = vec![0; PIECE_BYTES];
+    let (mut kept, mut rows, mut json) = (0, 0, None);
+    loop {
+        let read = file.read(&mut piece[kept..]).map_err(|e| Error::io(path, "read", e))?;
+        if read == 0 {
+            break;
+        }
+        let bytes = &piece[..kept + read];
+        if json.is_none() && bytes.contains(&0) && !matches!(bytes, [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..]) {
+            return Ok(()); // no text: GDAL's
+        }
+        let is_json = *json.get_or_insert_with(|| bytes.iter().find(|b| b.is_ascii_graphic()) == Some(&b'{'));
+        if !is_json {
+            rows += bytes.iter().filter(|&&b| b == b'\n').count();
+            continue;
+        }
+        rows += bytes.windows(FEATURE.len()).filter(|window| *window == FEATURE).count();
+        // A word may lie across two pieces.
+        let tail = bytes.len().min(FEATURE.len() - 1);
+        let from = bytes.len() - tail;
+        piece.copy_within(from..from + tail, 0);
+        kept = tail;
+    }
     if rows <= MOST_ROWS {
         return Ok(());
     }

@@ -8,6 +8,7 @@ use std::path::Path;
 use std::os::unix::ffi::OsStrExt;
 
 use crate::error::{Error, Result};
+use autoref_raster::bounded;
 
 /// What is drawn, with the options of `gdaldem`.
 #[derive(Clone, Debug)]
@@ -76,7 +77,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
 
 /// GDAL's own reader of colour tables does not survive every file.
 fn check_colours(path: &Path) -> Result<()> {
-    let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = bounded::read(path, "a table of colours", bounded::TEXT_BYTES)?;
     let text = String::from_utf8_lossy(&text);
     let mut rows = 0;
     for (number, line) in text.lines().enumerate() {

@@ -48,15 +48,35 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     refuse_special(path)?;
     remove_leftovers(path);
     let temporary = temporary_name(path);
-    let result = produce(&temporary)
-        .and_then(|()| std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e)));
+    let companions = companions_of(path);
+    companions.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
+    let result = produce(&temporary).and_then(|()| {
+        for end in companions.iter().filter(|end| temporary.with_extension(end).exists()) {
+            let target = path.with_extension(end);
+            std::fs::rename(temporary.with_extension(end), &target)
+                .map_err(|e| Error::io(&target, "put in place", e))?;
+        }
+        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e))
+    });
     if result.is_err() {
-        // It may not exist; the first error is the one to report.
+        // They may not exist; the first error is the one to report.
         let _ = std::fs::remove_file(&temporary);
+        companions.iter().for_each(|end| {
+            let _ = std::fs::remove_file(temporary.with_extension(end));
+        });
     } else {
         complete(path);
+        companions.iter().map(|end| path.with_extension(end)).filter(|p| p.exists()).for_each(|p| complete(&p));
     }
     result
+}
+
+/// Ends of the files without which a file of this ending cannot be read: those of a Shapefile.
+fn companions_of(path: &Path) -> &'static [&'static str] {
+    match path.extension() {
+        Some(end) if end.eq_ignore_ascii_case("shp") => &["shx", "dbf", "prj", "cpg"],
+        _ => &[],
+    }
 }
 
 /// Whether there is something at `path` that is neither file nor folder.

@@ -11,6 +11,7 @@ use super::scene::{Sample, Scene};
 use super::spec::{BigTiff, Border, Compression, FileLayout, Interleave, Output, SynthSpec};
 use super::truth::Truth;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::protected::refuse_input;
 use autoref_raster::window::{TileGrid, Window};
 
 /// Pixels drawn as one piece of work, about.
@@ -48,6 +49,9 @@ pub fn write_with_progress(spec: &SynthSpec, path: &Path, progress: Progress) ->
         for file in [path, &truth_file] {
             refuse_existing(file)?;
         }
+    }
+    for file in [path, &truth_file] {
+        refuse_input(file)?;
     }
     if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty() && !f.is_dir()) {
         return Err(Error::usage(format!("{}: no such folder", folder.display()), "create it first"));
@@ -89,6 +93,7 @@ impl Part {
     }
 
     fn becomes(self, path: &Path) -> Result<()> {
+        refuse_input(path)?;
         std::fs::rename(&self.0, path).map_err(|e| Error::io(path, "rename the finished file to", e))
     }
 }

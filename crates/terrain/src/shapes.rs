@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use serde::Deserialize;
 
@@ -181,7 +182,7 @@ struct TomlSample {
 /// # Errors
 /// When the file cannot be read or says something else; the message names the place.
 pub fn read(path: &Path) -> Result<Vec<Shape>> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = bounded::read_to_string(path, "a list of outlines", bounded::TEXT_BYTES)?;
     let toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
     if toml { from_toml(path, &text) } else { from_geojson(path, &text) }
 }

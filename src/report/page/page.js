@@ -17,7 +17,13 @@
     const h = held[i], p = D.points[i];
     if (h && h.used) return p.role === "check" ? "check" : "found";
     if (h && (h.verdict === "rejected" || h.verdict === "not-visible")) return h.verdict;
+    if (offered(i)) return "proposed";
     return p.state === "found" ? "rejected" : p.state;
+  }
+  // The candidate next to where a point must be that the run did not take.
+  function offered(i) {
+    const h = held[i], p = D.points[i];
+    return p.state === "not-found" && !(h && h.mark) && p.proposals.length ? p.proposals[0] : null;
   }
   // What the symbol on the overview is.
   const symbolOf = (s) => ({ rejected: "not-found", "not-visible": "not-found", unknown: null }[s] === undefined ? s
@@ -176,7 +182,7 @@
     });
     box.append(labels);
     const kinds = new Set(D.points.map((p, i) => symbolOf(stateOf(i))));
-    const words = { found: "matched", check: "check point", "not-found": "not found", outside: "outside the image", proposed: "of the best partial pattern" };
+    const words = { found: "matched", check: "check point", "not-found": "not found", outside: "outside the image", proposed: "proposed: seen, not taken" };
     const toggle = html("input", { type: "checkbox", id: "dots" });
     toggle.checked = showCandidates;
     toggle.addEventListener("change", () => { showCandidates = toggle.checked; overview(); byId("dots").focus(); });
@@ -415,11 +421,15 @@
     const note = html("input", { type: "text", id: "note", placeholder: "Note for the record", "aria-label": `Note on ${p.name}` });
     note.value = noteOf(p.name);
     note.addEventListener("change", () => setNote(p.name, note.value));
-    replace("editor", chipOf(i, true), html("h3", {}, p.name), list,
-      html("div", { class: "buttons" }, button("Accept", "A", accept, hasMark), button("Reject", "R", reject, hasMark),
+    const picture = chipOf(i, true);
+    picture.classList.add("placing");
+    picture.addEventListener("click", (event) => placeAt(picture, event));
+    replace("editor", picture, html("h3", {}, p.name), list,
+      html("div", { class: "buttons" }, button("Accept", "A", accept, hasMark || !!offered(i)), button("Reject", "R", reject, hasMark),
         button("Next candidate", "C", pickNext, more), button("Not visible", "V", notVisible, true)),
       html("div", { class: "nudge" }, "Nudge 0.1 px", button("←", "⇧←", () => nudge(-1, 0), hasMark, "Nudge left"), button("→", "⇧→", () => nudge(1, 0), hasMark, "Nudge right"),
-        button("↑", "⇧↑", () => nudge(0, -1), hasMark, "Nudge up"), button("↓", "⇧↓", () => nudge(0, 1), hasMark, "Nudge down")), note);
+        button("↑", "⇧↑", () => nudge(0, -1), hasMark, "Nudge up"), button("↓", "⇧↓", () => nudge(0, 1), hasMark, "Nudge down")),
+      html("p", { class: "sub" }, "Click in the picture to put the mark there."), note);
   }
 
   // ---- edits
@@ -448,7 +458,11 @@
     const s = stateOf(selected), r = state.rows[selected];
     say(`${name}: ${change.action}, ${STATES[s]}${r ? `, residual ${ground(r.length)}` : ""}. ${state.solution ? `RMSE ${ground(state.fit.rmse)} from ${state.control} points.` : "No transform."}`);
   }
-  const accept = () => { if (held[selected] && held[selected].mark) edit({ action: "accept" }); };
+  const accept = () => {
+    const offer = offered(selected);
+    if (offer) edit({ action: "pick", candidate: offer.candidate });
+    else if (held[selected] && held[selected].mark) edit({ action: "accept" });
+  };
   const reject = () => { if (held[selected] && held[selected].mark) edit({ action: "reject" }); };
   const notVisible = () => edit({ action: "not-visible" });
   function pickNext() {
@@ -457,6 +471,17 @@
     const now = held[selected] && held[selected].mark ? all.findIndex((m) => m.candidate === held[selected].mark.candidate) : -1;
     const next = list.find((m) => all.indexOf(m) > now) || list[0];
     edit({ action: "pick", candidate: next.candidate });
+  }
+  // A click on the large picture puts the mark there; its user units are pixels of the image.
+  function placeAt(picture, event) {
+    const matrix = picture.getScreenCTM && picture.getScreenCTM();
+    if (!matrix) return;
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(matrix.inverse());
+    if (at.x < 0 || at.y < 0 || at.x > D.image.width || at.y > D.image.height) {
+      say("That is outside the image.");
+      return;
+    }
+    edit({ action: "move", x: Math.round(at.x * 100) / 100, y: Math.round(at.y * 100) / 100 });
   }
   function nudge(dx, dy) {
     const h = held[selected];

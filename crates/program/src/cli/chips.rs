@@ -1,11 +1,10 @@
 //! `autoref-stream chips`: a small picture around every mark, and all of them on one contact sheet.
 
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_raster::Patch;
+use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::PixelPoint;
 
 use super::common::SampleArgs;
@@ -46,10 +45,9 @@ pub fn run(args: &Args) -> Result<()> {
     let marks = &found.marks;
     let sheet_path = args.output.join("contact.png");
     let paths: Vec<PathBuf> = marks.iter().map(|mark| args.output.join(format!("{}.png", plain(&mark.name)))).collect();
-    if let Some(path) = paths.iter().chain([&sheet_path]).find(|p| p.exists() && !args.overwrite) {
-        bail!("{} exists; give --overwrite to replace it", path.display());
-    }
     std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot make it", args.output.display()))?;
+    let outputs: Vec<&Path> = paths.iter().chain([&sheet_path]).map(PathBuf::as_path).collect();
+    atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
     let side = args.side_px as usize;
     let columns = (marks.len() as f64).sqrt().ceil() as usize;
     let rows = marks.len().div_ceil(columns);
@@ -104,11 +102,11 @@ fn centred(patch: &Patch, at: PixelPoint, side: usize) -> Vec<u8> {
 }
 
 fn write_png(path: &Path, rgb: &[u8], width: usize, height: usize) -> Result<()> {
-    let failed = || format!("{}: cannot write it", path.display());
-    let mut encoder =
-        png::Encoder::new(BufWriter::new(File::create(path).with_context(failed)?), width as u32, height as u32);
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgb);
-    let mut writer = encoder.write_header().with_context(failed)?;
-    writer.write_image_data(rgb).with_context(failed)?;
-    writer.finish().with_context(failed)
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(rgb)?;
+    writer.finish()?;
+    Ok(atomic::write(path, &bytes)?)
 }

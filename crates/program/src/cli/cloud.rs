@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use autoref_cloud::{info, io, params};
+use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES;
 use clap::{Args, Subcommand};
@@ -116,11 +117,11 @@ impl Cameras {
     /// `E,N,H`, a table with the columns cloud, E, N, H, or a MicMac orientation with a `<Centre>`.
     pub fn read(text: &str) -> anyhow::Result<Cameras> {
         let path = Path::new(text);
-        if !path.is_file() {
+        if !path.exists() {
             let numbers = params::numbers("--range-from", text, "E,N,H, or the name of a table cloud,E,N,H");
             return Ok(Cameras::One(numbers?));
         }
-        let content = std::fs::read_to_string(path).with_context(|| format!("{}: cannot read it", path.display()))?;
+        let content = bounded::read_to_string(path, "a table of cameras", bounded::TEXT_BYTES)?;
         if let Some((_, rest)) = content.split_once("<Centre>") {
             let words = rest.split('<').next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(",");
             return Ok(Cameras::One(params::numbers("--range-from", &words, "with a centre of three numbers")?));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use autoref_elevation::align::{Alignment, Method, Outcome};
 use autoref_elevation::compare::{CompareJob, Summary};
 use autoref_elevation::couple::Couple;
@@ -446,6 +446,7 @@ fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     if args.out.exists() && !args.overwrite && !empty() {
         bail!("{} exists; give --overwrite to replace it", args.out.display());
     }
+    check_replaceable(&args.out)?;
     if args.slope_classes.iter().any(|v| !v.is_finite()) || !args.slope_classes.is_sorted() {
         bail!("--slope-classes are no rising numbers; write them like 0,5,10,25,45");
     }
@@ -464,6 +465,32 @@ fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
         print(&summary, &args.out);
+    }
+    Ok(())
+}
+
+/// What `dem compare` writes into its folder.
+const COMPARISON: [&str; 6] =
+    ["difference.tif", "report.html", "statistics.csv", "summary.json", "variogram.csv", "volumes.csv"];
+
+/// Refuses to clear a folder that holds anything but an earlier comparison, or an input of the command.
+fn check_replaceable(folder: &Path) -> anyhow::Result<()> {
+    let entries = match std::fs::read_dir(folder) {
+        Ok(entries) => entries,
+        // Not there, or a file: the callers say so.
+        Err(_) => return Ok(autoref_raster::protected::refuse_input(folder)?),
+    };
+    for entry in entries {
+        let path = entry.with_context(|| format!("{}: cannot list the folder", folder.display()))?.path();
+        autoref_raster::protected::refuse_input(&path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if path.is_dir() || !COMPARISON.contains(&name.trim_end_matches(".aux.xml")) {
+            bail!(
+                "{}: {name} in it is not of an earlier comparison, and the folder would be replaced whole; \
+                 name another folder with --out",
+                folder.display()
+            );
+        }
     }
     Ok(())
 }

@@ -58,12 +58,26 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
                 }
             } else if named.is_file() {
                 inputs.push(named);
+            } else if named.is_dir() {
+                inputs.extend(read_in_folder(&named));
             }
         }
     }
     if let Some((_, inner)) = matches.subcommand() {
         gather(inner, inputs, outputs);
     }
+}
+
+/// What a command reads of a folder that is named: rasters and clouds, but no masks, which are written beside frames.
+fn read_in_folder(folder: &Path) -> Vec<PathBuf> {
+    const READ: &[&str] = &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "las", "laz", "ply", "xyz"];
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let is_read = |path: &PathBuf| {
+        let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        path.is_file() && READ.contains(&end.as_str()) && !stem.ends_with("_Masq") && !stem.starts_with('.')
+    };
+    entries.flatten().map(|entry| entry.path()).filter(is_read).collect()
 }
 
 /// The path in a value; `CLASS=…@FILE` and `FILE=FILE` name theirs at the end.

@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 use autoref_flight::adjust::{GroundPoint, Role};
 use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image, tables};
 use autoref_flight::world::{Geodesy, World};
+use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use nalgebra::Vector3;
@@ -231,7 +232,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         Some(word) if !is_local(word) => Some(Crs::parse(word)?),
         _ => None,
     };
-    let text = std::fs::read(list).map_err(|e| autoref_raster::error::Error::io(list, "read", e))?;
+    let text = bounded::read(list, "a list of points", bounded::DOCUMENT_BYTES)?;
     let start = String::from_utf8_lossy(&text[..text.len().min(4096)]).into_owned();
     if start.trim_start().starts_with('<')
         && (start.contains("AppuisDAF") || start.contains("DicoAppuis") || start.contains("SetGCP"))

@@ -1,5 +1,6 @@
 //! FLIGHT.toml, and the chain that it describes: features, matches, relative orientation (COLMAP), adjustment.
 
+use autoref_raster::bounded;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -211,7 +212,7 @@ pub fn absolute(path: &Path) -> Result<PathBuf> {
 
 /// The project and the folder that its paths start from.
 pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = bounded::read_to_string(path, "a project of a flight", bounded::TEXT_BYTES)?;
     let project =
         toml::from_str(&text).map_err(|e| Error::format(path, "the file", e.to_string().trim().replace('\n', " ")))?;
     Ok((project, path.parent().unwrap_or(Path::new(".")).to_path_buf()))
