@@ -195,6 +195,48 @@ fn the_nearest_view_wins_and_known_gains_come_back() {
 }
 
 #[test]
+fn smooth_surfaces_are_evened_out_and_seams_blended() {
+    let folder = Folder::new();
+    let scene = |e: f64, n: f64| 100.0 + 20.0 * (e / 97.0).sin() + 15.0 * (n / 73.0).cos();
+    let sources: Vec<PathBuf> = (0..2).map(|i| folder.at(&format!("s{i}.tif"))).collect();
+    write(&sources[0], CORNER, (160, 150), scene);
+    write(&sources[1], (CORNER.0 + 480.0, CORNER.1), (160, 150), |e, n| {
+        let (u, v) = (e / 800.0 - 1.0, n / 750.0 + 1.0);
+        1.1 * scene(e + 480.0, n) - 6.0 + 9.0 * u - 5.0 * v * v
+    });
+    let names = [text(&sources[0]), text(&sources[1])];
+    let out = folder.at("m.tif");
+    let balanced = |options: &[&str]| {
+        let fixed = ["-o", text(&out), "--overwrite", "--json", "--balance", "--balance-to", names[0]];
+        document(&autoref(&[&["mosaic"][..], &names[..], &fixed[..], options].concat()))
+    };
+    let page = folder.at("m.html");
+    let rms = |made: &Value| made["balance"]["overlaps"][0]["rms_after"].as_f64().expect("a number");
+    let (none, smooth) =
+        (balanced(&["--balance-surface", "none"]), balanced(&["--choose", "last", "--balance-page", text(&page)]));
+    assert!(rms(&smooth) < 0.2 * rms(&none), "{} of {}", rms(&smooth), rms(&none));
+    assert_eq!(
+        (smooth["balance"]["gains"][0][0].as_f64(), smooth["balance"]["offsets"][0][0].as_f64()),
+        (Some(1.0), Some(0.0))
+    );
+    assert!(std::fs::read_to_string(&page).expect("a page").contains("<svg"));
+
+    let jump = |row: &[f64]| row.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max);
+    let plain = |options: &[&str]| {
+        let fixed = ["-o", text(&out), "--overwrite"];
+        assert!(autoref(&[&["mosaic"][..], &names[..], &fixed[..], options].concat()).status.success());
+        let values = read(&out).0;
+        (jump(&values[60 * 208..61 * 208]), std::fs::read(&out).expect("readable"))
+    };
+    let (sharp, blended) = (plain(&[]), plain(&["--blend", "40"]));
+    assert!(blended.0 < 0.7 * sharp.0, "{} of {}", blended.0, sharp.0);
+    assert!(blended.1 == plain(&["--blend", "40", "--tile", "64", "--threads", "3"]).1, "the tiling changed the file");
+    let stranger =
+        autoref(&["mosaic", names[0], "-o", text(&out), "--overwrite", "--balance", "--balance-to", names[1]]);
+    assert_eq!(stranger.status.code(), Some(2));
+}
+
+#[test]
 fn geographic_cells_have_their_true_sides() {
     let folder = Folder::new();
     let (plane, degrees) = (folder.at("plane.tif"), folder.at("degrees.tif"));

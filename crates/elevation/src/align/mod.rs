@@ -208,7 +208,8 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
 fn in_metres(full: &Pair<'_>, fitted: &Fitted, sign: f64, a: &Grid, spreads: (Spread, Spread)) -> Alignment {
     let (state, frame, grid) = (&fitted.state, &full.frame, full.template.grid());
     let (mx, my) = full.unit.metres_per_unit(a.centre().1);
-    let shift = (sign * state.shift.0, sign * state.shift.1);
+    // A zero has no sign.
+    let shift = (sign * state.shift.0 + 0.0, sign * state.shift.1 + 0.0);
     let centre = (a.centre().0 + shift.0, a.centre().1 + shift.1);
     // Where the plane counts: in the template's own coordinates.
     let place = if sign > 0.0 { a.centre() } else { centre };
@@ -229,7 +230,7 @@ fn in_metres(full: &Pair<'_>, fitted: &Fitted, sign: f64, a: &Grid, spreads: (Sp
         east_se: error(3) / half_east,
         north_se: error(4) / half_north,
     });
-    let height = -sign * (state.plane[0] + state.plane[1] * u + state.plane[2] * v);
+    let height = -sign * (state.plane[0] + state.plane[1] * u + state.plane[2] * v) + 0.0;
     Alignment {
         shift,
         shift_m: [shift.0 * mx, shift.1 * my, height],

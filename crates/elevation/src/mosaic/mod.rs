@@ -1,9 +1,13 @@
 //! Many rasters joined into one: which source wins is decided cell by cell, tile by tile.
 
 mod balance;
+mod blend;
+mod graph;
+mod page;
 mod source;
 
-pub use balance::{Balance, Overlap};
+pub use balance::{Balance, Balancing, DifferenceMap, Overlap, Surface};
+pub use blend::WIDEST_BLEND_PX;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -67,7 +71,13 @@ pub struct MosaicJob<'a> {
     pub resolution: Option<f64>,
     pub write_index: Option<&'a Path>,
     pub use_index: Option<&'a Path>,
-    pub balance: bool,
+    pub balance: Option<Surface>,
+    /// The source that balancing leaves as it is; one of `inputs`.
+    pub balance_to: Option<&'a Path>,
+    /// Cells across which neighbours run into each other at a seam; 0 for a sharp one.
+    pub blend_px: u64,
+    /// A page that shows the overlaps before and after balancing.
+    pub page: Option<&'a Path>,
     pub resources: Resources,
 }
 
@@ -114,10 +124,12 @@ impl MosaicJob<'_> {
         self.resources.check()?;
         let (sources, grid) = source::open_all(self.inputs, &self.choice, self.resolution)?;
         let index = self.use_index.map(|path| source::open_index(path, &grid)).transpose()?;
-        let balance = if self.balance {
-            Some(balance::estimate(&sources, &grid, self.resampling, self.threads(&sources))?)
-        } else {
-            None
+        let balance = match self.balance {
+            Some(surface) => {
+                let balancing = Balancing { surface, reference: self.reference()? };
+                Some(balance::estimate(&sources, &grid, balancing, self.resampling, self.threads(&sources))?)
+            }
+            None => None,
         };
         let kind = sources[0].kind;
         let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
@@ -158,6 +170,10 @@ impl MosaicJob<'_> {
             })
         })
         .map(|()| CELLS.with(std::cell::RefCell::take))?;
+        if let (Some(path), Some(balance)) = (self.page, &balance) {
+            let footprints: Vec<_> = sources.iter().map(|s| (s.path.as_path(), s.grid)).collect();
+            page::write(path, &footprints, &grid, balance)?;
+        }
         Ok(Made {
             sources: sources
                 .iter()
@@ -178,9 +194,23 @@ impl MosaicJob<'_> {
         })
     }
 
+    fn reference(&self) -> Result<Option<usize>> {
+        let Some(path) = self.balance_to else { return Ok(None) };
+        let whole = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        let wanted = whole(path);
+        self.inputs.iter().position(|input| whole(input) == wanted).map(Some).ok_or_else(|| {
+            Error::usage(
+                format!("{} is to be balanced to, and is none of the sources", path.display()),
+                "name it among the sources, too",
+            )
+        })
+    }
+
     fn threads(&self, sources: &[Source]) -> usize {
-        // Tile, sources and companions, and the datasets that stay open.
-        let each = (24 << 20) + (sources[0].bands as u64) * (8 << 20);
+        // Tile, sources and companions, and the datasets that stay open; a tile that is blended sees its surroundings.
+        let halo = 2 * blend::halo_px(self.blend_px);
+        let grown = (512 + halo) * (256 + halo) / (512 * 256);
+        let each = (24 << 20) + (sources[0].bands as u64) * (8 << 20) * (1 + grown);
         let spare = self.resources.memory_budget_bytes.saturating_sub(128 << 20);
         self.resources.threads.clamp(1, (spare / each).max(1) as usize)
     }
@@ -262,6 +292,12 @@ impl Whole<'_> {
     }
 
     fn tile(&self, worker: &mut Worker, window: Window) -> Result<Option<Tile>> {
+        let blended = !matches!(self.job.choice, Choice::Median | Choice::Feather) || self.index.is_some();
+        if self.job.blend_px > 0 && blended { self.blended(worker, window) } else { self.chosen(worker, window) }
+    }
+
+    /// Each cell from the source that wins there.
+    fn chosen(&self, worker: &mut Worker, window: Window) -> Result<Option<Tile>> {
         let near: Vec<usize> = (0..self.sources.len()).filter(|&i| self.sources[i].meets(&self.grid, window)).collect();
         if near.is_empty() {
             return Ok(None);
@@ -287,16 +323,16 @@ impl Whole<'_> {
         let mut values = worker.opened.read(number, source, &self.grid, window, self.job.resampling)?;
         if let Some(balance) = self.balance {
             let area = window.area() as usize;
-            for (band, plane) in values.chunks_exact_mut(area).enumerate() {
-                let (gain, offset) = balance.of(number, band);
-                for value in plane.iter_mut().filter(|v| !v.is_nan()) {
-                    let balanced = gain * *value + offset;
-                    // A value that happens to become "nothing" is moved by one.
-                    *value = match source.nodata {
-                        Some(nodata) if source.whole_numbers() && balanced.round().max(0.0) == nodata => nodata + 1.0,
-                        _ => balanced,
-                    };
-                }
+            for (at, value) in values.iter_mut().enumerate().filter(|(_, v)| !v.is_nan()) {
+                let (band, cell) = (at / area, at as u64 % area as u64);
+                let x = (window.x + cell % window.width) as f64 + 0.5;
+                let y = (window.y + cell / window.width) as f64 + 0.5;
+                let balanced = balance.correct(number, band, (x, y), *value);
+                // A value that happens to become "nothing" is moved by one.
+                *value = match source.nodata {
+                    Some(nodata) if source.whole_numbers() && balanced.round().max(0.0) == nodata => nodata + 1.0,
+                    _ => balanced,
+                };
             }
         }
         Ok(values)

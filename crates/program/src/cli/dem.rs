@@ -372,7 +372,8 @@ fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         println!("{}", serde_json::to_string_pretty(&document(args, alignment, &found.couple))?);
         return Ok(ExitCode::SUCCESS);
     }
-    let [e, n, h] = alignment.shift_m;
+    // What is printed as zero has no sign.
+    let [e, n, h] = alignment.shift_m.map(|v| (v * 1e4).round() / 1e4 + 0.0);
     let error = |i: usize| alignment.covariance_m2[(i, i)].max(0.0).sqrt();
     println!(
         "Shift applied to A   east {e:.4} ± {:.4} m, north {n:.4} ± {:.4} m, height {h:.4} ± {:.4} m",
@@ -415,7 +416,7 @@ fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
     put("shift_n_m", number(found.shift_m[1]));
     put("shift_h_m", number(found.shift_m[2]));
     put("shift_x_px", number(found.shift.0 / grid.step_x));
-    put("shift_y_px", number(found.shift.1 / grid.step_y));
+    put("shift_y_px", number(found.shift.1 / grid.step_y + 0.0));
     let rows: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| found.covariance_m2[(i, j)]).collect()).collect();
     put("covariance_m2", json!(rows));
     for (i, key) in ["shift_e_se_m", "shift_n_se_m", "shift_h_se_m"].into_iter().enumerate() {
@@ -606,6 +607,9 @@ fn line(args: &ProfileArgs) -> anyhow::Result<()> {
         atomic::check_outputs(&[out], Existing::of_flag(args.overwrite))?;
     }
     let stations = profile::along(&args.models, &args.line.0, args.step)?;
+    if stations.iter().all(|station| station.heights_m.iter().all(Option::is_none)) {
+        bail!("no model has a height on this line; give it in the CRS of the first model (gdalinfo shows its extent)");
+    }
     let mut text = String::from("distance_m,x,y");
     for model in &args.models {
         text.push_str(&format!(",\"{}\"", model.display().to_string().replace('"', "\"\"")));

@@ -13,7 +13,7 @@ use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.
 const OUTPUTS: &[&str] =
-    &["output", "out", "html", "scratch", "write_dem", "write_gcps", "write_index", "profile_json"];
+    &["output", "out", "html", "scratch", "write_dem", "write_gcps", "write_index", "balance_page", "profile_json"];
 
 /// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
@@ -143,6 +143,7 @@ mod tests {
         "stable",
         "table",
         "to",
+        "balance_to",
         "use_index",
         "zones",
     ];

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use autoref_elevation::mosaic::{Choice, MosaicJob};
+use autoref_elevation::mosaic::{Choice, MosaicJob, Surface, WIDEST_BLEND_PX};
 use autoref_raster::atomic::{self, Existing};
-use clap::Args;
+use clap::{Args, ValueEnum};
 
 use crate::cli::dem::{ResamplingArg, ResourceArgs};
 
@@ -28,9 +28,21 @@ pub struct MosaicArgs {
     /// Take the sources from such a raster instead of choosing.
     #[arg(long, value_name = "FILE", conflicts_with = "write_index")]
     use_index: Option<PathBuf>,
-    /// Even out brightness between sources: a gain and an offset for each band, from their overlaps.
+    /// Even out brightness between sources, from their overlaps: a gain, an offset and a smooth surface for each band.
     #[arg(long)]
     balance: bool,
+    /// The surfaces of --balance: none (gains and offsets alone), linear or quadratic.
+    #[arg(long, value_enum, value_name = "DEGREE", default_value = "quadratic", requires = "balance")]
+    balance_surface: SurfaceArg,
+    /// The source that --balance leaves as it is, so that the others take on its brightness.
+    #[arg(long, value_name = "FILE", requires = "balance")]
+    balance_to: Option<PathBuf>,
+    /// A page (HTML) that shows how sources differ in their overlaps before and after --balance.
+    #[arg(long, value_name = "FILE", requires = "balance")]
+    balance_page: Option<PathBuf>,
+    /// Let sources run into each other at seams, across so many cells (0: sharp). Median and feather have no seams.
+    #[arg(long, value_name = "CELLS", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=WIDEST_BLEND_PX))]
+    blend: u64,
     /// How sources on other grids are brought onto the mosaic's.
     #[arg(long, value_enum, default_value = "bilinear")]
     resampling: ResamplingArg,
@@ -47,8 +59,27 @@ pub struct MosaicArgs {
     resources: ResourceArgs,
 }
 
+/// The degree of the surfaces.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum SurfaceArg {
+    None,
+    Linear,
+    Quadratic,
+}
+
+impl From<SurfaceArg> for Surface {
+    fn from(arg: SurfaceArg) -> Surface {
+        match arg {
+            SurfaceArg::None => Surface::None,
+            SurfaceArg::Linear => Surface::Linear,
+            SurfaceArg::Quadratic => Surface::Quadratic,
+        }
+    }
+}
+
 pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
-    let outputs: Vec<&Path> = std::iter::once(&args.out).chain(&args.write_index).map(PathBuf::as_path).collect();
+    let outputs = std::iter::once(&args.out).chain(&args.write_index).chain(&args.balance_page);
+    let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
     let job = MosaicJob {
         inputs: &args.inputs,
@@ -58,7 +89,10 @@ pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
         resolution: args.resolution,
         write_index: args.write_index.as_deref(),
         use_index: args.use_index.as_deref(),
-        balance: args.balance,
+        balance: args.balance.then(|| args.balance_surface.into()),
+        balance_to: args.balance_to.as_deref(),
+        blend_px: args.blend,
+        page: args.balance_page.as_deref(),
         resources: args.resources.resources(),
     };
     let made = job.run()?;
