@@ -236,7 +236,7 @@ fn options_that_make_no_sense_name_their_remedy() {
         ("--z", "5,1", "above"),
         ("--ground", "cell=0", "cell"),
         ("--ground", "cell=1e-9", "window"),
-        ("--ground", "cell=1e-6,window=1e-5", "--memory"),
+        ("--ground", "cell=1e-6,window=1e-5", "wider cell"),
         ("--ground", "window=1e9", "window"),
         ("--low", "foo", "foo"),
         ("--drop", "tree", "tree"),

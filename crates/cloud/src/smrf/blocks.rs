@@ -72,6 +72,11 @@ impl Blocks {
         Blocks { frame, lattice, origin: [cells(frame.west), cells(-frame.north)], slots: BTreeMap::new() }
     }
 
+    /// Cells of all blocks that there are.
+    pub fn cells(&self) -> u64 {
+        (self.slots.len() * self.lattice.block * self.lattice.block) as u64
+    }
+
     pub fn keys(&self) -> Vec<Key> {
         self.slots.keys().copied().collect()
     }

@@ -11,13 +11,19 @@ use rayon::prelude::*;
 use super::blocks::{Blocks, Coarse, Key, Lattice, Plane, Rect, check_window};
 use super::surface::{Frame, Surface};
 use super::{CELL_BYTES, Objects, Options, Spline, Terrain, cells, classify, inpaint, low_outliers, opening};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::tiles::{Scratch, Tiles};
 
 /// Cells around a block within which a spline forgets what lies beyond.
 const SPLINE_HALO: usize = 40;
 /// The reach of openings that are done in one go.
 const OPENING_HALO: usize = 128;
+/// Cells of blocks that any cloud may have, for points that lie far out.
+const FREE_CELLS: u64 = 64 << 20;
+/// Cells of blocks that each point may bring beyond those.
+const CELLS_A_POINT: u64 = 1 << 14;
+/// A cell of a plane on the scratch disk.
+const HEIGHT_BYTES: u64 = 8;
 /// Memory of a cell of an opening: the last surface, two steps of the next one, and marks.
 const OPENING_BYTES: u64 = 33;
 
@@ -66,6 +72,20 @@ pub fn ground(
     Ok(count)
 }
 
+/// Refuses cells so small that the blocks are all but empty: the scratch disk would fill with holes.
+fn check_spacing(blocks: &Blocks, points: u64) -> Result<()> {
+    let (cells, allowed) = (blocks.cells(), FREE_CELLS.saturating_add(points.saturating_mul(CELLS_A_POINT)));
+    if cells <= allowed {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("the ground surface of {points} points in cells of {} m", blocks.frame.cell_m),
+        needed: cells.saturating_mul(HEIGHT_BYTES),
+        allowed: allowed.saturating_mul(HEIGHT_BYTES),
+        remedy: "give --ground a wider cell, or crop far points first (--range-from, --crop, --outliers)".into(),
+    })
+}
+
 /// Splines of heights and slopes.
 struct Coefficients {
     heights: Plane,
@@ -88,6 +108,7 @@ impl Streamed {
             let points = tiles.load(tile)?;
             for (key, (rect, indices)) in blocks.groups(&points) {
                 blocks.open(key, &lowest, &tiles.scratch)?;
+                check_spacing(&blocks, tiles.points)?;
                 let mut surface = lowest.read(&tiles.scratch, &blocks, rect, |_, _| f64::NAN)?;
                 for index in indices {
                     let xyz = points[index as usize].xyz;

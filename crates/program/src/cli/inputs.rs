@@ -118,6 +118,7 @@ mod tests {
         "clouds",
         "colours",
         "dem",
+        "fiducials",
         "files",
         "folder",
         "frame",
