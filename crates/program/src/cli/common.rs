@@ -319,6 +319,21 @@ impl MarkSize {
     }
 }
 
+/// As the command line takes it: `10..20px`.
+impl std::fmt::Display for MarkSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            MarkSize::Pixels(low, high) => write!(f, "{low}..{high}px"),
+            MarkSize::Metres(low, high) => write!(f, "{low}..{high}m"),
+        }
+    }
+}
+
+/// The word of a choice on the command line.
+pub fn word_of(choice: impl clap::ValueEnum) -> String {
+    choice.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
 impl FromStr for MarkSize {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
@@ -517,6 +532,13 @@ pub fn write_text(path: &Path, text: &[u8], existing: Existing) -> anyhow::Resul
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_are_printed_as_they_are_read() {
+        for text in ["10..20px", "0.3..0.5m", "5.25..8.75px"] {
+            assert_eq!(text.parse::<MarkSize>().map(|size| size.to_string()).as_deref(), Ok(text));
+        }
+    }
 
     #[test]
     fn ground_sample_distances_as_people_write_them() {

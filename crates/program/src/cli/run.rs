@@ -29,7 +29,7 @@ use autoref_stream::result::{
 };
 use clap::Args;
 
-use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs};
+use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs, word_of};
 use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
@@ -245,9 +245,9 @@ fn json_path(request: &WriteRequest) -> PathBuf {
 fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     serde_json::json!({
         "profile": args.paint.of(&args.marks).profile,
-        "second_pass": format!("{:?}", args.second_pass).to_lowercase(),
-        "refine": format!("{:?}", args.refine).to_lowercase(),
-        "mark_size": args.marks.mark_size.map(|s| format!("{s:?}")),
+        "second_pass": word_of(args.second_pass),
+        "refine": word_of(args.refine),
+        "mark_size": args.marks.mark_size.map(|size| size.to_string()),
         "priors": job.priors,
         "max_false_alarms": args.matching.max_false_alarms,
         "allow_mirrored": args.matching.allow_mirrored,

@@ -7,6 +7,8 @@ use autoref_stream::matching::diagnosis::Mistake;
 use autoref_stream::result::RunResult;
 use clap::{Args, ValueEnum};
 
+use super::common::word_of;
+
 #[derive(Args, Debug)]
 pub struct WorkingCrsArgs {
     /// Whether --to-crs is applied to the points before the fit, or to the result after it.
@@ -59,7 +61,7 @@ impl Force {
 
     /// As the command line has it.
     pub fn name(self) -> String {
-        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+        word_of(self)
     }
 }
 
