@@ -9,6 +9,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::Candidate;
+use super::even;
 use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
@@ -73,6 +74,8 @@ pub struct Evidence {
     pub hopeless: bool,
     /// Contrast and fit are those of the local-background fit, against local ground.
     pub local: bool,
+    /// Judged by its even inside, on rough ground.
+    pub even: bool,
     pub area_px: f64,
     /// Sides of the outline, of four, that no edge in the picture supports.
     pub unsupported: f64,
@@ -121,7 +124,21 @@ fn measure_whole(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Evidence> {
-    let around = Some(Around { pixels, classifier });
+    let around = Around { pixels, classifier };
+    let looks = Looks { region, classifier, profile, gates };
+    let found = measure_against_ground(&looks, scene, around);
+    let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
+    let passes = found.as_ref().is_some_and(|found| looks.score(found) >= profile.examine.min_score);
+    if passes || !fits || !even::is_compact(region) {
+        return found;
+    }
+    looks.on_rough_ground(scene, around).or(found)
+}
+
+/// By how far paint stands out from the ground and what a fit leaves over.
+fn measure_against_ground(looks: &Looks<'_>, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
+    let Looks { region, classifier, profile, gates } = *looks;
+    let (pixels, around) = (around.pixels, Some(around));
     let mut evidence = measure_scene(scene, around, region, classifier, profile);
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
     let wide = (fits && evidence.contrast >= LEAST_CONTRAST).then(|| pixels.whole());
@@ -130,7 +147,6 @@ fn measure_whole(
     }
     let Some(wide) = wide else { return Some(evidence) };
     let Some(seen) = Scene::new(region, &wide, classifier, true) else { return Some(evidence) };
-    let looks = Looks { region, classifier, profile, gates };
     looks.widened(evidence, &seen, around)
 }
 
@@ -145,6 +161,26 @@ struct Looks<'a> {
 impl Looks<'_> {
     fn score(&self, evidence: &Evidence) -> f64 {
         if evidence.hopeless { f64::NEG_INFINITY } else { score(evidence, self.profile, self.gates) }
+    }
+
+    /// The evidence of what is even inside and has edges all around, where the ground is too rough for the other looks.
+    fn on_rough_ground(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
+        let (ground, paint) = (ring_ground(scene)?, plateau(scene));
+        let across = Across::between(&ground, paint);
+        if across.contrast < LEAST_CONTRAST {
+            return None;
+        }
+        let mut evidence = unfitted(self.region, paint, self.classifier, self.profile);
+        evidence.contrast = across.contrast;
+        let (shares, shape) = (across.shares(scene), self.profile.shape);
+        let fit = best_fit(scene, &shares, shape, 1.0 / across.contrast, f64::INFINITY)?;
+        let (open, unsupported) = whole::unsupported(scene, &shares, &fit);
+        if !even::is_even(&fit, unsupported, evidence.area_px) {
+            return None;
+        }
+        (evidence.even, evidence.unsupported) = (true, unsupported);
+        settle(&mut evidence, scene, Some(around), (fit, open), shape);
+        Some(evidence).filter(|evidence| self.score(evidence) >= self.profile.examine.min_score)
     }
 
     /// What has grown must pass the gates that a region passes.
@@ -326,6 +362,10 @@ fn candidate(
     if score.is_nan() || score < profile.examine.min_score {
         return None;
     }
+    let is_even = |fit: &Fit| even::is_even(fit, evidence.unsupported, evidence.area_px);
+    if profile.examine.even && !evidence.fit.as_ref().is_some_and(is_even) {
+        return None;
+    }
     Some(Candidate {
         centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },
         covariance_px2: Some(evidence.covariance_px2),
@@ -442,6 +482,7 @@ fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, pro
         refined: None,
         hopeless: false,
         local: false,
+        even: false,
         area_px,
         unsupported: 0.0,
         paint: byte.map(|v| (v * 255.0).round() as u8),
@@ -467,8 +508,6 @@ fn fit_shape(
     let rms_limit = SLACK * populations.largest_rms(contrast, min_score);
     let shares = shares();
     if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
-        let window = &scene.patch.window;
-        let mut place = Place::of(&best);
         let mut open = [0.0; 3];
         // Neither edges nor a better centre raise a score: clutter is not asked for them.
         if populations.likelihood_ratio(contrast, best.rms) >= min_score {
@@ -476,22 +515,36 @@ fn fit_shape(
         }
         let likely =
             best.rms <= rms_limit / SLACK && populations.score(contrast, best.rms, evidence.unsupported) >= min_score;
-        if let Some(around) = around.filter(|_| likely) {
-            let mut spread = [0.0; 3];
-            if let Some(other) = fit_in_linear_light(scene, evidence.local, profile.shape) {
-                (place, spread) = place.averaged_with(&best, &other);
-            }
-            evidence.refined = ring_ground(scene).and_then(|ground| {
-                refine(scene, &around.pixels.whole(), around.classifier, &best, (plateau(scene), &ground))
-            });
-            if let Some(refined) = &evidence.refined {
-                place = place.refined(&best, spread, refined);
-            }
-        }
-        evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
-        evidence.covariance_px2 = std::array::from_fn(|k| place.covariance_px2[k] + open[k]);
-        evidence.fit = Some(best);
+        settle(evidence, scene, around.filter(|_| likely), (best, open), profile.shape);
     }
+}
+
+/// Centre and covariance by the best fit and what its edges leave open; with `around`, by the fits in linear light and to the
+/// coefficients of a JPEG too.
+fn settle(
+    evidence: &mut Evidence,
+    scene: &Scene<'_>,
+    around: Option<Around<'_>>,
+    (best, open): (Fit, [f64; 3]),
+    shape: Shape,
+) {
+    let window = &scene.patch.window;
+    let mut place = Place::of(&best);
+    if let Some(around) = around {
+        let mut spread = [0.0; 3];
+        if let Some(other) = fit_in_linear_light(scene, evidence.local, shape) {
+            (place, spread) = place.averaged_with(&best, &other);
+        }
+        evidence.refined = ring_ground(scene).and_then(|ground| {
+            refine(scene, &around.pixels.whole(), around.classifier, &best, (plateau(scene), &ground))
+        });
+        if let Some(refined) = &evidence.refined {
+            place = place.refined(&best, spread, refined);
+        }
+    }
+    evidence.centre = (window.x as f64 + place.x, window.y as f64 + place.y);
+    evidence.covariance_px2 = std::array::from_fn(|k| place.covariance_px2[k] + open[k]);
+    evidence.fit = Some(best);
 }
 
 /// The fit to shares of paint in linear light, in which lenses mix; it weighs bright and dark ground otherwise.
@@ -611,6 +664,9 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
         && profile.shape != Shape::Cross
     {
         return f64::from(-50);
+    }
+    if evidence.even {
+        return even::SCORE;
     }
     Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
 }

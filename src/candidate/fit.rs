@@ -55,6 +55,8 @@ pub struct Fit {
     pub chi2: f64,
     /// Root mean square of what is left over, as a share of paint.
     pub rms: f64,
+    /// The same where the shape covers more than half of a pixel.
+    pub rms_inside: f64,
     /// Share of the samples' weight that the robust weights took away from the inside and the border of the mark.
     pub hidden: f64,
     /// Robust standard deviation of what is left over on the border.
@@ -108,6 +110,13 @@ impl Seen {
     /// Root mean square of what is left over, all samples alike.
     fn rms(&self) -> f64 {
         (self.left.iter().map(|r| r * r).sum::<f64>() / self.left.len() as f64).sqrt()
+    }
+
+    /// Root mean square of what is left over where the shape covers more than half of a pixel; 1 of no pixel.
+    fn rms_inside(&self) -> f64 {
+        let inside = self.left.iter().zip(&self.values).filter(|(_, v)| **v > 0.5);
+        let (sum, n) = inside.fold((0.0, 0.0), |(sum, n), (r, _)| (sum + r * r, n + 1.0));
+        if n > 0.0 { f64::sqrt(sum / n) } else { 1.0 }
     }
 
     /// Robust standard deviation of what is left over where the shape's value lies in a range.
@@ -329,6 +338,7 @@ fn report(problem: &Problem<'_>, p: &Vector, seen: &Seen) -> Option<Fit> {
         scatter_px2: scatter,
         chi2: chi2 / seen.left.len() as f64,
         rms: seen.rms(),
+        rms_inside: seen.rms_inside(),
         hidden: if all > 0.0 { lost / all } else { 0.0 },
         edge_sd: problem.edge_sd,
     })

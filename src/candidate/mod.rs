@@ -15,6 +15,7 @@ mod code;
 pub(crate) mod descent;
 #[cfg(test)]
 mod drawn;
+mod even;
 pub mod examine;
 pub mod fit;
 pub mod gates;

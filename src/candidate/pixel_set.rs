@@ -27,6 +27,10 @@ impl PixelSet {
     /// Those that are marked, rows of `width`.
     pub fn of(marked: &[bool], width: usize) -> PixelSet {
         let mut set = PixelSet::empty(width, marked.len() / width);
+        // Nearly always all of a window is there.
+        if marked.iter().fold(true, |all, &one| all & one) {
+            return set.complement();
+        }
         for (words, row) in set.words.chunks_exact_mut(set.stride).zip(marked.chunks_exact(width)) {
             for (word, marked) in words.iter_mut().zip(row.chunks(BITS)) {
                 *word = marked.chunks(8).enumerate().fold(0, |word, (k, eight)| word | packed(eight) << (8 * k));
@@ -373,6 +377,8 @@ mod tests {
             let b = PixelSet::from_fn(a.width, a.words.len() / a.stride, |i| (i as u64 ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 63 == 1);
             let marked: Vec<bool> = all(&b).map(|i| b.has(i)).collect();
             prop_assert_eq!(&PixelSet::of(&marked, b.width), &b);
+            let (every, height) = (vec![true; marked.len()], marked.len() / b.width);
+            prop_assert_eq!(PixelSet::of(&every, b.width), PixelSet::from_fn(b.width, height, |_| true));
             let mut bits = vec![0u64; marked.len().div_ceil(BITS)];
             b.iter().for_each(|i| bits[i / BITS] |= 1 << (i % BITS));
             prop_assert_eq!(&PixelSet::of_bits(&bits, b.width, marked.len() / b.width), &b);

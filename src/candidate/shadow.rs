@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::kernels::exp_of_negative;
 use super::pixel_set::PixelSet;
-use super::scene::{RING_PX, Scene, median};
+use super::scene::{RING_PX, Scene};
 use super::whole::LEAST_GROWTH;
 use autoref_raster::Patch;
 
@@ -18,43 +18,35 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     const LEAST_RATIO: f64 = 1.25;
     /// Least share of the region on either side.
     const LEAST_SHARE: f64 = 0.08;
-    /// Even light must explain most of what differs: a mark of two paints is not made one.
-    const MOST_LEFT_OVER: f64 = 0.35;
-    // Pixels that the border is mixed into have a brightness of their own.
-    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| core.count() >= 20)?;
+    /// Even light must explain nearly all of what differs: of marks in two lights it leaves up to a tenth, of worn, mixed or even
+    /// ones over a quarter.
+    const MOST_LEFT_OVER: f64 = 0.18;
+    // The outermost pixels are mixed with ground. A part in shadow may be no deeper than three pixels.
+    let core = Some(scene.own.shrunk(1)).filter(|core| core.count() >= 20)?;
     let mut seen: Vec<Seen> = Vec::with_capacity(core.count());
     core.for_each(|i| {
         let colour = scene.colour(i);
         seen.push(((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5, colour.sum() / 3.0, colour));
     });
-    let mut brightness: Vec<f64> = seen.iter().map(|s| s.2).collect();
-    let last = (brightness.len() - 1) as f64;
-    let mut at = |q: f64| *brightness.select_nth_unstable_by((last * q).round() as usize, f64::total_cmp).1;
-    if at(0.92) < LEAST_RATIO * at(0.08).max(1.0) {
+    if !differ(&seen, LEAST_RATIO, LEAST_SHARE) {
         return None;
     }
     // No line explains the paint better than this one.
     let first = Line::through(&seen, Grid::FINE).filter(|first| first.left_over(&seen) <= MOST_LEFT_OVER)?;
-    let paint = lit_paint(&seen, &first)?;
+    let paint = first.lights_of(&seen)?.1;
     // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the mark.
     let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
     // The paint alone is asked whether that is its border too.
     let own = |line: &Line| line.left_over(&seen) <= MOST_LEFT_OVER && line.parts(&seen) >= LEAST_SHARE;
     let line = line.into_iter().chain([first]).find(own)?;
-    let (lit, dark): (Vec<Seen>, Vec<Seen>) =
-        seen.iter().copied().filter(|s| line.out(s.0, s.1).abs() > 1.0).partition(|s| line.out(s.0, s.1) > 0.0);
-    if lit.len() < 3 || dark.len() < 3 {
-        return None;
-    }
-    let middle = |side: &[Seen], c: usize| median(side.iter().map(|s| s.3[c]).collect());
-    let pairs: [(f64, f64); 3] = std::array::from_fn(|c| (middle(&lit, c), middle(&dark, c)));
-    let of_paint = pairs.iter().map(|p| p.1).sum::<f64>() / pairs.iter().map(|p| p.0).sum::<f64>();
-    let all = of_paint.clamp(0.05, 1.0);
+    let (dark, lit) = line.lights_of(&seen)?;
+    let all = (dark.sum() / lit.sum()).clamp(0.05, 1.0);
     if all > 1.0 / LEAST_RATIO {
         return None;
     }
     // A band that the paint hardly has tells nothing of the light in it.
-    let ratio = pairs.map(|(lit, dark)| if lit > 60.0 { (dark / lit).clamp(0.7 * all, 1.4 * all) } else { all });
+    let of_band = |c: usize| if lit[c] > 60.0 { (dark[c] / lit[c]).clamp(0.7 * all, 1.4 * all) } else { all };
+    let ratio: [f64; 3] = std::array::from_fn(of_band);
     let mut patch = scene.patch.clone();
     let white = f64::from(patch.white);
     for (i, rgb) in patch.rgb.iter_mut().enumerate() {
@@ -143,6 +135,23 @@ impl Line {
         let lights = seen.iter().map(|s| (self.light(s.0, s.1), s.2));
         let (left, total) = unexplained(lights);
         if total > 0.0 { left / total } else { 1.0 }
+    }
+
+    /// Colours of the paint in the shadow and in the light: a regression on the light, so that few pixels of a side are enough.
+    fn lights_of(&self, seen: &[Seen]) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
+        let (mut of_dark, mut of_lit) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+        for (x, y, _, colour) in seen {
+            let lit = self.light(*x, *y);
+            let dark = 1.0 - lit;
+            (aa, ab, bb) = (aa + dark * dark, ab + dark * lit, bb + lit * lit);
+            of_dark += colour * dark;
+            of_lit += colour * lit;
+        }
+        let det = aa * bb - ab * ab;
+        let at = |v: Vector3<f64>| v.map(|v| v.max(0.0));
+        (det > 1e-6 * (aa + bb).powi(2) && aa > 0.5 && bb > 0.5)
+            .then(|| (at((of_dark * bb - of_lit * ab) / det), at((of_lit * aa - of_dark * ab) / det)))
     }
 
     /// The smaller share of the pixels on either side.
@@ -248,7 +257,7 @@ struct Grid {
 }
 
 impl Grid {
-    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0, most_left_over: 0.5 };
+    const FINE: Grid = Grid { angles: 32, step_px: 0.5, reach: 1.0, most_left_over: 0.4 };
     /// For many pixels about the mark, through which the line goes.
     const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4, most_left_over: 1.0 };
 }
@@ -268,11 +277,13 @@ fn unexplained(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     (if var > 1e-6 && both > 0.0 { (total - both * both / var).max(0.0) } else { total }, total)
 }
 
-/// Colour of the paint in the light.
-fn lit_paint(seen: &[Seen], line: &Line) -> Option<Vector3<f64>> {
-    let lit: Vec<&Seen> = seen.iter().filter(|s| line.out(s.0, s.1) > 1.0).collect();
-    let band = |c: usize| median(lit.iter().map(|s| s.3[c]).collect());
-    (lit.len() >= 3).then(|| Vector3::new(band(0), band(1), band(2)))
+/// Whether so small a share of the pixels in a light weaker by this ratio could make brightnesses differ so much.
+fn differ(seen: &[Seen], ratio: f64, share: f64) -> bool {
+    let n = seen.len() as f64;
+    let mean = seen.iter().map(|s| s.2).sum::<f64>() / n;
+    let variance = seen.iter().map(|s| (s.2 - mean).powi(2)).sum::<f64>() / n;
+    let least = (1.0 - 1.0 / ratio).powi(2) * share * (1.0 - share) * mean * mean;
+    variance >= least
 }
 
 /// Colour of the ground in the light, in the ring around the mark.

@@ -354,6 +354,7 @@ mod tests {
             scatter_px2: [0.01, 0.0, 0.01],
             chi2: 1.0,
             rms: 0.1,
+            rms_inside: 0.03,
             hidden: 0.0,
             edge_sd: 0.08,
         };

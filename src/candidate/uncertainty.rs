@@ -169,6 +169,7 @@ mod tests {
             scatter_px2: scatter,
             chi2: 1.0,
             rms,
+            rms_inside: 0.03,
             hidden: 0.0,
             edge_sd: 0.03,
         }

@@ -340,6 +340,8 @@ pub struct Examine {
     pub order: Ordering,
     /// Take regions that may be several marks apart; taught profiles do.
     pub split: bool,
+    /// Keep only what is even inside and has an edge all around: for paints without a hue, whose colour much else has.
+    pub even: bool,
 }
 
 impl Default for Examine {
@@ -354,6 +356,7 @@ impl Default for Examine {
             min_distance_px: 0.0,
             order: Ordering::Raster,
             split: false,
+            even: false,
         }
     }
 }

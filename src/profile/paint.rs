@@ -92,6 +92,7 @@ impl Profile {
             profile.colour.clouds.push(spec);
         }
         profile.colour.limit = 2.7;
+        profile.examine.even = false;
         profile
     }
 }
@@ -136,7 +137,7 @@ fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
         shape: Shape::Any,
         gates: GateLimits::default(),
         filters: Filters::default(),
-        examine: Examine::default(),
+        examine: Examine { even: !has_hue, ..Examine::default() },
         target: Target::default(),
         tag: None,
         learned: None,
