@@ -5,7 +5,7 @@
 //! was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the other looks turned down, white and worn, and
 //! of 730 other regions that they turned down it takes 2.
 
-use super::fit::Fit;
+use super::fit::{Fit, Form};
 use super::gates::central_moments;
 use crate::segment::label::Region;
 
@@ -27,18 +27,21 @@ pub(super) fn is_compact(region: &Region) -> bool {
         && middle + half_gap <= MOST_ASPECT * MOST_ASPECT * (middle - half_gap)
 }
 
-/// Whether a fit says so: an even inside, sides alike, a full step at every edge, and as large as what colour found.
+/// Whether a fit says so: an even inside, sides alike, a full step at every edge, and about as large as what colour found.
 pub(super) fn is_even(fit: &Fit, unsupported: f64, area_px: f64) -> bool {
     const MOST_INSIDE: f64 = 0.075;
     const MOST_EDGE: f64 = 0.12;
     const MOST_UNSUPPORTED: f64 = 0.05;
+    /// Colour finds the middle of a blurred mark only: of 12 px with a blur of 2 px, half.
+    const LEAST_OF_AREA: f64 = 0.42;
     let [a, b] = fit.sides_px;
+    let outline_px = a * b * if fit.form == Form::Disc { std::f64::consts::FRAC_PI_4 } else { 1.0 };
     fit.rms_inside <= MOST_INSIDE
         && fit.edge_sd <= MOST_EDGE
         && unsupported <= MOST_UNSUPPORTED
         && (a / b).ln().abs() <= 0.2
         && (fit.height - 1.0).abs() <= 0.15
-        && (0.6..=1.2).contains(&(area_px / (a * b)))
+        && (LEAST_OF_AREA..=1.2).contains(&(area_px / outline_px))
 }
 
 #[cfg(test)]

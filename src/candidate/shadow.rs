@@ -66,7 +66,12 @@ pub(super) fn grown_into_shade(scene: &Scene<'_>, paint: Vector3<f64>) -> Option
     const MOST_GROWTH: usize = 4;
     /// Darker paint than this cannot be told from what is black.
     const LEAST_LIGHT: f64 = 0.2;
+    /// Squared sine of the angle between two colours, below which one is the other in a weaker light: white and grey.
+    const LEAST_APART: f64 = 0.03;
     let ground = scene.statistics(&scene.ring(RING_PX))?.mean;
+    if 1.0 - paint.dot(&ground).powi(2) / (paint.norm_squared() * ground.norm_squared()) < LEAST_APART {
+        return None;
+    }
     let like = |i: usize| {
         let (of_paint, of_ground) = mixture(scene.colour(i), paint, ground);
         of_paint > of_ground && (LEAST_LIGHT..1.2).contains(&(of_paint + of_ground))
