@@ -3,7 +3,8 @@
 use autoref_raster::mask::Mask;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, PixelRow, SampleType, Samples};
-use autoref_stream::candidate::examine::{measure, score};
+use autoref_stream::candidate::examine::measure;
+use autoref_stream::candidate::score::score;
 use autoref_stream::candidate::split::examine_parts;
 use autoref_stream::candidate::{Candidate, Gates, examine, finish, patch_margin_px};
 use autoref_stream::profile::Profile;

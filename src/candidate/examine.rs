@@ -6,17 +6,18 @@
 //! in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]). The answer depends on
 //! nothing but the patch, so no tiling can change it.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
-use super::fit::{Fit, Form, Priors, fit, start_cost};
+use super::fit::Fit;
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
-use super::kernels::{Sample, Samples};
 use super::local::{Growth, Local};
+use super::paint_share::{Across, best_fit, plateau, ring_ground};
 use super::pixel_set::PixelSet;
-use super::scene::{Ground, RING_PX, Scene};
+use super::scene::{RING_PX, Scene};
+use super::score::{Populations, score};
 use super::shadow::{self, Relit};
 use super::split::region_of;
 use super::two_lights;
@@ -27,13 +28,6 @@ use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::{Patch, Pixels};
-
-/// The fit sees this far outside the region.
-const FIT_REACH_PX: usize = 4;
-/// And this far inside: deeper pixels of a large mark say nothing about its place.
-const FIT_DEPTH_PX: usize = 6;
-/// The fit starts from the centroid of what is so near.
-const START_REACH_PX: usize = 2;
 
 /// A first fit may leave this much more over than the last may.
 const SLACK: f64 = 1.5;
@@ -460,14 +454,6 @@ pub(super) fn measure_scene(
     evidence
 }
 
-/// The ground in the ring around the region.
-fn ring_ground(scene: &Scene<'_>) -> Option<Ground> {
-    scene.statistics(&scene.ring(RING_PX)).or_else(|| {
-        // Crowded or cut off: whatever is near and not paint.
-        scene.statistics(&scene.valid.minus(&scene.own.grown(1)).minus(&scene.other))
-    })
-}
-
 /// What is known before anything is compared with the ground.
 fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, profile: &Profile) -> Evidence {
     let byte = [plateau[0], plateau[1], plateau[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
@@ -559,197 +545,4 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
         (across.shares(&scene), across.contrast)
     };
     best_fit(&scene, &shares, shape, 1.0 / contrast.max(1.0), f64::INFINITY)
-}
-
-/// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
-fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
-    // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
-    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| !core.is_empty());
-    scene.median_colour(core.as_ref().unwrap_or(&scene.own))
-}
-
-/// Fisher's direction from ground to paint.
-struct Across {
-    direction: Vector3<f64>,
-    /// Of the mean ground along it.
-    origin: f64,
-    /// Mahalanobis distance between the two.
-    contrast: f64,
-}
-
-impl Across {
-    fn between(ground: &Ground, plateau: Vector3<f64>) -> Across {
-        // Sensor noise and JPEG: 3 levels, so that flat ground does not make the direction arbitrary.
-        let noise = ground.covariance + Matrix3::identity() * 9.0;
-        let step = plateau - ground.mean;
-        let inverse = noise.cholesky().map_or_else(Matrix3::identity, |c| c.inverse());
-        let direction = inverse * step;
-        let contrast2 = direction.dot(&step).max(1e-9);
-        let origin = direction.dot(&ground.mean) / contrast2;
-        Across { direction: direction / contrast2, origin, contrast: contrast2.sqrt() }
-    }
-
-    /// Share of paint in each pixel: 0 on the mean ground, 1 on the plateau.
-    fn shares(&self, scene: &Scene<'_>) -> Vec<f64> {
-        scene.along(self.direction, self.origin)
-    }
-}
-
-fn best_fit(scene: &Scene<'_>, shares: &[f64], shape: Shape, ground_sd: f64, rms_limit: f64) -> Option<Fit> {
-    let mut samples = Samples::default();
-    let (mut sum, mut sx, mut sy) = (0.0, 0.0, 0.0);
-    let hidden = scene.beside_other().minus(&scene.own);
-    let near = |reach_px: usize| scene.own.grown(reach_px).and(&scene.valid).minus(&hidden);
-    let middle = |i: usize| ((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
-    for i in near(FIT_REACH_PX).minus(&scene.own.shrunk(FIT_DEPTH_PX)).iter() {
-        let (x, y) = middle(i);
-        samples.push(Sample { x, y, share: shares[i] });
-    }
-    for i in near(START_REACH_PX).iter() {
-        let ((x, y), s) = (middle(i), shares[i].clamp(0.0, 1.0));
-        sum += s;
-        sx += s * x;
-        sy += s * y;
-    }
-    if sum < 1.0 {
-        return None;
-    }
-    let start = (sx / sum, sy / sum);
-    let side = sum.sqrt();
-    let aspect = if matches!(shape, Shape::Any | Shape::Square | Shape::Disc) { 0.1 } else { 0.4 };
-    let priors =
-        Priors { aspect, blur: 0.4, blur_px: 1.2, height: 0.3, slope: 0.02, ground_sd: ground_sd.clamp(0.01, 0.5) };
-    // A square's angle repeats after a quarter turn. The form and angle that fit best before any descent are descended
-    // from; for the centre it does not matter when a small blurred disc is taken for a square.
-    let quarter = std::f64::consts::FRAC_PI_8;
-    let starts =
-        (0..4).map(|k| (Form::Rectangle, f64::from(k) * quarter, side)).chain([(Form::Disc, 0.0, side * 1.128)]);
-    let nearest = |starts: &mut dyn Iterator<Item = (Form, f64, f64)>| {
-        starts
-            .map(|s| (start_cost(s.0, &samples, start, s.2, s.1, &priors), s))
-            .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map(|(_, s)| s)
-    };
-    let fitted = |(form, angle, side): (Form, f64, f64)| fit(form, &samples, start, side, angle, priors, rms_limit);
-    let allowed = |s: &(Form, f64, f64)| match shape {
-        Shape::Square => s.0 == Form::Rectangle,
-        Shape::Disc => s.0 == Form::Disc,
-        _ => true,
-    };
-    let chosen = nearest(&mut starts.clone().filter(allowed))?;
-    let first = fitted(chosen)?;
-    if chosen.0 != Form::Disc || shape == Shape::Disc || first.rms > rms_limit {
-        return Some(first);
-    }
-    // Half covered, a square lies as near to a disc as to itself.
-    let square = nearest(&mut starts.filter(|s| s.0 == Form::Rectangle)).and_then(fitted);
-    Some(square.filter(|square| square.rms < first.rms).unwrap_or(first))
-}
-
-/// Log-likelihood ratio of "mark" against "something else of this colour", natural logarithm.
-///
-/// Two measurements, the contrast with the ground beside it and what the fit leaves over, each as a logarithm; their joint
-/// distribution is taken as Gaussian for marks (50,000 planted under all conditions of the benchmark) and for clutter (1,068
-/// regions of this colour in eight real photographs). Beyond the mark's own mean more contrast or a better fit
-/// does not count further. A candidate that no shape could be fitted to (no ground around it) has ratio 0.
-pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
-    let Some(fit) = &evidence.fit else { return 0.0 };
-    let (low, high) = gates.mark_side_px();
-    let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
-    // A shape that is not as large as any mark has no likelihood as one; the margin is the fit's own uncertainty.
-    if side < 0.6 * low || side > 1.25 * high + 1.0 {
-        return f64::from(-50);
-    }
-    if fit.sides_px[0].max(fit.sides_px[1]) > 2.0 * fit.sides_px[0].min(fit.sides_px[1])
-        && profile.shape != Shape::Cross
-    {
-        return f64::from(-50);
-    }
-    if evidence.even {
-        return even::SCORE;
-    }
-    Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
-}
-
-/// From better than any fit to as bad as none, rising.
-fn ln_rms_steps() -> impl Iterator<Item = f64> {
-    (0..=40).map(|i| -4.0 + 0.1 * f64::from(i))
-}
-
-/// A Gaussian over (ln contrast, ln rms).
-struct Population {
-    mean: [f64; 2],
-    /// Variances and covariance: 00, 01, 11.
-    covariance: [f64; 3],
-}
-
-/// Marks and what else has their colour, as one of the looks sees them.
-struct Populations {
-    mark: Population,
-    clutter: Population,
-}
-
-const RING_LOOK: Populations = Populations {
-    mark: Population { mean: [3.23, -3.45], covariance: [0.126, -0.071, 0.107] },
-    clutter: Population { mean: [0.99, -1.40], covariance: [0.212, -0.082, 0.280] },
-};
-/// Both of what the ring's look turned down: 137 marks and 157 regions of clutter.
-const LOCAL_LOOK: Populations = Populations {
-    mark: Population { mean: [3.015, -3.106], covariance: [0.076, -0.048, 0.148] },
-    clutter: Population { mean: [1.881, -1.586], covariance: [0.159, -0.064, 0.282] },
-};
-
-impl Populations {
-    fn of(local: bool) -> &'static Populations {
-        if local { &LOCAL_LOOK } else { &RING_LOOK }
-    }
-
-    /// Less for so many sides of an outline that no edge supports.
-    fn score(&self, contrast: f64, rms: f64, unsupported: f64) -> f64 {
-        // A side without an edge is worth as much as most of what a mark gains by its contrast.
-        const PER_SIDE: f64 = 4.0;
-        self.likelihood_ratio(contrast, rms) - PER_SIDE * unsupported
-    }
-
-    fn likelihood_ratio(&self, contrast: f64, rms: f64) -> f64 {
-        self.logarithmic_ratio()(contrast.max(0.1).ln(), rms.max(1e-4).ln())
-    }
-
-    /// Of the logarithms of a contrast and a root mean square.
-    fn logarithmic_ratio(&self) -> impl Fn(f64, f64) -> f64 {
-        let (mark, clutter) = (self.mark.log_density(), self.clutter.log_density());
-        let [most_contrast, least_rms] = self.mark.mean;
-        move |ln_contrast, ln_rms| {
-            let at = [ln_contrast.min(most_contrast), ln_rms.max(least_rms)];
-            mark(at) - clutter(at)
-        }
-    }
-
-    /// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly fit.
-    fn best_possible_score(&self, contrast: f64) -> f64 {
-        let ln_contrast = contrast.max(0.1).ln();
-        let ratio = self.logarithmic_ratio();
-        ln_rms_steps().map(|ln_rms| ratio(ln_contrast, ln_rms)).fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// What a fit may leave over at most to reach `min_score` at this contrast.
-    fn largest_rms(&self, contrast: f64, min_score: f64) -> f64 {
-        let ln_contrast = contrast.max(0.1).ln();
-        let ratio = self.logarithmic_ratio();
-        let enough = |ln_rms: &f64| ratio(ln_contrast, *ln_rms) >= min_score;
-        ln_rms_steps().filter(enough).last().map_or(0.0, f64::exp)
-    }
-}
-
-impl Population {
-    /// At (ln contrast, ln rms). What all places share is worked out once: every region asks at 41 places.
-    fn log_density(&self) -> impl Fn([f64; 2]) -> f64 {
-        let ([a, b, c], mean) = (self.covariance, self.mean);
-        let det = a * c - b * b;
-        let (half_ln_det, ln_tau) = (0.5 * det.ln(), std::f64::consts::TAU.ln());
-        move |at| {
-            let (x, y) = (at[0] - mean[0], at[1] - mean[1]);
-            -0.5 * (c * x * x - 2.0 * b * x * y + a * y * y) / det - half_ln_det - ln_tau
-        }
-    }
 }

@@ -4,10 +4,11 @@
 //! goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine_part, examine_whole, measure_scene, near, score};
+use super::examine::{examine_part, examine_whole, measure_scene, near};
 use super::gates::Gates;
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
+use super::score::score;
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;

@@ -9,6 +9,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+mod check;
 pub mod colour;
 mod family;
 pub mod mixing;
@@ -473,16 +474,6 @@ impl Profile {
         toml::to_string(self).expect("every field of a profile has a TOML form")
     }
 
-    /// Everything that makes a profile usable: finite numbers, positive definite covariances, sizes in order.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] naming the field.
-    pub fn validate(&self) -> Result<()> {
-        self.check().map_err(|(place, what)| {
-            Error::usage(format!("profile \"{}\": {place}: {what}", self.name), "correct the profile")
-        })
-    }
-
     /// A black and white target, found by shape in grey (coded ones too), instead of paint.
     pub fn is_target(&self) -> bool {
         match self.shape {
@@ -490,79 +481,6 @@ impl Profile {
             Shape::Cross => self.colour.is_empty(),
             Shape::Any | Shape::Square | Shape::Disc => false,
         }
-    }
-
-    fn check(&self) -> std::result::Result<(), (&'static str, String)> {
-        if (self.shape == Shape::Tag) != self.tag.is_some() {
-            return Err(("tag", "shape = \"tag\" and [tag] go together".into()));
-        }
-        if self.is_target() {
-            self.check_target()?;
-        } else {
-            self.check_colour()?;
-        }
-        self.check_rest()
-    }
-
-    fn check_target(&self) -> std::result::Result<(), (&'static str, String)> {
-        if !self.colour.is_empty() {
-            return Err(("colour", "checkers, hourglasses and tags are found by shape: leave [colour] out".into()));
-        }
-        if !(0.02..=1.0).contains(&self.target.min_contrast) {
-            return Err(("target.min_contrast", format!("{} is not in 0.02..=1", self.target.min_contrast)));
-        }
-        Ok(())
-    }
-
-    fn check_colour(&self) -> std::result::Result<(), (&'static str, String)> {
-        let colour = &self.colour;
-        if !(colour.limit.is_finite() && colour.limit > 0.0) {
-            return Err(("colour.limit", format!("{} is not a positive number", colour.limit)));
-        }
-        if colour.clouds.is_empty() {
-            return Err(("colour.clouds", "at least one colour cloud is needed".into()));
-        }
-        self.clouds().map_err(|index| {
-            ("colour.clouds", format!("the covariance of cloud {index} is singular or not positive definite"))
-        })?;
-        if let Some(rough) = &colour.rough {
-            let fine = rough.limit.is_finite() && rough.limit > 0.0;
-            if !fine || Cloud::new(rough.mean, rough.covariance, rough.metric).is_none() {
-                return Err(("colour.rough", "the limit must be positive, the covariance positive definite".into()));
-            }
-        }
-        if let Some(b) = &colour.rough_box
-            && !(0..3).all(|i| b.low[i].is_finite() && b.high[i].is_finite() && b.low[i] <= b.high[i])
-        {
-            return Err(("colour.rough_box", "each low must be finite and at most its high".into()));
-        }
-        Ok(())
-    }
-
-    fn check_rest(&self) -> std::result::Result<(), (&'static str, String)> {
-        self.gates.check()?;
-        self.examine.check()?;
-        let size = &self.size;
-        for (place, low, high) in [("size.max_px", size.min_px, size.max_px), ("size.max_m", size.min_m, size.max_m)] {
-            if [low, high].into_iter().flatten().any(|v| !(v.is_finite() && v > 0.0)) {
-                return Err((place, "sizes must be positive numbers".into()));
-            }
-            if let (Some(low), Some(high)) = (low, high)
-                && low > high
-            {
-                return Err((place, format!("the smallest size {low} is above the largest {high}")));
-            }
-        }
-        if size.max_px.is_none() && size.max_m.is_none() {
-            return Err(("size", "max_px or max_m is needed".into()));
-        }
-        if size.max_px.is_some_and(|v| v > 4096.0) {
-            return Err(("size.max_px", "marks above 4096 px are not supported".into()));
-        }
-        if self.filters.closing_radius_px > 64 || self.filters.opening_radius_px > 64 {
-            return Err(("filters", "radii above 64 px are not supported".into()));
-        }
-        Ok(())
     }
 
     /// The clouds ready for use; on failure the index of the singular one.
@@ -598,37 +516,6 @@ impl Profile {
     }
 }
 
-/// One fresh paint of each shipped profile, in full sun: of those that `tools/derive_profiles.rs` makes the clouds from,
-/// but for orange, which is the benchmark's.
-const FRESH: [(&str, [u8; 3]); 6] = [
-    ("orange", [255, 110, 20]),
-    ("pink", [255, 20, 147]),
-    ("green", [0, 230, 60]),
-    ("yellow", [255, 230, 0]),
-    ("blue", [0, 80, 255]),
-    ("white-on-dark", [255, 255, 255]),
-];
-
-impl Profile {
-    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
-    /// or the middle of the first cloud.
-    pub fn fresh_paint(&self) -> [u8; 3] {
-        let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
-        if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
-            return *paint;
-        }
-        if let Some(paint) = paint::fresh(&self.name) {
-            return paint;
-        }
-        match (&self.learned, self.colour.clouds.first(), self.colour.space) {
-            (Some(learned), _, _) => byte(learned.mean_srgb),
-            (None, Some(cloud), Space::Rgb) => byte(cloud.mean),
-            (None, Some(cloud), Space::Lab) => byte(colour::srgb_from_lab(cloud.mean)),
-            (None, None, _) => FRESH[0].1,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -646,7 +533,7 @@ mod tests {
 
     #[test]
     fn the_fresh_paint_of_every_shipped_paint_is_paint() {
-        for (name, _) in FRESH {
+        for (name, _) in paint::FRESH {
             let profile = Profile::builtin(name).expect("shipped");
             let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
             let distance = test.nearest2(profile.fresh_paint().map(|v| f64::from(v) / 255.0)).sqrt();

@@ -3,6 +3,7 @@
 //! The clouds are those of the mixing model ([`super::mixing`]) for the paint itself, fresh and worn. sRGB values of RAL colours differ
 //! from table to table; both that are in wide use are taken.
 
+use super::colour::Space;
 use super::mixing::{Mixing, cloud, population};
 use super::{CloudSpec, ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
 
@@ -141,6 +142,37 @@ fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
         target: Target::default(),
         tag: None,
         learned: None,
+    }
+}
+
+/// One fresh paint of each shipped profile, in full sun: of those that `tools/derive_profiles.rs` makes the clouds from,
+/// but for orange, which is the benchmark's.
+pub(super) const FRESH: [(&str, [u8; 3]); 6] = [
+    ("orange", [255, 110, 20]),
+    ("pink", [255, 20, 147]),
+    ("green", [0, 230, 60]),
+    ("yellow", [255, 230, 0]),
+    ("blue", [0, 80, 255]),
+    ("white-on-dark", [255, 255, 255]),
+];
+
+impl Profile {
+    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
+    /// or the middle of the first cloud.
+    pub fn fresh_paint(&self) -> [u8; 3] {
+        let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
+        if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {
+            return *paint;
+        }
+        if let Some(paint) = fresh(&self.name) {
+            return paint;
+        }
+        match (&self.learned, self.colour.clouds.first(), self.colour.space) {
+            (Some(learned), _, _) => byte(learned.mean_srgb),
+            (None, Some(cloud), Space::Rgb) => byte(cloud.mean),
+            (None, Some(cloud), Space::Lab) => byte(super::colour::srgb_from_lab(cloud.mean)),
+            (None, None, _) => FRESH[0].1,
+        }
     }
 }
 

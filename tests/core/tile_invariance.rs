@@ -161,7 +161,8 @@ mod files {
         {
             let path = folder.path().join(format!("{i}.tif"));
             synth::write(&spec(layout, codec, size), &path).expect("a sample");
-            for reader in [ReaderChoice::Native, ReaderChoice::Gdal] {
+            let mapped = (codec == Compression::None).then_some(ReaderChoice::Mapped);
+            for reader in [ReaderChoice::Native, ReaderChoice::Gdal].into_iter().chain(mapped) {
                 let tilings =
                     [(Some(100_000), 1), (Some(256), 2), (Some(256), 1), (Some(1000), 2), (Some(4096), 2), (None, 2)];
                 // Every layout, codec and reader meets one whole tile and small ones; the first meets all tilings.

@@ -69,15 +69,24 @@ pub enum ReaderChoice {
     #[default]
     Auto,
     Native,
+    /// Native, with uncompressed blocks of bytes as views of the file instead of copies: several programs that read one file
+    /// share its pages. A file that another program cuts off meanwhile ends the process with a signal.
+    Mapped,
     Gdal,
 }
 
 impl ReaderChoice {
+    /// Nothing is passed on to GDAL.
+    fn is_native(self) -> bool {
+        matches!(self, ReaderChoice::Native | ReaderChoice::Mapped)
+    }
+
     /// As the command line and the JSON write it.
     pub fn name(self) -> &'static str {
         match self {
             ReaderChoice::Auto => "auto",
             ReaderChoice::Native => "native",
+            ReaderChoice::Mapped => "mapped",
             ReaderChoice::Gdal => "gdal",
         }
     }

@@ -20,7 +20,7 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
     gdal::initialise_gdal(cache_bytes);
     let local = !path.to_string_lossy().starts_with("/vsi");
     if !local {
-        if choice == ReaderChoice::Native {
+        if choice.is_native() {
             return Err(Error::usage(
                 format!("{}: the native reader reads local files only", path.display()),
                 "use --reader auto or gdal",
@@ -29,7 +29,7 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
         return Ok(Arc::new(gdal::open_gdal(path, page, cache_bytes)?));
     }
     if mosaic::is_mosaic(path) {
-        if choice == ReaderChoice::Native {
+        if choice.is_native() {
             return Err(Error::unsupported(path, "tiles by the native reader", "use --reader auto or gdal"));
         }
         let name = gdal_name(path, page)?;
@@ -37,7 +37,7 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
     }
     check_file(path)?;
     if !tiff::is_tiff(path)? {
-        if choice == ReaderChoice::Native {
+        if choice.is_native() {
             return Err(Error::unsupported(path, "not a TIFF file", "use --reader auto or gdal"));
         }
         if page > 0 {
@@ -51,15 +51,17 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
     // Walked for GDAL as well: it alone knows which directory the page is, and refuses cycles.
     let directories = tiff::Directories::read(path)?;
     let directory = directories.page(page)?;
-    let native_error = match choice {
+    let opened = match choice {
         ReaderChoice::Gdal => return Ok(Arc::new(gdal::open_gdal(path, directory, cache_bytes)?)),
-        ReaderChoice::Auto | ReaderChoice::Native => match tiff::open(&directories, directory, cache_bytes) {
-            Ok(source) => return Ok(Arc::new(source)),
-            Err(error) => error,
-        },
+        ReaderChoice::Mapped => tiff::open_mapped(&directories, directory, cache_bytes),
+        ReaderChoice::Auto | ReaderChoice::Native => tiff::open(&directories, directory, cache_bytes),
+    };
+    let native_error = match opened {
+        Ok(source) => return Ok(Arc::new(source)),
+        Err(error) => error,
     };
     let can_pass = matches!(native_error, Error::Unsupported { .. } | Error::Limit { .. });
-    if choice == ReaderChoice::Native || !can_pass {
+    if choice.is_native() || !can_pass {
         return Err(native_error);
     }
     tracing::info!("the native reader passes on to GDAL: {native_error}");

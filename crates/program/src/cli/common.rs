@@ -206,6 +206,8 @@ impl GcpArgs {
 pub enum ReaderArg {
     Auto,
     Native,
+    /// Native, uncompressed blocks as views of the file: for several runs at once on one file.
+    Mapped,
     Gdal,
 }
 
@@ -214,6 +216,7 @@ impl ReaderArg {
         match self {
             ReaderArg::Auto => ReaderChoice::Auto,
             ReaderArg::Native => ReaderChoice::Native,
+            ReaderArg::Mapped => ReaderChoice::Mapped,
             ReaderArg::Gdal => ReaderChoice::Gdal,
         }
     }
