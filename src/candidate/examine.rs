@@ -352,7 +352,9 @@ fn candidate(
     if let Some((x, y)) = super::prototype_options::plain_centre(scene, classifier, profile) {
         evidence.centre = (x, y);
     }
-    let score = score(&evidence, profile, gates);
+    // A mark of which colour found only a part is as much rarer as the part is smaller: fringes and glints grow many times over.
+    let growth = (evidence.area_px / region.area as f64).max(1.0);
+    let score = score(&evidence, profile, gates) - growth.ln();
     if score.is_nan() || score < profile.examine.min_score {
         return None;
     }
