@@ -52,9 +52,16 @@ const Draw = (() => {
     return html("span", {}, svg("svg", { viewBox: "-9 -9 18 18", "aria-hidden": "true" }, symbols[kind](5)), text);
   }
 
+  // An axis in metres that stays below one metre is labelled in millimetres.
+  function inUnit(range, name) {
+    const small = /, m$/.test(name) && Math.max(...range.map(Math.abs)) < 1;
+    return small ? { name: name.replace(/m$/, "mm"), text: (v) => label(1000 * v) } : { name, text: label };
+  }
+
   // Axes of a plot of 520 × 290 with nice ticks, upright ones at least `least` apart; returns the place of a value.
   function axes(box, xr, yr, xName, yName, least) {
-    const W = 520, H = 290, left = 56, right = 12, top = 10, bottom = 42;
+    const across = inUnit(xr, xName), up = inUnit(yr, yName);
+    const W = 520, H = 290, left = 62, right = 12, top = 10, bottom = 42;
     const x = (v) => left + (v - xr[0]) / (xr[1] - xr[0]) * (W - left - right);
     const y = (v) => H - bottom - (v - yr[0]) / (yr[1] - yr[0]) * (H - top - bottom);
     const ticks = (r, n, smallest) => {
@@ -64,15 +71,15 @@ const Draw = (() => {
     };
     for (const v of ticks(yr, 7, least)) {
       box.append(svg("line", { class: "grid", x1: left, x2: W - right, y1: y(v), y2: y(v) }),
-        svg("text", { class: "tick", x: left - 7, y: y(v) + 4, "text-anchor": "end" }, label(v)));
+        svg("text", { class: "tick", x: left - 7, y: y(v) + 4, "text-anchor": "end" }, up.text(v)));
     }
     for (const v of ticks(xr, 9)) {
       box.append(svg("line", { class: "axis", x1: x(v), x2: x(v), y1: H - bottom, y2: H - bottom + 4 }),
-        svg("text", { class: "tick", x: x(v), y: H - bottom + 17, "text-anchor": "middle" }, label(v)));
+        svg("text", { class: "tick", x: x(v), y: H - bottom + 17, "text-anchor": "middle" }, across.text(v)));
     }
     box.append(svg("path", { class: "axis", d: `M${left} ${top} V${H - bottom} H${W - right}` }),
-      svg("text", { class: "tick", x: (left + W - right) / 2, y: H - 6, "text-anchor": "middle" }, xName),
-      svg("text", { class: "tick", x: 0, y: 0, transform: `translate(13 ${(top + H - bottom) / 2}) rotate(-90)`, "text-anchor": "middle" }, yName));
+      svg("text", { class: "tick", x: (left + W - right) / 2, y: H - 6, "text-anchor": "middle" }, across.name),
+      svg("text", { class: "tick", x: 0, y: 0, transform: `translate(13 ${(top + H - bottom) / 2}) rotate(-90)`, "text-anchor": "middle" }, up.name));
     return { x, y, left, right: W - right, top, bottom: H - bottom };
   }
 

@@ -5,6 +5,9 @@
 //! ballpark operations are never taken, and the best operation that can be carried out must be as accurate as the caller
 //! demands; otherwise it is an error.
 
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex};
+
 use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, CoordTransformOptions, SpatialRef};
 
 use super::Crs;
@@ -39,6 +42,13 @@ const EXACT_M: f64 = 1e-6;
 /// Tried in this order, metres: PROJ takes an upper bound, it does not tell the figure. Zero would mean any.
 const LADDER_M: [f64; 18] =
     [EXACT_M, 0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0];
+
+/// Two definitions and the bounds of what lies between them, degrees as bits.
+type Question = (String, String, Option<[u64; 4]>);
+
+/// Which bound of [`LADDER_M`] is the narrowest that works, of what was asked before: a job asks the same several times.
+static NARROWEST: LazyLock<Mutex<HashMap<Question, usize>>> = LazyLock::new(Mutex::default);
+const MOST_KNOWN: usize = 256;
 
 impl Crs {
     /// Brings points into another system, in place. Heights are changed when both systems have a vertical axis, else left.
@@ -118,7 +128,33 @@ impl Crs {
             let mut z = if with_heights { vec![probe.height.unwrap_or(0.0)] } else { Vec::new() };
             transform.transform_coords(&mut x, &mut y, &mut z).is_ok() && x[0].is_finite() && y[0].is_finite()
         };
-        let any = create(None).ok().filter(works).ok_or_else(|| {
+        // A wider bound lets in more operations, so the narrowest that works is found by halving. Every search reads PROJ's database.
+        let rung = |k: usize| create(Some(LADDER_M[k])).ok().filter(works);
+        let accuracy = |k: usize| if k == 0 { Accuracy::Exact } else { Accuracy::Metres(LADDER_M[k]) };
+        let question = (self.wkt.clone(), to.wkt.clone(), around.map(|degrees| degrees.map(f64::to_bits)));
+        let known = NARROWEST.lock().expect("nobody panics with it").get(&question).copied();
+        for k in known.into_iter().chain([0]) {
+            if let Some(transform) = rung(k) {
+                return Ok((transform, accuracy(k)));
+            }
+        }
+        let (mut low, mut high, mut best) = (1, LADDER_M.len(), None);
+        while low < high {
+            let middle = (low + high) / 2;
+            match rung(middle) {
+                Some(transform) => (high, best) = (middle, Some(transform)),
+                None => low = middle + 1,
+            }
+        }
+        if let Some(transform) = best {
+            let mut narrowest = NARROWEST.lock().expect("nobody panics with it");
+            if narrowest.len() >= MOST_KNOWN {
+                narrowest.clear();
+            }
+            narrowest.insert(question, high);
+            return Ok((transform, accuracy(high)));
+        }
+        create(None).ok().filter(works).map(|any| (any, Accuracy::Unstated)).ok_or_else(|| {
             let grids = self.missing_grids(points, to);
             let why = if grids.is_empty() {
                 "a datum or geoid grid is missing, or the points lie outside".to_string()
@@ -130,14 +166,7 @@ impl Crs {
                 &format!("no transformation between them can be carried out here: {why}"),
                 &format!("install the grid ({}), or give both systems on one datum", how_to_install(&grids)),
             )
-        })?;
-        for accuracy_m in LADDER_M {
-            if let Some(transform) = create(Some(accuracy_m)).ok().filter(works) {
-                let accuracy = if accuracy_m == EXACT_M { Accuracy::Exact } else { Accuracy::Metres(accuracy_m) };
-                return Ok((transform, accuracy));
-            }
-        }
-        Ok((any, Accuracy::Unstated))
+        })
     }
 
     /// Names of the grids that the best operation would need and that are not installed.
