@@ -155,6 +155,9 @@ fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
         "-ot",
         "Float32",
         "-novshift",
+        // Every cell by PROJ itself: the usual interpolation between places may be off by an eighth of a cell.
+        "-et",
+        "0",
     ];
     crate::derive::warp(&source, &path, &options)?;
     Ok(path)
