@@ -93,13 +93,7 @@ impl Worker {
     }
 
     /// Looks at all cells of a window.
-    fn look(
-        &mut self,
-        pair: &Pair<'_>,
-        state: &State,
-        other: &Moved<'_>,
-        core: Window,
-    ) -> Result<()> {
+    fn look(&mut self, pair: &Pair<'_>, state: &State, other: &Moved<'_>, core: Window) -> Result<()> {
         let grid = pair.template.grid();
         let (width, height) = (core.width as usize, core.height as usize);
         let stride = width + 2;
