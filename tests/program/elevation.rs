@@ -18,10 +18,23 @@ fn document(output: &Output) -> Value {
 }
 
 fn write(path: &Path, corner: (f64, f64), size: (usize, usize), height: impl Fn(f64, f64) -> f64) {
+    write_on(path, &[corner.0, 10.0, 0.0, corner.1, 0.0, -10.0], size, Some(25833), height);
+}
+
+/// Heights at places that are told in tenths of a cell from the corner, downwards negative.
+fn write_on(
+    path: &Path,
+    transform: &[f64; 6],
+    size: (usize, usize),
+    epsg: Option<u32>,
+    height: impl Fn(f64, f64) -> f64,
+) {
     let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
     let mut dataset = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("writable");
-    dataset.set_geo_transform(&[corner.0, 10.0, 0.0, corner.1, 0.0, -10.0]).expect("a geotransform");
-    dataset.set_spatial_ref(&SpatialRef::from_epsg(25833).expect("known")).expect("a CRS");
+    dataset.set_geo_transform(transform).expect("a geotransform");
+    if let Some(code) = epsg {
+        dataset.set_spatial_ref(&SpatialRef::from_epsg(code).expect("known")).expect("a CRS");
+    }
     let mut band = dataset.rasterband(1).expect("a band");
     band.set_no_data_value(Some(-9999.0)).expect("a value");
     let values = (0..size.0 * size.1)
@@ -115,7 +128,58 @@ fn flat_ground_is_refused_and_bad_input_named() {
             assert!(said.lines().count() == 1 && said.contains(".tif"), "{command}: {said}");
         }
     }
-    assert_eq!(std::fs::read_dir(folder.0.path()).expect("readable").count(), 4, "something was left behind");
+    let nameless = folder.at("nameless.tif");
+    write_on(&nameless, &[CORNER.0, 10.0, 0.0, CORNER.1, 0.0, -10.0], (80, 80), None, hills);
+    let (model, second, lines) = (text(&hilly), text(&nameless), folder.at("lines.gpkg"));
+    for arguments in [
+        vec!["dem", "align", second, "--to", model, "-o", text(&out)],
+        vec!["dem", "compare", model, second, "-o", text(&out)],
+        vec!["dem", "profile", model, second, "--line", "500100,8699900 500200,8699800"],
+        vec!["mosaic", model, second, "-o", text(&out)],
+        vec!["dem", "contour", text(&void), "-o", text(&lines), "--interval", "10"],
+        vec!["dem", "slope", text(&void), "-o", text(&out)],
+    ] {
+        let output = autoref(&arguments);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains("no CRS") && said.contains("-a_srs") || said.contains("no cell has a height"), "{said}");
+    }
+    assert_eq!(std::fs::read_dir(folder.0.path()).expect("readable").count(), 5, "something was left behind");
+}
+
+#[test]
+fn coarse_geographic_cells_meet_a_projected_model() {
+    // Ten seconds of arc at 78° north: cells of 60 m by 310 m.
+    const STEP_DEG: f64 = 10.0 / 3600.0;
+    let folder = Folder::new();
+    let (degrees, metres, out) = (folder.at("degrees.tif"), folder.at("metres.tif"), folder.at("out.tif"));
+    let ground = |east: f64, north: f64| {
+        let (e, n) = ((east - CORNER.0) / 1000.0, (north - CORNER.1) / 1000.0);
+        300.0 + 90.0 * (e / 0.7 + (n / 1.1).sin()).sin() + 70.0 * (n / 0.6 + 0.4 * e).cos()
+    };
+    let transform = [CORNER.0, 30.0, 0.0, CORNER.1, 0.0, -30.0];
+    write_on(&metres, &transform, (420, 420), Some(25833), |e, n| ground(CORNER.0 + 3.0 * e, CORNER.1 + 3.0 * n));
+    let system = |code| {
+        let mut reference = SpatialRef::from_epsg(code).expect("known");
+        reference.set_axis_mapping_strategy(gdal::spatial_ref::AxisMappingStrategy::TraditionalGisOrder);
+        reference
+    };
+    let to_map = gdal::spatial_ref::CoordTransform::new(&system(4258), &system(25833)).expect("a transformation");
+    let corner = (15.005, 78.365);
+    write_on(&degrees, &[corner.0, STEP_DEG, 0.0, corner.1, 0.0, -STEP_DEG], (180, 36), Some(4258), |x, y| {
+        let (mut x, mut y) = ([corner.0 + x / 10.0 * STEP_DEG], [corner.1 + y / 10.0 * STEP_DEG]);
+        to_map.transform_coords(&mut x, &mut y, &mut []).expect("near");
+        ground(x[0], y[0])
+    });
+    for (a, b) in [(&degrees, &metres), (&metres, &degrees)] {
+        let found =
+            document(&autoref(&["dem", "align", text(a), "--to", text(b), "-o", text(&out), "--overwrite", "--json"]));
+        for key in ["shift_e_m", "shift_n_m"] {
+            let (value, error) =
+                (found[key].as_f64().expect(key), found[&key.replace("_m", "_se_m")].as_f64().expect(key));
+            assert!(value.abs() < 1.0 && value.abs() < 3.0 * error + 0.05, "{key}: {value} ± {error}");
+        }
+    }
 }
 
 #[test]

@@ -217,7 +217,7 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Header, Tiles, u64)> {
         }
     }
     if spool.points == 0 {
-        return Err(Error::format(input, "points", "there are none"));
+        return Err(Error::format(input, "points", "there are none; leave the file out"));
     }
     if spool.points > 1 && spool.bounds.min == spool.bounds.max {
         let [x, y, z] = spool.bounds.min;

@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
@@ -93,43 +93,31 @@ pub struct Tile {
 
 /// The scratch folder of one cloud, removed when dropped.
 pub struct Scratch {
-    folder: tempfile::TempDir,
-    files: u32,
+    folder: PathBuf,
 }
 
 impl Scratch {
-    /// Makes a folder of its own inside `parent`.
+    /// Files will be made in `parent`.
     ///
     /// # Errors
-    /// When the folder cannot be made.
+    /// When none can be made there.
     pub fn new(parent: &Path) -> Result<Scratch> {
-        let folder = tempfile::Builder::new()
-            .prefix("autoref-cloud-")
-            .tempdir_in(parent)
-            .map_err(|e| Error::io(parent, "make a scratch folder in", e))?;
-        Ok(Scratch { folder, files: 0 })
+        let scratch = Scratch { folder: parent.to_path_buf() };
+        scratch.file()?;
+        Ok(scratch)
     }
 
-    /// A new file, without a name as soon as it is open: nothing is left behind whatever happens.
+    /// A new file without a name: nothing is left behind, whatever ends the program.
     ///
     /// # Errors
     /// When it cannot be made.
-    pub fn file(&mut self) -> Result<File> {
-        self.files += 1;
-        let path = self.folder.path().join(self.files.to_string());
-        let file = File::options()
-            .read(true)
-            .write(true)
-            .create_new(true)
-            .open(&path)
-            .map_err(|e| Error::io(&path, "create", e))?;
-        std::fs::remove_file(&path).map_err(|e| Error::io(&path, "unlink", e))?;
-        Ok(file)
+    pub fn file(&self) -> Result<File> {
+        tempfile::tempfile_in(&self.folder).map_err(|e| Error::io(&self.folder, "make a scratch file in", e))
     }
 
     /// An error of a scratch file.
     pub fn error(&self, action: &str, source: std::io::Error) -> Error {
-        Error::io(self.folder.path(), action, source)
+        Error::io(&self.folder, action, source)
     }
 }
 

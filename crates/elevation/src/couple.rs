@@ -69,11 +69,12 @@ const SAME_HEIGHT_M: f64 = 1e-4;
 /// Opens two models and brings A into B's CRS, and its heights to B's vertical datum, where they differ.
 ///
 /// # Errors
-/// When one cannot be opened, one alone names its unit or its vertical datum, or PROJ has no way between them that is good
+/// When one cannot be opened, one alone names its unit, its CRS or its vertical datum, or PROJ has no way between them that is good
 /// enough with the grids that are installed: the message names the grid.
 pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     let (ma, mb) = (Model::open(a)?, Model::open(b)?);
     check_units(&ma, &mb)?;
+    check_named(&ma, &mb)?;
     let (va, vb) = (vertical(ma.wkt()), vertical(mb.wkt()));
     if va.is_some() != vb.is_some() {
         let (with, without) = if va.is_some() { (a, b) } else { (b, a) };
@@ -88,7 +89,6 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         (Some(from), Some(to)) if from.wkt() != to.wkt() && !same_reference(ma.wkt(), mb.wkt()) => {
             (from.clone(), to.clone())
         }
-        // What names no CRS is taken to have that of the other.
         _ => return Ok(Couple { a: ma, b: mb, projected: false, heights: common, _warped: None }),
     };
     let together = |e: Error| match e {
@@ -155,6 +155,9 @@ fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
         "-ot",
         "Float32",
         "-novshift",
+        // Every cell by PROJ itself: the usual interpolation between places may be off by an eighth of a cell.
+        "-et",
+        "0",
     ];
     crate::derive::warp(&source, &path, &options)?;
     Ok(path)
@@ -172,6 +175,41 @@ pub fn vertical(wkt: &str) -> Option<String> {
     let reference = SpatialRef::from_wkt(wkt).ok()?;
     let named = reference.get_attr_value("VERT_CS|VERT_DATUM", 0).ok().flatten();
     named.or_else(|| (reference.axes_count() == 3).then(|| "the ellipsoid".to_string()))
+}
+
+/// Refuses two models of which one names a CRS and the other none.
+///
+/// # Errors
+/// In that case.
+pub fn check_named(a: &Model, b: &Model) -> Result<()> {
+    let (without, with, crs) = match (a.crs(), b.crs()) {
+        (None, Some(crs)) => (a, b, crs),
+        (Some(crs), None) => (b, a, crs),
+        _ => return Ok(()),
+    };
+    Err(Error::usage(
+        format!("{}: no CRS, while {} has {}", without.path().display(), with.path().display(), crs.label()),
+        format!("name it: gdal_edit.py -a_srs CRS {}", without.path().display()),
+    ))
+}
+
+/// Refuses models whose map positions are not those of the first.
+///
+/// # Errors
+/// When one of them has another CRS, or none where the first has one.
+pub fn check_one_map(models: &[Model]) -> Result<()> {
+    let Some((first, others)) = models.split_first() else { return Ok(()) };
+    for other in others {
+        check_named(first, other)?;
+        let (Some(from), Some(to)) = (first.crs(), other.crs()) else { continue };
+        if !same_reference(first.wkt(), other.wkt()) && !stays(&first.grid(), from, to).unwrap_or(false) {
+            return Err(Error::usage(
+                format!("{}: another CRS than that of {}", other.path().display(), first.path().display()),
+                "bring it there with gdalwarp -t_srs",
+            ));
+        }
+    }
+    Ok(())
 }
 
 fn check_units(a: &Model, b: &Model) -> Result<()> {

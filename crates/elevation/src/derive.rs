@@ -21,6 +21,33 @@ pub struct Drawing<'a> {
     pub colours: Option<&'a Path>,
 }
 
+/// Refuses a model without any height; looks no further than the first.
+///
+/// # Errors
+/// When there is none, or the model cannot be read.
+pub fn check_heights(model: &Path) -> Result<()> {
+    const CELLS_AT_A_TIME: usize = 1 << 20;
+    let dataset = crate::model::open_dataset(model)?;
+    if dataset.raster_count() == 0 {
+        return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
+    }
+    let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
+    let (nodata, (width, height), (_, block)) = (band.no_data_value(), band.size(), band.block_size());
+    let width_at_a_time = width.clamp(1, CELLS_AT_A_TIME);
+    let rows_at_a_time = (CELLS_AT_A_TIME / width_at_a_time / block.max(1) * block).max(1);
+    for y in (0..height).step_by(rows_at_a_time) {
+        for x in (0..width).step_by(width_at_a_time) {
+            let size = (width_at_a_time.min(width - x), rows_at_a_time.min(height - y));
+            let heights =
+                band.read_as::<f64>((x as isize, y as isize), size, size, None).map_err(|e| Error::gdal(model, e))?;
+            if heights.data().iter().any(|v| v.is_finite() && Some(*v) != nodata) {
+                return Ok(());
+            }
+        }
+    }
+    Err(Error::unsupported(model, "no cell has a height", "look at its nodata value with gdalinfo -stats"))
+}
+
 /// Draws `model` into `out` as a GeoTIFF.
 ///
 /// # Errors
@@ -119,11 +146,11 @@ fn last_error() -> String {
     if text.is_empty() { "it gives no reason".into() } else { text }
 }
 
-/// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile).
+/// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile); tells how many.
 ///
 /// # Errors
 /// GDAL's own words, when it cannot.
-pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<()> {
+pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64> {
     use gdal::DriverManager;
     use gdal::spatial_ref::SpatialRef;
     use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
@@ -182,7 +209,9 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<()>
     if let Some(text) = error {
         return Err(Error::gdal(model, text));
     }
-    dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)
+    let lines = layer.feature_count();
+    dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)?;
+    Ok(lines)
 }
 
 /// A virtual raster of `source` as `gdalwarp` makes it with these options.

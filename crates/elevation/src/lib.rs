@@ -11,6 +11,7 @@ pub mod couple;
 pub mod derive;
 pub mod exact;
 pub mod files;
+pub mod footprint;
 pub mod gradient;
 pub mod grid;
 pub mod histogram;

@@ -22,9 +22,10 @@ const MOST: f64 = 5e6;
 /// Heights every `step_m` along `line` (map positions in the models' CRS), bilinear.
 ///
 /// # Errors
-/// When a model cannot be read, or the line has no length.
+/// When a model cannot be read or has another CRS than the first, or the line has no length.
 pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f64>) -> Result<Vec<Station>> {
     let models: Vec<Model> = models.iter().map(|path| Model::open(path.as_ref())).collect::<Result<_>>()?;
+    crate::couple::check_one_map(&models)?;
     let Some(first) = models.first() else { return Err(Error::usage("no model was named", "name at least one")) };
     let unit = first.ground_unit();
     let lengths: Vec<f64> = line

@@ -138,7 +138,7 @@ impl<'a, H: Heights + ?Sized> Means<'a, H> {
 }
 
 /// Cells of the inner source that are held at a time.
-const CELLS_AT_A_TIME: usize = 1 << 20;
+pub(crate) const CELLS_AT_A_TIME: usize = 1 << 20;
 
 impl<H: Heights + ?Sized> Heights for Means<'_, H> {
     fn grid(&self) -> Grid {

@@ -43,8 +43,8 @@ impl Strip {
             Stat::Mean => 16,
             Stat::Deviation => 32,
             Stat::Idw => 64,
-            Stat::Min | Stat::Max => 8,
-            Stat::Median | Stat::Count => 0,
+            Stat::Min | Stat::Max | Stat::Median => 8,
+            Stat::Count => 0,
         };
         4 + stats.iter().map(each).sum::<u64>()
     }
@@ -69,7 +69,7 @@ impl Strip {
         }
     }
 
-    /// Gives a point to the cells whose centre is nearer than `radius`. The error is the memory that medians would need.
+    /// Gives a point to the cells whose centre is nearer than `radius`. The error is the memory that medians would need at least.
     pub fn add(&mut self, place: [f64; 2], value: f64, radius: f64) -> Result<(), u64> {
         let rows = self.frame.rows_near(place[1], radius);
         let columns = self.frame.columns_near(place[0], radius);

@@ -259,6 +259,162 @@ fn each_point(
     }
 }
 
+/// What gridding goes through once the frame is known.
+struct Work<'a> {
+    path: &'a Path,
+    options: &'a Options,
+    frame: Frame,
+    sources: &'a [Source],
+    /// Rows whose cells fit the memory.
+    most_rows: usize,
+    /// Values that the medians of one dimension may hold at a time.
+    median_entries: usize,
+    scratch: Scratch,
+    /// For each dimension: the counts, then each statistic.
+    planes: Vec<Vec<Plane>>,
+    /// Strips that were worked on.
+    strips: usize,
+}
+
+/// Files of points that are open at a time.
+const MOST_FILES: usize = 256;
+
+/// A strip's medians take more memory than there is: how much at least.
+struct Full(u64);
+
+impl Work<'_> {
+    fn make_planes(&mut self) -> Result<()> {
+        for _ in self.sources {
+            let stats = 0..=self.options.stats.len();
+            let row: Result<Vec<Plane>> = stats.map(|_| Plane::new(&mut self.scratch, self.frame.columns)).collect();
+            self.planes.push(row?);
+        }
+        Ok(())
+    }
+
+    /// Rows of strips whose medians fit the memory where points lie evenly.
+    fn rows_for_medians(&self, points: u64) -> usize {
+        if !self.options.stats.iter().any(|(_, stat)| *stat == Stat::Median) {
+            return self.frame.rows;
+        }
+        let reach = self.options.dimensions.iter().map(|dimension| dimension.radius_m).fold(0.0, f64::max);
+        let cells = std::f64::consts::PI * (reach / self.frame.cell_m).powi(2);
+        let entries = points as f64 * cells.max(1.0);
+        let strips = (1.2 * entries / self.median_entries.max(1) as f64).ceil().max(1.0);
+        ((self.frame.rows as f64 / strips) as usize).max(1)
+    }
+
+    fn new_strip(&self, rows: &std::ops::Range<usize>) -> Vec<Strip> {
+        let new = |_| Strip::new(self.frame, rows.clone(), self.options, self.median_entries);
+        self.sources.iter().map(new).collect()
+    }
+
+    fn take(&self, strip: &mut [Strip], place: [f64; 2], values: &[f64]) -> std::result::Result<(), Full> {
+        for ((strip, &value), dimension) in strip.iter_mut().zip(values).zip(&self.options.dimensions) {
+            strip.add(place, value, dimension.radius_m).map_err(Full)?;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, strip: Vec<Strip>) -> Result<()> {
+        self.strips += 1;
+        for (strip, planes) in strip.into_iter().zip(&mut self.planes) {
+            strip.finish(&self.options.stats, planes).map_err(|e| self.scratch.error("write scratch data to", e))?;
+        }
+        Ok(())
+    }
+
+    /// Hands over the points whose values are numbers; answers how many are not.
+    fn each_valid(&self, mut each: impl FnMut([f64; 2], &[f64]) -> Result<()>) -> Result<u64> {
+        let mut values = vec![0.0; self.sources.len()];
+        let mut invalid = 0;
+        each_point(self.path, self.options, |map, raw| {
+            values.iter_mut().zip(self.sources).for_each(|(value, source)| *value = source.value(map, raw));
+            if values.iter().all(|value| value.is_finite()) {
+                each([map[0], map[1]], &values)
+            } else {
+                invalid += 1;
+                Ok(())
+            }
+        })?;
+        Ok(invalid)
+    }
+
+    /// All rows at once; answers how many values are no numbers, or `None` where the medians do not fit.
+    fn whole(&mut self) -> Result<Option<u64>> {
+        let mut strip = self.new_strip(&(0..self.frame.rows));
+        let mut full = false;
+        let read = self.each_valid(|place, values| {
+            self.take(&mut strip, place, values).map_err(|Full(needed)| {
+                full = true;
+                self.too_many(needed)
+            })
+        });
+        if full {
+            return Ok(None);
+        }
+        let invalid = read?;
+        self.finish(strip)?;
+        Ok(Some(invalid))
+    }
+
+    /// Strip by strip, over files of points; answers how many values are no numbers.
+    fn by_strips(&mut self, strip_rows: usize) -> Result<u64> {
+        let rows = self.frame.rows;
+        let strip_rows = strip_rows.max(rows.div_ceil(MOST_FILES));
+        let strips = rows.div_ceil(strip_rows);
+        let reach = self.options.dimensions.iter().map(|dimension| dimension.radius_m).fold(0.0, f64::max);
+        let numbers = 2 + self.sources.len();
+        let mut files: Vec<PointFile> =
+            (0..strips).map(|_| PointFile::new(&self.options.scratch, numbers)).collect::<Result<_>>()?;
+        let invalid = self.each_valid(|place, values| {
+            let near = self.frame.rows_near(place[1], reach);
+            for strip in near.start / strip_rows..near.end.div_ceil(strip_rows).min(strips) {
+                files[strip].push(&place, values)?;
+            }
+            Ok(())
+        })?;
+        for (number, mut file) in files.into_iter().enumerate() {
+            let begin = number * strip_rows;
+            self.strip(begin..(begin + strip_rows).min(rows), &mut file)?;
+        }
+        Ok(invalid)
+    }
+
+    /// Some rows; halves of them where their cells or medians do not fit.
+    fn strip(&mut self, rows: std::ops::Range<usize>, file: &mut PointFile) -> Result<()> {
+        let middle = rows.start + rows.len() / 2;
+        if rows.len() > self.most_rows {
+            self.strip(rows.start..middle, file)?;
+            return self.strip(middle..rows.end, file);
+        }
+        let mut strip = self.new_strip(&rows);
+        let mut full = false;
+        let read = file.each(|record| {
+            self.take(&mut strip, [record[0], record[1]], &record[2..]).map_err(|Full(needed)| {
+                full = true;
+                self.too_many(needed)
+            })
+        });
+        if full && rows.len() > 1 {
+            drop(strip);
+            self.strip(rows.start..middle, file)?;
+            return self.strip(middle..rows.end, file);
+        }
+        read?;
+        self.finish(strip)
+    }
+
+    fn too_many(&self, needed: u64) -> Error {
+        Error::Limit {
+            what: format!("{}: the median of so many points in a row of cells", self.path.display()),
+            needed,
+            allowed: self.median_entries as u64 * 16,
+            remedy: "raise --memory, or leave median out".into(),
+        }
+    }
+}
+
 /// Grids one cloud into `folder`; files appear whole or not at all.
 ///
 /// # Errors
@@ -281,7 +437,11 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
         Ok(())
     })?;
     if min[0] > max[0] {
-        let what = if points == 0 { "there are none" } else { "all of them are noise; take them in with --keep-noise" };
+        let what = if points == 0 {
+            "there are none; leave the file out"
+        } else {
+            "all of them are noise; take them in with --keep-noise"
+        };
         return Err(Error::format(path, "points", what));
     }
     let too_wide = |needed: u64| Error::Limit {
@@ -298,74 +458,24 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     if strip_rows == 0 {
         return Err(too_wide(row_bytes * 2));
     }
-    let strips = frame.rows.div_ceil(strip_rows);
-    let median_entries = (budget / 4 / 16) as usize;
-
-    let mut scratch = Scratch::new(&options.scratch)?;
-    let mut planes: Vec<Vec<Plane>> = Vec::new();
-    for _ in &sources {
-        let row: Result<Vec<Plane>> =
-            (0..=options.stats.len()).map(|_| Plane::new(&mut scratch, frame.columns)).collect();
-        planes.push(row?);
-    }
-    let new_strip = |number: usize| {
-        let begin = number * strip_rows;
-        let rows = begin..(begin + strip_rows).min(frame.rows);
-        sources.iter().map(|_| Strip::new(frame, rows.clone(), options, median_entries)).collect::<Vec<_>>()
+    let mut work = Work {
+        path,
+        options,
+        frame,
+        sources: &sources,
+        most_rows: strip_rows,
+        median_entries: (budget / 4 / 16) as usize / sources.len().max(1),
+        scratch: Scratch::new(&options.scratch)?,
+        planes: Vec::new(),
+        strips: 0,
     };
-    let take = |strip: &mut [Strip], map: [f64; 3], values: &[f64]| -> Result<()> {
-        for ((strip, &value), dimension) in strip.iter_mut().zip(values).zip(&options.dimensions) {
-            strip.add([map[0], map[1]], value, dimension.radius_m).map_err(|needed| Error::Limit {
-                what: format!("{}: the median of so many points a cell", path.display()),
-                needed,
-                allowed: median_entries as u64 * 16,
-                remedy: "raise --memory, or leave median out".into(),
-            })?;
-        }
-        Ok(())
+    work.make_planes()?;
+    let strip_rows = strip_rows.min(work.rows_for_medians(points));
+    let invalid = match if strip_rows == frame.rows { work.whole()? } else { None } {
+        Some(invalid) => invalid,
+        None => work.by_strips(strip_rows)?,
     };
-    let mut values = vec![0.0; sources.len()];
-    let mut invalid = 0;
-    let finish = |strip: Vec<Strip>, planes: &mut Vec<Vec<Plane>>| -> Result<()> {
-        for (strip, planes) in strip.into_iter().zip(planes) {
-            strip.finish(&options.stats, planes).map_err(|e| scratch.error("write scratch data to", e))?;
-        }
-        Ok(())
-    };
-    if strips == 1 {
-        let mut strip = new_strip(0);
-        each_point(path, options, |map, raw| {
-            values.iter_mut().zip(&sources).for_each(|(value, source)| *value = source.value(map, raw));
-            if values.iter().all(|value| value.is_finite()) {
-                take(&mut strip, map, &values)
-            } else {
-                invalid += 1;
-                Ok(())
-            }
-        })?;
-        finish(strip, &mut planes)?;
-    } else {
-        let reach = options.dimensions.iter().map(|dimension| dimension.radius_m).fold(0.0, f64::max);
-        let mut files: Vec<PointFile> =
-            (0..strips).map(|_| PointFile::new(&options.scratch, 2 + sources.len())).collect::<Result<_>>()?;
-        each_point(path, options, |map, raw| {
-            values.iter_mut().zip(&sources).for_each(|(value, source)| *value = source.value(map, raw));
-            if !values.iter().all(|value| value.is_finite()) {
-                invalid += 1;
-                return Ok(());
-            }
-            let rows = frame.rows_near(map[1], reach);
-            for strip in rows.start / strip_rows..rows.end.div_ceil(strip_rows).min(strips) {
-                files[strip].push(&[map[0], map[1]], &values)?;
-            }
-            Ok(())
-        })?;
-        for (number, file) in files.into_iter().enumerate() {
-            let mut strip = new_strip(number);
-            file.each(|record| take(&mut strip, [record[0], record[1], 0.0], &record[2..]))?;
-            finish(strip, &mut planes)?;
-        }
-    }
+    let Work { mut planes, strips, .. } = work;
     left_out += invalid;
     let crs = header.crs.clone().or_else(|| options.crs_wkt.clone());
     let (files_written, cells_with_points) = write::write(path, folder, &frame, &mut planes, options, crs.as_deref())?;

@@ -36,16 +36,17 @@ impl Plane {
     }
 }
 
-/// Records of numbers, written once and read once.
+/// Records of numbers, written once, then read.
 pub(super) struct PointFile {
     file: BufWriter<File>,
     numbers: usize,
+    bytes: u64,
 }
 
 impl PointFile {
     pub fn new(parent: &Path, numbers: usize) -> Result<PointFile> {
         let file = tempfile::tempfile_in(parent).map_err(|e| Error::io(parent, "make a scratch file in", e))?;
-        Ok(PointFile { file: BufWriter::with_capacity(1 << 16, file), numbers })
+        Ok(PointFile { file: BufWriter::with_capacity(1 << 16, file), numbers, bytes: 0 })
     }
 
     pub fn push(&mut self, place: &[f64; 2], values: &[f64]) -> Result<()> {
@@ -54,20 +55,22 @@ impl PointFile {
                 Error::usage(format!("the scratch disk cannot be written: {e}"), "choose another --scratch")
             })?;
         }
+        self.bytes += 8 * self.numbers as u64;
         Ok(())
     }
 
-    pub fn each(self, mut each: impl FnMut(&[f64]) -> Result<()>) -> Result<()> {
+    /// All records in their order; from the beginning each time.
+    pub fn each(&mut self, mut each: impl FnMut(&[f64]) -> Result<()>) -> Result<()> {
         let failed = |e: std::io::Error| {
             Error::usage(format!("the scratch disk cannot be read: {e}"), "choose another --scratch")
         };
-        let mut file = self.file.into_inner().map_err(|e| failed(e.into_error()))?;
-        let bytes = file.stream_position().map_err(failed)?;
+        self.file.flush().map_err(failed)?;
+        let mut file = self.file.get_ref();
         file.seek(SeekFrom::Start(0)).map_err(failed)?;
         let mut reader = BufReader::with_capacity(1 << 20, file);
         let mut record = vec![0; 8 * self.numbers];
         let mut values = vec![0.0; self.numbers];
-        for _ in 0..bytes / record.len() as u64 {
+        for _ in 0..self.bytes / record.len() as u64 {
             reader.read_exact(&mut record).map_err(failed)?;
             values
                 .iter_mut()

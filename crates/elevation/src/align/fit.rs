@@ -8,6 +8,7 @@
 
 use crate::error::Result;
 use crate::exact::ExactSum;
+use crate::footprint::{Buffers, Footprints};
 use crate::grid::{Grid, GroundUnit};
 use crate::resample::{Interpolation, Resampled, Scratch};
 use crate::source::{Heights, Patch};
@@ -30,10 +31,45 @@ pub struct Pair<'a> {
     pub template: &'a dyn Heights,
     pub other: &'a dyn Heights,
     pub unit: GroundUnit,
+    /// Cells of the other along one of the template, when they are so much finer that means are taken; else 1.
+    pub finer: u64,
     /// Where the ground is known to be stable.
     pub stable: Option<&'a Zones>,
     /// Middle and half size of the area over which tilts count, the same for all levels of a pyramid.
     pub frame: Frame,
+}
+
+/// The other model in the cells of the template, moved by a shift.
+pub enum Moved<'a> {
+    Between(Resampled<'a, dyn Heights + 'a>),
+    Means(Footprints<'a, dyn Heights + 'a>),
+}
+
+/// Buffers of [`Moved::read_with`].
+#[derive(Default)]
+pub struct MovedBuffers {
+    between: Scratch,
+    means: Buffers,
+}
+
+impl<'a> Moved<'a> {
+    pub fn of(pair: &Pair<'a>, shift: (f64, f64)) -> Self {
+        let grid = pair.template.grid();
+        if pair.finer > 1 {
+            Moved::Means(Footprints::new(pair.other, grid, shift))
+        } else {
+            Moved::Between(Resampled::new(pair.other, grid, shift, Interpolation::Cubic))
+        }
+    }
+
+    /// # Errors
+    /// When the other model cannot be read.
+    pub fn read_with(&self, patch: Patch, buffers: &mut MovedBuffers, out: &mut Vec<f64>) -> Result<()> {
+        match self {
+            Moved::Between(other) => other.read_with(patch, &mut buffers.between, out),
+            Moved::Means(other) => other.read_with(patch, &mut buffers.means, out),
+        }
+    }
 }
 
 /// Where normalised coordinates run from −1 to 1.
@@ -253,7 +289,7 @@ impl Sums {
 /// Buffers of a worker.
 struct Worker {
     sums: Sums,
-    scratch: Scratch,
+    scratch: MovedBuffers,
     template: Vec<f64>,
     other: Vec<f64>,
     stable: Vec<u32>,
@@ -270,10 +306,10 @@ pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means:
         Gather::Scores { block_px, .. } => (blocks_across(block_px) * grid.height.div_ceil(block_px)) as usize,
         _ => 0,
     };
-    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    let other = Moved::of(pair, state.shift);
     let worker = || Worker {
         sums: Sums::new(blocks),
-        scratch: Scratch::default(),
+        scratch: MovedBuffers::default(),
         template: Vec::new(),
         other: Vec::new(),
         stable: Vec::new(),

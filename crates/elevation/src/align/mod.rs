@@ -149,6 +149,9 @@ pub enum Outcome {
     Refused(String),
 }
 
+/// Cells of the finer model along one of the coarser that are told apart, at least.
+const FINEST: f64 = 4.0;
+
 /// Finds what brings `a` onto `b`; both are in metres and on grids of one CRS.
 ///
 /// # Errors
@@ -162,8 +165,10 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     // The finer one is brought onto the coarser one's grid.
     let coarse_a = area(&ga) > 1.5 * area(&gb);
     let (template, other) = if coarse_a { (a, b) } else { (b, a) };
-    let ratio = (area(&template.grid()) / area(&other.grid())).sqrt().round().max(1.0);
-    let other = Averaged::new(other, ratio as u64);
+    // Of a much finer one, few cells under each of the coarser one's are kept.
+    let ratio = (area(&template.grid()) / area(&other.grid())).sqrt();
+    let other = Averaged::new(other, (ratio / FINEST).max(1.0) as u64);
+    let finer = (area(&template.grid()) / area(&other.grid())).sqrt().round().max(1.0) as u64;
     // Beyond half of the smaller one's size nothing can be found.
     let reach = |small: &Grid| {
         let w = small.bounds();
@@ -180,7 +185,7 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let (held_template, held_other) = (held(&template)?, held(&other)?);
     let template: &dyn Heights = held_template.as_ref().map_or(&template, |held| held);
     let other: &dyn Heights = held_other.as_ref().map_or(&other, |held| held);
-    let full = Pair { template, other, unit: options.unit, stable: options.stable, frame };
+    let full = Pair { template, other, finer, unit: options.unit, stable: options.stable, frame };
 
     let mut found = search::run(&full, options, Flats::LeftOut)?;
     if matches!(found, Found::Nothing(_)) && !options.method.moves() {

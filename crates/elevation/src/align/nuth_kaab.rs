@@ -8,11 +8,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::error::Result;
 use crate::histogram::FloatHistogram;
-use crate::resample::{Interpolation, Resampled, Scratch};
-use crate::source::{Heights, Patch};
+use crate::source::Patch;
 use crate::stream::{self, Means};
 
-use super::fit::{Pair, State, mark_stable};
+use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 use super::spread;
 
 const ASPECTS: usize = 72;
@@ -75,7 +74,7 @@ struct Step {
 struct Worker {
     classes: Vec<FloatHistogram<BITS>>,
     differences: FloatHistogram<{ spread::BITS }>,
-    scratch: Scratch,
+    scratch: MovedBuffers,
     template: Vec<f64>,
     other: Vec<f64>,
     stable: Vec<u32>,
@@ -86,7 +85,7 @@ impl Worker {
         Worker {
             classes: vec![FloatHistogram::default(); ASPECTS],
             differences: FloatHistogram::default(),
-            scratch: Scratch::default(),
+            scratch: MovedBuffers::default(),
             template: Vec::new(),
             other: Vec::new(),
             stable: Vec::new(),
@@ -94,13 +93,7 @@ impl Worker {
     }
 
     /// Looks at all cells of a window.
-    fn look(
-        &mut self,
-        pair: &Pair<'_>,
-        state: &State,
-        other: &Resampled<'_, dyn Heights + '_>,
-        core: Window,
-    ) -> Result<()> {
+    fn look(&mut self, pair: &Pair<'_>, state: &State, other: &Moved<'_>, core: Window) -> Result<()> {
         let grid = pair.template.grid();
         let (width, height) = (core.width as usize, core.height as usize);
         let stride = width + 2;
@@ -138,7 +131,7 @@ impl Worker {
 /// A pass over every `rows_apart`-th row of the models, counted from the first: the same rows for any tiling.
 fn step(pair: &Pair<'_>, state: &State, means: Means, rows_apart: u64) -> Result<Step> {
     let grid = pair.template.grid();
-    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    let other = Moved::of(pair, state.shift);
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, Worker::new, |worker, core| {
         if rows_apart == 1 {

@@ -120,7 +120,8 @@ struct Level {
 
 impl Level {
     fn pair<'a>(&'a self, full: &'a Pair<'a>) -> Pair<'a> {
-        Pair { template: &self.template, other: &self.other, unit: full.unit, stable: full.stable, frame: full.frame }
+        // The other's means have about the template's cells already.
+        Pair { template: &self.template, other: &self.other, finer: 1, ..*full }
     }
 }
 
@@ -129,11 +130,11 @@ fn pyramid(full: &Pair<'_>, options: &Options<'_>) -> Result<Vec<Level>> {
     let cells = |grid: Grid, factor: u64| (grid.width / factor + 1) * (grid.height / factor + 1);
     let limit = options.memory_cells.max(4096);
     let mut factor = 1;
-    while cells(full.template.grid(), factor) > limit || cells(full.other.grid(), factor) > 4 * limit {
+    while cells(full.template.grid(), factor) > limit || cells(full.other.grid(), factor * full.finer) > 4 * limit {
         factor *= 2;
     }
     let template = load(full.template, factor, options.means)?;
-    let other = load(full.other, factor, options.means)?;
+    let other = load(full.other, factor * full.finer, options.means)?;
     let mut levels = vec![Level { factor, template, other }];
     while let Some(last) = levels.last() {
         let grid = last.template.grid();

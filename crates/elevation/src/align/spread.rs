@@ -2,11 +2,10 @@
 
 use crate::error::Result;
 use crate::histogram::FloatHistogram;
-use crate::resample::{Interpolation, Resampled, Scratch};
 use crate::source::Patch;
 use crate::stream::{self, Means};
 
-use super::fit::{Pair, State, mark_stable};
+use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 
 /// Of the differences template − other − plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -25,17 +24,17 @@ pub const BITS: u32 = 20;
 /// When a model cannot be read.
 pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     let grid = pair.template.grid();
-    let other = Resampled::new(pair.other, grid, state.shift, Interpolation::Cubic);
+    let other = Moved::of(pair, state.shift);
     struct Worker {
         histogram: FloatHistogram<BITS>,
-        scratch: Scratch,
+        scratch: MovedBuffers,
         template: Vec<f64>,
         other: Vec<f64>,
         stable: Vec<u32>,
     }
     let worker = || Worker {
         histogram: FloatHistogram::default(),
-        scratch: Scratch::default(),
+        scratch: MovedBuffers::default(),
         template: Vec::new(),
         other: Vec::new(),
         stable: Vec::new(),

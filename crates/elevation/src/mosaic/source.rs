@@ -199,8 +199,21 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
             || crate::crs::Crs::parse(&source.wkt).ok().map(|c| c.label())
                 == reference.as_ref().map(crate::crs::Crs::label);
         if !same {
-            let what = format!("another CRS than that of {}", sources[0].path.display());
-            return Err(Error::unsupported(&source.path, what, "bring it there with gdalwarp -t_srs"));
+            let first = sources[0].path.display();
+            return Err(match (wkt.is_empty(), source.wkt.is_empty()) {
+                (false, true) => {
+                    let what = format!("no CRS, while {first} has one");
+                    Error::unsupported(&source.path, what, "name it with gdal_edit.py -a_srs")
+                }
+                (true, false) => {
+                    let what = format!("no CRS, while {} has one", source.path.display());
+                    Error::unsupported(&sources[0].path, what, "name it with gdal_edit.py -a_srs")
+                }
+                _ => {
+                    let what = format!("another CRS than that of {first}");
+                    Error::unsupported(&source.path, what, "bring it there with gdalwarp -t_srs")
+                }
+            });
         }
     }
     let origin = sources[0].grid;

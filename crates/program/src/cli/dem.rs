@@ -337,7 +337,16 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         DemCommand::Tpi(args) => draw(args, "TPI", Vec::new(), None)?,
         DemCommand::Contour(args) => {
             atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
-            atomic::with_temporary(&args.out, |path| derive::contour(&args.model, path, args.interval, args.base))?;
+            derive::check_heights(&args.model)?;
+            let mut lines = 0;
+            atomic::with_temporary(&args.out, |path| {
+                lines = derive::contour(&args.model, path, args.interval, args.base)?;
+                Ok(())
+            })?;
+            if lines == 0 {
+                println!("No line crosses the model: a smaller --interval or another --base may draw some");
+            }
+            println!("Written              {}", args.out.display());
         }
         DemCommand::Profile(args) => line(args)?,
         DemCommand::Resample(args) => resample(args)?,
@@ -578,6 +587,7 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
     atomic::check_outputs(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;
     let resources = args.draw.resources.resources();
     resources.check()?;
+    derive::check_heights(&args.draw.model)?;
     let kernel = match args.alg {
         GradientArg::Horn => Kernel::Horn,
         GradientArg::ZevenbergenThorne => Kernel::ZevenbergenThorne,
@@ -596,6 +606,7 @@ fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&
     if args.compute_edges {
         options.push("-compute_edges".into());
     }
+    derive::check_heights(&args.model)?;
     let drawing = Drawing { kind, options, colours };
     atomic::with_temporary(&args.out, |path| derive::draw(&args.model, path, &drawing))?;
     println!("Written              {}", args.out.display());
@@ -640,6 +651,7 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
         args.resolution.iter().map(|r| PathBuf::from(args.out.replace("{res}", &r.to_string()))).collect();
     atomic::check_outputs(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
+    derive::check_heights(&args.model)?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {
         let side = resolution.to_string();
         atomic::with_temporary(out, |path| {

@@ -1,0 +1,214 @@
+//! A fine model seen in coarser cells: means over each cell's own footprint, wherever it comes to lie.
+//!
+//! Means over whole blocks, interpolated between them, draw a shift towards the blocks' own lattice by some thousandths of a
+//! cell where the ground is rougher than the cells; footprints have no lattice.
+
+use crate::error::Result;
+use crate::grid::Grid;
+use crate::source::{CELLS_AT_A_TIME, Heights, Patch};
+
+/// A source in the cells of another grid, moved by a shift.
+pub struct Footprints<'a, H: Heights + ?Sized> {
+    source: &'a H,
+    target: Grid,
+    x: Axis,
+    y: Axis,
+}
+
+/// Along one axis: cell `i` of the target covers `from + i·step` and the `width` after it, in cells of the source.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    from: f64,
+    step: f64,
+    width: f64,
+}
+
+/// Cells of the source under one of the target: the first, and its and the next ones' shares, at `at` in a list.
+#[derive(Clone, Copy, Debug)]
+struct Cover {
+    first: i64,
+    at: usize,
+    count: usize,
+}
+
+/// Shares below this are rounding.
+const LEAST_SHARE: f64 = 1e-9;
+
+impl Axis {
+    fn new(target: (f64, f64), source: (f64, f64), shift: f64) -> Self {
+        let step = target.1 / source.1;
+        let (from, width) = ((target.0 + shift - source.0) / source.1, step.abs());
+        Axis { from: if step < 0.0 { from - width } else { from }, step, width }
+    }
+
+    fn covers(&self, first: i64, count: usize, shares: &mut Vec<f64>, covers: &mut Vec<Cover>) {
+        shares.clear();
+        covers.clear();
+        for index in first..first + count as i64 {
+            let low = self.from + index as f64 * self.step;
+            let high = low + self.width;
+            // Far outside, where a float has no place in an index, there is nothing to read anyway.
+            let cell = |edge: f64| edge.clamp(-4e15, 4e15) as i64;
+            let (mut start, end) = (cell(low.floor()), cell(high.ceil()));
+            let at = shares.len();
+            for c in start..end {
+                let share = (high.min(c as f64 + 1.0) - low.max(c as f64)) / self.width;
+                if share > LEAST_SHARE {
+                    shares.push(share);
+                } else if shares.len() == at {
+                    start = c + 1;
+                }
+            }
+            covers.push(Cover { first: start, at, count: shares.len() - at });
+        }
+    }
+}
+
+/// Buffers of [`Footprints::read_with`].
+#[derive(Default)]
+pub struct Buffers {
+    columns: Vec<Cover>,
+    column_shares: Vec<f64>,
+    rows: Vec<Cover>,
+    row_shares: Vec<f64>,
+    cells: Vec<f64>,
+    along: Vec<(f64, f64)>,
+}
+
+impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
+    /// The cell at X of `target` gets the mean of `source` over the cell's area moved by (`shift_x`, `shift_y`), in units of
+    /// the CRS; NaN where less than half of it has heights.
+    pub fn new(source: &'a H, target: Grid, shift: (f64, f64)) -> Self {
+        let s = source.grid();
+        let x = Axis::new((target.x0, target.step_x), (s.x0, s.step_x), shift.0);
+        let y = Axis::new((target.y0, target.step_y), (s.y0, s.step_y), shift.1);
+        Footprints { source, target, x, y }
+    }
+
+    /// As [`Heights::read`], with buffers that are used again. Few rows of the source are held at a time.
+    ///
+    /// # Errors
+    /// When the source cannot be read.
+    pub fn read_with(&self, patch: Patch, buffers: &mut Buffers, out: &mut Vec<f64>) -> Result<()> {
+        out.clear();
+        out.resize(patch.width * patch.height, f64::NAN);
+        if out.is_empty() {
+            return Ok(());
+        }
+        let Buffers { columns, column_shares, rows, row_shares, cells, along } = buffers;
+        self.x.covers(patch.x, patch.width, column_shares, columns);
+        self.y.covers(patch.y, patch.height, row_shares, rows);
+        let (left, right) = span(columns);
+        let s = self.source.grid();
+        if right <= 0 || left >= s.width as i64 {
+            return Ok(());
+        }
+        let width = (right - left) as usize;
+        let rows_at_a_time = ((CELLS_AT_A_TIME / width) as f64 / self.y.width).max(1.0) as usize;
+        for (band, lines) in out.chunks_mut(rows_at_a_time * patch.width).enumerate() {
+            let from = band * rows_at_a_time;
+            let covers = &rows[from..from + lines.len() / patch.width];
+            let (top, bottom) = span(covers);
+            if bottom <= 0 || top >= s.height as i64 {
+                continue;
+            }
+            self.source.read(Patch { x: left, y: top, width, height: (bottom - top) as usize }, cells)?;
+            along.clear();
+            for row in cells.chunks_exact(width) {
+                along.extend(columns.iter().map(|cover| {
+                    let from = (cover.first - left) as usize;
+                    gathered(&row[from..from + cover.count], &column_shares[cover.at..])
+                }));
+            }
+            for (line, cover) in lines.chunks_exact_mut(patch.width).zip(covers) {
+                let first = (cover.first - top) as usize * patch.width;
+                for (x, value) in line.iter_mut().enumerate() {
+                    let (mut sum, mut whole) = (0.0, 0.0);
+                    for (k, share) in row_shares[cover.at..cover.at + cover.count].iter().enumerate() {
+                        let (part, there) = along[first + k * patch.width + x];
+                        sum += share * part;
+                        whole += share * there;
+                    }
+                    if whole >= 0.5 {
+                        *value = sum / whole;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The weighted sum of the heights that are there, and their share.
+fn gathered(cells: &[f64], shares: &[f64]) -> (f64, f64) {
+    let (mut sum, mut there) = (0.0, 0.0);
+    for (&value, &share) in cells.iter().zip(shares) {
+        if !value.is_nan() {
+            sum += share * value;
+            there += share;
+        }
+    }
+    (sum, there)
+}
+
+/// The first cell that is needed, and the one after the last.
+fn span(covers: &[Cover]) -> (i64, i64) {
+    let ends = covers.iter().map(|cover| (cover.first, cover.first + cover.count as i64));
+    ends.fold((i64::MAX, i64::MIN), |(low, high), (a, b)| (low.min(a), high.max(b)))
+}
+
+impl<H: Heights + ?Sized> Heights for Footprints<'_, H> {
+    fn grid(&self) -> Grid {
+        self.target
+    }
+
+    fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
+        self.read_with(patch, &mut Buffers::default(), out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::MemoryHeights;
+
+    #[test]
+    fn planes_keep_their_heights_and_windows_agree() {
+        let grid = Grid { x0: 10.0, y0: 90.0, step_x: 0.7, step_y: -0.9, width: 60, height: 50 };
+        let place = |i: u64, j: u64| (10.0 + 0.7 * (i as f64 + 0.5), 90.0 - 0.9 * (j as f64 + 0.5));
+        let plane = |x: f64, y: f64| 2.0 * x - 3.0 * y;
+        let values = (0..50).flat_map(|j| (0..60).map(move |i| place(i, j))).map(|(x, y)| plane(x, y)).collect();
+        let fine = MemoryHeights::new(grid, values);
+        // Whole cells of the source, or not; north up, or south up.
+        for (step_x, step_y, y0) in [(2.1, -2.7, 84.0), (2.3, -3.1, 84.0), (2.3, 3.1, 60.0)] {
+            let target = Grid { x0: 13.0, y0, step_x, step_y, width: 9, height: 6 };
+            let coarse = Footprints::new(&fine, target, (0.4, -0.3));
+            let (mut whole, mut part) = (Vec::new(), Vec::new());
+            coarse.read(Patch { x: 0, y: 0, width: 9, height: 6 }, &mut whole).expect("memory");
+            for (index, value) in whole.iter().enumerate() {
+                let (i, j) = ((index % 9) as f64 + 0.5, (index / 9) as f64 + 0.5);
+                let expected = plane(13.0 + i * step_x + 0.4, y0 + j * step_y - 0.3);
+                // Cells are taken as level: a footprint's end within one is off by a part of its own rise.
+                let most = if step_x == 2.1 { 0.7 } else { 0.5 };
+                assert!((value - expected).abs() < most, "{index}: {value} for {expected}");
+            }
+            coarse.read(Patch { x: 2, y: 3, width: 4, height: 2 }, &mut part).expect("memory");
+            for (k, value) in part.iter().enumerate() {
+                assert_eq!(value.to_bits(), whole[(3 + k / 4) * 9 + 2 + k % 4].to_bits());
+            }
+        }
+    }
+
+    #[test]
+    fn half_of_a_footprint_must_have_heights() {
+        let grid = Grid { x0: 0.0, y0: 0.0, step_x: 1.0, step_y: -1.0, width: 4, height: 2 };
+        let nan = f64::NAN;
+        let memory = MemoryHeights::new(grid, vec![1.0, 3.0, nan, nan, nan, nan, nan, 5.0]);
+        let target = Grid { step_x: 2.0, step_y: -2.0, width: 3, height: 1, ..grid };
+        let mut out = Vec::new();
+        let coarse = Footprints::new(&memory, target, (0.0, 0.0));
+        coarse.read(Patch { x: 0, y: 0, width: 3, height: 1 }, &mut out).expect("memory");
+        assert_eq!(out[0], 2.0);
+        assert!(out[1].is_nan() && out[2].is_nan());
+    }
+}
