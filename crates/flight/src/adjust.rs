@@ -414,9 +414,7 @@ fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f
         images + (x - p.xyz).component_div(&p.sigma).norm_squared()
     };
     let all = std::iter::once(p.xyz).chain(intersect_seen(world, &p.seen)).chain(along_rays);
-    all.filter(|x| x.iter().all(|v| v.is_finite()))
-        .min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
-        .unwrap_or(p.xyz)
+    all.filter(|x| x.iter().all(|v| v.is_finite())).min_by(|a, b| misfit(a).total_cmp(&misfit(b))).unwrap_or(p.xyz)
 }
 
 /// What an image point behind its camera counts as when a start is chosen, in σ.

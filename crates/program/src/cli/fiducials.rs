@@ -4,10 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
-use autoref_film::{
-    self, FindOptions, Finder, FrameResult, FrameStatus, InteriorModel, Method,
-    learn, roll,
-};
+use autoref_film::{self, FindOptions, Finder, FrameResult, FrameStatus, InteriorModel, Method, learn, roll};
 use autoref_raster::atomic::Existing;
 use autoref_raster::memory_plan;
 use clap::{Args, ValueEnum};

@@ -58,7 +58,9 @@ impl Masks {
     /// Leaves out the masks of single frames that cannot be read or are of another size than their frame; a line about each.
     pub fn leave_out_misfits(&mut self, names: &[String], frame_px: (usize, usize)) -> Vec<String> {
         let mut notes = Vec::new();
-        for path in names.iter().flat_map(|n| self.of(n)).filter(|p| Some(p) != self.global.as_ref()).collect::<Vec<_>>() {
+        for path in
+            names.iter().flat_map(|n| self.of(n)).filter(|p| Some(p) != self.global.as_ref()).collect::<Vec<_>>()
+        {
             let what = match Dataset::open(&path).map(|mask| mask.raster_size()) {
                 Ok(size) if size == frame_px => continue,
                 Ok((w, h)) => format!("the mask has {w} x {h} pixels, its frame {} x {}", frame_px.0, frame_px.1),
