@@ -71,6 +71,9 @@ impl FindOptions {
     }
 }
 
+/// So many marks that agree, and this share of the camera's, need no further one.
+const MANY: usize = 6;
+const MOST_SHARE: f64 = 0.75;
 /// The search box grows by these factors while too few marks are found.
 const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 /// Peaks kept per search box.
@@ -385,7 +388,11 @@ impl Finder {
             })
             .collect();
         let mut reasons: Vec<String> = doubtful_names.into_iter().collect();
-        for m in result.marks.iter().filter(|m| m.status != MarkStatus::Ok) {
+        // Many marks that agree check each other without the one that is not seen; one that contradicts them stays a reason.
+        let found = observations.len();
+        let enough = found >= MANY && found as f64 >= MOST_SHARE * self.film.len() as f64;
+        let spared = |m: &MarkFind| m.status == MarkStatus::Missing && enough;
+        for m in result.marks.iter().filter(|m| m.status != MarkStatus::Ok && !spared(m)) {
             let reason = m.reason.as_deref().unwrap_or_default();
             if !reasons.iter().any(|r| r == reason) {
                 reasons.push(format!("mark {}: {reason}", m.mark));
@@ -400,8 +407,19 @@ impl Finder {
             let mm = self.camera.marks.iter().find(|c| c.name == m.mark).and_then(|c| c.x_mm.zip(c.y_mm));
             m.residual_um = mm.zip(m.centre).and_then(|(mm, p)| residual_um(&interior, [mm.0, mm.1], p));
         }
-        if observations.len() < self.film.len() {
-            reasons.insert(0, format!("solved with {} of {} marks", observations.len(), self.film.len()));
+        if found < self.film.len() {
+            let said = format!("solved with {found} of {} marks", self.film.len());
+            let lost: Vec<String> = result
+                .marks
+                .iter()
+                .filter(|m| spared(m))
+                .map(|m| format!("{} {}", m.mark, m.reason.as_deref().unwrap_or_default()))
+                .collect();
+            if found + lost.len() == self.film.len() {
+                result.notes.push(format!("{said}: {}", lost.join(", ")));
+            } else {
+                reasons.insert(0, said);
+            }
         }
         let most_um = self.most_rmse_um(options, pose);
         if interior.rmse_um > most_um {

@@ -24,6 +24,18 @@ pub struct Pointed {
     pub at: PixelPoint,
 }
 
+/// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg` and `mirrored`
+/// of `options` turn them.
+pub fn expected(camera: &Camera, size_px: [f64; 2], options: &FindOptions) -> Vec<PixelPoint> {
+    let middle = PixelPoint { x: 0.5 * size_px[0], y: 0.5 * size_px[1] };
+    let [w, h] = camera.film_size_mm;
+    let by_film = size_px[0].max(size_px[1]) / w.max(h);
+    let px_per_mm = options.pixel_um.map_or(by_film, |um| 1e3 / um);
+    let mirrored = options.mirrored.unwrap_or(Handedness::AsIs);
+    let pose = Pose::about(camera.film_centre(), middle, px_per_mm, options.turn_deg.unwrap_or(0.0), mirrored);
+    camera.film_points().into_iter().map(|mm| pose.apply(mm)).collect()
+}
+
 /// Spread of brightness between frames, of the window's own range, at which a value counts half.
 const SPREAD: f64 = 0.12;
 /// Marks that correlate less are not averaged.

@@ -14,8 +14,12 @@ const TOLD: f64 = 0.005;
 const ASTRAY: f64 = 0.04;
 /// A file's resolution further off than this many times says nothing of the scan.
 const NONSENSE: f64 = 3.0;
-/// What a scan shows of the film's width and height, where nothing else tells its scale.
+/// What a scan may show of the film's width and height at all, where nothing else tells its scale.
 const SHOWN: std::ops::Range<f64> = 0.85..1.25;
+/// What one of the two must be for the film to tell the scale: up to so many millimetres cut off or of the scanner's glass beside it.
+/// Marks of another size of camera that lie alike (113.0 and 108.6 mm are 4 % apart) then show 10 mm too much or too little.
+const CUT_MM: f64 = 2.0;
+const GLASS_MM: f64 = 9.0;
 /// Differences of scale between the axes that are told: film alone shrinks unevenly by a tenth of a per cent.
 const TOLD_STRETCH: f64 = 0.003;
 
@@ -66,12 +70,19 @@ impl Finder {
             let turned = (interior.rotation_deg / 90.0).round() as i64 % 2 != 0;
             let [w, h] = self.camera.film_size_mm;
             let film = if turned { [h, w] } else { [w, h] };
-            let shown = [result.width, result.height].map(|v| v as f64 * pixel_um / 1e3);
+            let [px, py] = interior.pixel_xy_um;
+            let shown = [result.width as f64 * px / 1e3, result.height as f64 * py / 1e3];
+            let whole = |k: usize| (-CUT_MM..GLASS_MM).contains(&(shown[k] - film[k]));
+            let says = format!(
+                "by the marks the scan shows {:.1} x {:.1} mm, the camera's film is {:.0} x {:.0} mm",
+                shown[0], shown[1], film[0], film[1]
+            );
             if !(0..2).all(|k| SHOWN.contains(&(shown[k] / film[k]))) {
+                doubts.push(format!("{says}: if that is right, say --pixel-um {pixel_um:.1}"));
+            } else if !(0..2).any(whole) {
                 doubts.push(format!(
-                    "by the marks the scan shows {:.0} x {:.0} mm, the camera's film is {w:.0} x {h:.0} mm: if that is right, say --pixel-um \
-                     {pixel_um:.1}",
-                    shown[0], shown[1]
+                    "{says}, and no resolution tells the scale: a camera of another size whose marks lie alike would fit as well; if \
+                     this one is right, say --pixel-um {pixel_um:.1}"
                 ));
             }
         }

@@ -373,7 +373,8 @@ fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptio
     }
     for p in control {
         let point = problem.points.len();
-        problem.points.push(BundlePoint { xyz: p.xyz, survey: Some((p.xyz, p.sigma)) });
+        let xyz = start_of(world, p, options.sigma_image_px);
+        problem.points.push(BundlePoint { xyz, survey: Some((p.xyz, p.sigma)) });
         for (frame, pixel) in &p.seen {
             problem.observations.push(Observation {
                 frame: *frame,
@@ -386,6 +387,38 @@ fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptio
     }
     (problem, kept)
 }
+
+/// Where a GCP starts: at its survey, where its rays meet, or where a ray passes its survey, whichever fits survey and images best. A
+/// survey that the first datum puts behind a camera or far from its rays would pull from the wrong side.
+fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f64> {
+    let along_rays = p.seen.iter().filter_map(|(i, pixel)| {
+        let photograph = &world.photographs[*i];
+        let ray = photograph.pose.rotation.transpose()
+            * Vector3::from(world.cameras[photograph.camera].ray(*pixel)?).normalize();
+        let reach = (p.xyz - photograph.pose.centre).dot(&ray);
+        // A survey beside or behind the camera: as far off as it is, but in front.
+        let reach = if reach > 0.0 { reach } else { (p.xyz - photograph.pose.centre).norm() };
+        Some(photograph.pose.centre + ray * reach)
+    });
+    let misfit = |x: &Vector3<f64>| {
+        let images: f64 = p
+            .seen
+            .iter()
+            .map(|(i, pixel)| {
+                let photograph = &world.photographs[*i];
+                let at = world.cameras[photograph.camera].project(photograph.pose.to_camera(x).into());
+                let off = at.map_or(f64::INFINITY, |at| (at[0] - pixel[0]).hypot(at[1] - pixel[1]) / sigma_px);
+                Loss::Huber(2.0).at((off * off).min(FARTHEST_START * FARTHEST_START)).0
+            })
+            .sum();
+        images + (x - p.xyz).component_div(&p.sigma).norm_squared()
+    };
+    let all = std::iter::once(p.xyz).chain(intersect_seen(world, &p.seen)).chain(along_rays);
+    all.filter(|x| x.iter().all(|v| v.is_finite())).min_by(|a, b| misfit(a).total_cmp(&misfit(b))).unwrap_or(p.xyz)
+}
+
+/// What an image point behind its camera counts as when a start is chosen, in σ.
+const FARTHEST_START: f64 = 1e4;
 
 /// σ of a tie's coordinate from the median of the squared lengths of its residuals and the share that the unknowns take up.
 fn estimate_sigma(problem: &Problem, ties: usize, observations: usize) -> Option<f64> {

@@ -35,10 +35,12 @@ pub struct Dual<const N: usize> {
 }
 
 impl<const N: usize> Dual<N> {
+    #[inline]
     pub fn constant(v: f64) -> Self {
         Dual { v, d: [0.0; N] }
     }
     /// The variable of number `index`.
+    #[inline]
     pub fn variable(v: f64, index: usize) -> Self {
         let mut d = [0.0; N];
         d[index] = 1.0;

@@ -2,7 +2,7 @@
 
 use autoref_flight::adjust::{AdjustOptions, GroundPoint, Role, adjust};
 use autoref_flight::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Treatment, Trust, factor, solve,
+    BundleCamera, BundleFrame, BundlePoint, Ended, Loss, Observation, Options, Problem, Treatment, Trust, factor, solve,
 };
 use autoref_flight::camera::{Camera, Parameter};
 use autoref_flight::pose::{Pose, Similarity, YawPitchRoll};
@@ -131,6 +131,20 @@ fn blunders_are_named() {
     assert!((by("G3") - 25.0).abs() < 5.0 && (by("G6") - 120.0).abs() < 40.0, "{:?}", found.blunders);
 }
 
+/// As phones' heights put points of the street above the camera: nothing pulls a point that starts behind its cameras.
+#[test]
+fn a_gcp_whose_rough_survey_lies_behind_its_cameras_is_placed_by_its_rays() {
+    let mut draw = Draw(9);
+    let (start, mut points) = block(&mut draw, 5, 150, 8);
+    let truth = points[2].xyz;
+    points[2].xyz += Vector3::new(0.0, -16_000.0, 6000.0);
+    points[2].sigma = Vector3::repeat(1e5);
+    let found = adjust(&start, &points, &AdjustOptions { interior: Vec::new(), ..AdjustOptions::default() });
+    let found = found.expect("adjusted");
+    assert_eq!(found.summary.ended, Ended::Converged);
+    assert!((found.points[2].xyz - truth).norm() < 10.0, "{:?} is not {truth:?}", found.points[2].xyz);
+}
+
 #[test]
 fn covariances_cover_the_errors() {
     // Normalised errors of positions, directions, focal length and points over many trials have an RMS of 1.
@@ -180,22 +194,23 @@ fn covariances_cover_the_errors() {
 
 #[test]
 fn large_blocks_take_seconds() {
-    if std::env::var_os("AUTOREF_LARGE").is_none() {
-        return;
-    }
+    let (frames, ties) = if std::env::var_os("AUTOREF_LARGE").is_some() { (100, 200_000) } else { (12, 1200) };
     let mut draw = Draw(5);
-    let (truth, mut points) = block(&mut draw, 100, 66_667, 12);
+    let (truth, mut points) = block(&mut draw, frames, ties, 12);
     let mut start = shaken(&mut draw, &truth);
     noisy(&mut draw, &mut start, &mut points, 0.7, 25.0);
     let observations: usize = start.ties.iter().map(|t| t.seen.len()).sum();
     let begin = std::time::Instant::now();
     let found = adjust(&start, &points, &AdjustOptions::default()).expect("adjusted");
     eprintln!(
-        "100 frames, {observations} observations: {:.1} s, rms {:.3} px",
+        "{frames} frames, {observations} observations: {:.1} s, {} last iterations, rms {:.3} px",
         begin.elapsed().as_secs_f64(),
+        found.summary.iterations,
         found.tie_rms_px
     );
-    assert!((found.sigma_tie_px - 0.7).abs() < 0.05, "{}", found.sigma_tie_px);
+    // Few ties tell their σ less well.
+    let tolerance = if ties > 10_000 { 0.05 } else { 0.1 };
+    assert!((found.sigma_tie_px - 0.7).abs() < tolerance, "{}", found.sigma_tie_px);
 }
 
 /// The problem as JSON, with the cost that was reached.

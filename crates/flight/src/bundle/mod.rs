@@ -2,8 +2,8 @@
 //!
 //! Minimised is ½ Σ ρ(‖(u − û)/σ‖²) over the image observations plus the squares of all priors (GCPs on the ground, positions,
 //! directions, interior parameters). The normal equations are reduced to cameras by the Schur complement, stored as a
-//! skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern Synthesis*, 2000;
-//! damping after Nielsen 1999).
+//! skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern Synthesis*, 2000, section 4.3
+//! for the curvature of a robust loss; damping after Nielsen 1999).
 
 mod normal;
 pub mod skyline;
@@ -110,6 +110,15 @@ impl Loss {
                 (2.0 * k * root - k * k, k / root)
             }
             Loss::Cauchy(c) => (c * c * (s / (c * c)).ln_1p(), 1.0 / (1.0 + s / (c * c))),
+        }
+    }
+
+    /// 1 + 2 s ρ″/ρ′: the share of ρ′ that is left of the curvature along the residual; below zero ρ is concave there.
+    pub fn radial(self, s: f64) -> f64 {
+        match self {
+            Loss::Squared => 1.0,
+            Loss::Huber(k) => f64::from(u8::from(s <= k * k)),
+            Loss::Cauchy(c) => (1.0 - s / (c * c)) / (1.0 + s / (c * c)),
         }
     }
 }

@@ -12,6 +12,18 @@ type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// Interior parameters of one camera that can be adjusted at once.
 pub(super) const MOST_INTERIOR: usize = 13;
 
+/// What the second derivative of a robust loss counts for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Curvature {
+    /// Nothing: observations are weighted by ρ′, as covariances want it.
+    Weights,
+    /// Along a residual a far observation pulls, but hardly holds: steps that know it converge fast.
+    Whole,
+}
+
+/// Share of the weight that stays along a residual where the loss is straight or concave.
+const LEAST_RADIAL: f64 = 0.02;
+
 /// The weighted derivatives of one observation.
 pub(super) struct Linear {
     /// By turn and centre of the pose.
@@ -76,7 +88,13 @@ impl Layout {
 }
 
 /// The derivatives of an observation, weighted by 1/σ and the robust loss; `None` behind the camera.
-pub(super) fn linear(problem: &Problem, layout: &Layout, o: &Observation, loss: Loss) -> Option<Linear> {
+pub(super) fn linear(
+    problem: &Problem,
+    layout: &Layout,
+    o: &Observation,
+    loss: Loss,
+    curvature: Curvature,
+) -> Option<Linear> {
     let frame = &problem.frames[o.frame];
     let x = &problem.points[o.point].xyz;
     let p = frame.pose.to_camera(x);
@@ -98,22 +116,60 @@ pub(super) fn linear(problem: &Problem, layout: &Layout, o: &Observation, loss: 
     if !residual.iter().all(|v| v.is_finite()) {
         return None;
     }
-    let weight = match o.trust {
-        Trust::Robust => loss.at(residual.norm_squared()).1.sqrt(),
-        Trust::Full => 1.0,
+    let squared = residual.norm_squared();
+    let (weight, radial) = match (o.trust, curvature) {
+        (Trust::Robust, Curvature::Whole) => (loss.at(squared).1.sqrt(), loss.radial(squared).max(LEAST_RADIAL).sqrt()),
+        (Trust::Robust, Curvature::Weights) => (loss.at(squared).1.sqrt(), 1.0),
+        (Trust::Full, _) => (1.0, 1.0),
     };
     let scale = weight / o.sigma_px;
-    let by_p = by_p * scale;
-    let by_x = by_p * frame.pose.rotation;
+    let mut by_p = by_p * scale;
+    // The part of the derivatives along the residual shrinks, the residual grows by as much: the slope stays the same.
+    let bent = (radial < 1.0).then(|| {
+        Matrix2::identity() - residual * residual.transpose() * ((1.0 - radial) / squared.max(f64::MIN_POSITIVE))
+    });
+    if let Some(m) = bent {
+        by_p = m * by_p;
+    }
+    let by_x = times(&by_p, &frame.pose.rotation);
     // exp(δ) p ≈ p + δ × p.
-    let by_turn = by_p * -p.cross_matrix();
+    let by_turn = times(&by_p, &-p.cross_matrix());
     let mut pose = Matrix2x6::zeros();
     pose.fixed_columns_mut::<3>(0).copy_from(&by_turn);
     pose.fixed_columns_mut::<3>(3).copy_from(&-by_x);
     for v in &mut interior[..active.len()] {
-        *v *= scale;
+        *v = bent.map_or(*v, |m| m * *v) * scale;
     }
-    Some(Linear { pose, interior, point: by_x, residual: residual * weight })
+    Some(Linear { pose, interior, point: by_x, residual: residual * (weight / radial) })
+}
+
+/// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for each column.
+#[inline(always)]
+fn across<const R: usize, const C: usize>(a: &SMatrix<f64, 2, R>, b: &SMatrix<f64, 2, C>) -> SMatrix<f64, R, C> {
+    let mut out = SMatrix::zeros();
+    for c in 0..C {
+        for r in 0..R {
+            out[(r, c)] = a[(0, r)] * b[(0, c)] + a[(1, r)] * b[(1, c)];
+        }
+    }
+    out
+}
+
+/// a b of small matrices, spelled out.
+#[inline(always)]
+fn times<const R: usize, const K: usize, const C: usize>(
+    a: &SMatrix<f64, R, K>,
+    b: &SMatrix<f64, K, C>,
+) -> SMatrix<f64, R, C> {
+    let mut out = SMatrix::zeros();
+    for c in 0..C {
+        for k in 0..K {
+            for r in 0..R {
+                out[(r, c)] += a[(r, k)] * b[(k, c)];
+            }
+        }
+    }
+    out
 }
 
 fn split<const N: usize>(
@@ -158,7 +214,7 @@ pub(super) struct Step {
 
 impl Reduced {
     /// Builds the system at the present values with a damping of λ times the diagonal.
-    pub fn new(problem: &Problem, layout: &Layout, loss: Loss, damping: f64) -> Self {
+    pub fn new(problem: &Problem, layout: &Layout, loss: Loss, curvature: Curvature, damping: f64) -> Self {
         let mut matrix = Skyline::new(layout.first.clone());
         let mut right = DVector::zeros(layout.size);
         let mut points = Vec::with_capacity(problem.points.len());
@@ -169,14 +225,14 @@ impl Reduced {
             done.clear();
             for i in list {
                 let o = &problem.observations[*i as usize];
-                if let Some(l) = linear(problem, layout, o, loss) {
+                if let Some(l) = linear(problem, layout, o, loss, curvature) {
                     done.push((o.frame, l));
                 }
             }
             let (mut v, mut g) = (Matrix3::zeros(), Vector3::zeros());
             for (_, l) in &done {
-                v += l.point.transpose() * l.point;
-                g -= l.point.transpose() * l.residual;
+                v += across(&l.point, &l.point);
+                g -= across(&l.point, &l.residual);
             }
             if let Some((at, sigma)) = &problem.points[j].survey {
                 for a in 0..3 {
@@ -208,11 +264,10 @@ impl Reduced {
         for e in &points {
             let vg = e.inverse * e.right;
             for (at, w) in &e.pose {
+                let (t, slope) = (times(w, &e.inverse), times(w, &vg));
                 for a in 0..6 {
-                    let row = w.row(a);
-                    let change = (row * e.inverse * row.transpose())[0];
-                    diagonal[at + a] += change;
-                    gradient[at + a] += (row * vg)[0];
+                    diagonal[at + a] += t[(a, 0)] * w[(a, 0)] + t[(a, 1)] * w[(a, 1)] + t[(a, 2)] * w[(a, 2)];
+                    gradient[at + a] += slope[a];
                 }
             }
             for (at, w) in &e.interior {
@@ -250,7 +305,7 @@ impl Reduced {
             let mut through = 0.0;
             let vg = e.inverse * e.right;
             for (at, w) in &e.pose {
-                through += (reduced.fixed_rows::<6>(*at).transpose() * w * vg)[0];
+                through += reduced.fixed_rows::<6>(*at).dot(&times(w, &vg));
             }
             for (at, w) in &e.interior {
                 through += reduced[*at] * w.dot(&vg);
@@ -272,7 +327,10 @@ impl Eliminated {
     fn back(&self, reduced: &DVector<f64>) -> Vector3<f64> {
         let mut g = self.right;
         for (at, w) in &self.pose {
-            g -= w.transpose() * reduced.fixed_rows::<6>(*at);
+            let step = reduced.fixed_rows::<6>(*at);
+            for c in 0..3 {
+                g[c] -= w.column(c).dot(&step);
+            }
         }
         for (at, w) in &self.interior {
             g -= w * reduced[*at];
@@ -296,51 +354,49 @@ fn eliminate(
         let at = layout.frame_at[*frame];
         let camera = problem.frames[*frame].camera;
         let (start, count) = (layout.interior_at[camera], layout.active[camera].len());
-        let square = l.pose.transpose() * l.pose;
+        let square = across(&l.pose, &l.pose);
         for r in 0..6 {
-            for c in 0..=r {
-                matrix.add(at + r, at + c, square[(r, c)]);
-            }
+            // Symmetric: a column is a row.
+            matrix.add_row(at + r, at, &square.as_slice()[6 * r..=7 * r]);
         }
-        let slope = l.pose.transpose() * l.residual;
+        let slope = across(&l.pose, &l.residual);
         for r in 0..6 {
             right[at + r] -= slope[r];
         }
-        let w = l.pose.transpose() * l.point;
+        let w = across(&l.pose, &l.point);
         match pose.iter_mut().find(|p| p.0 == at) {
             Some(known) => known.1 += w,
             None => pose.push((at, w)),
         }
         for i in 0..count {
             right[start + i] -= l.interior[i].dot(&l.residual);
-            let by_pose = l.pose.transpose() * l.interior[i];
-            for c in 0..6 {
-                matrix.add(start + i, at + c, by_pose[c]);
-            }
+            matrix.add_row(start + i, at, across(&l.pose, &l.interior[i]).as_slice());
             for k in 0..=i {
                 matrix.add(start + i, start + k, l.interior[i].dot(&l.interior[k]));
             }
-            let w = l.point.transpose() * l.interior[i];
+            let w = across(&l.point, &l.interior[i]);
             match interior.iter_mut().find(|p| p.0 == start + i) {
                 Some(known) => known.1 += w,
                 None => interior.push((start + i, w)),
             }
         }
     }
+    // In the order of the unknowns, so that every block lies below the diagonal.
+    pose.sort_unstable_by_key(|p| p.0);
     let vg = inverse * g;
     for (k, (a, wa)) in pose.iter().enumerate() {
-        let t = wa * inverse;
+        let t = times(wa, &inverse);
+        let slope = times(wa, &vg);
         for r in 0..6 {
-            right[a + r] -= wa.row(r).transpose().dot(&vg);
+            right[a + r] -= slope[r];
         }
         for (b, wb) in &pose[..=k] {
-            let s = t * wb.transpose();
             for r in 0..6 {
-                for c in 0..6 {
-                    if a != b || c <= r {
-                        matrix.add(a + r, b + c, -s[(r, c)]);
-                    }
+                let mut row = [0.0; 6];
+                for (c, value) in row.iter_mut().enumerate() {
+                    *value = -(t[(r, 0)] * wb[(c, 0)] + t[(r, 1)] * wb[(c, 1)] + t[(r, 2)] * wb[(c, 2)]);
                 }
+                matrix.add_row(a + r, *b, if a == b { &row[..=r] } else { &row });
             }
         }
     }
@@ -348,10 +404,7 @@ fn eliminate(
         let t = inverse * wa;
         right[*a] -= wa.dot(&vg);
         for (b, wb) in &pose {
-            let s = wb * t;
-            for c in 0..6 {
-                matrix.add(*a, b + c, -s[c]);
-            }
+            matrix.add_row(*a, *b, (-times(wb, &t)).as_slice());
         }
         for (b, wb) in &interior[..=k] {
             matrix.add(*a, *b, -t.dot(wb));
@@ -458,7 +511,7 @@ impl Factored {
     /// Covariance (px²) of what the solution predicts for an observation: J N⁻¹ Jᵀ; `None` behind the camera.
     pub fn predicted(&self, problem: &Problem, o: &Observation) -> Option<Matrix2<f64>> {
         let whole = Observation { trust: Trust::Full, ..*o };
-        let l = linear(problem, &self.layout, &whole, Loss::Squared)?;
+        let l = linear(problem, &self.layout, &whole, Loss::Squared, Curvature::Weights)?;
         let e = &self.points[o.point];
         let (at, camera) = (self.layout.frame_at[o.frame], problem.frames[o.frame].camera);
         let mut rows = Vec::new();

@@ -42,6 +42,14 @@ impl Skyline {
         let (i, j) = if row >= column { (row, column) } else { (column, row) };
         self.rows[i][j - self.first[i]] += value;
     }
+    /// Adds to neighbouring entries of a row of the lower triangle within the envelope.
+    #[inline]
+    pub fn add_row(&mut self, row: usize, column: usize, values: &[f64]) {
+        let from = column - self.first[row];
+        for (entry, value) in self.rows[row][from..from + values.len()].iter_mut().zip(values) {
+            *entry += value;
+        }
+    }
     pub fn diagonal(&self, i: usize) -> f64 {
         self.rows[i][i - self.first[i]]
     }

@@ -1,8 +1,8 @@
 //! Levenberg and Marquardt's iteration.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::normal::{Factored, Layout, MOST_INTERIOR, Reduced, Step};
+use super::normal::{Curvature, Factored, Layout, MOST_INTERIOR, Reduced, Step};
 use super::{Loss, Problem};
 use crate::error::{Error, Result};
 
@@ -19,6 +19,11 @@ impl Default for Options {
         Options { loss: Loss::Huber(3.0), most_iterations: 100, least_gain: 1e-10 }
     }
 }
+
+/// Share of the foretold fall of the cost above which the linear model is believed.
+const FORETOLD: f64 = 0.75;
+/// A cost that fell by less than this part of it is near its end.
+const NEAR: f64 = 0.03;
 
 /// Why the iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,11 +54,13 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
     let first_cost = problem.cost(options.loss);
     let mut cost = first_cost;
     let (mut damping, mut grow) = (1e-4, 2.0);
+    // Weights by the loss alone make safe steps from afar; near the end its curvature makes them fast.
+    let mut curvature = Curvature::Weights;
     for iteration in 0..options.most_iterations {
         let mut accepted = false;
         // 60 doublings that grow are a damping of 10^500: stuck long before.
         for _ in 0..30 {
-            let reduced = Reduced::new(problem, &layout, options.loss, damping);
+            let reduced = Reduced::new(problem, &layout, options.loss, curvature, damping);
             if reduced.slope < 1e-12 * (1.0 + cost.sqrt()) {
                 return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged });
             }
@@ -62,16 +69,27 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
                 grow *= 2.0;
                 continue;
             };
-            let next = moved(problem, &layout, &step);
-            let next_cost = next.cost(options.loss);
-            let ratio = (cost - next_cost) / step.gain.max(f64::MIN_POSITIVE);
+            let mut next = moved(problem, &layout, &step, &Common::none());
+            let mut next_cost = next.cost(options.loss);
+            let foretold = step.gain.max(f64::MIN_POSITIVE);
+            // Where the straight line leads astray, what moves as one may be what bends it.
+            if !next_cost.is_finite() || cost - next_cost < FORETOLD * foretold {
+                let whole = moved(problem, &layout, &step, &Common::of_step(problem, &layout, &step));
+                let whole_cost = whole.cost(options.loss);
+                if whole_cost < next_cost || !next_cost.is_finite() {
+                    (next, next_cost) = (whole, whole_cost);
+                }
+            }
+            let ratio = (cost - next_cost) / foretold;
             if next_cost.is_finite() && next_cost < cost {
                 let fall = cost - next_cost;
                 *problem = next;
-                // Nielsen's rule.
-                damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(1.0 / 3.0)).max(1e-14);
+                // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not hold.
+                let least = if ratio > FORETOLD { 0.05 } else { 1.0 / 3.0 };
+                damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(least)).max(1e-14);
                 grow = 2.0;
                 let done = fall <= options.least_gain * cost;
+                curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
                 cost = next_cost;
                 if done {
                     return Ok(Summary { first_cost, cost, iterations: iteration + 1, ended: Ended::Converged });
@@ -82,6 +100,10 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
             if step.gain <= options.least_gain * cost {
                 // Rounding, not the model, decides from here on.
                 return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged });
+            }
+            if curvature == Curvature::Whole {
+                curvature = Curvature::Weights;
+                continue;
             }
             damping *= grow;
             grow *= 2.0;
@@ -96,17 +118,22 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
 /// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was measured.
 pub fn factor(problem: &Problem, loss: Loss) -> Option<Factored> {
     let layout = Layout::new(problem);
-    Reduced::new(problem, &layout, loss, 0.0).factored(layout)
+    Reduced::new(problem, &layout, loss, Curvature::Weights, 0.0).factored(layout)
 }
 
-fn moved(problem: &Problem, layout: &Layout, step: &Step) -> Problem {
+fn part(step: &Step, at: usize) -> Vector3<f64> {
+    Vector3::new(step.reduced[at], step.reduced[at + 1], step.reduced[at + 2])
+}
+
+/// The problem after a step. What is `common` to the step (a turn, a scale, a shift of all) is done exactly, so that the images stay as
+/// they are: only what is left follows the straight line of the linear model.
+fn moved(problem: &Problem, layout: &Layout, step: &Step, common: &Common) -> Problem {
     let mut next = problem.clone();
-    for (i, frame) in next.frames.iter_mut().enumerate() {
-        let at = layout.frame_at[i];
-        let part = |k: usize| Vector3::new(step.reduced[at + k], step.reduced[at + k + 1], step.reduced[at + k + 2]);
-        frame.pose.rotation = Rotation3::new(part(0)).matrix() * frame.pose.rotation;
-        frame.pose.rotation = tidy(frame.pose.rotation);
-        frame.pose.centre += part(3);
+    for (frame, at) in next.frames.iter_mut().zip(&layout.frame_at) {
+        let rotation = frame.pose.rotation;
+        let left = part(step, *at) + rotation * common.turn;
+        frame.pose.rotation = tidy(Rotation3::new(left).matrix() * rotation * common.rotation.transpose());
+        frame.pose.centre = common.apply(&frame.pose.centre, &part(step, at + 3));
     }
     for (i, camera) in next.cameras.iter_mut().enumerate() {
         for (k, p) in layout.active[i].iter().enumerate() {
@@ -115,14 +142,64 @@ fn moved(problem: &Problem, layout: &Layout, step: &Step) -> Problem {
         }
     }
     for (point, step) in next.points.iter_mut().zip(&step.points) {
-        point.xyz += step;
+        point.xyz = common.apply(&point.xyz, step);
     }
     next
 }
 
+/// The similarity that comes nearest to a step of all places.
+struct Common {
+    middle: Vector3<f64>,
+    shift: Vector3<f64>,
+    turn: Vector3<f64>,
+    growth: f64,
+    rotation: Matrix3<f64>,
+}
+
+impl Common {
+    fn none() -> Self {
+        let zero = Vector3::zeros();
+        Common { middle: zero, shift: zero, turn: zero, growth: 0.0, rotation: Matrix3::identity() }
+    }
+
+    fn of_step(problem: &Problem, layout: &Layout, step: &Step) -> Self {
+        let frames = problem.frames.iter().zip(&layout.frame_at);
+        let frames = frames.map(|(frame, at)| (frame.pose.centre, part(step, at + 3)));
+        Common::of(frames.chain(problem.points.iter().zip(&step.points).map(|(p, step)| (p.xyz, *step))))
+    }
+
+    /// Of places and their steps.
+    fn of(places: impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + Clone) -> Self {
+        let n = places.clone().count().max(1) as f64;
+        let (at, by) = places.clone().fold((Vector3::zeros(), Vector3::zeros()), |(a, b), (x, d)| (a + x, b + d));
+        let (middle, shift) = (at / n, by / n);
+        let (mut inertia, mut moment) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut along, mut size) = (0.0, 0.0);
+        for (x, d) in places {
+            let r = x - middle;
+            inertia += Matrix3::identity() * r.norm_squared() - r * r.transpose();
+            moment += r.cross(&d);
+            along += r.dot(&d);
+            size += r.norm_squared();
+        }
+        let turn = inertia.try_inverse().map_or_else(Vector3::zeros, |i| i * moment);
+        let growth = if size > 0.0 { along / size } else { 0.0 };
+        let fine = turn.iter().all(|v| v.is_finite()) && growth.abs() < 0.7;
+        let (turn, growth) = if fine { (turn, growth) } else { (Vector3::zeros(), 0.0) };
+        Common { middle, shift, turn, growth, rotation: *Rotation3::new(turn).matrix() }
+    }
+
+    /// A place after its step.
+    fn apply(&self, x: &Vector3<f64>, step: &Vector3<f64>) -> Vector3<f64> {
+        let r = x - self.middle;
+        let left = step - self.shift - self.turn.cross(&r) - r * self.growth;
+        self.middle + self.shift + self.rotation * r * self.growth.exp() + left
+    }
+}
+
 /// One step of Newton towards the nearest rotation: rounding must not add up over iterations.
-fn tidy(r: nalgebra::Matrix3<f64>) -> nalgebra::Matrix3<f64> {
-    r * (nalgebra::Matrix3::identity() * 3.0 - r.transpose() * r) * 0.5
+fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
+    r * (Matrix3::identity() * 3.0 - r.transpose() * r) * 0.5
 }
 
 fn check(problem: &Problem) -> Result<()> {

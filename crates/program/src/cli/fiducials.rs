@@ -4,14 +4,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
-use autoref_film::{
-    self, FindOptions, Finder, FrameResult, FrameStatus, InteriorModel, Method,
-    learn::{self, Pointed},
-    roll,
-};
+use autoref_film::{self, FindOptions, Finder, FrameResult, FrameStatus, InteriorModel, Method, learn, roll};
+use autoref_raster::atomic::Existing;
 use autoref_raster::memory_plan;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+
+use super::fiducials_page::{self, At};
 
 /// Find the fiducial marks of scanned film frames and solve their interior orientation.
 ///
@@ -59,9 +58,13 @@ pub struct FiducialsArgs {
     /// Learn templates of the marks from these scans instead of examining them: writes a camera file with them into the output folder.
     #[arg(long, help_heading = "Learning")]
     learn: bool,
-    /// Where a mark lies in the first scan, pixels; repeat for two or more. Default: the camera's own shapes find them.
-    #[arg(long = "at", value_name = "MARK=X,Y", value_parser = parse_pointed, requires = "learn", help_heading = "Learning")]
-    at: Vec<Pointed>,
+    /// Where a mark lies in the first scan, pixels, or the file that the page of --page saved; repeat for two or more. Default: the
+    /// camera's own shapes find them.
+    #[arg(long = "at", value_name = "MARK=X,Y|FILE", value_parser = At::parse, requires = "learn", help_heading = "Learning")]
+    at: Vec<At>,
+    /// Write a page, click.html, in which the marks of the first scan are clicked, into the output folder, and learn nothing yet.
+    #[arg(long, requires = "learn", conflicts_with = "at", help_heading = "Learning")]
+    page: bool,
     /// Width and height of the templates, millimetres on the film.
     #[arg(long, value_name = "W,H", value_parser = parse_size, default_value = "8,5", help_heading = "Learning")]
     window_mm: [f64; 2],
@@ -147,8 +150,16 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     let options = args.options()?;
     let camera = autoref_film::load_camera(args.camera.as_deref().context("give --camera NAME or FILE")?)?;
     let scans = scans(&args.frames)?;
+    if args.page {
+        let named = (&camera, args.camera.as_deref().unwrap_or_default());
+        // A page is written anew: what was clicked lies in the file that it saved.
+        let page = fiducials_page::write(&args.output, &scans[0], named, &options, Existing::Replace)?;
+        println!("{}: click the marks, save, then say --learn --at FILE", page.display());
+        return Ok(ExitCode::SUCCESS);
+    }
     if args.learn {
-        let (file, count) = learn::learn_files(&scans, &camera, &args.at, args.window_mm, &options, &args.output)?;
+        let pointed = fiducials_page::pointed(&args.at, &scans[0])?;
+        let (file, count) = learn::learn_files(&scans, &camera, &pointed, args.window_mm, &options, &args.output)?;
         println!("learned from {} scans; use --camera {}", count, file.display());
         return Ok(ExitCode::SUCCESS);
     }
@@ -225,12 +236,6 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         all.extend(inside);
     }
     Ok(all)
-}
-
-/// "MARK=x,y" in pixels.
-fn parse_pointed(text: &str) -> Result<Pointed, String> {
-    let (mark, place) = text.rsplit_once('=').ok_or_else(|| format!("\"{text}\" is not MARK=X,Y"))?;
-    Ok(Pointed { mark: mark.to_owned(), at: super::positions::parse_point(place)? })
 }
 
 fn parse_size(text: &str) -> Result<[f64; 2], String> {

@@ -1,6 +1,6 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
-mod click;
+pub(super) mod click;
 mod document;
 mod export;
 mod footprints;
@@ -14,7 +14,7 @@ mod project;
 mod relative;
 mod runs;
 mod ties;
-mod views;
+pub(super) mod views;
 
 use autoref_raster::atomic::Existing;
 use std::path::{Path, PathBuf};
@@ -355,7 +355,7 @@ fn of_frame(model: &Reconstruction, name: &str, path: &Path) -> Result<Camera> {
     }
 }
 
-fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
+pub(super) fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
     if frame.is_file() {
         let dataset = gdal::Dataset::open(frame).map_err(|e| anyhow::anyhow!("{}: GDAL: {e}", frame.display()))?;
         let (w, h) = dataset.raster_size();
@@ -367,7 +367,7 @@ fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
     }
 }
 
-fn check_output(output: Option<&Path>, existing: Existing) -> Result<()> {
+pub(super) fn check_output(output: Option<&Path>, existing: Existing) -> Result<()> {
     match output {
         Some(path) if path.exists() && existing == Existing::Keep => {
             bail!("{} exists; give --overwrite to replace it", path.display())

@@ -19,6 +19,7 @@ pub mod distance;
 pub mod errors;
 pub mod everywhere;
 pub mod fiducials;
+mod fiducials_page;
 pub mod film_outputs;
 mod film_resample;
 pub mod flight;

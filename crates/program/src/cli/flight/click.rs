@@ -15,7 +15,7 @@ use crate::cli::common::escaped_html;
 
 const PAGE: &str = include_str!("click.html");
 /// Frames are shown at most this wide or high.
-const LARGEST_PX: usize = 8000;
+pub const LARGEST_PX: usize = 8000;
 
 /// Write a page in which GCPs are clicked on the frames; it saves the list that [gcps] observations names.
 #[derive(Debug, clap::Args)]
@@ -64,15 +64,22 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
         })).collect::<Vec<Value>>(),
         "points": control.points.iter().map(|p| json!({"name": p.name})).collect::<Vec<Value>>(),
         "marks": marks(&control, &names, &thought, &world),
+        "saved": "observations.csv",
     });
     let title = args.project.file_stem().unwrap_or_default().to_string_lossy();
-    let title = escaped_html(&format!("{title}: GCPs on frames"));
-    // Nothing in the data ends the script that holds it.
-    let data = data.to_string().replace('<', "\\u003c");
-    let text = PAGE.replace("@@TITLE@@", &title).replace("@@DATA@@", &data);
-    atomic::write(&page, text.as_bytes())?;
+    write_page(&page, &format!("{title}: GCPs on frames"), &data)?;
     println!("{}", page.display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the page: `frames` (`name`, `src`, `width`, `height` in pixels of the file), `points` (`name`) and `marks` (`p`, `f`,
+/// `predicted`, `at`). With `zoom`, pixels of the screen for one of the frame, points are clicked in turn: a click in the detail
+/// first enlarges, then places and goes on. `saved` is the file's name, `then` what to do with it.
+pub fn write_page(page: &Path, title: &str, data: &Value) -> Result<()> {
+    // Nothing in the data ends the script that holds it.
+    let data = data.to_string().replace('<', "\\u003c");
+    let text = PAGE.replace("@@TITLE@@", &escaped_html(title)).replace("@@DATA@@", &data);
+    Ok(atomic::write(page, text.as_bytes())?)
 }
 
 /// Points in frames where they were measured or are to be expected.

@@ -91,7 +91,7 @@ pub fn files(
             .collect();
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
-        let beside = views::Masks { folder: flight.folder.clone(), global: None };
+        let beside = views::Masks::new(flight.folder.clone(), None);
         let masks = if beside.files(&listed).len() == count { Masks::Beside } else { Masks::None };
         let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
         files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));

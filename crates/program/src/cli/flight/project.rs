@@ -251,10 +251,10 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     }
     let names = order.into_iter().map(|i| names[i].clone()).collect();
     let part = project.masks.clone().unwrap_or_default();
-    let masks = views::Masks {
-        folder: part.folder.map_or(Ok(folder.clone()), |f| absolute(&base.join(f)))?,
-        global: part.global.map(|f| absolute(&base.join(f))).transpose()?,
-    };
+    let masks = views::Masks::new(
+        part.folder.map_or(Ok(folder.clone()), |f| absolute(&base.join(f)))?,
+        part.global.map(|f| absolute(&base.join(f))).transpose()?,
+    );
     Ok(OrderedFrames { folder, masks, names, rows })
 }
 
@@ -275,8 +275,12 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let (project, base) = read_project(&args.project)?;
     let mut ordered = ordered_frames(&project, &base)?;
     let listed = ordered.names.len();
-    let left_out;
+    let mut left_out;
     (ordered.names, left_out) = frames::usable(&ordered.folder, &ordered.names);
+    if let Some(first) = ordered.names.first() {
+        let [w, h] = image_size(&ordered.folder.join(first), None)?.map(|v| v as usize);
+        left_out.extend(ordered.masks.leave_out_misfits(&ordered.names, (w, h)));
+    }
     let OrderedFrames { folder, masks, names, rows } = &ordered;
     left_out.iter().for_each(|note| eprintln!("warning: {note}"));
     if names.len() < 2 {

@@ -1,7 +1,7 @@
 //! Frames in grey as features are sought in them: their film grain smoothed, their contrast even, and neighbours warped onto each other
 //! by the homography of the ground plane, as the rough camera table has it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -46,21 +46,45 @@ pub struct Masks {
     pub folder: PathBuf,
     /// One for all frames: the film's border, data strips, fiducial marks.
     pub global: Option<PathBuf>,
+    /// Masks of single frames that do not fit them.
+    left_out: BTreeSet<PathBuf>,
 }
 
 impl Masks {
+    pub fn new(folder: PathBuf, global: Option<PathBuf>) -> Self {
+        Masks { folder, global, left_out: BTreeSet::new() }
+    }
+
+    /// Leaves out the masks of single frames that cannot be read or are of another size than their frame; a line about each.
+    pub fn leave_out_misfits(&mut self, names: &[String], frame_px: (usize, usize)) -> Vec<String> {
+        let mut notes = Vec::new();
+        for path in
+            names.iter().flat_map(|n| self.of(n)).filter(|p| Some(p) != self.global.as_ref()).collect::<Vec<_>>()
+        {
+            let what = match Dataset::open(&path).map(|mask| mask.raster_size()) {
+                Ok(size) if size == frame_px => continue,
+                Ok((w, h)) => format!("the mask has {w} x {h} pixels, its frame {} x {}", frame_px.0, frame_px.1),
+                Err(error) => format!("the mask cannot be read: {error}"),
+            };
+            notes.push(format!("{}: left out: {what}; its frame counts without it", path.display()));
+            self.left_out.insert(path);
+        }
+        notes
+    }
+
     /// The masks of a frame.
     pub fn of(&self, name: &str) -> Vec<PathBuf> {
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
         let mut own = vec![format!("{stem}_Masq.tif")];
         own.extend(stem.strip_suffix(".resampled").map(|film| format!("{film}.mask.tif")));
-        let own = own.into_iter().map(|name| self.folder.join(name)).filter(|path| path.is_file());
+        let own = own.into_iter().map(|name| self.folder.join(name));
+        let own = own.filter(|path| path.is_file() && !self.left_out.contains(path));
         self.global.iter().cloned().chain(own).collect()
     }
 
     /// The files that the ties of frames depend on besides the frames.
     pub fn files(&self, names: &[&str]) -> Vec<PathBuf> {
-        let all: std::collections::BTreeSet<PathBuf> = names.iter().flat_map(|n| self.of(n)).collect();
+        let all: BTreeSet<PathBuf> = names.iter().flat_map(|n| self.of(n)).collect();
         all.into_iter().collect()
     }
 
@@ -341,7 +365,7 @@ mod tests {
         picture(&at("f.png"), (40, 30), |x, _| x as u8);
         picture(&at("f_Masq.tif"), (40, 30), |x, _| u8::from(x < 20));
         picture(&at("border.png"), (40, 30), |_, y| u8::from(y >= 5));
-        let mut masks = Masks { folder: folder.path().into(), global: Some(at("border.png")) };
+        let mut masks = Masks::new(folder.path().into(), Some(at("border.png")));
         let counted = Counted::read(folder.path(), "f.png", &masks).expect("readable");
         for (pixel, truth) in [([3.5, 8.5], true), ([25.5, 8.5], false), ([3.5, 2.5], false), ([41.0, 8.5], false)] {
             assert_eq!(counted.has(pixel), truth, "{pixel:?}");
@@ -354,9 +378,16 @@ mod tests {
         picture(&at("border.png"), (40, 31), |_, _| 1);
         let error = Counted::read(folder.path(), "f.png", &masks).err().expect("another size").to_string();
         assert!(error.contains("border.png") && error.contains("40 x 31") && error.contains("f.png"), "{error}");
+        // A frame's own mask of another size is left out and named; that of the camera is not.
+        picture(&at("border.png"), (40, 30), |_, y| u8::from(y >= 5));
+        picture(&at("f_Masq.tif"), (30, 40), |_, _| 0);
+        let notes = masks.leave_out_misfits(&["f.png".into()], (40, 30));
+        assert!(matches!(&notes[..], [one] if one.contains("f_Masq.tif") && one.contains("30 x 40")), "{notes:?}");
+        let counted = Counted::read(folder.path(), "f.png", &masks).expect("readable");
+        assert!(counted.has([25.5, 8.5]) && !counted.has([25.5, 2.5]));
         // Without masks what an earlier run wrote goes, and nothing else.
         std::fs::write(at("masks").join("mine.txt"), "kept").expect("writable");
-        masks = Masks { folder: at("masks"), global: None };
+        masks = Masks::new(at("masks"), None);
         assert!(!masks.write_for_colmap(folder.path(), &["f.png"], &at("masks")).expect("nothing to write"));
         assert!(!at("masks").join("f.png.png").exists() && at("masks").join("mine.txt").exists());
     }
