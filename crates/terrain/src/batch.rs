@@ -17,6 +17,7 @@ use crate::light::Correction;
 use crate::model::{self, Labels};
 use crate::reduce::{Reading, Reduced, plane_memory, reduce_frame};
 use crate::shapes::{Lesson, Meaning, Shape};
+use crate::unlike::UNLIKE_SHARE;
 use crate::write::{self, MaskCompression};
 
 /// How the ground is told from the rest.
@@ -85,6 +86,9 @@ pub struct Report {
     pub keep_share: f64,
     pub classes: Shares,
     pub unsure_share: f64,
+    /// Share of the frame that is far from all that was taught (`auto`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unlike_share: Option<f64>,
     pub warnings: Vec<String>,
     pub mask: PathBuf,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -252,7 +256,7 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Cla
         tracing::info!("taught by {}", one.path.display());
     }
     let pairs: Vec<(&Reduced, &Labels)> = taught.iter().map(|one| (&one.reduced, &one.labels)).collect();
-    Ok(Classifier::Forest(model::forest(&pairs)?))
+    Ok(Classifier::Forest(Box::new(model::learn(&pairs)?)))
 }
 
 /// Paths of a frame's outputs.
@@ -302,13 +306,16 @@ fn file_mark(path: &Path) -> String {
     std::fs::metadata(path).map(mark).unwrap_or_default()
 }
 
+/// Rises when a method gives other masks than before.
+const METHODS: u32 = 2;
+
 /// Changes when the frame or anything that its mask depends on changes.
 fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
     let lessons: Vec<String> =
         given.lessons.iter().map(|l| format!("{} {}", file_mark(&l.frame), file_mark(&l.mask))).collect();
     let global = given.global_mask.as_deref().map(file_mark);
     let what = format!(
-        "{} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {lessons:?} {global:?} {given:?}",
+        "{METHODS} {} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {lessons:?} {global:?} {given:?}",
         env!("CARGO_PKG_VERSION"),
         file_mark(frame),
         options.method,
@@ -363,8 +370,11 @@ pub fn mask_frame(
         _ => Cleaner::Thesis(options.cleaning.clone()),
     };
     let memory = plane_memory(&reading);
-    let mut classes = classify(&reduced, classifier, &cleaner, options.extras.probability, memory)?;
+    let mut classes = classify(&reduced, classifier, &cleaner, memory)?;
     by_hand(frame, &reduced, given, &mut classes)?;
+    if !options.extras.probability {
+        classes.probability = None;
+    }
     let report = report(frame, &names, &reduced, &classes, options, fingerprint);
     let mut transaction = Transaction::new();
     let size = [reduced.width as usize, reduced.height as usize];
@@ -408,6 +418,7 @@ fn again(frame: &Path, names: &Names, earlier: &serde_json::Value, fingerprint: 
             empty: number(&classes["empty"]),
         },
         unsure_share: number(&earlier["unsure_share"]),
+        unlike_share: earlier["unlike_share"].as_f64(),
         warnings: words.iter().filter_map(|w| w.as_str().map(String::from)).collect(),
         mask: names.mask.clone(),
         probability: names.probability.is_file().then(|| names.probability.clone()),
@@ -474,9 +485,13 @@ fn report(
         warnings.push("almost nothing is masked".to_string());
     }
     if unsure > 0.15 {
+        warnings.push(format!("unsure about {:.0} % of the frame; teach it with --sample or --teach", 100.0 * unsure));
+    }
+    if let Some(unlike) = classes.unlike.filter(|share| *share > UNLIKE_SHARE) {
         warnings.push(format!(
-            "unsure about {:.0} % of the frame: it is unlike what was taught; teach it with --sample or --teach",
-            100.0 * unsure
+            "this frame is unlike all teaching frames: {:.0} % of it look like nothing that was taught; teach one of its flight \
+             with --teach",
+            100.0 * unlike
         ));
     }
     if let Some(row) = horizon(&classes.keep) {
@@ -490,6 +505,7 @@ fn report(
         keep_share: keep,
         classes: Shares { keep, mask: (1.0 - keep - empty).max(0.0), empty },
         unsure_share: unsure,
+        unlike_share: classes.unlike,
         warnings,
         mask: names.mask.clone(),
         probability: classes.probability.as_ref().map(|_| names.probability.clone()),

@@ -4,7 +4,7 @@ use autoref_raster::error::Result;
 use autoref_raster::window::{TileGrid, Window};
 use rayon::prelude::*;
 
-use crate::area::flip_small;
+use crate::area::{flip_small, keep_doubtful};
 use crate::bits::BitMask;
 use crate::clean::{Cleaning, clean};
 use crate::entropy::{RADIUS_PX, entropy};
@@ -14,6 +14,7 @@ use crate::knn::Neighbours;
 use crate::model::{CORE_PX, frame_scale, measured};
 use crate::plane::Plane;
 use crate::reduce::Reduced;
+use crate::unlike::{Known, Lattice, Seen};
 
 /// How pixels are told apart.
 pub enum Classifier {
@@ -21,16 +22,31 @@ pub enum Classifier {
     Neighbours(Neighbours),
     /// Entropy above so many bits is kept.
     Threshold(f64),
-    Forest(Forest<FEATURES>),
+    Forest(Box<Learned>),
+}
+
+/// What `auto` has learned.
+pub struct Learned {
+    pub forest: Forest<FEATURES>,
+    pub known: Known,
 }
 
 /// What cleans the classes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cleaner {
     Thesis(Cleaning),
-    /// Areas under this share of the image change class, background first.
+    /// None: the classes as they are.
+    Nothing,
+    /// Masked areas whose mean vote is above [`DOUBT_LIMIT`] are kept, then areas under this share of the image change class,
+    /// background first.
     Areas(f64),
 }
+
+/// A pixel with more of 255 votes is ground at first: 0.55, so that what is half sure makes areas that are then judged whole.
+const KEEP_ABOVE: u8 = 140;
+
+/// A masked area with a greater mean vote, of 255, is ground: 0.4.
+pub const DOUBT_LIMIT: f64 = 102.0;
 
 /// Between these probabilities, of 255, a pixel is unsure.
 pub const UNSURE: std::ops::RangeInclusive<u8> = 77..=178;
@@ -45,34 +61,31 @@ pub struct Classes {
     pub unsure: BitMask,
     /// Probability of keep, 0…255, where the method has one.
     pub probability: Option<Plane>,
+    /// Share of the frame that is far from all that was taught, where the method knows.
+    pub unlike: Option<f64>,
 }
 
 /// Classifies every pixel and cleans the classes.
 ///
 /// # Errors
 /// When a scratch file fails.
-pub fn classify(
-    reduced: &Reduced,
-    classifier: &Classifier,
-    cleaner: &Cleaner,
-    want_probability: bool,
-    memory_bytes: u64,
-) -> Result<Classes> {
+pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, memory_bytes: u64) -> Result<Classes> {
     let (width, height) = (reduced.grey.width(), reduced.grey.height());
     let (mut keep, mut unsure) = (BitMask::new(width, height), BitMask::new(width, height));
     let scale = match classifier {
         Classifier::Forest(_) => Some(frame_scale(reduced)?),
         _ => None,
     };
-    let mut probability = match (&scale, want_probability) {
-        (Some(_), true) => Some(Plane::new(width, height, memory_bytes)?),
-        _ => None,
+    let mut probability = match &scale {
+        Some(_) => Some(Plane::new(width, height, memory_bytes)?),
+        None => None,
     };
+    let mut seen = Seen::default();
     let grid = TileGrid::new(width as u64, height as u64, CORE_PX, CORE_PX, 0);
     let threads = rayon::current_num_threads() as u64;
     for first in (0..grid.len()).step_by(threads as usize) {
         let ids: Vec<u64> = (first..(first + threads).min(grid.len())).collect();
-        let done: Vec<Result<(Window, Vec<u8>)>> = ids
+        let done: Vec<Result<(Window, (Vec<u8>, Seen))>> = ids
             .into_par_iter()
             .map(|id| {
                 let core = grid.tile(id).core;
@@ -80,11 +93,12 @@ pub fn classify(
             })
             .collect();
         for one in done {
-            let (core, votes) = one?;
+            let (core, (votes, here)) = one?;
+            seen.add(here);
             for (i, &vote) in votes.iter().enumerate() {
                 let x = core.x as usize + i % core.width as usize;
                 let y = core.y as usize + i / core.width as usize;
-                keep.set(x, y, vote > 127);
+                keep.set(x, y, vote > KEEP_ABOVE);
                 unsure.set(x, y, UNSURE.contains(&vote));
             }
             if let Some(plane) = &mut probability {
@@ -97,23 +111,35 @@ pub fn classify(
     unsure.and(&reduced.valid);
     keep = match cleaner {
         Cleaner::Thesis(cleaning) => clean(keep, cleaning),
+        Cleaner::Nothing => keep,
         Cleaner::Areas(share) => {
+            if let Some(votes) = &probability {
+                keep_doubtful(&mut keep, votes, &reduced.valid, DOUBT_LIMIT)?;
+            }
             flip_small(&mut keep, false, *share);
             flip_small(&mut keep, true, *share);
             keep
         }
     };
     keep.and(&reduced.valid);
-    Ok(Classes { keep, unsure, probability })
+    let unlike = scale.map(|_| seen.share());
+    Ok(Classes { keep, unsure, probability, unlike })
 }
 
-/// Probability of keep, 0…255, of the pixels of `core`.
-fn votes(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, core: &Window) -> Result<Vec<u8>> {
-    if let (Classifier::Forest(forest), Some(scale)) = (classifier, scale) {
+/// Probability of keep, 0…255, of the pixels of `core`, and how many of those that were looked at are far from what was taught.
+fn votes(
+    reduced: &Reduced,
+    classifier: &Classifier,
+    scale: Option<&FrameScale>,
+    core: &Window,
+) -> Result<(Vec<u8>, Seen)> {
+    if let (Classifier::Forest(learned), Some(scale)) = (classifier, scale) {
         let margin = VOTE_RADIUS_PX * VOTE_PASSES;
         let (measured, _) = measured(&reduced.grey, core, margin)?;
-        let votes: Vec<u8> = (0..measured.width * measured.height).map(|i| vote(forest, scale, &measured, i)).collect();
-        return Ok(smooth_votes(&votes, measured.width, measured.height));
+        let votes: Vec<u8> =
+            (0..measured.width * measured.height).map(|i| vote(&learned.forest, scale, &measured, i)).collect();
+        let seen = look(&learned.known, reduced, scale, &measured, core);
+        return Ok((smooth_votes(&votes, measured.width, measured.height), seen));
     }
     let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
     let read = core.grown(RADIUS_PX as u64, &bounds);
@@ -132,7 +158,21 @@ fn votes(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>,
             out.push(if kept { 255 } else { 0 });
         }
     }
-    Ok(out)
+    Ok((out, Seen::default()))
+}
+
+/// Looks at the lattice's pixels in `core` that show something.
+fn look(known: &Known, reduced: &Reduced, scale: &FrameScale, measured: &Measured, core: &Window) -> Seen {
+    let margin = VOTE_RADIUS_PX * VOTE_PASSES;
+    let mut seen = Seen::default();
+    for (x, y) in Lattice::of(reduced.grey.width(), reduced.grey.height()).within(core) {
+        let i = ((y - core.y) as usize + margin) * measured.width + (x - core.x) as usize + margin;
+        if reduced.valid.get(x as usize, y as usize) && measured.shows_something(i) {
+            seen.looked_at += 1;
+            seen.far += u64::from(known.is_far(&scale.apply(measured, i)));
+        }
+    }
+    seen
 }
 
 /// A pixel's probability of keep. Where a window of 15 px shows one grey level only there is nothing to match.

@@ -23,7 +23,7 @@ pub fn stage(
 ) -> Result<()> {
     let size = [reduced.width as usize, reduced.height as usize];
     let factor = reduced.factor;
-    let raw = classify(reduced, classifier, &Cleaner::Areas(0.0), true, memory_bytes)?;
+    let raw = classify(reduced, classifier, &Cleaner::Nothing, memory_bytes)?;
     transaction.stage(&names.class, |path| match &raw.probability {
         Some(plane) => write::grey_plane(path, size, factor, plane),
         None => write::grey(path, size, factor, |y| {

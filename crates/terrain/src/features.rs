@@ -24,6 +24,9 @@ pub const HALO_PX: usize = 28;
 /// Steps of an octave, or of a bit of entropy.
 const STEPS: f32 = 28.0;
 
+/// log₂(1.2): a deviation of 0.2 grey levels.
+const LEAST_DEVIATION: u8 = (0.263 * STEPS) as u8;
+
 /// Radii of the windows.
 const RADII: [usize; 3] = [2, 7, 16];
 
@@ -51,6 +54,11 @@ pub struct Measured {
 }
 
 impl Measured {
+    /// Are the surroundings neither flat, nor black, nor white?
+    pub fn shows_something(&self, i: usize) -> bool {
+        self.planes[DEVIATION + 1][i] > LEAST_DEVIATION && (3..=252).contains(&self.planes[MEAN][i])
+    }
+
     /// Do all pixels of the window of 15 px have one level?
     pub fn is_flat(&self, i: usize) -> bool {
         self.planes[DEVIATION + 1][i] == 0
@@ -221,8 +229,7 @@ impl Tally {
     /// values.
     pub fn add(&mut self, measured: &Measured, grey: &[u8]) {
         for (i, &level) in grey.iter().enumerate() {
-            // Log₂(1.2): a deviation of 0.2 grey levels.
-            if measured.planes[DEVIATION + 1][i] > (0.263 * STEPS) as u8 && (3..=252).contains(&level) {
+            if measured.planes[DEVIATION + 1][i] > LEAST_DEVIATION && (3..=252).contains(&level) {
                 for (histogram, plane) in self.histograms.iter_mut().zip(&measured.planes) {
                     histogram[usize::from(plane[i])] += 1;
                 }

@@ -23,4 +23,5 @@ pub mod reduce;
 pub mod shapes;
 pub mod sheet;
 pub mod smooth;
+pub mod unlike;
 pub mod write;

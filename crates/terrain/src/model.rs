@@ -7,6 +7,7 @@ use autoref_raster::window::{TileGrid, Window};
 use gdal::raster::ResampleAlg;
 use rayon::prelude::*;
 
+use crate::classify::Learned;
 use crate::entropy::{RADIUS_PX, entropy};
 use crate::features::{FEATURES, FrameScale, HALO_PX, Measured, PLANES, Surroundings, Tally, measure};
 use crate::forest::{Example, Forest, Growth};
@@ -14,6 +15,7 @@ use crate::knn::Sample;
 use crate::plane::Plane;
 use crate::reduce::Reduced;
 use crate::shapes::{Meaning, Shape};
+use crate::unlike::Known;
 
 /// Features and class of pixels of licensed photographs (`docs/masks.md` names them): [`FEATURES`] bytes and one of 0
 /// (mask) or 1 (keep) each.
@@ -220,17 +222,18 @@ pub fn examples(reduced: &Reduced, labels: &Labels, most: usize, weight: u32) ->
 /// Weight of a taught pixel against one that comes with the program.
 const TAUGHT_WEIGHT: u32 = 10;
 
-/// The forest of `--method auto`: what ships and what was taught.
+/// What `--method auto` has learned: of what ships and what was taught.
 ///
 /// # Errors
 /// When a plane cannot be read.
-pub fn forest(taught: &[(&Reduced, &Labels)]) -> Result<Forest<FEATURES>> {
+pub fn learn(taught: &[(&Reduced, &Labels)]) -> Result<Learned> {
     let mut all = shipped();
     for (reduced, labels) in taught {
         all.extend(examples(reduced, labels, DRAWN, TAUGHT_WEIGHT)?);
     }
-    Forest::grow(&all, Growth::default())
-        .ok_or_else(|| Error::usage("the forest has examples of one class only", "teach keep and mask"))
+    let forest = Forest::grow(&all, Growth::default())
+        .ok_or_else(|| Error::usage("the forest has examples of one class only", "teach keep and mask"))?;
+    Ok(Learned { forest, known: Known::new(&all) })
 }
 
 /// The thesis's samples: each shape is laid over with 10 × 10 points, and entropy and intensity are interpolated there.

@@ -71,7 +71,7 @@ fn options(method: Method) -> Options {
         threshold_bit: 4.0,
         // Discs that fit a small frame.
         cleaning: Cleaning { closings: vec![3, 6], disc: 5, ..Cleaning::default() },
-        auto_area_share: 0.001,
+        auto_area_share: 0.0025,
         compression: MaskCompression::CcittG4,
         extras: Extras::default(),
         corrections: Vec::new(),

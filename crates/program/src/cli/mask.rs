@@ -88,7 +88,7 @@ pub struct MaskArgs {
     /// Erosions between the dilations (thesis-2017, threshold).
     #[arg(long, value_name = "N", default_value_t = 2, help_heading = "Method")]
     erosions: usize,
-    /// Areas under this share of the image change class. Default: 0.02; auto 0.001.
+    /// Areas under this share of the image change class. Default: 0.02; auto 0.0025.
     #[arg(long, value_name = "SHARE", help_heading = "Method")]
     least_area: Option<f64>,
 
@@ -172,7 +172,7 @@ impl MaskArgs {
                 erosions: self.erosions,
                 least_area_share: share(0.02),
             },
-            auto_area_share: share(0.001),
+            auto_area_share: share(0.0025),
             compression: match self.compress {
                 CompressArg::G4 => MaskCompression::CcittG4,
                 CompressArg::Deflate => MaskCompression::Deflate,

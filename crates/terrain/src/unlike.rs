@@ -1,0 +1,98 @@
+//! Is a frame like those that taught? Pixels with no taught pixel near, by the sum of the features' differences.
+
+use autoref_raster::window::Window;
+
+use crate::features::FEATURES;
+use crate::forest::Example;
+
+/// Farther than this from every taught pixel is far, sum over the features.
+///
+/// Source: nine tenths of the shipped pixels lie nearer to the rest, when an eleventh of their list is left out at a time.
+pub const FAR: u32 = 250;
+
+/// A frame with more far pixels than this is unlike what was taught.
+pub const UNLIKE_SHARE: f64 = 0.25;
+
+/// Pixels of a frame that are looked at, about.
+const LOOKED_AT: f64 = 1000.0;
+
+/// Features of what was taught.
+pub struct Known(Vec<[u8; FEATURES]>);
+
+impl Known {
+    pub fn new(examples: &[Example<FEATURES>]) -> Known {
+        Known(examples.iter().map(|example| example.features).collect())
+    }
+
+    /// Is no taught pixel within [`FAR`]?
+    pub fn is_far(&self, features: &[u8; FEATURES]) -> bool {
+        let distance = |known: &[u8; FEATURES]| -> u32 {
+            known.iter().zip(features).map(|(a, b)| u32::from(a.abs_diff(*b))).sum()
+        };
+        !self.0.iter().any(|known| distance(known) <= FAR)
+    }
+}
+
+/// The pixels of a frame that are looked at: a lattice about the frame's corner, the same for every tiling.
+#[derive(Clone, Copy, Debug)]
+pub struct Lattice(u64);
+
+impl Lattice {
+    pub fn of(width: usize, height: usize) -> Lattice {
+        Lattice((((width * height) as f64 / LOOKED_AT).sqrt() as u64).max(1))
+    }
+
+    /// The lattice's pixels in `window`.
+    pub fn within(self, window: &Window) -> impl Iterator<Item = (u64, u64)> {
+        let first = |from: u64| from + (self.0 / 2 + self.0 - from % self.0) % self.0;
+        let (step, columns) = (self.0 as usize, (first(window.x)..window.right()).step_by(self.0 as usize));
+        (first(window.y)..window.bottom()).step_by(step).flat_map(move |y| columns.clone().map(move |x| (x, y)))
+    }
+}
+
+/// How many pixels were looked at, and how many of them are far.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seen {
+    pub looked_at: u64,
+    pub far: u64,
+}
+
+impl Seen {
+    pub fn add(&mut self, other: Seen) {
+        self.looked_at += other.looked_at;
+        self.far += other.far;
+    }
+
+    /// Share of far pixels, 0…1.
+    pub fn share(&self) -> f64 {
+        self.far as f64 / (self.looked_at as f64).max(1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_share_one_lattice() {
+        let lattice = Lattice::of(400, 300);
+        let whole: Vec<_> = lattice.within(&Window::new(0, 0, 400, 300)).collect();
+        let mut parts = Vec::new();
+        for window in [Window::new(0, 0, 257, 300), Window::new(257, 0, 143, 13), Window::new(257, 13, 143, 287)] {
+            parts.extend(lattice.within(&window));
+        }
+        parts.sort_unstable_by_key(|&(x, y)| (y, x));
+        assert_eq!(parts, whole);
+        assert!((900..1400).contains(&whole.len()), "{}", whole.len());
+    }
+
+    #[test]
+    fn far_is_the_sum_of_differences() {
+        let example = Example { features: [100; FEATURES], keep: true, weight: 1 };
+        let known = Known::new(&[example]);
+        let mut features = [108; FEATURES];
+        assert!(!known.is_far(&features));
+        features[0] += 11;
+        assert!(known.is_far(&features));
+    }
+}
