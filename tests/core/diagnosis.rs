@@ -145,7 +145,7 @@ fn swapped_columns_and_mirrored_images_are_told_apart() {
 
 #[test]
 fn feet_show_in_the_scale_and_their_kind_in_the_place() {
-    for setting in settings(7, 300) {
+    for setting in settings(5, 300) {
         for (foot, kind) in [(FOOT_M, Mistake::InternationalFeet), (US_SURVEY_FOOT_M, Mistake::UsSurveyFeet)] {
             let feet = setting.edit(|g| (g.easting, g.northing) = (g.easting / foot, g.northing / foot));
             let answer = feet.ask(&feet.priors(), None, None);
@@ -283,7 +283,7 @@ fn exchanged_labels_show_when_marks_carry_names() {
 /// Correct lists: with the pattern in the image, with a part of it, and without it.
 #[test]
 fn nothing_is_claimed_about_correct_lists() {
-    let count = crate::common::trials(8, 600);
+    let count = crate::common::trials(6, 600);
     let crs = Crs::from_epsg(25832).expect("a zone");
     let mut random = Random::new(77);
     let (mut solved, mut possible) = (0, 0);

@@ -770,6 +770,8 @@ fn scans_that_stream_give_the_same_frame_as_tiles() {
     let tiled = roll.scans().join("rmk-cross-1.tif");
     let other = roll.folder.path().join("other");
     std::fs::create_dir(&other).expect("writable");
+    let resample = ["--resample", "--resample-mm", "0.06", "--overwrite"];
+    roll.fiducials(&resample, 0);
     for (name, format, options) in
         [("a.png", "PNG", vec![]), ("b.tif", "GTiff", vec!["-co", "COMPRESS=DEFLATE", "-co", "BLOCKYSIZE=100000"])]
     {
@@ -781,8 +783,6 @@ fn scans_that_stream_give_the_same_frame_as_tiles() {
             return;
         }
         let out = roll.folder.path().join("other-out");
-        let resample = ["--resample", "--resample-mm", "0.06", "--overwrite"];
-        roll.fiducials(&resample, 0);
         let args = ["fiducials", plain(&to), "--camera", "rmk-cross", "--quiet", "-o", plain(&out)];
         run(&[&args[..], roll.lie(), &resample].concat(), 0);
         let ours = pixels(&out.join(format!("{}.resampled.tif", name.split('.').next().expect("a stem"))));
