@@ -104,8 +104,10 @@ fn resampling_holds_no_frame_in_memory() {
             None => drop(std::fs::copy(&tiled, &scan).expect("drawn")),
         }
         let out = folder.path().join("out");
-        let text =
-            said(&examine(&[scan], &out, camera, &["--threads", "1", "--resample", "--resample-mm", mm]).code(0));
+        let text = said(
+            &examine(std::slice::from_ref(&scan), &out, camera, &["--threads", "1", "--resample", "--resample-mm", mm])
+                .code(0),
+        );
         println!("{name}: {:.0} MiB with --resample", peak_mib(&text));
         assert!(peak_mib(&text) <= 128.0, "{name}: {text}");
         std::fs::remove_dir_all(&out).expect("written");
