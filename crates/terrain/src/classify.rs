@@ -85,15 +85,16 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     let threads = rayon::current_num_threads() as u64;
     for first in (0..grid.len()).step_by(threads as usize) {
         let ids: Vec<u64> = (first..(first + threads).min(grid.len())).collect();
-        let done: Vec<Result<(Window, (Vec<u8>, Seen))>> = ids
+        let done: Vec<Result<(Window, Vec<u8>, Seen)>> = ids
             .into_par_iter()
             .map(|id| {
                 let core = grid.tile(id).core;
-                Ok((core, votes(reduced, classifier, scale.as_ref(), &core)?))
+                let (votes, seen) = votes(reduced, classifier, scale.as_ref(), &core)?;
+                Ok((core, votes, seen))
             })
             .collect();
         for one in done {
-            let (core, (votes, here)) = one?;
+            let (core, votes, here) = one?;
             seen.add(here);
             for (i, &vote) in votes.iter().enumerate() {
                 let x = core.x as usize + i % core.width as usize;
