@@ -9,12 +9,13 @@
 //!
 //! Both are taken over the true neighbours, so that tiles change nothing.
 
+use std::cmp::Ordering;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::kdtree::Tree;
+use crate::kdtree::{Bounds, Tree};
 use crate::neighbours;
 use crate::outliers;
 use crate::params;
@@ -26,6 +27,10 @@ const LEAST: usize = 6;
 /// What points above the envelope weigh against those below.
 const ABOVE: f64 = 0.02;
 const ROUNDS: usize = 8;
+/// Points whose surroundings are gathered at once.
+const GROUP_POINTS: usize = 48;
+/// More points than these around a group are a crowd: a smaller halo will do.
+const CROWD: usize = 4096;
 /// Points in the radius that is found from the density.
 const EXPECTED: f64 = 100.0;
 /// How much farther than for the median point a cluster's outer neighbour is.
@@ -97,12 +102,15 @@ pub fn find(tiles: &mut Tiles, options: &Options, kept_points: usize, step: u8) 
         let own = kept.iter().find(|(other, _)| *other == number).map(|(_, tree)| Arc::clone(tree));
         let Some(own) = own else { continue };
         let low: Vec<u32> = own
-            .points()
+            .groups(GROUP_POINTS)
             .par_iter()
-            .enumerate()
-            .with_min_len(256)
-            .filter(|(_, point)| is_low(point, &kept, radius, options.share))
-            .map(|(index, _)| index as u32)
+            .with_min_len(8)
+            .map_init(Surroundings::default, |around, group| {
+                let points = &own.points()[group.clone()];
+                let low = around.low_of(points, &kept, radius, options.share);
+                low.into_iter().map(|at| (group.start + at) as u32).collect::<Vec<u32>>()
+            })
+            .flatten()
             .collect();
         noise[number].extend(low);
         noise[number].sort_unstable();
@@ -156,7 +164,7 @@ fn clusters(tiles: &mut Tiles, least: usize, kept_points: usize) -> Result<Vec<V
 
 /// The radius of a disc that holds the expected number of points.
 fn radius_of_density(tiles: &Tiles) -> Result<f64> {
-    let mut bounds = crate::kdtree::Bounds::EMPTY;
+    let mut bounds = Bounds::EMPTY;
     tiles.tiles.iter().filter(|tile| tile.active > 0).for_each(|tile| bounds.merge(&tile.bounds));
     let points: u64 = tiles.tiles.iter().map(|tile| tile.active as u64).sum();
     let (width, height) = (bounds.max[0] - bounds.min[0], bounds.max[1] - bounds.min[1]);
@@ -177,35 +185,163 @@ fn radius_of_density(tiles: &Tiles) -> Result<f64> {
     Ok((EXPECTED * area / points.max(1) as f64 / std::f64::consts::PI).sqrt())
 }
 
-/// Whether the point lies too deep below its surroundings' lower envelope.
-fn is_low(point: &Point, trees: &[(usize, Arc<Tree>)], radius: f64, share: f64) -> bool {
-    let mut around: Vec<[f64; 4]> = Vec::with_capacity(MOST + 1);
-    for (_, tree) in trees {
-        tree.nearest_in_plan(point, radius * radius, MOST, &mut around);
+/// What lies around a group of points, and buffers.
+#[derive(Default)]
+struct Surroundings {
+    found: Vec<Point>,
+    /// In the order of their coordinates, so that sums do not depend on tiles.
+    x: Vec<f64>,
+    y: Vec<f64>,
+    z: Vec<f64>,
+    index: Vec<u64>,
+    distance2: Vec<f64>,
+    ranked: Vec<f64>,
+    /// Of one point: offsets of its surroundings, and what they weigh.
+    offsets: Vec<[f64; 3]>,
+    weights: Vec<f64>,
+}
+
+impl Surroundings {
+    /// The low points of a group, by their place in it.
+    fn low_of(&mut self, points: &[Point], trees: &[(usize, Arc<Tree>)], radius: f64, share: f64) -> Vec<usize> {
+        // Where all lie at one place, no halo is small enough.
+        const SMALLEST: f64 = 1e-9;
+        let mut halo = radius;
+        while !self.gather(points, trees, halo, CROWD) {
+            if halo < SMALLEST * radius {
+                self.gather(points, trees, halo, usize::MAX);
+                break;
+            }
+            halo /= 2.0;
+        }
+        let (mut low, mut open) = (Vec::new(), Vec::new());
+        for (at, point) in points.iter().enumerate() {
+            self.choose(point, halo * halo);
+            if halo < radius && self.offsets.len() < MOST {
+                open.push(at);
+            } else if self.is_low(share) {
+                low.push(at);
+            }
+        }
+        // Beside a crowd a point's surroundings reach farther.
+        for at in open {
+            let point = &points[at..=at];
+            let mut halo = halo;
+            while halo < radius {
+                halo = (2.0 * halo).min(radius);
+                self.gather(point, trees, halo, usize::MAX);
+                self.choose(&point[0], halo * halo);
+                if self.offsets.len() >= MOST {
+                    break;
+                }
+            }
+            if self.is_low(share) {
+                low.push(at);
+            }
+        }
+        low
     }
-    if around.len() < LEAST {
-        return false;
+
+    /// Takes in what lies within `halo` of the group in plan; whether it is at most `most` points.
+    fn gather(&mut self, points: &[Point], trees: &[(usize, Arc<Tree>)], halo: f64, most: usize) -> bool {
+        let mut area = Bounds::of(points);
+        for axis in 0..2 {
+            // Rounded outwards: the distance has the last word.
+            let slack = halo + 1e-9 * (area.min[axis].abs() + area.max[axis].abs() + halo);
+            area.min[axis] -= slack;
+            area.max[axis] += slack;
+        }
+        self.found.clear();
+        trees.iter().for_each(|(_, tree)| tree.within_in_plan(&area, most, &mut self.found));
+        if self.found.len() > most {
+            return false;
+        }
+        let order = |a: &Point, b: &Point| {
+            let pairs = a.xyz.iter().zip(&b.xyz).map(|(a, b)| a.total_cmp(b));
+            pairs.fold(Ordering::Equal, Ordering::then)
+        };
+        self.found.sort_unstable_by(order);
+        let axis = |axis: usize, into: &mut Vec<f64>| {
+            into.clear();
+            into.extend(self.found.iter().map(|point| point.xyz[axis]));
+        };
+        axis(0, &mut self.x);
+        axis(1, &mut self.y);
+        axis(2, &mut self.z);
+        self.index.clear();
+        self.index.extend(self.found.iter().map(Point::index));
+        true
     }
-    let offsets: Vec<[f64; 3]> =
-        around.iter().map(|&[_, z, x, y]| [x - point.xyz[0], y - point.xyz[1], z - point.xyz[2]]).collect();
-    let mut weights = vec![1.0; offsets.len()];
-    let mut plane = [0.0; 3];
-    for _ in 0..ROUNDS {
-        let Some(fitted) = fit(&offsets, &weights) else { return false };
-        plane = fitted;
-        for (weight, offset) in weights.iter_mut().zip(&offsets) {
-            *weight = if residual(plane, offset) > 0.0 { ABOVE } else { 1.0 };
+
+    /// Whether the point whose surroundings were chosen lies too deep below their lower envelope.
+    fn is_low(&mut self, share: f64) -> bool {
+        if self.offsets.len() < LEAST {
+            return false;
+        }
+        self.weights.clear();
+        self.weights.resize(self.offsets.len(), 1.0);
+        let mut plane = [0.0; 3];
+        for _ in 0..ROUNDS {
+            let Some(fitted) = fit(&self.offsets, &self.weights) else { return false };
+            plane = fitted;
+            let mut changed = false;
+            for (weight, offset) in self.weights.iter_mut().zip(&self.offsets) {
+                let new = if residual(plane, offset) > 0.0 { ABOVE } else { 1.0 };
+                changed |= new != *weight;
+                *weight = new;
+            }
+            if !changed {
+                break;
+            }
+        }
+        // A point above its envelope is not below it.
+        if plane[0] <= 0.0 {
+            return false;
+        }
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for (weight, offset) in self.weights.iter().zip(&self.offsets) {
+            let off = residual(plane, offset);
+            sum += weight;
+            squares += weight * off * off;
+        }
+        // The plane's height over the point, in units of the spread about the plane.
+        let spread = (squares / sum).sqrt();
+        spread > 0.0 && plane[0] >= share * spread
+    }
+
+    /// Offsets of the at most [`MOST`] points nearest to `point` in plan, itself left out.
+    fn choose(&mut self, point: &Point, radius2: f64) {
+        let [px, py, pz] = point.xyz;
+        self.distance2.clear();
+        self.distance2.extend(self.x.iter().zip(&self.y).map(|(x, y)| (x - px) * (x - px) + (y - py) * (y - py)));
+        let own = point.index();
+        let Surroundings { x, y, z, index, distance2, ranked, offsets, .. } = self;
+        let choose = |limit2: f64, offsets: &mut Vec<[f64; 3]>| {
+            offsets.clear();
+            for (at, &distance2) in distance2.iter().enumerate() {
+                if distance2 <= limit2 && index[at] != own {
+                    offsets.push([x[at] - px, y[at] - py, z[at] - pz]);
+                }
+            }
+        };
+        choose(radius2, offsets);
+        if offsets.len() <= MOST {
+            return;
+        }
+        ranked.clear();
+        ranked.extend(offsets.iter().map(|[dx, dy, _]| dx * dx + dy * dy));
+        let farthest2 = *ranked.select_nth_unstable_by(MOST - 1, f64::total_cmp).1;
+        choose(farthest2, offsets);
+        if offsets.len() > MOST {
+            // Of the equally far ones the lowest count, then those in the west and the south.
+            let key = |[dx, dy, dz]: &[f64; 3]| [dx * dx + dy * dy, *dz, *dx, *dy];
+            offsets.sort_by(|a, b| {
+                let pairs = key(a).into_iter().zip(key(b)).map(|(a, b)| a.total_cmp(&b));
+                pairs.fold(Ordering::Equal, Ordering::then)
+            });
+            offsets.truncate(MOST);
         }
     }
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for (weight, offset) in weights.iter().zip(&offsets) {
-        let off = residual(plane, offset);
-        sum += weight;
-        squares += weight * off * off;
-    }
-    // The plane's height over the point, in units of the spread about the plane.
-    let spread = (squares / sum).sqrt();
-    spread > 0.0 && plane[0] >= share * spread
 }
 
 fn residual(plane: [f64; 3], offset: &[f64; 3]) -> f64 {
@@ -214,18 +350,19 @@ fn residual(plane: [f64; 3], offset: &[f64; 3]) -> f64 {
 
 /// Height at the origin and both slopes of the weighted least squares plane; `None` when the points lie on a line.
 fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
-    let mut m = [[0.0; 4]; 3];
-    for (&w, &[x, y, z]) in weights.iter().zip(offsets) {
-        let row = [1.0, x, y, z];
-        for i in 0..3 {
-            for j in i..4 {
-                m[i][j] += w * row[i] * row[j];
-            }
+    // Two sums of each kind side by side: processors add pairs at once.
+    let mut sums = [[0.0; 2]; 9];
+    let (pairs, rest) = (offsets.chunks_exact(2), offsets.chunks_exact(2).remainder());
+    for (pair, w) in pairs.zip(weights.chunks_exact(2)) {
+        for lane in 0..2 {
+            add(&mut sums, lane, pair[lane], w[lane]);
         }
     }
-    m[1][0] = m[0][1];
-    m[2][0] = m[0][2];
-    m[2][1] = m[1][2];
+    if let [last] = rest {
+        add(&mut sums, 0, *last, weights[offsets.len() - 1]);
+    }
+    let [w, x, y, z, xx, xy, yy, xz, yz] = sums.map(|[a, b]| a + b);
+    let mut m = [[w, x, y, z], [x, xx, xy, xz], [y, xy, yy, yz]];
     // Gaussian elimination with pivots on the diagonal: the matrix is positive definite, or the points lie on a line.
     let diagonal = [m[0][0], m[1][1], m[2][2]];
     for i in 0..3 {
@@ -244,4 +381,13 @@ fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
     let b = (m[1][3] - m[1][2] * c) / m[1][1];
     let a = (m[0][3] - m[0][1] * b - m[0][2] * c) / m[0][0];
     Some([a, b, c])
+}
+
+#[inline(always)]
+fn add(sums: &mut [[f64; 2]; 9], lane: usize, [x, y, z]: [f64; 3], w: f64) {
+    let (wx, wy) = (w * x, w * y);
+    let terms = [w, wx, wy, w * z, wx * x, wx * y, wy * y, wx * z, wy * z];
+    for (sum, term) in sums.iter_mut().zip(terms) {
+        sum[lane] += term;
+    }
 }

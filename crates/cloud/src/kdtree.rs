@@ -160,40 +160,56 @@ impl Tree {
         }
     }
 
-    /// Brings the points nearest to `point` in plan, itself left out, into `nearest`: squared distance, z, x, y; sorted by
-    /// these in turn, at most `most` of them, none farther than the root of `bound2`.
-    pub fn nearest_in_plan(&self, point: &Point, bound2: f64, most: usize, nearest: &mut Vec<[f64; 4]>) {
-        let search = PlanSearch { point, bound2, most };
-        self.search_in_plan(0, 0, self.points.len(), &search, [0.0; 2], nearest);
+    /// Parts of the points that lie close together: nodes of at most `most` points, and the points between them one by one.
+    pub fn groups(&self, most: usize) -> Vec<std::ops::Range<usize>> {
+        fn part(begin: usize, end: usize, most: usize, groups: &mut Vec<std::ops::Range<usize>>) {
+            if end - begin <= most.max(LEAF_POINTS) {
+                if begin < end {
+                    groups.push(begin..end);
+                }
+                return;
+            }
+            let middle = begin + (end - begin) / 2;
+            part(begin, middle, most, groups);
+            groups.push(middle..middle + 1);
+            part(middle + 1, end, most, groups);
+        }
+        let mut groups = Vec::new();
+        part(0, self.points.len(), most, &mut groups);
+        groups
+    }
+
+    /// Adds the points whose x and y lie in the box to `found`, in the order of the tree; gives up when there are more than
+    /// `most` in it.
+    pub fn within_in_plan(&self, area: &Bounds, most: usize, found: &mut Vec<Point>) {
+        if !self.points.is_empty() && self.bounds.gap2_in_plan(area) <= 0.0 {
+            self.search_in_plan((0, 0, self.points.len()), area, most, found);
+        }
     }
 
     fn search_in_plan(
         &self,
-        node: usize,
-        begin: usize,
-        end: usize,
-        search: &PlanSearch<'_>,
-        off: [f64; 2],
-        nearest: &mut Vec<[f64; 4]>,
+        (node, begin, end): (usize, usize, usize),
+        area: &Bounds,
+        most: usize,
+        found: &mut Vec<Point>,
     ) {
+        if found.len() > most {
+            return;
+        }
+        let inside = |point: &&Point| (0..2).all(|i| point.xyz[i] >= area.min[i] && point.xyz[i] <= area.max[i]);
         if end - begin <= LEAF_POINTS {
-            self.points[begin..end].iter().for_each(|other| search.consider(other, nearest));
+            found.extend(self.points[begin..end].iter().filter(inside));
             return;
         }
         let (axis, split) = self.splits[node];
         let middle = begin + (end - begin) / 2;
-        search.consider(&self.points[middle], nearest);
-        let beyond = search.point.xyz[axis] - split;
-        let mut far = off;
-        if axis < 2 {
-            far[axis] = beyond;
+        if axis == 2 || area.min[axis] <= split {
+            self.search_in_plan((2 * node + 1, begin, middle), area, most, found);
         }
-        let lower = (2 * node + 1, begin, middle);
-        let upper = (2 * node + 2, middle + 1, end);
-        let (first, second) = if beyond < 0.0 { (lower, upper) } else { (upper, lower) };
-        self.search_in_plan(first.0, first.1, first.2, search, off, nearest);
-        if far[0] * far[0] + far[1] * far[1] <= search.reach2(nearest) {
-            self.search_in_plan(second.0, second.1, second.2, search, far, nearest);
+        found.extend(self.points[middle..=middle].iter().filter(inside));
+        if axis == 2 || area.max[axis] >= split {
+            self.search_in_plan((2 * node + 2, middle + 1, end), area, most, found);
         }
     }
 
@@ -233,38 +249,5 @@ fn consider(point: &Point, other: &Point, nearest: &mut [f64]) {
             at -= 1;
         }
         nearest[at] = distance;
-    }
-}
-
-/// What a search in plan looks for.
-struct PlanSearch<'a> {
-    point: &'a Point,
-    bound2: f64,
-    most: usize,
-}
-
-impl PlanSearch<'_> {
-    /// Squared distance up to which a point may still count.
-    fn reach2(&self, nearest: &[[f64; 4]]) -> f64 {
-        if nearest.len() < self.most { self.bound2 } else { nearest[self.most - 1][0].min(self.bound2) }
-    }
-
-    fn consider(&self, other: &Point, nearest: &mut Vec<[f64; 4]>) {
-        let (dx, dy) = (self.point.xyz[0] - other.xyz[0], self.point.xyz[1] - other.xyz[1]);
-        let distance2 = dx * dx + dy * dy;
-        if distance2 > self.reach2(nearest) || other.index() == self.point.index() {
-            return;
-        }
-        let entry = [distance2, other.xyz[2], other.xyz[0], other.xyz[1]];
-        let order = |a: &[f64; 4], b: &[f64; 4]| {
-            a.iter()
-                .zip(b)
-                .map(|(a, b)| a.total_cmp(b))
-                .find(|order| order.is_ne())
-                .unwrap_or(std::cmp::Ordering::Equal)
-        };
-        let at = nearest.partition_point(|known| order(known, &entry).is_lt());
-        nearest.insert(at, entry);
-        nearest.truncate(self.most);
     }
 }
