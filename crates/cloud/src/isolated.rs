@@ -196,9 +196,9 @@ struct Surroundings {
     index: Vec<u64>,
     distance2: Vec<f64>,
     ranked: Vec<f64>,
-    /// Of one point: offsets of its surroundings, and what they weigh.
+    /// Of one point: offsets of its surroundings.
     offsets: Vec<[f64; 3]>,
-    weights: Vec<f64>,
+    envelope: Envelope,
 }
 
 impl Surroundings {
@@ -278,35 +278,7 @@ impl Surroundings {
         if self.offsets.len() < LEAST {
             return false;
         }
-        self.weights.clear();
-        self.weights.resize(self.offsets.len(), 1.0);
-        let mut plane = [0.0; 3];
-        for _ in 0..ROUNDS {
-            let Some(fitted) = fit(&self.offsets, &self.weights) else { return false };
-            plane = fitted;
-            let mut changed = false;
-            for (weight, offset) in self.weights.iter_mut().zip(&self.offsets) {
-                let new = if residual(plane, offset) > 0.0 { ABOVE } else { 1.0 };
-                changed |= new != *weight;
-                *weight = new;
-            }
-            if !changed {
-                break;
-            }
-        }
-        // A point above its envelope is not below it.
-        if plane[0] <= 0.0 {
-            return false;
-        }
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for (weight, offset) in self.weights.iter().zip(&self.offsets) {
-            let off = residual(plane, offset);
-            sum += weight;
-            squares += weight * off * off;
-        }
-        // The plane's height over the point, in units of the spread about the plane.
-        let spread = (squares / sum).sqrt();
-        spread > 0.0 && plane[0] >= share * spread
+        self.envelope.depth(&self.offsets).is_some_and(|depth| depth >= share)
     }
 
     /// Offsets of the at most [`MOST`] points nearest to `point` in plan, itself left out.
@@ -344,23 +316,97 @@ impl Surroundings {
     }
 }
 
-fn residual(plane: [f64; 3], offset: &[f64; 3]) -> f64 {
-    offset[2] - (plane[0] + plane[1] * offset[0] + plane[2] * offset[1])
+/// Buffers of the fit of an envelope: offsets and weights, two points side by side, since processors add pairs at once.
+#[derive(Default)]
+struct Envelope {
+    x: Vec<[f64; 2]>,
+    y: Vec<[f64; 2]>,
+    z: Vec<[f64; 2]>,
+    weight: Vec<[f64; 2]>,
+}
+
+/// Sums of weights and weighted products: 1, x, y, z, x², xy, y², xz, yz.
+type Sums = [[f64; 2]; 9];
+
+impl Envelope {
+    /// How deep below the envelope of its surroundings the origin lies, in units of the spread about it; `None` when it does
+    /// not, or the surroundings lie on a line.
+    fn depth(&mut self, offsets: &[[f64; 3]]) -> Option<f64> {
+        let Envelope { x, y, z, weight } = self;
+        for (axis, into) in [&mut *x, &mut *y, &mut *z].into_iter().enumerate() {
+            into.clear();
+            into.extend(offsets.chunks(2).map(|pair| [pair[0][axis], pair.get(1).map_or(0.0, |second| second[axis])]));
+        }
+        weight.clear();
+        weight.resize(x.len(), [1.0; 2]);
+        if offsets.len() % 2 == 1 {
+            // The last one has no partner.
+            weight[x.len() - 1][1] = 0.0;
+        }
+        let mut sums = self.sums();
+        let mut plane = solve(&sums)?;
+        for _ in 1..ROUNDS {
+            if !self.weigh(plane) {
+                break;
+            }
+            sums = self.sums();
+            plane = solve(&sums)?;
+        }
+        // Above its envelope nothing is low.
+        if plane[0] <= 0.0 {
+            return None;
+        }
+        self.weigh(plane);
+        let (mut sum, mut squares) = ([0.0; 2], [0.0; 2]);
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&self.weight) {
+            for lane in 0..2 {
+                let off = z[lane] - (plane[0] + plane[1] * x[lane] + plane[2] * y[lane]);
+                sum[lane] += w[lane];
+                squares[lane] += w[lane] * off * off;
+            }
+        }
+        let spread = ((squares[0] + squares[1]) / (sum[0] + sum[1])).sqrt();
+        (spread > 0.0).then(|| plane[0] / spread)
+    }
+
+    /// Weighs points by the side of the plane that they are on; whether any changed.
+    fn weigh(&mut self, [height, east, north]: [f64; 3]) -> bool {
+        let mut changes = [0.0; 2];
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&mut self.weight) {
+            for lane in 0..2 {
+                let off = z[lane] - (height + east * x[lane] + north * y[lane]);
+                let new = if off > 0.0 { ABOVE } else { 1.0 };
+                let new = if w[lane] == 0.0 { 0.0 } else { new };
+                changes[lane] += (new - w[lane]).abs();
+                w[lane] = new;
+            }
+        }
+        changes[0] + changes[1] > 0.0
+    }
+
+    fn sums(&self) -> Sums {
+        let mut s: Sums = [[0.0; 2]; 9];
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&self.weight) {
+            for lane in 0..2 {
+                let (x, y, z, w) = (x[lane], y[lane], z[lane], w[lane]);
+                let (wx, wy) = (w * x, w * y);
+                s[0][lane] += w;
+                s[1][lane] += wx;
+                s[2][lane] += wy;
+                s[3][lane] += w * z;
+                s[4][lane] += wx * x;
+                s[5][lane] += wx * y;
+                s[6][lane] += wy * y;
+                s[7][lane] += wx * z;
+                s[8][lane] += wy * z;
+            }
+        }
+        s
+    }
 }
 
 /// Height at the origin and both slopes of the weighted least squares plane; `None` when the points lie on a line.
-fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
-    // Two sums of each kind side by side: processors add pairs at once.
-    let mut sums = [[0.0; 2]; 9];
-    let (pairs, rest) = (offsets.chunks_exact(2), offsets.chunks_exact(2).remainder());
-    for (pair, w) in pairs.zip(weights.chunks_exact(2)) {
-        for lane in 0..2 {
-            add(&mut sums, lane, pair[lane], w[lane]);
-        }
-    }
-    if let [last] = rest {
-        add(&mut sums, 0, *last, weights[offsets.len() - 1]);
-    }
+fn solve(sums: &Sums) -> Option<[f64; 3]> {
     let [w, x, y, z, xx, xy, yy, xz, yz] = sums.map(|[a, b]| a + b);
     let mut m = [[w, x, y, z], [x, xx, xy, xz], [y, xy, yy, yz]];
     // Gaussian elimination with pivots on the diagonal: the matrix is positive definite, or the points lie on a line.
@@ -381,13 +427,4 @@ fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
     let b = (m[1][3] - m[1][2] * c) / m[1][1];
     let a = (m[0][3] - m[0][1] * b - m[0][2] * c) / m[0][0];
     Some([a, b, c])
-}
-
-#[inline(always)]
-fn add(sums: &mut [[f64; 2]; 9], lane: usize, [x, y, z]: [f64; 3], w: f64) {
-    let (wx, wy) = (w * x, w * y);
-    let terms = [w, wx, wy, w * z, wx * x, wx * y, wy * y, wx * z, wy * z];
-    for (sum, term) in sums.iter_mut().zip(terms) {
-        sum[lane] += term;
-    }
 }
