@@ -196,6 +196,7 @@ struct Surroundings {
     index: Vec<u64>,
     distance2: Vec<f64>,
     ranked: Vec<f64>,
+    nearest: Vec<[f64; 4]>,
     /// Of one point: offsets of its surroundings.
     offsets: Vec<[f64; 3]>,
     envelope: Envelope,
@@ -223,18 +224,20 @@ impl Surroundings {
                 low.push(at);
             }
         }
-        // Beside a crowd a point's surroundings reach farther.
+        // Beside a crowd a point's surroundings reach farther: such points search by themselves.
         for at in open {
-            let point = &points[at..=at];
-            let mut halo = halo;
-            while halo < radius {
-                halo = (2.0 * halo).min(radius);
-                self.gather(point, trees, halo, usize::MAX);
-                self.choose(&point[0], halo * halo);
-                if self.offsets.len() >= MOST {
-                    break;
-                }
+            let point = &points[at];
+            self.nearest.clear();
+            for (_, tree) in trees {
+                tree.nearest_in_plan(point, radius * radius, MOST, &mut self.nearest);
             }
+            let order = |a: &[f64; 4], b: &[f64; 4]| {
+                a[2].total_cmp(&b[2]).then(a[3].total_cmp(&b[3])).then(a[1].total_cmp(&b[1]))
+            };
+            self.nearest.sort_unstable_by(order);
+            let [px, py, pz] = point.xyz;
+            self.offsets.clear();
+            self.offsets.extend(self.nearest.iter().map(|[_, z, x, y]| [x - px, y - py, z - pz]));
             if self.is_low(share) {
                 low.push(at);
             }

@@ -160,6 +160,43 @@ impl Tree {
         }
     }
 
+    /// Brings the points nearest to `point` in plan, itself left out, into `nearest`: squared distance, z, x, y; sorted by
+    /// these in turn, at most `most` of them, none farther than the root of `bound2`.
+    pub fn nearest_in_plan(&self, point: &Point, bound2: f64, most: usize, nearest: &mut Vec<[f64; 4]>) {
+        let search = PlanSearch { point, bound2, most };
+        self.nearest_from(0, 0, self.points.len(), &search, [0.0; 2], nearest);
+    }
+
+    fn nearest_from(
+        &self,
+        node: usize,
+        begin: usize,
+        end: usize,
+        search: &PlanSearch<'_>,
+        off: [f64; 2],
+        nearest: &mut Vec<[f64; 4]>,
+    ) {
+        if end - begin <= LEAF_POINTS {
+            self.points[begin..end].iter().for_each(|other| search.consider(other, nearest));
+            return;
+        }
+        let (axis, split) = self.splits[node];
+        let middle = begin + (end - begin) / 2;
+        search.consider(&self.points[middle], nearest);
+        let beyond = search.point.xyz[axis] - split;
+        let mut far = off;
+        if axis < 2 {
+            far[axis] = beyond;
+        }
+        let lower = (2 * node + 1, begin, middle);
+        let upper = (2 * node + 2, middle + 1, end);
+        let (first, second) = if beyond < 0.0 { (lower, upper) } else { (upper, lower) };
+        self.nearest_from(first.0, first.1, first.2, search, off, nearest);
+        if far[0] * far[0] + far[1] * far[1] <= search.reach2(nearest) {
+            self.nearest_from(second.0, second.1, second.2, search, far, nearest);
+        }
+    }
+
     /// Parts of the points that lie close together: nodes of at most `most` points, and the points between them one by one.
     pub fn groups(&self, most: usize) -> Vec<std::ops::Range<usize>> {
         fn part(begin: usize, end: usize, most: usize, groups: &mut Vec<std::ops::Range<usize>>) {
@@ -249,5 +286,38 @@ fn consider(point: &Point, other: &Point, nearest: &mut [f64]) {
             at -= 1;
         }
         nearest[at] = distance;
+    }
+}
+
+/// What a search in plan looks for.
+struct PlanSearch<'a> {
+    point: &'a Point,
+    bound2: f64,
+    most: usize,
+}
+
+impl PlanSearch<'_> {
+    /// Squared distance up to which a point may still count.
+    fn reach2(&self, nearest: &[[f64; 4]]) -> f64 {
+        if nearest.len() < self.most { self.bound2 } else { nearest[self.most - 1][0].min(self.bound2) }
+    }
+
+    fn consider(&self, other: &Point, nearest: &mut Vec<[f64; 4]>) {
+        let (dx, dy) = (self.point.xyz[0] - other.xyz[0], self.point.xyz[1] - other.xyz[1]);
+        let distance2 = dx * dx + dy * dy;
+        if distance2 > self.reach2(nearest) || other.index() == self.point.index() {
+            return;
+        }
+        let entry = [distance2, other.xyz[2], other.xyz[0], other.xyz[1]];
+        let order = |a: &[f64; 4], b: &[f64; 4]| {
+            a.iter()
+                .zip(b)
+                .map(|(a, b)| a.total_cmp(b))
+                .find(|order| order.is_ne())
+                .unwrap_or(std::cmp::Ordering::Equal)
+        };
+        let at = nearest.partition_point(|known| order(known, &entry).is_lt());
+        nearest.insert(at, entry);
+        nearest.truncate(self.most);
     }
 }
