@@ -9,12 +9,13 @@
 //!
 //! Both are taken over the true neighbours, so that tiles change nothing.
 
+use std::cmp::Ordering;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::kdtree::Tree;
+use crate::kdtree::{Bounds, Tree};
 use crate::neighbours;
 use crate::outliers;
 use crate::params;
@@ -26,6 +27,10 @@ const LEAST: usize = 6;
 /// What points above the envelope weigh against those below.
 const ABOVE: f64 = 0.02;
 const ROUNDS: usize = 8;
+/// Points whose surroundings are gathered at once.
+const GROUP_POINTS: usize = 48;
+/// More points than these around a group are a crowd: a smaller halo will do.
+const CROWD: usize = 4096;
 /// Points in the radius that is found from the density.
 const EXPECTED: f64 = 100.0;
 /// How much farther than for the median point a cluster's outer neighbour is.
@@ -97,12 +102,15 @@ pub fn find(tiles: &mut Tiles, options: &Options, kept_points: usize, step: u8) 
         let own = kept.iter().find(|(other, _)| *other == number).map(|(_, tree)| Arc::clone(tree));
         let Some(own) = own else { continue };
         let low: Vec<u32> = own
-            .points()
+            .groups(GROUP_POINTS)
             .par_iter()
-            .enumerate()
-            .with_min_len(256)
-            .filter(|(_, point)| is_low(point, &kept, radius, options.share))
-            .map(|(index, _)| index as u32)
+            .with_min_len(8)
+            .map_init(Surroundings::default, |around, group| {
+                let points = &own.points()[group.clone()];
+                let low = around.low_of(points, &kept, radius, options.share);
+                low.into_iter().map(|at| (group.start + at) as u32).collect::<Vec<u32>>()
+            })
+            .flatten()
             .collect();
         noise[number].extend(low);
         noise[number].sort_unstable();
@@ -156,7 +164,7 @@ fn clusters(tiles: &mut Tiles, least: usize, kept_points: usize) -> Result<Vec<V
 
 /// The radius of a disc that holds the expected number of points.
 fn radius_of_density(tiles: &Tiles) -> Result<f64> {
-    let mut bounds = crate::kdtree::Bounds::EMPTY;
+    let mut bounds = Bounds::EMPTY;
     tiles.tiles.iter().filter(|tile| tile.active > 0).for_each(|tile| bounds.merge(&tile.bounds));
     let points: u64 = tiles.tiles.iter().map(|tile| tile.active as u64).sum();
     let (width, height) = (bounds.max[0] - bounds.min[0], bounds.max[1] - bounds.min[1]);
@@ -177,55 +185,233 @@ fn radius_of_density(tiles: &Tiles) -> Result<f64> {
     Ok((EXPECTED * area / points.max(1) as f64 / std::f64::consts::PI).sqrt())
 }
 
-/// Whether the point lies too deep below its surroundings' lower envelope.
-fn is_low(point: &Point, trees: &[(usize, Arc<Tree>)], radius: f64, share: f64) -> bool {
-    let mut around: Vec<[f64; 4]> = Vec::with_capacity(MOST + 1);
-    for (_, tree) in trees {
-        tree.nearest_in_plan(point, radius * radius, MOST, &mut around);
-    }
-    if around.len() < LEAST {
-        return false;
-    }
-    let offsets: Vec<[f64; 3]> =
-        around.iter().map(|&[_, z, x, y]| [x - point.xyz[0], y - point.xyz[1], z - point.xyz[2]]).collect();
-    let mut weights = vec![1.0; offsets.len()];
-    let mut plane = [0.0; 3];
-    for _ in 0..ROUNDS {
-        let Some(fitted) = fit(&offsets, &weights) else { return false };
-        plane = fitted;
-        for (weight, offset) in weights.iter_mut().zip(&offsets) {
-            *weight = if residual(plane, offset) > 0.0 { ABOVE } else { 1.0 };
-        }
-    }
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for (weight, offset) in weights.iter().zip(&offsets) {
-        let off = residual(plane, offset);
-        sum += weight;
-        squares += weight * off * off;
-    }
-    // The plane's height over the point, in units of the spread about the plane.
-    let spread = (squares / sum).sqrt();
-    spread > 0.0 && plane[0] >= share * spread
+/// What lies around a group of points, and buffers.
+#[derive(Default)]
+struct Surroundings {
+    found: Vec<Point>,
+    /// In the order of their coordinates, so that sums do not depend on tiles.
+    x: Vec<f64>,
+    y: Vec<f64>,
+    z: Vec<f64>,
+    index: Vec<u64>,
+    distance2: Vec<f64>,
+    ranked: Vec<f64>,
+    nearest: Vec<[f64; 4]>,
+    /// Of one point: offsets of its surroundings.
+    offsets: Vec<[f64; 3]>,
+    envelope: Envelope,
 }
 
-fn residual(plane: [f64; 3], offset: &[f64; 3]) -> f64 {
-    offset[2] - (plane[0] + plane[1] * offset[0] + plane[2] * offset[1])
+impl Surroundings {
+    /// The low points of a group, by their place in it.
+    fn low_of(&mut self, points: &[Point], trees: &[(usize, Arc<Tree>)], radius: f64, share: f64) -> Vec<usize> {
+        // Where all lie at one place, no halo is small enough.
+        const SMALLEST: f64 = 1e-9;
+        let mut halo = radius;
+        while !self.gather(points, trees, halo, CROWD) {
+            if halo < SMALLEST * radius {
+                self.gather(points, trees, halo, usize::MAX);
+                break;
+            }
+            halo /= 2.0;
+        }
+        let (mut low, mut open) = (Vec::new(), Vec::new());
+        for (at, point) in points.iter().enumerate() {
+            self.choose(point, halo * halo);
+            if halo < radius && self.offsets.len() < MOST {
+                open.push(at);
+            } else if self.is_low(share) {
+                low.push(at);
+            }
+        }
+        // Beside a crowd a point's surroundings reach farther: such points search by themselves.
+        for at in open {
+            let point = &points[at];
+            self.nearest.clear();
+            for (_, tree) in trees {
+                tree.nearest_in_plan(point, radius * radius, MOST, &mut self.nearest);
+            }
+            let order = |a: &[f64; 4], b: &[f64; 4]| {
+                a[2].total_cmp(&b[2]).then(a[3].total_cmp(&b[3])).then(a[1].total_cmp(&b[1]))
+            };
+            self.nearest.sort_unstable_by(order);
+            let [px, py, pz] = point.xyz;
+            self.offsets.clear();
+            self.offsets.extend(self.nearest.iter().map(|[_, z, x, y]| [x - px, y - py, z - pz]));
+            if self.is_low(share) {
+                low.push(at);
+            }
+        }
+        low
+    }
+
+    /// Takes in what lies within `halo` of the group in plan; whether it is at most `most` points.
+    fn gather(&mut self, points: &[Point], trees: &[(usize, Arc<Tree>)], halo: f64, most: usize) -> bool {
+        let mut area = Bounds::of(points);
+        for axis in 0..2 {
+            // Rounded outwards: the distance has the last word.
+            let slack = halo + 1e-9 * (area.min[axis].abs() + area.max[axis].abs() + halo);
+            area.min[axis] -= slack;
+            area.max[axis] += slack;
+        }
+        self.found.clear();
+        trees.iter().for_each(|(_, tree)| tree.within_in_plan(&area, most, &mut self.found));
+        if self.found.len() > most {
+            return false;
+        }
+        let order = |a: &Point, b: &Point| {
+            let pairs = a.xyz.iter().zip(&b.xyz).map(|(a, b)| a.total_cmp(b));
+            pairs.fold(Ordering::Equal, Ordering::then)
+        };
+        self.found.sort_unstable_by(order);
+        let axis = |axis: usize, into: &mut Vec<f64>| {
+            into.clear();
+            into.extend(self.found.iter().map(|point| point.xyz[axis]));
+        };
+        axis(0, &mut self.x);
+        axis(1, &mut self.y);
+        axis(2, &mut self.z);
+        self.index.clear();
+        self.index.extend(self.found.iter().map(Point::index));
+        true
+    }
+
+    /// Whether the point whose surroundings were chosen lies too deep below their lower envelope.
+    fn is_low(&mut self, share: f64) -> bool {
+        if self.offsets.len() < LEAST {
+            return false;
+        }
+        self.envelope.depth(&self.offsets).is_some_and(|depth| depth >= share)
+    }
+
+    /// Offsets of the at most [`MOST`] points nearest to `point` in plan, itself left out.
+    fn choose(&mut self, point: &Point, radius2: f64) {
+        let [px, py, pz] = point.xyz;
+        self.distance2.clear();
+        self.distance2.extend(self.x.iter().zip(&self.y).map(|(x, y)| (x - px) * (x - px) + (y - py) * (y - py)));
+        let own = point.index();
+        let Surroundings { x, y, z, index, distance2, ranked, offsets, .. } = self;
+        let choose = |limit2: f64, offsets: &mut Vec<[f64; 3]>| {
+            offsets.clear();
+            for (at, &distance2) in distance2.iter().enumerate() {
+                if distance2 <= limit2 && index[at] != own {
+                    offsets.push([x[at] - px, y[at] - py, z[at] - pz]);
+                }
+            }
+        };
+        choose(radius2, offsets);
+        if offsets.len() <= MOST {
+            return;
+        }
+        ranked.clear();
+        ranked.extend(offsets.iter().map(|[dx, dy, _]| dx * dx + dy * dy));
+        let farthest2 = *ranked.select_nth_unstable_by(MOST - 1, f64::total_cmp).1;
+        choose(farthest2, offsets);
+        if offsets.len() > MOST {
+            // Of the equally far ones the lowest count, then those in the west and the south.
+            let key = |[dx, dy, dz]: &[f64; 3]| [dx * dx + dy * dy, *dz, *dx, *dy];
+            offsets.sort_by(|a, b| {
+                let pairs = key(a).into_iter().zip(key(b)).map(|(a, b)| a.total_cmp(&b));
+                pairs.fold(Ordering::Equal, Ordering::then)
+            });
+            offsets.truncate(MOST);
+        }
+    }
+}
+
+/// Buffers of the fit of an envelope: offsets and weights, two points side by side, since processors add pairs at once.
+#[derive(Default)]
+struct Envelope {
+    x: Vec<[f64; 2]>,
+    y: Vec<[f64; 2]>,
+    z: Vec<[f64; 2]>,
+    weight: Vec<[f64; 2]>,
+}
+
+/// Sums of weights and weighted products: 1, x, y, z, x², xy, y², xz, yz.
+type Sums = [[f64; 2]; 9];
+
+impl Envelope {
+    /// How deep below the envelope of its surroundings the origin lies, in units of the spread about it; `None` when it does
+    /// not, or the surroundings lie on a line.
+    fn depth(&mut self, offsets: &[[f64; 3]]) -> Option<f64> {
+        let Envelope { x, y, z, weight } = self;
+        for (axis, into) in [&mut *x, &mut *y, &mut *z].into_iter().enumerate() {
+            into.clear();
+            into.extend(offsets.chunks(2).map(|pair| [pair[0][axis], pair.get(1).map_or(0.0, |second| second[axis])]));
+        }
+        weight.clear();
+        weight.resize(x.len(), [1.0; 2]);
+        if offsets.len() % 2 == 1 {
+            // The last one has no partner.
+            weight[x.len() - 1][1] = 0.0;
+        }
+        let mut sums = self.sums();
+        let mut plane = solve(&sums)?;
+        for _ in 1..ROUNDS {
+            if !self.weigh(plane) {
+                break;
+            }
+            sums = self.sums();
+            plane = solve(&sums)?;
+        }
+        // Above its envelope nothing is low.
+        if plane[0] <= 0.0 {
+            return None;
+        }
+        self.weigh(plane);
+        let (mut sum, mut squares) = ([0.0; 2], [0.0; 2]);
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&self.weight) {
+            for lane in 0..2 {
+                let off = z[lane] - (plane[0] + plane[1] * x[lane] + plane[2] * y[lane]);
+                sum[lane] += w[lane];
+                squares[lane] += w[lane] * off * off;
+            }
+        }
+        let spread = ((squares[0] + squares[1]) / (sum[0] + sum[1])).sqrt();
+        (spread > 0.0).then(|| plane[0] / spread)
+    }
+
+    /// Weighs points by the side of the plane that they are on; whether any changed.
+    fn weigh(&mut self, [height, east, north]: [f64; 3]) -> bool {
+        let mut changes = [0.0; 2];
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&mut self.weight) {
+            for lane in 0..2 {
+                let off = z[lane] - (height + east * x[lane] + north * y[lane]);
+                let new = if off > 0.0 { ABOVE } else { 1.0 };
+                let new = if w[lane] == 0.0 { 0.0 } else { new };
+                changes[lane] += (new - w[lane]).abs();
+                w[lane] = new;
+            }
+        }
+        changes[0] + changes[1] > 0.0
+    }
+
+    fn sums(&self) -> Sums {
+        let mut s: Sums = [[0.0; 2]; 9];
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(&self.weight) {
+            for lane in 0..2 {
+                let (x, y, z, w) = (x[lane], y[lane], z[lane], w[lane]);
+                let (wx, wy) = (w * x, w * y);
+                s[0][lane] += w;
+                s[1][lane] += wx;
+                s[2][lane] += wy;
+                s[3][lane] += w * z;
+                s[4][lane] += wx * x;
+                s[5][lane] += wx * y;
+                s[6][lane] += wy * y;
+                s[7][lane] += wx * z;
+                s[8][lane] += wy * z;
+            }
+        }
+        s
+    }
 }
 
 /// Height at the origin and both slopes of the weighted least squares plane; `None` when the points lie on a line.
-fn fit(offsets: &[[f64; 3]], weights: &[f64]) -> Option<[f64; 3]> {
-    let mut m = [[0.0; 4]; 3];
-    for (&w, &[x, y, z]) in weights.iter().zip(offsets) {
-        let row = [1.0, x, y, z];
-        for i in 0..3 {
-            for j in i..4 {
-                m[i][j] += w * row[i] * row[j];
-            }
-        }
-    }
-    m[1][0] = m[0][1];
-    m[2][0] = m[0][2];
-    m[2][1] = m[1][2];
+fn solve(sums: &Sums) -> Option<[f64; 3]> {
+    let [w, x, y, z, xx, xy, yy, xz, yz] = sums.map(|[a, b]| a + b);
+    let mut m = [[w, x, y, z], [x, xx, xy, xz], [y, xy, yy, yz]];
     // Gaussian elimination with pivots on the diagonal: the matrix is positive definite, or the points lie on a line.
     let diagonal = [m[0][0], m[1][1], m[2][2]];
     for i in 0..3 {

@@ -164,10 +164,10 @@ impl Tree {
     /// these in turn, at most `most` of them, none farther than the root of `bound2`.
     pub fn nearest_in_plan(&self, point: &Point, bound2: f64, most: usize, nearest: &mut Vec<[f64; 4]>) {
         let search = PlanSearch { point, bound2, most };
-        self.search_in_plan(0, 0, self.points.len(), &search, [0.0; 2], nearest);
+        self.nearest_from(0, 0, self.points.len(), &search, [0.0; 2], nearest);
     }
 
-    fn search_in_plan(
+    fn nearest_from(
         &self,
         node: usize,
         begin: usize,
@@ -191,9 +191,62 @@ impl Tree {
         let lower = (2 * node + 1, begin, middle);
         let upper = (2 * node + 2, middle + 1, end);
         let (first, second) = if beyond < 0.0 { (lower, upper) } else { (upper, lower) };
-        self.search_in_plan(first.0, first.1, first.2, search, off, nearest);
+        self.nearest_from(first.0, first.1, first.2, search, off, nearest);
         if far[0] * far[0] + far[1] * far[1] <= search.reach2(nearest) {
-            self.search_in_plan(second.0, second.1, second.2, search, far, nearest);
+            self.nearest_from(second.0, second.1, second.2, search, far, nearest);
+        }
+    }
+
+    /// Parts of the points that lie close together: nodes of at most `most` points, and the points between them one by one.
+    pub fn groups(&self, most: usize) -> Vec<std::ops::Range<usize>> {
+        fn part(begin: usize, end: usize, most: usize, groups: &mut Vec<std::ops::Range<usize>>) {
+            if end - begin <= most.max(LEAF_POINTS) {
+                if begin < end {
+                    groups.push(begin..end);
+                }
+                return;
+            }
+            let middle = begin + (end - begin) / 2;
+            part(begin, middle, most, groups);
+            groups.push(middle..middle + 1);
+            part(middle + 1, end, most, groups);
+        }
+        let mut groups = Vec::new();
+        part(0, self.points.len(), most, &mut groups);
+        groups
+    }
+
+    /// Adds the points whose x and y lie in the box to `found`, in the order of the tree; gives up when there are more than
+    /// `most` in it.
+    pub fn within_in_plan(&self, area: &Bounds, most: usize, found: &mut Vec<Point>) {
+        if !self.points.is_empty() && self.bounds.gap2_in_plan(area) <= 0.0 {
+            self.search_in_plan((0, 0, self.points.len()), area, most, found);
+        }
+    }
+
+    fn search_in_plan(
+        &self,
+        (node, begin, end): (usize, usize, usize),
+        area: &Bounds,
+        most: usize,
+        found: &mut Vec<Point>,
+    ) {
+        if found.len() > most {
+            return;
+        }
+        let inside = |point: &&Point| (0..2).all(|i| point.xyz[i] >= area.min[i] && point.xyz[i] <= area.max[i]);
+        if end - begin <= LEAF_POINTS {
+            found.extend(self.points[begin..end].iter().filter(inside));
+            return;
+        }
+        let (axis, split) = self.splits[node];
+        let middle = begin + (end - begin) / 2;
+        if axis == 2 || area.min[axis] <= split {
+            self.search_in_plan((2 * node + 1, begin, middle), area, most, found);
+        }
+        found.extend(self.points[middle..=middle].iter().filter(inside));
+        if axis == 2 || area.max[axis] >= split {
+            self.search_in_plan((2 * node + 2, middle + 1, end), area, most, found);
         }
     }
 

@@ -49,17 +49,12 @@ impl Axis {
             let high = low + self.width;
             // Far outside, where a float has no place in an index, there is nothing to read anyway.
             let cell = |edge: f64| edge.clamp(-4e15, 4e15) as i64;
-            let (mut start, end) = (cell(low.floor()), cell(high.ceil()));
+            let (start, end) = (cell(low.floor()), cell(high.ceil()));
+            let share = |c: i64| (high.min(c as f64 + 1.0) - low.max(c as f64)) / self.width;
             let at = shares.len();
-            for c in start..end {
-                let share = (high.min(c as f64 + 1.0) - low.max(c as f64)) / self.width;
-                if share > LEAST_SHARE {
-                    shares.push(share);
-                } else if shares.len() == at {
-                    start = c + 1;
-                }
-            }
-            covers.push(Cover { first: start, at, count: shares.len() - at });
+            let first = (start..end).find(|&c| share(c) > LEAST_SHARE).unwrap_or(start);
+            shares.extend((first..end).map(share).take_while(|share| *share > LEAST_SHARE));
+            covers.push(Cover { first, at, count: shares.len() - at });
         }
     }
 }
