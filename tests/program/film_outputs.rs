@@ -382,6 +382,55 @@ fn a_review_of_the_contact_sheet_replays_to_the_same_numbers() {
     }
 }
 
+/// Each mark is clicked twice, to enlarge and to place, two pixels off; what the page saves teaches the camera.
+#[test]
+fn marks_of_a_new_camera_are_clicked_in_a_page_and_learned() {
+    let roll = Roll::new("rmk-cross", "60", &["--frames", "1"]);
+    let (first, page) = ("rmk-cross-1", roll.out("click.html"));
+    let said = roll.fiducials(&["--learn", "--page"], 0);
+    assert!(said.contains("click.html") && said.contains("--at"), "{said}");
+    assert!(!text(&page).contains("http"));
+    let marks = roll.truth(first);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.open(&page);
+    let said: Vec<String> = browser.complaints().into_iter().filter(|c| !c.ends_with("click_frames/0.png")).collect();
+    assert_eq!(said, Vec::<String>::new());
+    let started = std::time::Instant::now();
+    while browser.eval("image(0).complete && image(0).naturalWidth > 0") != Value::Bool(true) {
+        assert!(started.elapsed().as_secs() < 30, "the scan is not shown");
+    }
+    let click = "(x, y) => { const r = detail.getBoundingClientRect(), k = detail.clientWidth / detail.width; \
+                 const at = i => ([x, y][i] - focus[i]) * zoom + 256; detail.dispatchEvent(new MouseEvent('click', \
+                 { clientX: r.left + detail.clientLeft + at(0) * k, clientY: r.top + detail.clientTop + at(1) * k })); }";
+    for (k, (mark, [x, y])) in marks.iter().enumerate() {
+        assert_eq!(browser.eval("data.points[now.p].name"), Value::from(mark.as_str()), "in the camera's order");
+        let off = [1.4, -1.4][k % 2];
+        for _ in 0..2 {
+            browser.eval(&format!("({click})({}, {})", x + off, y - 1.4));
+        }
+    }
+    assert_eq!(browser.eval("by('count').textContent"), Value::from("4 of 4 marks, not saved"));
+    let saved = browser.eval("text()");
+    browser.key("s", false);
+    let then = browser.eval("by('then').textContent");
+    assert!(then.as_str().is_some_and(|t| t.contains("--camera rmk-cross --learn --at clicks.csv")), "{then}");
+    let clicks = roll.folder.path().join("clicks.csv");
+    std::fs::write(&clicks, saved.as_str().expect("a table")).expect("writable");
+    let said = roll.fiducials(&["--learn", "--at", plain(&clicks), "--window-mm", "5,5"], 0);
+    assert!(said.contains("learned from 1 scans"), "{said}");
+    let learned = std::fs::read_dir(roll.folder.path().join("out")).expect("there");
+    let learned = learned.filter_map(|e| Some(e.ok()?.path())).find(|p| p.extension().is_some_and(|e| e == "toml"));
+    let (learned, scan) = (learned.expect("a camera"), roll.scans().join(format!("{first}.tif")));
+    let out = roll.folder.path().join("found");
+    let way = ["--turn", "0", "--mirrored", "false", "--quiet"];
+    run(&[&["fiducials", plain(&scan), "--camera", plain(&learned), "-o", plain(&out)][..], &way].concat(), 0);
+    let found = json(&out.join(format!("{first}.fiducials.json")));
+    for (mark, (name, [x, y])) in found["marks"].as_array().expect("a list").iter().zip(marks) {
+        let at = |axis: &str| mark["centre"][axis].as_f64().expect("found");
+        assert!((at("x") - x).hypot(at("y") - y) < 1.0, "{mark} {name}");
+    }
+}
+
 #[test]
 fn patches_for_something_else_are_refused_in_one_line() {
     let roll = Roll::new("rmk-cross", "100", &[]);
