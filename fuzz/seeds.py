@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""fuzz/seeds.py TARGET FOLDER: writes small valid files for a fuzz target; the first byte chooses the ending of the name."""
+"""fuzz/seeds.py TARGET FOLDER: writes small valid files for a fuzz target; where there are several endings, the first byte chooses."""
 
 import pathlib
 import struct
@@ -8,7 +8,7 @@ import sys
 LISTS = [".csv", ".txt", ".points", ".kof", ".xml", ".geojson", ".json"]
 DOCUMENTS = [".toml", ".json", ".csv", ".xml"]
 FLIGHTS = [".xml", ".json", ".csv", ".txt", ".toml"]
-CLOUDS = [".ply", ".las", ".laz", ".xyz"]
+OUTLINES = [".toml", ".geojson", ".txt"]
 
 
 def las():
@@ -23,6 +23,31 @@ def las():
     struct.pack_into("<12d", header, 131, 0.01, 0.01, 0.01, 0, 0, 0, 2, 1, 2, 1, 2, 1)
     points = b"".join(struct.pack("<3iHBBbBH", 100 * k, 100 * k, 100 * k, 5, 9, 2, 0, 0, 1) for k in (1, 2))
     return bytes(header) + points
+
+
+def tiff(keys):
+    """A picture of 2 x 2 grey pixels with this GeoKeyDirectory."""
+    data = struct.pack(f"<{len(keys)}H", *keys) + b"\1\2\3\4"
+    tags = [(256, 3, 1, 2), (257, 3, 1, 2), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1), (273, 4, 1, 8 + 2 * len(keys)), (277, 3, 1, 1), (278, 3, 1, 2), (279, 4, 1, 4)]
+    if keys:
+        tags.append((34735, 3, len(keys), 8))
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    return b"II*\0" + struct.pack("<I", 8 + len(data)) + data + directory
+
+
+def model(choice, cameras, images, points):
+    return bytes([choice]) + struct.pack("<HH", len(cameras), len(images)) + cameras + images + points
+
+
+def binary_model():
+    cameras = struct.pack("<QIiQQ4d", 1, 1, 1, 100, 80, 90, 90, 50, 40)
+    images = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 1, 1) + b"a.tif\0" + struct.pack("<Q2dq", 1, 10, 20, 1)
+    points = struct.pack("<QQ3d3BdQii", 1, 1, 1, 2, 3, 9, 9, 9, 0.5, 1, 1, 0)
+    return cameras, images, points
+
+
+def text_model():
+    return b"1 PINHOLE 100 80 90 90 50 40\n", b"1 1 0 0 0 0 0 1 1 a.tif\n10 20 1\n", b"1 1 2 3 9 9 9 0.5 1 0\n"
 
 
 SEEDS = {
@@ -51,20 +76,31 @@ SEEDS = {
         (".txt", b"local\n1 2 3 10 20 a.tif A\n"),
         (".toml", b'name = "c"\nfilm_size_mm = [180.0, 180.0]\n'),
     ]),
-    "clouds": (CLOUDS, [
-        (".ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n1 2 3\n4 5 6\n"),
-        (".ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n" + struct.pack("<3f", 1, 2, 3)),
-        (".las", las()),
-        (".xyz", b"x y z intensity\n1 2 3 4\n5 6 7 8\n"),
+    "outlines": (OUTLINES, [
+        (".toml", b'[[sample]]\nclass = "sky"\nframe = "a.tif"\nrectangle = [0, 0, 5, 5]\n[[sample]]\nclass = "mask:kite"\nframe = "a.tif"\npolygon = [[1, 1], [9, 1], [5, 9]]\n'),
+        (".geojson", b'{"frame":"a.tif","features":[{"type":"Feature","properties":{"class":"water"},"geometry":{"type":"Polygon","coordinates":[[[1,1],[9,1],[5,9],[1,1]]]}}]}'),
+        (".txt", b"sky=1,2,30,40@a.tif"),
+        (".txt", b"a.tif=a_Masq.tif"),
     ]),
+    "geo_keys": ([".tif"], [(".tif", tiff(keys)) for keys in ([], [1, 1, 0, 1, 1025, 0, 1, 2], [1, 1, 0, 1, 3072, 0, 1, 25833])]),
+    "models": (None, [model(0, *binary_model()), model(1, *text_model())]),
+    "cloud_ply": (None, [
+        b"ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n1 2 3\n4 5 6\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n" + struct.pack("<3f", 1, 2, 3),
+        b"ply\nformat binary_big_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty list uchar int i\nend_header\n" + struct.pack(">3fBi", 1, 2, 3, 1, 7),
+    ]),
+    "cloud_las": (None, [las()]),
+    "cloud_laz": (None, [las()]),
+    "cloud_xyz": (None, [b"x y z intensity\n1 2 3 4\n5 6 7 8\n", b"1;2;3\n4;5;6\n", b"// c\n1,2,3\n"]),
 }
 
 
 def main():
     target, folder = sys.argv[1], pathlib.Path(sys.argv[2])
     endings, seeds = SEEDS.get(target, ([], []))
-    for number, (ending, content) in enumerate(seeds):
-        (folder / f"seed-{number}").write_bytes(bytes([endings.index(ending)]) + content)
+    for number, seed in enumerate(seeds):
+        content = seed if endings is None else bytes([endings.index(seed[0])]) + seed[1]
+        (folder / f"seed-{number}").write_bytes(content)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,19 @@ pub(super) const NAMES: &[&str] = &[
     "pktnr",
     "fid",
     "station",
+    "nafn",
+    "nazwa",
+    "namn",
+    "nimi",
+    "naam",
+    "matricule",
+    "punto",
+    "punktnamn",
+    "numer",
+    "numero",
+    "número",
+    "numéro",
+    "bezeichnung",
 ];
 /// Titles that say which is which.
 const EASTINGS: &[&str] = &[
@@ -63,6 +76,14 @@ const EASTINGS: &[&str] = &[
     "ø",
     "hoyre",
     "local easting",
+    "austur",
+    "wschód",
+    "wschod",
+    "öst",
+    "öster",
+    "itä",
+    "oost",
+    "leste",
 ];
 const NORTHINGS: &[&str] = &[
     "northing",
@@ -79,6 +100,12 @@ const NORTHINGS: &[&str] = &[
     "nor",
     "norte",
     "local northing",
+    "norður",
+    "północ",
+    "polnoc",
+    "norr",
+    "pohjoinen",
+    "noord",
 ];
 /// Titles that do not: x is north in some countries.
 const XS: &[&str] = &["x", "geo x", "coord x", "x m", "mapx", "x coordinate", "xcoord", "pos x"];
@@ -106,6 +133,18 @@ const HEIGHTS: &[&str] = &[
     "ellipsoidal height",
     "altitude m",
     "elevation m",
+    "høgde",
+    "hæð",
+    "wysokość",
+    "wysokosc",
+    "höjd",
+    "korkeus",
+    "hoogte",
+    "altura",
+    "elevación",
+    "élévation",
+    "hauteur",
+    "altezza",
 ];
 const LONGITUDES: &[&str] =
     &["lon", "long", "longitude", "lng", "lengdegrad", "longitude deg", "lon deg", "länge", "laenge", "longitud"];
@@ -140,6 +179,8 @@ pub(super) struct Columns {
     check: Option<usize>,
     enabled: Option<usize>,
     crs: Option<usize>,
+    /// A title that stands over two columns, one of which would be taken.
+    doubled: Option<String>,
     pub geographic: bool,
     pub order: ColumnOrder,
 }
@@ -228,11 +269,15 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         let (x, y) = pair(XS, YS)?;
         (x, y, false, ColumnOrder::Assumed)
     };
+    let (name, height) = (find(NAMES).filter(|i| *i != easting && *i != northing), find(HEIGHTS));
+    let twice = |i: &usize| tidied.iter().filter(|title| **title == tidied[*i]).count() > 1;
+    let doubled = [Some(easting), Some(northing), name, height].into_iter().flatten().find(twice);
     Some(Columns {
-        name: find(NAMES).filter(|i| *i != easting && *i != northing),
+        name,
         easting,
         northing,
-        height: find(HEIGHTS),
+        height,
+        doubled: doubled.map(|i| titles[i].trim().to_owned()),
         sigma: find(SIGMAS),
         sigma_height: find(SIGMA_HEIGHTS),
         role: find(ROLES),
@@ -246,6 +291,10 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
 }
 
 fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: &Columns) -> Result<RawList> {
+    if let Some(title) = &columns.doubled {
+        let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
+        return Err(Error::format(path, lines[at].place(), what));
+    }
     let mut points = Vec::new();
     for line in lines[at + 1..].iter().filter(|line| !line.is_comment()) {
         points.push(columns.point(path, line.place(), &split(line.text, separator), &line.row.to_string())?);
@@ -391,7 +440,7 @@ pub(super) fn headerless(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
             let good = rows.iter().filter(|line| Shape::of(&split(line.text, separator)).is_some()).count();
             (good, SEPARATORS.len() - SEPARATORS.iter().position(|s| *s == separator).expect("one of them"))
         })
-        .expect("there are four");
+        .expect("there are several");
     let table: Vec<(&Line<'_>, Vec<String>)> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
     let Some(shape) = table.iter().find_map(|(_, fields)| Shape::of(fields)) else {
         let line = rows.first().map_or("row 1".into(), |line| line.place());
@@ -483,6 +532,7 @@ impl Shape {
         let role = (self.fields > behind && name != Some(behind)).then_some(behind);
         let extra = |i: usize| (left > i).then_some(first + i);
         Columns {
+            doubled: None,
             titles: Vec::new(),
             name,
             easting: first,

@@ -53,10 +53,12 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     Ok(list)
 }
 
-/// At tabs when there are any, since names may hold blanks; else at blanks; else at commas or semicolons.
+/// At tabs when there are any, since names may hold blanks; else at blanks; else at semicolons, beside which a comma is a decimal
+/// one, or at commas.
 fn fields(line: &str) -> Vec<&str> {
     let cut = |at: &[char]| -> Vec<&str> { line.split(at).map(str::trim).filter(|f| !f.is_empty()).collect() };
-    let ways = [cut(&['\t']), cut(&[' ', '\t']), cut(&[',', ';'])];
+    let marks = if line.contains(';') { [';'] } else { [','] };
+    let ways = [cut(&['\t']), cut(&[' ', '\t']), cut(&marks)];
     ways.iter().find(|fields| fields.len() >= 6).or(ways.iter().max_by_key(|f| f.len())).cloned().unwrap_or_default()
 }
 

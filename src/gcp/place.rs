@@ -62,6 +62,9 @@ fn refuse_absurd(path: &Path, points: &[RawPoint]) -> Result<()> {
 /// Whether all points lie wrong as they stand and right with their coordinates exchanged, by the CRS's area of use or by the
 /// image's own place.
 fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> bool {
+    if points.is_empty() {
+        return false;
+    }
     let all = |covers: &dyn Fn(f64, f64) -> bool| points.iter().all(|p| covers(p.gcp.easting, p.gcp.northing));
     if all(&|e, n| crs.covers(e, n) == Some(false)) {
         return all(&|e, n| crs.covers(n, e) == Some(true));

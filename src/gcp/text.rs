@@ -51,14 +51,54 @@ impl Line<'_> {
     }
 }
 
-/// The lines that are not blank, trimmed.
+/// The lines that are not blank, trimmed. A quoted cell may go on over several lines, which are one then.
 pub(super) fn lines(text: &str) -> Vec<Line<'_>> {
-    text.lines()
-        .enumerate()
-        .map(|(i, line)| Line { row: i + 1, text: line.trim() })
+    let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).chain([text.len()]).collect();
+    let mut found = Vec::new();
+    let (mut row, mut start) = (0, 0);
+    while row < ends.len() {
+        let last = last_row(text, start, &ends[row..]);
+        // Old systems end a text with Ctrl-Z.
+        let line = text[start..ends[row + last]].trim_matches('\u{1a}').trim();
         // Excel pads empty rows with separators.
-        .filter(|line| !line.text.trim_matches([';', ',', '\t', ' ', '"']).is_empty())
-        .collect()
+        if !line.trim_matches([';', ',', '\t', '|', ' ', '"', '\n']).is_empty() {
+            found.push(Line { row: row + 1, text: line });
+        }
+        start = ends[row + last] + 1;
+        row += last + 1;
+    }
+    found
+}
+
+/// How many rows further the record that begins at `start` ends: further than its own row when a cell's quote is closed there.
+fn last_row(text: &str, start: usize, ends: &[usize]) -> usize {
+    const MOST_ROWS: usize = 50;
+    let (mut open, mut from) = (false, start);
+    for (row, &end) in ends.iter().take(MOST_ROWS).enumerate() {
+        open = is_open_after(&text[from..end], open);
+        if !open {
+            return row;
+        }
+        from = end + 1;
+    }
+    0
+}
+
+/// Whether a quote that began a cell is open at the end of the line.
+fn is_open_after(line: &str, mut open: bool) -> bool {
+    let mut begin = true;
+    let mut letters = line.chars().peekable();
+    while let Some(letter) = letters.next() {
+        match letter {
+            // Two are one that is meant.
+            '"' if open && letters.peek() == Some(&'"') => drop(letters.next()),
+            '"' if open => open = false,
+            '"' if begin => open = true,
+            _ => {}
+        }
+        begin = matches!(letter, ',' | ';' | '\t' | '|') || (begin && letter == ' ');
+    }
+    open
 }
 
 /// What stands between two columns.
@@ -68,8 +108,13 @@ pub(super) enum Separator {
     Blanks,
 }
 
-pub(super) const SEPARATORS: [Separator; 4] =
-    [Separator::Letter(';'), Separator::Letter('\t'), Separator::Letter(','), Separator::Blanks];
+pub(super) const SEPARATORS: [Separator; 5] = [
+    Separator::Letter(';'),
+    Separator::Letter('\t'),
+    Separator::Letter(','),
+    Separator::Letter('|'),
+    Separator::Blanks,
+];
 
 pub(super) fn split(line: &str, separator: Separator) -> Vec<String> {
     let Separator::Letter(letter) = separator else {
@@ -103,6 +148,23 @@ pub(super) fn number(text: &str) -> Option<f64> {
     let plain = text.replace(GAPS, "");
     let commas = plain.matches(',').count();
     let points = plain.matches('.').count();
+    // Between thousands a mark stands every three digits: "12..5" and "1,2,3" are slips of the hand.
+    let grouped = |mark: char, whole: &str| {
+        let mut groups = whole.trim_start_matches(['+', '-']).split(mark);
+        let digits = |group: &str| group.bytes().all(|b| b.is_ascii_digit());
+        groups.next().is_some_and(|first| (1..=3).contains(&first.len()) && digits(first))
+            && groups.all(|group| group.len() == 3 && digits(group))
+    };
+    let sound = match (commas, points) {
+        (0, 0 | 1) | (1, 0) => true,
+        (0, _) => grouped('.', &plain),
+        (_, 0) => grouped(',', &plain),
+        _ if plain.rfind(',') > plain.rfind('.') => grouped('.', &plain[..plain.rfind(',')?]),
+        _ => grouped(',', &plain[..plain.rfind('.')?]),
+    };
+    if !sound {
+        return None;
+    }
     let canonical = match (commas, points) {
         (0, _) if points > 1 => plain.replace('.', ""),
         (0, _) => plain,
@@ -171,6 +233,15 @@ mod tests {
     }
 
     #[test]
+    fn a_quoted_cell_goes_on_over_lines() {
+        let rows = |text: &str| lines(text).iter().map(|l| (l.row, l.text.to_owned())).collect::<Vec<_>>();
+        assert_eq!(rows("a,\"b\nc\"\nd\n"), [(1, "a,\"b\nc\"".to_owned()), (3, "d".to_owned())]);
+        // A quote that is never closed, and one within a cell, end with their lines.
+        assert_eq!(rows("\"a\nb\n"), [(1, "\"a".to_owned()), (2, "b".to_owned())]);
+        assert_eq!(rows("63\u{b0}25'48\"\nb\n\u{1a}").len(), 2);
+    }
+
+    #[test]
     fn numbers_as_people_write_them() {
         for (text, value) in [
             ("7032516.80", 7032516.80),
@@ -184,7 +255,7 @@ mod tests {
         ] {
             assert_eq!(number(text), Some(value), "{text}");
         }
-        for text in ["", "P1", "nan", "inf", "1-2", "12m", "86 7032516", "80,3 1"] {
+        for text in ["", "P1", "nan", "inf", "1-2", "12m", "86 7032516", "80,3 1", "12..5", "1,2,3", "1.2.3,4"] {
             assert_eq!(number(text), None, "{text}");
         }
     }

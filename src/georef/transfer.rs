@@ -6,6 +6,7 @@ use std::path::Path;
 use crate::georef::sidecar;
 use crate::georef::tags;
 use crate::result::{ImageInfo, PriorGeoreference, RunResult};
+use autoref_raster::bounded;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -166,7 +167,7 @@ fn same_ratio(x: f64, y: f64, pixels: f64) -> bool {
 /// What an earlier run has written must not be taken for what the photogrammetry wrote.
 fn not_ours(other: &Path) -> Result<()> {
     let aux = sidecar::aux_path(other);
-    let text = std::fs::read_to_string(&aux).unwrap_or_default();
+    let text = bounded::read_to_string(&aux, "an .aux.xml", bounded::TEXT_BYTES).unwrap_or_default();
     let found = if sidecar::transform_of_aux(&text).is_some() {
         format!("{} may be of an earlier run; remove it", aux.display())
     } else if tags::is_tagged(other) {

@@ -11,6 +11,7 @@ use crate::georef::dialects::{self, TiePoints};
 use crate::georef::{exif, gcps_vrt, sidecar, tags, warp};
 use crate::result::RunResult;
 use autoref_raster::atomic::{self, Existing, Transaction};
+use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -303,7 +304,7 @@ impl WriteRequest {
         if kind == Output::World {
             transaction.stage_bytes(file, sidecar::world_file(transform).as_bytes())?;
         } else {
-            let existing = std::fs::read_to_string(file).ok();
+            let existing = bounded::read_to_string(file, "an .aux.xml", bounded::TEXT_BYTES).ok();
             let existing = existing.as_deref().map(|text| (file.as_path(), text));
             let aux = sidecar::aux_xml(transform, crs, existing)?;
             transaction.stage_bytes(file, aux.as_bytes())?;

@@ -20,6 +20,7 @@ mod gcp_lists;
 mod matching;
 mod mutations;
 mod names;
+mod odd_tables;
 mod reader_facts;
 mod readers;
 mod repetition;

@@ -737,7 +737,13 @@ fn frames_become_cameras() {
 }
 
 /// A raster of floats on a plane.
-fn write_dem(path: &Path, size: (usize, usize), corner: [f64; 2], cell: f64, height: impl Fn(f64, f64) -> f64) {
+pub(super) fn write_dem(
+    path: &Path,
+    size: (usize, usize),
+    corner: [f64; 2],
+    cell: f64,
+    height: impl Fn(f64, f64) -> f64,
+) {
     let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
     let mut file = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("a new file");
     file.set_geo_transform(&[corner[0], cell, 0.0, corner[1], 0.0, -cell]).expect("kept");

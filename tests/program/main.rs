@@ -16,11 +16,13 @@ mod cloud;
 #[cfg(feature = "coded")]
 mod coded;
 mod command_line;
+mod commands;
 mod conversions;
 mod detection_commands;
 mod dialects;
 mod e6;
 mod elevation;
+mod faults;
 mod film;
 mod film_outputs;
 mod film_rolls;

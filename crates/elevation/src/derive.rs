@@ -97,7 +97,8 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
         }
     };
     match failed {
-        Some(text) => Err(Error::gdal(model, text)),
+        // Of the model or of the output: GDAL's words do not say.
+        Some(text) => Err(Error::gdal(out, format!("drawing {}: {text}", model.display()))),
         None => Ok(()),
     }
 }
@@ -207,7 +208,7 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
         (code != gdal_sys::CPLErr::CE_None).then(last_error)
     };
     if let Some(text) = error {
-        return Err(Error::gdal(model, text));
+        return Err(Error::gdal(out, format!("lines of {}: {text}", model.display())));
     }
     let lines = layer.feature_count();
     dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)?;
@@ -243,5 +244,5 @@ pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
             }
         }
     };
-    failed.map_or(Ok(()), |text| Err(Error::gdal(source, text)))
+    failed.map_or(Ok(()), |text| Err(Error::gdal(out, format!("warping {}: {text}", source.display()))))
 }

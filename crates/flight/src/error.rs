@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use autoref_raster::bounded;
+
 /// What went wrong. Every message is one line that names the file or the point, and the remedy.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -15,6 +17,9 @@ pub enum Error {
     /// The operating system said no.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io { path: PathBuf, action: String, source: std::io::Error },
+    /// A file could not be read within its bounds.
+    #[error(transparent)]
+    File(#[from] autoref_raster::Error),
     /// It ran, and the data carry no result.
     #[error("{what}; {remedy}")]
     NoResult { what: String, remedy: String },
@@ -37,8 +42,13 @@ impl Error {
     }
 }
 
-/// A text file whole.
+/// The bytes of a file whole, as the other readers of documents bound them.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    Ok(bounded::read(path, "a description of a flight", bounded::DOCUMENT_BYTES)?)
+}
+
+/// A text file whole; what is no UTF-8 is taken as Latin-1.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = read_bytes(path)?;
     Ok(String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().iter().map(|b| char::from(*b)).collect()))
 }

@@ -9,6 +9,7 @@ mod out;
 mod cli;
 
 fn main() -> ExitCode {
+    autoref_raster::hear_gdal();
     let matches = cli::everywhere::command().get_matches_from(cli::joined(std::env::args_os()));
     let files_as_json = cli::everywhere::mute(&matches);
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::error::{Error, Result};
 use crate::protected::refuse_input;
+use crate::written::Written;
 
 /// What this process has put in place, in that order.
 static COMPLETED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
@@ -50,7 +51,7 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     let temporary = temporary_name(path);
     let companions = companions_of(path);
     companions.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
-    let result = produce(&temporary).and_then(|()| {
+    let result = watched(&temporary, || produce(&temporary)).and_then(|()| {
         for end in companions.iter().filter(|end| temporary.with_extension(end).exists()) {
             let target = path.with_extension(end);
             std::fs::rename(temporary.with_extension(end), &target)
@@ -68,7 +69,41 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
         complete(path);
         companions.iter().map(|end| path.with_extension(end)).filter(|p| p.exists()).for_each(|p| complete(&p));
     }
-    result
+    result.map_err(|error| renamed(error, &[temporary], &[path.to_owned()]))
+}
+
+/// Lets `produce` fill a folder under a temporary name, which then replaces the folder `path`, if there is one, whole.
+///
+/// # Errors
+/// Those of `produce` and of the system; [`Error::Usage`] when `path` is a file. Nothing is changed then.
+pub fn folder<R>(path: &Path, produce: impl FnOnce(&Path) -> Result<R>) -> Result<R> {
+    if path.exists() && !path.is_dir() {
+        let what = format!("the output {} is a file, and a folder must be made", path.display());
+        return Err(Error::usage(what, "name another output"));
+    }
+    remove_leftovers(path);
+    let temporary = temporary_name(path);
+    let made = std::fs::create_dir_all(&temporary).map_err(|e| Error::io(path, "create", e)).and_then(|()| {
+        let made = watched(&temporary, || produce(&temporary))?;
+        if path.is_dir() {
+            std::fs::remove_dir_all(path).map_err(|e| Error::io(path, "put in place of the old folder", e))?;
+        }
+        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e))?;
+        Ok(made)
+    });
+    if made.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_dir_all(&temporary);
+    }
+    made.map_err(|error| renamed(error, &[temporary], &[path.to_owned()]))
+}
+
+/// What GDAL fails at while `produce` makes a file is a failure of `produce`: closing a dataset does not tell of it.
+fn watched<R>(path: &Path, produce: impl FnOnce() -> Result<R>) -> Result<R> {
+    let watch = Written::watch(path);
+    let made = produce()?;
+    watch.nothing_failed()?;
+    Ok(made)
 }
 
 /// Ends of the files without which a file of this ending cannot be read: those of a Shapefile.
@@ -111,7 +146,8 @@ fn remove_leftovers(path: &Path) {
             && number.parse::<u32>().is_ok_and(|id| !Path::new(&format!("/proc/{id}")).exists());
         if part && ended {
             // It may be somebody else's; then it stays.
-            let _ = std::fs::remove_file(entry.path());
+            let path = entry.path();
+            let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
         }
     }
 }
@@ -189,7 +225,7 @@ impl Transaction {
             let (temporary, target) = (temporary.clone(), target.clone());
             self.staged.push(Staged { temporary, target, backup: None, in_place: false });
         }
-        produce(&temporaries).map_err(|error| renamed(error, &temporaries, targets))?;
+        watched(&temporaries[0], || produce(&temporaries)).map_err(|error| renamed(error, &temporaries, targets))?;
         for (target, temporary) in targets.iter().zip(&temporaries) {
             std::fs::File::open(temporary)
                 .and_then(|file| file.sync_all())
@@ -288,7 +324,14 @@ impl Drop for Transaction {
 
 /// Messages speak of the file that was asked for, not of its temporary name.
 fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error {
-    let real = |path: PathBuf| temporaries.iter().position(|t| *t == path).map_or(path, |index| targets[index].clone());
+    let real = |path: PathBuf| {
+        let below = temporaries.iter().zip(targets).find_map(|(t, target)| Some((path.strip_prefix(t).ok()?, target)));
+        match below {
+            Some((rest, target)) if rest.as_os_str().is_empty() => target.clone(),
+            Some((rest, target)) => target.join(rest),
+            None => path,
+        }
+    };
     let words = |mut text: String| {
         for (temporary, target) in temporaries.iter().zip(targets) {
             text = text.replace(&temporary.display().to_string(), &target.display().to_string());

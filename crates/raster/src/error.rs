@@ -7,6 +7,7 @@
 //! assert_eq!(error.to_string(), "points.csv: row 7: `abc` is no number for the easting");
 //! ```
 
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 /// What went wrong, split by whose fault it is: the file's, ours to support, the caller's, the budget's, the system's.
@@ -33,7 +34,7 @@ pub enum Error {
     #[error("{what}: needs {needed} bytes, allowed are {allowed}; {remedy}")]
     Limit { what: String, needed: u64, allowed: u64, remedy: String },
     /// The operating system said no.
-    #[error("{}: cannot {action}: {source}", path.display())]
+    #[error("{}: cannot {action}: {source}{}", path.display(), remedy(action, source.kind()))]
     Io {
         path: PathBuf,
         /// A verb phrase: "open", "read 4096 bytes at 17", "rename".
@@ -63,6 +64,25 @@ impl Error {
     /// GDAL's message may span lines; ours is one.
     pub fn gdal(path: impl Into<PathBuf>, what: impl std::fmt::Display) -> Self {
         let what = what.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        // The binding wraps GDAL's own words into which function returned nothing.
+        let inner =
+            what.split_once("returned a NULL pointer. Error msg: '").map(|(_, inner)| inner.trim_end_matches('\''));
+        let what = inner.filter(|inner| !inner.is_empty()).unwrap_or(&what).to_owned();
         Error::Gdal { path: path.into(), what }
+    }
+}
+
+/// What helps when the system refuses to write; reading has no remedy but another file.
+fn remedy(action: &str, kind: ErrorKind) -> &'static str {
+    let writes =
+        ["write", "create", "put in place", "bring to disk", "keep while"].iter().any(|verb| action.starts_with(verb));
+    match kind {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "; make room there, or name an output on another disk",
+        ErrorKind::FileTooLarge => "; name an output on a disk that takes larger files, or raise the limit (ulimit -f)",
+        ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied if writes => {
+            "; name an output in a folder that can be written"
+        }
+        ErrorKind::NotADirectory if writes => "; a file stands where a folder must be: name another output",
+        _ => "",
     }
 }

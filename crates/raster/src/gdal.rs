@@ -20,17 +20,28 @@ use crate::window::{TileGrid, Window};
 /// The GDAL reader.
 pub type GdalSource = ChunkedSource<GdalDecoder>;
 
-/// Prepares GDAL once for the whole process: messages go to the log instead of stderr, and GDAL's own block cache is
-/// bounded by `cache_bytes`. Later calls change nothing.
-pub fn initialise_gdal(cache_bytes: u64) {
+/// GDAL's messages go to the log instead of stderr from now on, and its failures are counted for [`crate::Written`].
+pub fn hear_gdal() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         gdal::config::set_error_handler(|kind, number, message| {
             tracing::debug!(target: "gdal", ?kind, number, "{message}");
-            if matches!(kind, CplErrType::Failure | CplErrType::Fatal) {
+            // A projection that is not known is asked about and gone without.
+            let of_projection =
+                ["PROJ", "Cannot find coordinate operations"].iter().any(|word| message.starts_with(word));
+            if matches!(kind, CplErrType::Failure | CplErrType::Fatal) && !of_projection {
                 super::written::note_failure(message);
             }
         });
+    });
+}
+
+/// Prepares GDAL once for the whole process: messages go to the log ([`hear_gdal`]), and GDAL's own block cache is bounded by
+/// `cache_bytes`. Later calls change nothing.
+pub fn initialise_gdal(cache_bytes: u64) {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        hear_gdal();
         // Below 100000 GDAL would read the number as megabytes. Blocks are cached by us: GDAL needs only what one read of
         // several bands meets again.
         let bytes = (cache_bytes / 4).clamp(4 << 20, 64 << 20);

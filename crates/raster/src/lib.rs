@@ -49,7 +49,7 @@ mod written;
 
 pub use elevation::ElevationModel;
 pub use error::{Error, Result};
-pub use gdal::{GdalSource, initialise_gdal};
+pub use gdal::{GdalSource, hear_gdal, initialise_gdal};
 pub use open::{open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};
 pub use pool::BufferPool;

@@ -30,7 +30,7 @@ pub struct Written {
 impl Written {
     /// Begins before the dataset is created. `path` is named in messages.
     pub fn watch(path: &Path) -> Written {
-        crate::initialise_gdal(0);
+        crate::hear_gdal();
         Written { path: path.to_owned(), failures_before: FAILURES.get() }
     }
 
@@ -40,10 +40,19 @@ impl Written {
     /// When GDAL failed at anything since [`Written::watch`]; a full disk is named as such.
     pub fn close(self, dataset: Dataset) -> Result<()> {
         let closed = dataset.close();
+        self.nothing_failed()?;
+        closed.map_err(|e| failed_to_write(&self.path, &e.to_string()))
+    }
+
+    /// Whether all went well on this thread.
+    ///
+    /// # Errors
+    /// As [`Written::close`].
+    pub fn nothing_failed(&self) -> Result<()> {
         if FAILURES.get() > self.failures_before {
             return Err(failed_to_write(&self.path, &LAST.with_borrow(Clone::clone)));
         }
-        closed.map_err(|e| failed_to_write(&self.path, &e.to_string()))
+        Ok(())
     }
 }
 

@@ -21,7 +21,7 @@ pub struct SynthGcp {
 /// # Errors
 /// [`Error::Io`], or [`Error::Format`] naming the line.
 pub fn read_gcp_csv(path: &Path) -> Result<Vec<SynthGcp>> {
-    let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = autoref_raster::bounded::read(path, "a list of GCPs", autoref_raster::bounded::TEXT_BYTES)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
     let wrong = |line: u64, what: String| Error::format(path, format!("line {line}"), what);
     let header = reader.headers().map_err(|e| wrong(1, e.to_string()))?.clone();
@@ -75,7 +75,7 @@ pub fn write_gcp_geojson(path: &Path, gcps: &[SynthGcp], epsg: Option<u32>) -> R
     collection["features"] = features.into();
     let mut text = serde_json::to_vec_pretty(&collection).expect("plain numbers and strings always serialise");
     text.push(b'\n');
-    super::write::write_whole(path, &text)
+    autoref_raster::atomic::write(path, &text)
 }
 
 /// `n` points in an irregular pattern that fills a rectangle of `width_m` × `height_m` about a place in Trondheim

@@ -89,7 +89,7 @@ impl Truth {
     /// # Errors
     /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no truth file.
     pub fn read(path: &Path) -> Result<Truth> {
-        let text = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = autoref_raster::bounded::read(path, "a truth file", autoref_raster::bounded::DOCUMENT_BYTES)?;
         serde_json::from_slice(&text)
             .map_err(|e| Error::format(path, format!("line {}, column {}", e.line(), e.column()), e.to_string()))
     }
@@ -105,6 +105,6 @@ impl Truth {
     /// # Errors
     /// [`Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
-        super::write::write_whole(path, &self.to_json())
+        autoref_raster::atomic::write(path, &self.to_json())
     }
 }

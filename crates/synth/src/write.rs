@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::scene::{Sample, Scene};
 use super::spec::{BigTiff, Border, Compression, FileLayout, Interleave, Output, SynthSpec};
 use super::truth::Truth;
+use autoref_raster::atomic::Transaction;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::protected::refuse_input;
 use autoref_raster::window::{TileGrid, Window};
@@ -57,23 +58,14 @@ pub fn write_with_progress(spec: &SynthSpec, path: &Path, progress: Progress) ->
         return Err(Error::usage(format!("{}: no such folder", folder.display()), "create it first"));
     }
     let scene = Scene::new(spec)?;
-    let part = Part::beside(path);
-    match spec.output.bits {
-        8 => stream::<u8>(&scene, spec, &part.0, progress)?,
-        _ => stream::<u16>(&scene, spec, &part.0, progress)?,
-    }
-    let truth_part = Part::beside(&truth_file);
-    std::fs::write(&truth_part.0, scene.truth().to_json()).map_err(|e| Error::io(&truth_part.0, "write", e))?;
-    truth_part.becomes(&truth_file)?;
-    part.becomes(path)?;
+    let mut files = Transaction::new();
+    files.stage(path, |part| match spec.output.bits {
+        8 => stream::<u8>(&scene, spec, part, progress),
+        _ => stream::<u16>(&scene, spec, part, progress),
+    })?;
+    files.stage_bytes(&truth_file, &scene.truth().to_json())?;
+    files.commit()?;
     Ok(scene.truth().clone())
-}
-
-/// Writes bytes under a temporary name and renames.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let part = Part::beside(path);
-    std::fs::write(&part.0, bytes).map_err(|e| Error::io(&part.0, "write", e))?;
-    part.becomes(path)
 }
 
 pub(crate) fn refuse_existing(path: &Path) -> Result<()> {
@@ -81,28 +73,6 @@ pub(crate) fn refuse_existing(path: &Path) -> Result<()> {
         return Err(Error::usage(format!("{}: exists already", path.display()), "use --overwrite or another name"));
     }
     Ok(())
-}
-
-/// A file under its temporary name; removed unless it is renamed.
-struct Part(PathBuf);
-
-impl Part {
-    fn beside(path: &Path) -> Self {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        Part(path.with_file_name(format!(".{name}.part-{}", std::process::id())))
-    }
-
-    fn becomes(self, path: &Path) -> Result<()> {
-        refuse_input(path)?;
-        std::fs::rename(&self.0, path).map_err(|e| Error::io(path, "rename the finished file to", e))
-    }
-}
-
-impl Drop for Part {
-    fn drop(&mut self) {
-        // After a rename there is nothing to remove, and an error on the way out changes nothing.
-        let _ = std::fs::remove_file(&self.0);
-    }
 }
 
 fn check(spec: &SynthSpec) -> Result<()> {

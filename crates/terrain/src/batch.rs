@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use autoref_raster::atomic::Transaction;
+use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::memory_plan::cache_share_bytes;
 use autoref_raster::{RasterSource, ReaderChoice};
@@ -333,7 +334,7 @@ fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
 
 /// The report of an earlier run, when its mask is there and nothing has changed.
 fn done_before(names: &Names, fingerprint: &str) -> Option<serde_json::Value> {
-    let text = std::fs::read_to_string(&names.report).ok()?;
+    let text = bounded::read_to_string(&names.report, "a report", bounded::DOCUMENT_BYTES).ok()?;
     let report: serde_json::Value = serde_json::from_str(&text).ok()?;
     (report["fingerprint"] == fingerprint && names.mask.is_file()).then_some(report)
 }

@@ -24,10 +24,12 @@ pub(super) fn write(
     autoref_raster::initialise_gdal(0);
     let folder = tempfile::tempdir().map_err(|e| Error::io(output, "make a folder for", e))?;
     let name = output.file_name().ok_or_else(|| Error::usage("the output has no name", "name a file"))?;
+    let watch = autoref_raster::Written::watch(output);
     let lost = layer(survey, format, &folder.path().join(name)).map_err(|e| match e {
         Error::Gdal { what, .. } => Error::gdal(output, what),
         other => other,
     })?;
+    watch.nothing_failed()?;
     let entries = std::fs::read_dir(folder.path()).map_err(|e| Error::io(output, "read what was written for", e))?;
     let mut made: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
     made.sort();

@@ -18,6 +18,7 @@ use std::time::Duration;
 
 use crate::georef::sidecar;
 use autoref_raster::atomic::Edit;
+use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -143,7 +144,7 @@ pub fn is_tagged(image: &Path) -> bool {
 /// What others may stumble over once `image` has tags with `transform`, in words. `renewed`: its `.aux.xml` is written too.
 pub fn warning(image: &Path, renewed: bool, transform: &GeoTransform) -> Option<String> {
     let aux = sidecar::aux_path(image);
-    let text = std::fs::read_to_string(&aux).unwrap_or_default();
+    let text = bounded::read_to_string(&aux, "an .aux.xml", bounded::TEXT_BYTES).unwrap_or_default();
     let other = sidecar::transform_of_aux(&text).is_none_or(|old| old.differs_px(transform) > 1e-3);
     let placed = ["<GeoTransform", "<GCPList"].iter().any(|word| text.contains(word));
     (!renewed && placed && other).then(|| {

@@ -76,6 +76,7 @@ pub trait PointReader: Send {
 /// When the file cannot be opened, or its header breaks the format's rules.
 pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     use std::io::Read;
+    autoref_raster::bounded::refuse_endless(path)?;
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let metadata = file.metadata().map_err(|e| Error::io(path, "open", e))?;
     if metadata.is_dir() {

@@ -133,47 +133,35 @@ impl MosaicJob<'_> {
         };
         let kind = sources[0].kind;
         let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
-        let cells = crate::atomic::with_temporary(self.out, |path| {
+        let mut files = crate::atomic::Transaction::new();
+        let mut cells = Vec::new();
+        let targets: Vec<PathBuf> = [self.out].into_iter().chain(self.write_index).map(Path::to_owned).collect();
+        files.stage_all(&targets, |parts| {
+            let (path, index) = (&parts[0], parts.get(1).map(PathBuf::as_path));
             let plain = path.with_extension("plain.tif");
-            let index_part = self.write_index.map(|p| p.with_extension("part.tif"));
             let made = match kind {
-                GdalDataType::UInt8 => {
-                    whole.write::<u8>(&plain, index_part.as_deref(), |v| v.round().clamp(0.0, 255.0) as u8)
-                }
-                GdalDataType::UInt16 => {
-                    whole.write::<u16>(&plain, index_part.as_deref(), |v| v.round().clamp(0.0, 65_535.0) as u16)
-                }
+                GdalDataType::UInt8 => whole.write::<u8>(&plain, index, |v| v.round().clamp(0.0, 255.0) as u8),
+                GdalDataType::UInt16 => whole.write::<u16>(&plain, index, |v| v.round().clamp(0.0, 65_535.0) as u16),
                 GdalDataType::Int16 => {
-                    whole.write::<i16>(&plain, index_part.as_deref(), |v| v.round().clamp(-32_768.0, 32_767.0) as i16)
+                    whole.write::<i16>(&plain, index, |v| v.round().clamp(-32_768.0, 32_767.0) as i16)
                 }
-                GdalDataType::Float64 => whole.write::<f64>(&plain, index_part.as_deref(), |v| v),
-                _ => whole.write::<f32>(&plain, index_part.as_deref(), |v| v as f32),
+                GdalDataType::Float64 => whole.write::<f64>(&plain, index, |v| v),
+                _ => whole.write::<f32>(&plain, index, |v| v as f32),
             };
-            let made = made.and_then(|cells| {
+            let made = made.and_then(|made| {
                 cloud_optimised(&plain, path, self.resources.threads)?;
-                if let (Some(part), Some(path)) = (&index_part, self.write_index) {
-                    std::fs::rename(part, path).map_err(|e| Error::io(path, "put in place", e))?;
-                }
-                Ok(cells)
+                cells = made;
+                Ok(())
             });
-            // They are there only when something failed, or are not wanted any more.
+            // It is not wanted any more; when it is not there something else is the error.
             let _ = std::fs::remove_file(&plain);
-            if let Some(part) = index_part {
-                let _ = std::fs::remove_file(part);
-            }
-            CELLS.with(|kept| match made {
-                Ok(cells) => {
-                    *kept.borrow_mut() = cells;
-                    Ok(())
-                }
-                Err(error) => Err(error),
-            })
-        })
-        .map(|()| CELLS.with(std::cell::RefCell::take))?;
+            made
+        })?;
         if let (Some(path), Some(balance)) = (self.page, &balance) {
             let footprints: Vec<_> = sources.iter().map(|s| (s.path.as_path(), s.grid)).collect();
-            page::write(path, &footprints, &grid, balance)?;
+            files.stage_bytes(path, page::text(&footprints, &grid, balance).as_bytes())?;
         }
+        files.commit()?;
         Ok(Made {
             sources: sources
                 .iter()
@@ -214,11 +202,6 @@ impl MosaicJob<'_> {
         let spare = self.resources.memory_budget_bytes.saturating_sub(128 << 20);
         self.resources.threads.clamp(1, (spare / each).max(1) as usize)
     }
-}
-
-thread_local! {
-    /// From within the closure that writes to the caller on the same thread.
-    static CELLS: std::cell::RefCell<Vec<u64>> = const { std::cell::RefCell::new(Vec::new()) };
 }
 
 /// Everything that a tile needs.

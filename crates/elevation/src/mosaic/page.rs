@@ -3,7 +3,6 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::error::{Error, Result};
 use crate::grid::Grid;
 
 use super::{Balance, DifferenceMap, Overlap};
@@ -13,15 +12,6 @@ const MOST_ROWS: usize = 300;
 /// Bars of the drawing at most.
 const MOST_BARS: usize = 60;
 
-/// Writes the page.
-///
-/// # Errors
-/// When it cannot be written.
-pub fn write(path: &Path, sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> Result<()> {
-    let text = page(sources, mosaic, balance);
-    crate::atomic::with_temporary(path, |part| std::fs::write(part, text).map_err(|e| Error::io(part, "write", e)))
-}
-
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
@@ -30,7 +20,8 @@ fn name(path: &Path) -> String {
     escaped(&path.file_name().unwrap_or_default().to_string_lossy())
 }
 
-fn page(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> String {
+/// The page.
+pub fn text(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> String {
     let mut out = String::from(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Overlaps of a mosaic</title><style>\
          body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\

@@ -12,7 +12,7 @@ use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::{Photograph, Reconstruction, TiePoint};
 use crate::camera::{Camera, Parameter, Projection};
-use crate::error::{Error, Result, read_text};
+use crate::error::{Error, Result, read_bytes, read_text};
 use crate::pose::Pose;
 
 /// Name, number of parameters, in the order of COLMAP's ids.
@@ -186,7 +186,7 @@ fn binary(folder: &Path) -> Result<Raw> {
     let mut raw = Raw::default();
     let load = |name: &str| {
         let path = folder.join(name);
-        std::fs::read(&path).map(|b| (path.clone(), b)).map_err(|e| Error::io(&path, "read", e))
+        read_bytes(&path).map(|b| (path, b))
     };
     let (path, bytes) = load("cameras.bin")?;
     let mut b = Bytes { path: &path, bytes: &bytes, at: 0 };

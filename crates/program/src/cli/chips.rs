@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_raster::Patch;
-use autoref_raster::atomic::{self, Existing};
+use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
 
 use super::common::SampleArgs;
@@ -57,18 +57,20 @@ pub fn run(args: &Args) -> Result<()> {
     if width * height > 200_000_000 {
         bail!("a contact sheet of {} windows of {side} pixels is too large; give a smaller --side-px", marks.len());
     }
+    let mut files = Transaction::new();
     let mut sheet = vec![0u8; width * height * 3];
     for (i, (mark, path)) in marks.iter().zip(&paths).enumerate() {
         let patch = patch_around(source.as_ref(), mark.at, args.side_px / 2)?;
         let chip = centred(&patch, mark.at, side);
-        write_png(path, &chip, side, side)?;
+        files.stage_bytes(path, &png(&chip, side, side)?)?;
         let (x0, y0) = (i % columns * pitch, i / columns * pitch);
         for y in 0..side {
             let to = ((y0 + y) * width + x0) * 3;
             sheet[to..to + side * 3].copy_from_slice(&chip[y * side * 3..(y + 1) * side * 3]);
         }
     }
-    write_png(&sheet_path, &sheet, width, height)?;
+    files.stage_bytes(&sheet_path, &png(&sheet, width, height)?)?;
+    files.commit()?;
     if args.json {
         let files: Vec<String> = paths.iter().chain([&sheet_path]).map(|path| path.display().to_string()).collect();
         println!(
@@ -101,12 +103,12 @@ fn centred(patch: &Patch, at: PixelPoint, side: usize) -> Vec<u8> {
     out
 }
 
-fn write_png(path: &Path, rgb: &[u8], width: usize, height: usize) -> Result<()> {
+fn png(rgb: &[u8], width: usize, height: usize) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgb);
     let mut writer = encoder.write_header()?;
     writer.write_image_data(rgb)?;
     writer.finish()?;
-    Ok(atomic::write(path, &bytes)?)
+    Ok(bytes)
 }

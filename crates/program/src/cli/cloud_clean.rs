@@ -8,6 +8,7 @@ use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
 use autoref_cloud::crop::{Crop, Polygon};
 use autoref_cloud::{io, isolated, page, params, smrf};
 use autoref_raster::atomic::{self, Existing, Transaction};
+use autoref_raster::bounded;
 use clap::Args;
 use gdal::vector::{Geometry, LayerAccess};
 use serde_json::{Value, json};
@@ -308,7 +309,7 @@ fn identity(cloud: &Path, parameters: &Value) -> anyhow::Result<Value> {
 
 /// The report of an output that is there and was made of the same.
 fn finished(target: &Path, identity: &Value) -> Option<Value> {
-    let text = std::fs::read_to_string(beside(target, "json")).ok()?;
+    let text = bounded::read_to_string(&beside(target, "json"), "a report", bounded::DOCUMENT_BYTES).ok()?;
     let report: Value = serde_json::from_str(&text).ok()?;
     (target.is_file() && report["identity"] == *identity).then_some(report)
 }

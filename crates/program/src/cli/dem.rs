@@ -456,6 +456,9 @@ fn compare(args: &CompareArgs) -> anyhow::Result<()> {
     if args.out.exists() && !args.overwrite && !empty() {
         bail!("{} exists; give --overwrite to replace it", args.out.display());
     }
+    if args.out.file_name().is_none() {
+        bail!("{}: is no name for a folder; give one that can be made", args.out.display());
+    }
     check_replaceable(&args.out)?;
     if args.slope_classes.iter().any(|v| !v.is_finite()) || !args.slope_classes.is_sorted() {
         bail!("--slope-classes are no rising numbers; write them like 0,5,10,25,45");
@@ -470,7 +473,7 @@ fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         outliers: args.outliers,
         resources: args.resources.resources(),
     };
-    let summary = in_new_folder(&args.out, |folder| job.run(folder))?;
+    let summary = atomic::folder(&args.out, |folder| job.run(folder))?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
@@ -503,37 +506,6 @@ fn check_replaceable(folder: &Path) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Lets `make` fill a folder that appears whole or not at all.
-fn in_new_folder<R>(target: &Path, make: impl FnOnce(&Path) -> autoref_raster::Result<R>) -> anyhow::Result<R> {
-    let name = target.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    if name.is_empty() {
-        bail!("{}: is no name for a folder; give one that can be made", target.display());
-    }
-    let temporary = target.with_file_name(format!(".{name}.{}.part", std::process::id()));
-    let io = |what: &str, e: std::io::Error| anyhow::anyhow!("{}: cannot {what}: {e}", target.display());
-    std::fs::create_dir_all(&temporary).map_err(|e| io("create", e))?;
-    let made = make(&temporary);
-    let result = match made {
-        Ok(value) => {
-            let cleared = match target.is_dir() {
-                true => std::fs::remove_dir_all(target),
-                false if target.exists() => std::fs::remove_file(target),
-                false => Ok(()),
-            };
-            cleared
-                .and_then(|()| std::fs::rename(&temporary, target))
-                .map_err(|e| io("put in place", e))
-                .map(|()| value)
-        }
-        Err(error) => Err(error.into()),
-    };
-    if result.is_err() {
-        // The first error is the one to report.
-        let _ = std::fs::remove_dir_all(&temporary);
-    }
-    result
 }
 
 fn print(summary: &Summary, folder: &Path) {

@@ -6,26 +6,30 @@ use serde_json::{Value, json};
 /// The document of an error that was said as `line`. What an error does not have is null.
 pub fn document(error: &anyhow::Error, line: &str) -> Value {
     let known = error.chain().find_map(|cause| cause.downcast_ref::<Error>());
-    let (kind, file, place, remedy) = match known {
-        Some(Error::Format { path, place, .. }) => ("format", Some(path), Some(place), None),
-        Some(Error::Unsupported { path, remedy, .. }) => ("unsupported", Some(path), None, Some(remedy)),
-        Some(Error::Usage { remedy, .. }) => ("usage", None, None, Some(remedy)),
-        Some(Error::Limit { remedy, .. }) => ("limit", None, None, Some(remedy)),
-        Some(Error::Io { path, .. }) => ("io", Some(path), None, None),
-        Some(Error::Gdal { path, .. }) => ("gdal", Some(path), None, None),
-        Some(_) => ("other", None, None, None),
-        None => flight(error),
-    };
+    let (kind, file, place, remedy) = known.map_or_else(|| flight(error), parts);
     let file = file.map(|path| path.display().to_string());
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
 }
 
 type Parts<'a> = (&'static str, Option<&'a std::path::PathBuf>, Option<&'a String>, Option<&'a String>);
 
+fn parts(error: &Error) -> Parts<'_> {
+    match error {
+        Error::Format { path, place, .. } => ("format", Some(path), Some(place), None),
+        Error::Unsupported { path, remedy, .. } => ("unsupported", Some(path), None, Some(remedy)),
+        Error::Usage { remedy, .. } => ("usage", None, None, Some(remedy)),
+        Error::Limit { remedy, .. } => ("limit", None, None, Some(remedy)),
+        Error::Io { path, .. } => ("io", Some(path), None, None),
+        Error::Gdal { path, .. } => ("gdal", Some(path), None, None),
+        _ => ("other", None, None, None),
+    }
+}
+
 /// The errors of flights.
 fn flight(error: &anyhow::Error) -> Parts<'_> {
     use autoref_flight::Error;
     match error.chain().find_map(|cause| cause.downcast_ref::<Error>()) {
+        Some(Error::File(inner)) => parts(inner),
         Some(Error::Format { path, place, .. }) => ("format", Some(path), Some(place), None),
         Some(Error::Usage { remedy, .. }) => ("usage", None, None, Some(remedy)),
         Some(Error::Io { path, .. }) => ("io", Some(path), None, None),

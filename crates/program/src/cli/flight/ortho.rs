@@ -11,6 +11,7 @@ use autoref_flight::read::{self, same_image, tables};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose};
 use autoref_raster::atomic::Existing;
+use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
 use autoref_raster::window::Window;
@@ -170,7 +171,7 @@ fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Result<(Camera,
     } else {
         let model = read::reconstruction(&file)?;
         let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
-        let text = std::fs::read_to_string(&file).unwrap_or_default();
+        let text = bounded::read_to_string(&file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
         let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
         let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
         (model.cameras[model.photographs[i].camera].clone(), model.photographs[i].pose, crs)

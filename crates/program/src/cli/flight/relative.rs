@@ -315,9 +315,15 @@ impl Hash {
         }
     }
     fn file(&mut self, path: &Path) -> Result<()> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-        self.bytes(&bytes);
-        Ok(())
+        let failed = |e| Error::io(path, "read", e);
+        let mut file = std::fs::File::open(path).map_err(failed)?;
+        let mut piece = vec![0; 1 << 16];
+        loop {
+            match std::io::Read::read(&mut file, &mut piece).map_err(failed)? {
+                0 => return Ok(()),
+                count => self.bytes(&piece[..count]),
+            }
+        }
     }
     fn hex(&self) -> String {
         format!("{:016x}", self.0)

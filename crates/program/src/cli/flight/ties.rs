@@ -9,6 +9,7 @@ use anyhow::{Context, Result};
 use autoref_flight::Error;
 use autoref_flight::start::Track;
 use autoref_flight::ties::{DESCRIPTOR, Features, matched};
+use autoref_raster::bounded;
 use gdal::vector::{LayerAccess, sql::Dialect};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 use nalgebra::Matrix3;
@@ -284,7 +285,7 @@ fn write(folder: &Path, job: &Job<'_>, ties: &Ties) -> Result<()> {
 /// What [`make`] wrote.
 pub fn read(folder: &Path) -> Result<Ties> {
     let path = folder.join("ties.json");
-    let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
+    let text = bounded::read_to_string(&path, "ties", bounded::DOCUMENT_BYTES)?;
     serde_json::from_str(&text).with_context(|| format!("{}: is broken; run with --overwrite", path.display()))
 }
 

@@ -1,0 +1,8 @@
+//! Any bytes as a point cloud in a file that is called LAZ.
+#![no_main]
+
+mod common;
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| common::cloud(data, ".laz"));
