@@ -16,7 +16,6 @@ pub(super) struct Bitmap {
     /// A multiplication costs less than a division; building and asking use the same one, so that no cell is missed.
     cells_per_px: f64,
     columns: usize,
-    rows: usize,
     origin: PixelPoint,
     bits: Vec<u64>,
 }
@@ -27,16 +26,6 @@ impl Bitmap {
     pub fn may_hold(&self, p: PixelPoint) -> bool {
         let column = ((p.x - self.origin.x) * self.cells_per_px) as usize;
         let bit = ((p.y - self.origin.y) * self.cells_per_px) as usize * self.columns + column;
-        self.bits[bit / 64] >> (bit % 64) & 1 == 1
-    }
-
-    /// The same without a branch for any point, of the cell at the border for one that lies outside.
-    #[inline]
-    pub fn may_hold_clamped(&self, p: PixelPoint) -> bool {
-        // Whole numbers of 32 bits come from floating point by one instruction; the cells are 16 million at most.
-        let cell = |v: f64, most: usize| ((v * self.cells_per_px) as i32).clamp(0, most as i32) as usize;
-        let column = cell(p.x - self.origin.x, self.columns - 1);
-        let bit = cell(p.y - self.origin.y, self.rows - 1) * self.columns + column;
         self.bits[bit / 64] >> (bit % 64) & 1 == 1
     }
 
@@ -64,7 +53,6 @@ impl Bitmap {
             radius_px,
             cells_per_px: 1.0 / cell_px,
             columns,
-            rows,
             origin: field.origin(),
             bits: vec![0; (columns * rows).div_ceil(64)],
         };

@@ -154,11 +154,10 @@ impl Field {
 
     #[inline]
     pub fn contains(&self, p: PixelPoint) -> bool {
-        // No branches: in the search's inner loop each would be a toss of a coin.
-        (p.x >= self.origin.x)
-            & (p.y >= self.origin.y)
-            & (p.x <= self.origin.x + self.width_px)
-            & (p.y <= self.origin.y + self.height_px)
+        p.x >= self.origin.x
+            && p.y >= self.origin.y
+            && p.x <= self.origin.x + self.width_px
+            && p.y <= self.origin.y + self.height_px
     }
 
     /// Calls `visit` with every point in the square of half-side `reach_px` about `p`, and some more.

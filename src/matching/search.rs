@@ -443,26 +443,16 @@ impl<'a> Search<'a> {
     #[inline]
     fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
         let from = self.field.points()[ends.0];
-        let predicted = |target: &Target| PixelPoint {
-            x: from.x + z.0 * target.east - z.1 * target.north,
-            y: from.y - (z.0 * target.north + z.1 * target.east),
-        };
-        // Nearly all hypotheses end here. Whether a point lies in the field is as good as random: a branch would cost more than
-        // the look.
-        let looks = |target: &Target| {
-            let p = predicted(target);
-            self.field.contains(p) & self.bitmaps[target.bitmap].may_hold_clamped(p)
-        };
-        if targets.iter().map(|target| usize::from(looks(target))).sum::<usize>() < fewest {
-            return None;
-        }
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
         for (k, target) in targets.iter().enumerate() {
             if hits + (targets.len() - k) < fewest || hits == MOST_HITS {
                 break;
             }
-            let p = predicted(target);
+            let p = PixelPoint {
+                x: from.x + z.0 * target.east - z.1 * target.north,
+                y: from.y - (z.0 * target.north + z.1 * target.east),
+            };
             if !self.field.contains(p) {
                 continue;
             }
