@@ -39,6 +39,7 @@ mod mirrored;
 mod names;
 mod rivals;
 pub mod robust;
+mod screening;
 mod search;
 mod settle;
 mod time_limit;

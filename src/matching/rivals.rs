@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use crate::matching::Pattern;
+use crate::matching::screening::Screening;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::random::mix;
 use autoref_solve::Similarity;
@@ -51,7 +52,8 @@ impl Search<'_> {
                 spent <= budget
             })
             .collect();
-        let found: Vec<_> = affordable.into_par_iter().map(|pair| (pair, self.try_pair(pair, budget))).collect();
+        let found: Vec<_> =
+            affordable.into_par_iter().map(|pair| (pair, self.try_pair(pair, Screening::EVERY_LOOK, budget))).collect();
         self.refined(pattern, found.into_iter())
     }
 

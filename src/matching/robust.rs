@@ -152,6 +152,8 @@ struct Work {
     done: u64,
     allowed: u64,
     gcps: u64,
+    /// Looks at other GCPs that most hypotheses take.
+    looks: u64,
 }
 
 impl Work {
@@ -159,7 +161,7 @@ impl Work {
     const LOOKS: u64 = 16;
 
     fn each(&self) -> u64 {
-        1 + self.gcps / Self::LOOKS
+        1 + self.looks / Self::LOOKS
     }
 
     fn hypotheses_left(&self) -> u64 {
@@ -273,13 +275,15 @@ impl RobustMatcher {
             patterns.into_iter().for_each(|pattern| found.take(pattern, &search));
         }
         let mut done = 0;
-        let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps: gcps.len() as u64 };
-        let enough_pairs = search.enough_pairs(limit, pairs.len());
+        let screening = search.screening(limit, pairs.len());
+        let gcps = gcps.len() as u64;
+        let looks = gcps.min(screening.first_looks as u64);
+        let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps, looks };
         for pair in &pairs {
             // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that leaves out
             // most of what is expected in the image does not end the search: a better one may be made of its points.
             if found.best.as_ref().is_some_and(|best| best.log10_whole_false_alarms <= limit - 1.0)
-                || done >= enough_pairs
+                || done >= screening.pairs
             {
                 break;
             }
@@ -288,7 +292,7 @@ impl RobustMatcher {
                 break;
             }
             let left = work.hypotheses_left();
-            let (hypotheses, tried) = search.try_pair(pair, left);
+            let (hypotheses, tried) = search.try_pair(pair, screening.first_looks, left);
             done += 1;
             found.effort.hypotheses_tried += tried;
             work.tried(tried);

@@ -11,6 +11,7 @@ use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::evidence::{CLOSEST_PX, LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::names::Names;
+use crate::matching::screening::Screening;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 
@@ -46,6 +47,13 @@ impl GcpPair {
     pub fn hypotheses(&self) -> u64 {
         self.cost as u64
     }
+}
+
+/// What a hypothesis must hit to be scored.
+#[derive(Clone, Copy)]
+struct Demand {
+    fewest: usize,
+    first_looks: usize,
 }
 
 /// Another GCP as seen from a pair: its offset from `a`, and tolerance.
@@ -175,13 +183,14 @@ impl<'a> Search<'a> {
         Some((search, pairs, possible))
     }
 
-    /// So many pairs of GCPs in a random order that one of them has both its marks in the image, but for one case in a hundred, if
-    /// there is a pattern to be believed (after M. A. Fischler and R. C. Bolles, "Random sample consensus", 1981). All of them where
-    /// the order is not random.
-    pub fn enough_pairs(&self, log10_limit: f64, pairs: usize) -> usize {
-        const MISSED: f64 = 0.01;
+    /// So many pairs of GCPs in a random order that one of them is noticed, but for one case in a hundred, if there is a pattern to be
+    /// believed (after M. A. Fischler and R. C. Bolles, "Random sample consensus", 1981): both its marks are in the image, and one of
+    /// the first looks hits a third (after J. Matas and O. Chum, "Randomized RANSAC with T(d,d) test", 2004; theirs asks all looks to
+    /// hit). As many first looks as make the search shortest; all pairs and all looks where the order is not random.
+    pub fn screening(&self, log10_limit: f64, pairs: usize) -> Screening {
+        let whole = Screening { pairs, first_looks: Screening::EVERY_LOOK };
         if self.priors.gsd_m_per_px.is_some() || self.gcps.len() < 3 {
-            return pairs;
+            return whole;
         }
         // The fewest marks that could ever be believed: each as near as can be, all points in the image.
         let density = self.field.points().len() as f64 / self.field.area_px2();
@@ -189,11 +198,8 @@ impl<'a> Search<'a> {
         let chances = vec![closest; self.gcps.len() - 2];
         let levels = (LEVELS_PX.len() as f64).log10();
         let believed = |hits: &usize| self.log10_tests + levels + log10_tail(&chances, *hits) <= log10_limit;
-        let Some(hits) = (1..=chances.len()).find(believed) else { return pairs };
-        let (marks, points) = (hits as f64 + 2.0, self.gcps.len() as f64);
-        let both = marks * (marks - 1.0) / (points * (points - 1.0));
-        // ln(1 − 1) is −∞: one pair is enough then.
-        (MISSED.ln() / (-both).ln_1p()).ceil().clamp(1.0, pairs as f64) as usize
+        let Some(hits) = (1..=chances.len()).find(believed) else { return whole };
+        Screening::shortest(hits, chances.len(), pairs)
     }
 
     /// With names, which forbid pairs.
@@ -230,14 +236,15 @@ impl<'a> Search<'a> {
     }
 
     /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried: all, or from evenly
-    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions.
-    pub fn try_pair(&self, pair: &GcpPair, budget: u64) -> (Vec<Hypothesis>, u64) {
+    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks` see [`Screening`].
+    pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair);
         let fewest = self.fewest_hits(&targets);
         if targets.len() < fewest {
             return (Vec::new(), 0);
         }
-        let per_point = |i: usize| self.try_point(pair, &targets, fewest, i);
+        let demand = Demand { fewest, first_looks };
+        let per_point = |i: usize| self.try_point(pair, &targets, demand, i);
         self.over_chosen_points(pair, budget, per_point, keep_best)
     }
 
@@ -283,7 +290,7 @@ impl<'a> Search<'a> {
     /// The same with no other points than these at the two ends of the pair.
     pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize]) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair);
-        let fewest = self.fewest_hits(&targets);
+        let demand = Demand { fewest: self.fewest_hits(&targets), first_looks: Screening::EVERY_LOOK };
         let (mut all, mut tried) = (Vec::new(), 0);
         for (&i, &j) in points.iter().flat_map(|i| points.iter().map(move |j| (i, j))).filter(|(i, j)| i != j) {
             if !self.allows(i, pair.a) || !self.allows(j, pair.b) {
@@ -292,7 +299,7 @@ impl<'a> Search<'a> {
             let (from, to) = (self.field.points()[i], self.field.points()[j]);
             let Some(z) = self.turn_and_scale(pair, from, to) else { continue };
             tried += 1;
-            let score = self.verify((i, j), z, &targets, fewest);
+            let score = self.verify((i, j), z, &targets, demand);
             all.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
         }
         keep_best(&mut all);
@@ -341,7 +348,7 @@ impl<'a> Search<'a> {
             .clamp(1, 4)
     }
 
-    fn try_point(&self, pair: &GcpPair, targets: &[Target], fewest: usize, i: usize) -> (Vec<Hypothesis>, u64) {
+    fn try_point(&self, pair: &GcpPair, targets: &[Target], demand: Demand, i: usize) -> (Vec<Hypothesis>, u64) {
         if !self.allows(i, pair.a) {
             return (Vec::new(), 0);
         }
@@ -356,11 +363,11 @@ impl<'a> Search<'a> {
                 return;
             };
             let targets = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
-            if targets.len() < fewest {
+            if targets.len() < demand.fewest {
                 return;
             }
             tried += 1;
-            if let Some(score) = self.verify((i, j), z, targets, fewest) {
+            if let Some(score) = self.verify((i, j), z, targets, demand) {
                 best.push(Hypothesis { score, i: i as u32, j: j as u32 });
                 if best.len() >= 4 * REFINED_PER_PAIR {
                     keep_best(&mut best);
@@ -441,12 +448,13 @@ impl<'a> Search<'a> {
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
     /// into one clump.
     #[inline]
-    fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], fewest: usize) -> Option<f64> {
+    fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], demand: Demand) -> Option<f64> {
+        let Demand { fewest, first_looks } = demand;
         let from = self.field.points()[ends.0];
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
         for (k, target) in targets.iter().enumerate() {
-            if hits + (targets.len() - k) < fewest || hits == MOST_HITS {
+            if hits + (targets.len() - k) < fewest || hits == MOST_HITS || (hits == 0 && k >= first_looks) {
                 break;
             }
             let p = PixelPoint {
