@@ -1,7 +1,9 @@
 //! What all text formats share: encodings, lines, columns, numbers.
 
-/// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else Latin-1, as old survey software writes; line
-/// ends of any system. `None` for files that are no text.
+use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
+
+/// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its letters, as old
+/// survey software and Excel write; line ends of any system. `None` for files that are no text.
 pub(super) fn decode(bytes: &[u8]) -> Option<String> {
     let wide = |pairs: &[u8], big: bool| -> String {
         let units = pairs.chunks_exact(2).map(|pair| {
@@ -22,7 +24,7 @@ pub(super) fn decode(bytes: &[u8]) -> Option<String> {
             match (zeros(0), zeros(1)) {
                 (0, 0) => match std::str::from_utf8(bytes) {
                     Ok(text) => text.to_string(),
-                    Err(_) => bytes.iter().copied().map(char::from).collect(),
+                    Err(_) => of_a_country(bytes),
                 },
                 (0, odd) if odd * 10 > half * 8 => wide(bytes, false),
                 (even, 0) if even * 10 > half * 8 => wide(bytes, true),
@@ -31,6 +33,14 @@ pub(super) fn decode(bytes: &[u8]) -> Option<String> {
         }
     };
     Some(text.replace("\r\n", "\n").replace('\r', "\n"))
+}
+
+/// Text of one of the encodings with a byte a letter: Windows-1252 (West), 1250 (Middle Europe), 1251 and KOI8 (Cyrillic), …
+fn of_a_country(bytes: &[u8]) -> String {
+    let mut detector = EncodingDetector::new(Iso2022JpDetection::Deny);
+    detector.feed(bytes, true);
+    let encoding = detector.guess(None, Utf8Detection::Deny);
+    encoding.decode_without_bom_handling(bytes).0.into_owned()
 }
 
 /// A line that holds something.
@@ -207,6 +217,22 @@ pub(super) fn angle(text: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn encodings_of_countries_are_told_by_their_letters() {
+        for (encoding, text) in [
+            (encoding_rs::WINDOWS_1252, "Navn;Øst;Nord;Høyde\nBrønn;1,5;2,5;3\n"),
+            (encoding_rs::WINDOWS_1252, "Punkt;Rechtswert;Hochwert;Höhe\nStraße;1,5;2,5;3\n"),
+            (encoding_rs::WINDOWS_1252, "Nom;Est;Nord;Altitude\nÉglise;1,5;2,5;3\nChâteau;1;2;3\n"),
+            (encoding_rs::WINDOWS_1250, "Nazwa;Wschód;Północ;Wysokość\nP1;1,5;2,5;3\n"),
+            (encoding_rs::WINDOWS_1250, "Číslo bodu;Souřadnice Y;Souřadnice X;Výška\n1;1,5;2,5;3\n"),
+            (encoding_rs::WINDOWS_1251, "Название;Восток;Север;Высота\nР1;1,5;2,5;3\n"),
+        ] {
+            let (bytes, _, lossy) = encoding.encode(text);
+            assert!(!lossy);
+            assert_eq!(decode(&bytes).as_deref(), Some(text), "{}", encoding.name());
+        }
+    }
 
     #[test]
     fn encodings() {

@@ -67,8 +67,17 @@ impl Error {
         // The binding wraps GDAL's own words into which function returned nothing.
         let inner =
             what.split_once("returned a NULL pointer. Error msg: '").map(|(_, inner)| inner.trim_end_matches('\''));
-        let what = inner.filter(|inner| !inner.is_empty()).unwrap_or(&what).to_owned();
-        Error::Gdal { path: path.into(), what }
+        let path = path.into();
+        let what = match inner {
+            None => what,
+            // GDAL says nothing of a file that is missing or of no format it knows.
+            Some("") => match std::fs::metadata(&path) {
+                Err(error) if error.kind() == ErrorKind::NotFound => "no such file".to_owned(),
+                _ => "no driver recognises this file".to_owned(),
+            },
+            Some(inner) => inner.to_owned(),
+        };
+        Error::Gdal { path, what }
     }
 }
 

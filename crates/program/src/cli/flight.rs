@@ -357,7 +357,7 @@ fn of_frame(model: &Reconstruction, name: &str, path: &Path) -> Result<Camera> {
 
 pub(super) fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
     if frame.is_file() {
-        let dataset = gdal::Dataset::open(frame).map_err(|e| anyhow::anyhow!("{}: GDAL: {e}", frame.display()))?;
+        let dataset = gdal::Dataset::open(frame).map_err(|e| autoref_raster::Error::gdal(frame, e))?;
         let (w, h) = dataset.raster_size();
         return Ok([w as f64, h as f64]);
     }
