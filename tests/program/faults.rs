@@ -29,9 +29,9 @@ enum Fault {
 const QUICK_EACH: usize = 4;
 
 /// Files by name below a folder.
-type Contents = BTreeMap<PathBuf, Vec<u8>>;
+pub(super) type Contents = BTreeMap<PathBuf, Vec<u8>>;
 
-fn contents(folder: &Path, leave_out: &[&str]) -> Contents {
+pub(super) fn contents(folder: &Path, leave_out: &[&str]) -> Contents {
     let kept = |path: &PathBuf| !leave_out.iter().any(|name| path.starts_with(folder.join(name)));
     let read =
         |path: PathBuf| (path.strip_prefix(folder).expect("below").to_owned(), std::fs::read(&path).expect("readable"));
@@ -82,14 +82,14 @@ fn run(dir: &Path, case: &Case, fault: Option<Fault>) -> Output {
 }
 
 /// A command as it runs without a fault.
-struct Clean {
+pub(super) struct Clean {
     written: Contents,
     /// Files that have a clock in them, or that differ from run to run for another good reason.
     different: Vec<PathBuf>,
 }
 
 impl Clean {
-    fn of(dir: &Path, case: &Case) -> Clean {
+    pub(super) fn of(dir: &Path, case: &Case) -> Clean {
         let out = dir.join("o");
         let once = || {
             let _ = std::fs::remove_dir_all(&out);
@@ -100,7 +100,9 @@ impl Clean {
             contents(&out, &[])
         };
         let written = once();
-        let clock = |name: &Path| name.extension().is_some_and(|end| end == "json" || end == "html");
+        let clock = |name: &Path| {
+            name.extension().is_some_and(|end| ["json", "html", "gpkg"].iter().any(|clocked| end == *clocked))
+        };
         let again = if large() { once() } else { written.clone() };
         let different = written.iter().filter(|(name, bytes)| clock(name) || again.get(*name) != Some(bytes));
         Clean { different: different.map(|(name, _)| name.clone()).collect(), written }
@@ -114,7 +116,7 @@ impl Clean {
     }
 
     /// What is wrong with what lies in `o/` after a run that failed: what is there must be whole.
-    fn faults(&self, left: &Contents) -> Vec<String> {
+    pub(super) fn faults(&self, left: &Contents) -> Vec<String> {
         let mut faults = Vec::new();
         for (name, bytes) in left {
             let Some(right) = self.written.get(name) else {

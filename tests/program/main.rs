@@ -45,3 +45,4 @@ mod second_pass;
 mod selftest;
 mod solvers;
 mod synth_flight;
+mod system_calls;
