@@ -90,6 +90,11 @@ impl NotFound {
 
     /// A name with its reason.
     pub fn line(&self) -> String {
+        format!("{} ({})", self.name, self.why())
+    }
+
+    /// The reason in words: `faint: 26 % of the paint's contrast`.
+    pub fn why(&self) -> String {
         let word = match self.reason {
             Reason::Outside => "outside",
             Reason::Hidden => "hidden",
@@ -97,11 +102,7 @@ impl NotFound {
             Reason::OtherColour => "other colour",
             Reason::Ambiguous => "ambiguous",
         };
-        if self.detail.is_empty() {
-            format!("{} ({word})", self.name)
-        } else {
-            format!("{} ({word}: {})", self.name, self.detail)
-        }
+        if self.detail.is_empty() { word.to_owned() } else { format!("{word}: {}", self.detail) }
     }
 }
 

@@ -34,6 +34,9 @@ pub(super) struct Point {
     #[serde(flatten)]
     gcp: Gcp,
     state: State,
+    /// Why a point inside the image has no mark.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    why: Option<String>,
     /// Where the transform puts it, pixels.
     expected: Option<[f64; 2]>,
     mark: Option<Mark>,
@@ -179,6 +182,12 @@ impl<'a> Plan<'a> {
             .flat_map(|pattern| &pattern.pairs)
             .map(|&(candidate, gcp)| (gcp, candidate))
             .collect();
+        let missing: HashMap<&str, String> = result
+            .solved()
+            .into_iter()
+            .flat_map(|solved| &solved.not_found)
+            .map(|point| (point.name.as_str(), point.why()))
+            .collect();
         for (i, gcp) in result.gcps.iter().enumerate() {
             let expected = similarity.map(|s| s.invert(gcp.position()));
             let inside = |p: PixelPoint| p.x >= 0.0 && p.y >= 0.0 && p.x < width && p.y < height;
@@ -190,7 +199,8 @@ impl<'a> Plan<'a> {
                 (None, None, None) => (State::Unknown, None),
             };
             let expected = expected.map(|p| [p.x, p.y]);
-            self.points.push(Point { gcp: gcp.clone(), state, expected, mark, proposals: Vec::new(), chip: None });
+            let why = missing.get(gcp.name.as_str()).filter(|_| state == State::NotFound).cloned();
+            self.points.push(Point { gcp: gcp.clone(), state, why, expected, mark, proposals: Vec::new(), chip: None });
         }
         self.pictures();
     }

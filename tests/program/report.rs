@@ -137,6 +137,12 @@ fn the_page_is_whole_and_a_review_by_keyboard_replays_to_the_same_numbers() {
     let inside = |points: &Vec<Value>| points.iter().filter(|point| point["reason"] != "outside").count();
     let missing = result["not_found"].as_array().map_or(0, inside) as u64;
     assert_eq!(count(&mut browser, "button.card"), matched + 1 + missing);
+    assert!(missing > 0, "the sample has points without marks");
+    let shown = browser.eval("document.getElementById('cards').textContent");
+    for point in result["not_found"].as_array().into_iter().flatten().filter(|point| point["reason"] != "outside") {
+        let detail = point["detail"].as_str().expect("words");
+        assert!(shown.as_str().is_some_and(|shown| shown.contains(detail)), "{point} is not on its card");
+    }
     assert!(count(&mut browser, "button.card svg image") > matched);
     assert!(count(&mut browser, "button.card svg polygon") >= 2 * matched, "the fitted shapes are drawn");
     assert_eq!(count(&mut browser, "#plots > figure > svg"), 4);

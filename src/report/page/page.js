@@ -25,6 +25,8 @@
     const h = held[i], p = D.points[i];
     return p.state === "not-found" && !(h && h.mark) && p.proposals.length ? p.proposals[0] : null;
   }
+  // Of a point that was not found: the first word of why.
+  const because = (i) => (stateOf(i) === "not-found" && D.points[i].why ? `, ${D.points[i].why.split(":")[0]}` : "");
   // What the symbol on the overview is.
   const symbolOf = (s) => ({ rejected: "not-found", "not-visible": "not-found", unknown: null }[s] === undefined ? s
     : { rejected: "not-found", "not-visible": "not-found", unknown: null }[s]);
@@ -311,7 +313,7 @@
     const body = rows.map((i) => {
       const r = state.rows[i], s = stateOf(i);
       return html("tr", { class: r && r.outlier ? "outlier" : r ? null : "unused" }, ...columns.map(([, kind, value, show], k) => (k === 1
-        ? html("td", { class: "text" }, html("span", { class: `state ${s}` }, STATES[s]))
+        ? html("td", { class: "text", title: s === "not-found" ? D.points[i].why : null }, html("span", { class: `state ${s}` }, STATES[s] + because(i)))
         : html("td", { class: kind === "text" ? kind : null, title: k === 0 ? D.points[i].name : null }, (kind === "ground" ? inUnit : show)(value(i))))));
     });
     replace("points-table", html("table", { "aria-label": "All points" }, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
@@ -361,6 +363,7 @@
     const h = held[i], r = state.rows[i], p = D.points[i];
     const near = p.proposals.length ? `${count(p.proposals.length, "candidate", "candidates")} near` : "no candidate near";
     if (r) return [`${ground(r.length)} · ${pixels(r.px)} px`, h.mark.score === null ? (h.mark.candidate === null && h.verdict ? "placed by hand" : "no score") : `${h.mark.code ? `${h.mark.code} · ` : ""}score ${h.mark.score.toFixed(1)}`];
+    if (p.why && !(h && h.mark)) return [p.why, near];
     return [h && h.mark && p.state === "proposed" ? `score ${h.mark.score === null ? "–" : h.mark.score.toFixed(1)}` : near, ""];
   }
   const shownAsCard = (i) => { const p = D.points[i]; return p.state !== "outside" && p.state !== "unknown"; };
@@ -402,10 +405,11 @@
 
   function editor() {
     if (!order.length) return;
-    const i = selected, p = D.points[i], h = held[i], r = state.rows[i], s = stateOf(i);
+    const i = selected, p = D.points[i], h = held[i], r = state.rows[i], s = stateOf(i), hasMark = !!(h && h.mark);
     const list = html("dl", { class: "facts" });
     const add = (name, value) => list.append(html("dt", {}, name), html("dd", {}, value));
     add("State", STATES[s] + (h && h.verdict && h.used ? `, ${h.verdict}` : ""));
+    if (p.why && !hasMark) add("Why", p.why);
     if (h && h.mark) add("Centre", `${h.mark.x.toFixed(2)}, ${h.mark.y.toFixed(2)} px`);
     if (h && h.mark && h.mark.covariance_px2) add("σ of the centre", `${Math.sqrt((h.mark.covariance_px2[0] + h.mark.covariance_px2[2]) / 2).toFixed(3)} px`);
     if (r) add("Residual", `E ${ground(r.e)}, N ${ground(r.n)}`);
@@ -417,7 +421,7 @@
       b.addEventListener("click", () => { act(); const again = byId("editor").querySelector(`[data-key="${key}"]`); if (again && !again.disabled) again.focus(); });
       return b;
     };
-    const hasMark = !!(h && h.mark), more = others(i).length > 0;
+    const more = others(i).length > 0;
     const note = html("input", { type: "text", id: "note", placeholder: "Note for the record", "aria-label": `Note on ${p.name}` });
     note.value = noteOf(p.name);
     note.addEventListener("change", () => setNote(p.name, note.value));
