@@ -53,6 +53,21 @@ pub fn refuse_input(output: &Path) -> Result<()> {
     }
 }
 
+/// The same for an output that is a folder, and for all that lies in it.
+///
+/// # Errors
+/// Those of [`refuse_input`]; [`Error::Io`] when a folder cannot be listed.
+pub fn refuse_inputs_below(output: &Path) -> Result<()> {
+    // A link to a folder is replaced, not what it leads to.
+    if std::fs::symlink_metadata(output).is_ok_and(|found| found.is_dir()) {
+        let listed = |e| Error::io(output, "list", e);
+        for entry in std::fs::read_dir(output).map_err(listed)? {
+            refuse_inputs_below(&entry.map_err(listed)?.path())?;
+        }
+    }
+    refuse_input(output)
+}
+
 /// The refusal, in words.
 pub fn is_input(output: &Path, input: &Path) -> Error {
     let what = if output == input {
@@ -66,6 +81,20 @@ pub fn is_input(output: &Path, input: &Path) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_that_holds_an_input_is_no_output() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let deep = folder.path().join("out/deep");
+        std::fs::create_dir_all(&deep).expect("folders");
+        let (input, link) = (folder.path().join("survey.csv"), deep.join("other.csv"));
+        std::fs::write(&input, "a").expect("writable");
+        std::fs::hard_link(&input, &link).expect("links");
+        assert!(refuse_inputs_below(&folder.path().join("out")).is_ok());
+        protect(&input);
+        assert!(refuse_inputs_below(&folder.path().join("out")).is_err());
+        assert!(refuse_inputs_below(&folder.path().join("out/none")).is_ok());
+    }
 
     #[test]
     fn no_name_hides_an_input() {

@@ -346,6 +346,7 @@ impl Stages<'_> {
         }
         let part = self.folder.join(format!("{name}.part"));
         for old in [&part, &target, &stamp] {
+            autoref_raster::protected::refuse_inputs_below(old)?;
             let gone = if old.is_dir() { std::fs::remove_dir_all(old) } else { std::fs::remove_file(old) };
             if let Err(e) = gone
                 && e.kind() != std::io::ErrorKind::NotFound
