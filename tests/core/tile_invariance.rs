@@ -259,6 +259,8 @@ mod options {
             p.colour.clouds[0].covariance = [[0.02, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]];
         }),
         ("euclidean", |p| {
+            // A ball about the cloud of deep shade would hold all dark ground.
+            p.colour.clouds.truncate(4);
             p.colour.metric = Metric::Euclidean;
             p.colour.limit = if p.colour.space == Space::Lab { 40.0 } else { 0.35 };
         }),

@@ -62,7 +62,11 @@ fn a_kill_between_the_files_of_a_run_leaves_each_of_them_whole() {
             let fault = format!("inject=rename,renameat,renameat2,link,linkat:signal=KILL:when={number}");
             let ran = run_with(dir, case, &["-e", &fault]);
             let killed = ran.status.signal().is_some() || ran.status.code() == Some(137);
-            let hidden = |name: &Path| name.components().any(|c| c.as_os_str().to_string_lossy().starts_with('.'));
+            // The parts of files, and of the folders of a flight's stages, which the next run removes.
+            let hidden = |name: &Path| {
+                let part = |word: &str| word.starts_with('.') || word.ends_with(".part");
+                name.components().any(|component| part(&component.as_os_str().to_string_lossy()))
+            };
             let seen = contents(&out, &[]).into_iter().filter(|(name, _)| !hidden(name)).collect();
             let mut faults = clean.faults(&seen);
             if killed {
