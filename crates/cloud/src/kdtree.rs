@@ -37,8 +37,12 @@ impl Bounds {
     }
 
     pub fn of(points: &[Point]) -> Bounds {
+        Bounds::of_places(points.iter().map(|point| point.xyz))
+    }
+
+    pub fn of_places(places: impl Iterator<Item = [f64; 3]>) -> Bounds {
         let mut bounds = Bounds::EMPTY;
-        points.iter().for_each(|point| bounds.add(point.xyz));
+        places.for_each(|xyz| bounds.add(xyz));
         bounds
     }
 
@@ -197,18 +201,17 @@ impl Tree {
         }
     }
 
-    /// Parts of the points that lie close together: nodes of at most `most` points, and the points between them one by one.
+    /// Parts of the points that lie close together, in their order and without gaps: leaves of at most `most` points, each
+    /// with the point before it that splits it from the last.
     pub fn groups(&self, most: usize) -> Vec<std::ops::Range<usize>> {
         fn part(begin: usize, end: usize, most: usize, groups: &mut Vec<std::ops::Range<usize>>) {
             if end - begin <= most.max(LEAF_POINTS) {
-                if begin < end {
-                    groups.push(begin..end);
-                }
+                let last = groups.last().map_or(0, |group| group.end);
+                groups.push(last..end);
                 return;
             }
             let middle = begin + (end - begin) / 2;
             part(begin, middle, most, groups);
-            groups.push(middle..middle + 1);
             part(middle + 1, end, most, groups);
         }
         let mut groups = Vec::new();

@@ -54,6 +54,25 @@ pub fn for_each_tile(
     count: usize,
     bound2: f64,
     kept_points: usize,
+    each: impl FnMut(usize, &Tree, &[f64]) -> Result<()>,
+) -> Result<()> {
+    let all = |number: usize| Ok(Some(vec![bound2; tiles.tiles[number].active * count]));
+    for_each_tile_from(tiles, count, all, kept_points, each)
+}
+
+/// As [`for_each_tile`], each neighbour with a bound of its own that its squared distance must be below: `begin` has them
+/// for a tile, or `None` when nothing is to be found there.
+///
+/// # Errors
+/// Those of `begin`, of `each` and of the scratch disk.
+///
+/// # Panics
+/// When `count` is 0.
+pub fn for_each_tile_from(
+    tiles: &Tiles,
+    count: usize,
+    begin: impl Fn(usize) -> Result<Option<Vec<f64>>>,
+    kept_points: usize,
     mut each: impl FnMut(usize, &Tree, &[f64]) -> Result<()>,
 ) -> Result<()> {
     assert!(count > 0, "neighbours are asked for");
@@ -62,8 +81,8 @@ pub fn for_each_tile(
         if tile.active == 0 {
             continue;
         }
+        let Some(mut found) = begin(number)? else { continue };
         let tree = trees.get(number)?;
-        let mut found = vec![bound2; tile.active * count];
         let search = |tree: &Tree, others: &Tree, found: &mut [f64]| {
             found.par_chunks_mut(CHUNK * count).zip(tree.points().par_chunks(CHUNK)).for_each(|(found, points)| {
                 for (nearest, point) in found.chunks_exact_mut(count).zip(points) {

@@ -79,6 +79,20 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         Some(if value.abs() > 1e-30 && value.is_finite() { value } else { 0.0 })
     }
 
+    /// The mean of the values at most `reach` from `centre`, to the resolution of the buckets; `None` where there are none.
+    pub fn mean_within(&self, centre: f64, reach: f64) -> Option<f64> {
+        let (mut sum, mut count) = (0.0, 0u64);
+        for (bucket, &here) in self.counts.iter().enumerate().filter(|(_, here)| **here > 0) {
+            let (low, high) = Self::edges(bucket);
+            let off = (f64::from(low) + f64::from(high)) / 2.0 - centre;
+            if off.abs() <= reach {
+                sum += off * here as f64;
+                count += here;
+            }
+        }
+        (count > 0).then(|| centre + sum / count as f64)
+    }
+
     /// The median distance from `centre`, to the resolution of the buckets.
     pub fn median_distance(&self, centre: f64) -> f64 {
         if self.total == 0 {

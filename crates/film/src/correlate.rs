@@ -8,9 +8,9 @@
 //! differences of running sums there, two look-ups a run instead of a product for each of its values; what is left, edges
 //! and thin lines, is added value by value. A learned mark is edges all over and costs what its values cost.
 
-use super::kernel::{Kernel, widest};
 use super::template::Template;
 use super::window::Grey;
+use autoref_raster::simd::{Kernel, widest};
 
 /// Standard deviation of grey values, of white, below which a place is called flat: half an 8-bit level.
 pub const FLAT: f32 = 0.002;

@@ -21,7 +21,6 @@ mod correlate;
 pub mod drawn;
 pub mod frame;
 pub mod interior;
-mod kernel;
 pub mod learn;
 pub mod micmac;
 mod naming;

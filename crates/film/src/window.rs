@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::kernel::{Kernel, widest};
 use super::spool::SpooledSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
+use autoref_raster::simd::{Kernel, widest};
 use autoref_raster::window::Window;
 use autoref_raster::{
     Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType,

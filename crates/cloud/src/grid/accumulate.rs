@@ -10,6 +10,9 @@ const STEPS: f64 = (1u64 << 32) as f64;
 /// Steps of one unit in sums of squares: coarser, so that squares of billions fit.
 const SQUARE_STEPS: f64 = (1u64 << 20) as f64;
 
+/// Cells whose results are written at a time.
+const FINISH_CELLS: usize = 1 << 18;
+
 fn fixed(value: f64) -> i128 {
     (value * STEPS).round() as i128
 }
@@ -122,41 +125,50 @@ impl Strip {
         Ok(())
     }
 
-    /// Appends the counts, then each statistic, to the planes; NaN where no point is.
+    /// Appends the counts, then each statistic, to the planes; NaN where no point is. Some rows at a time, so that results take
+    /// no memory beside the cells.
     pub fn finish(mut self, stats: &[(String, Stat)], planes: &mut [Plane]) -> std::io::Result<()> {
-        let cells = self.count.len();
-        let of = |cell: usize, value: f64| if self.count[cell] == 0 { f64::NAN } else { value };
-        let counts: Vec<f64> = self.count.iter().map(|&count| f64::from(count)).collect();
-        planes[0].append(&counts)?;
-        for ((_, stat), plane) in stats.iter().zip(&mut planes[1..]) {
-            let result: Vec<f64> = match stat {
-                Stat::Count => counts.clone(),
-                Stat::Mean => (0..cells).map(|i| of(i, self.sum[i] as f64 / STEPS / counts[i])).collect(),
-                Stat::Min => (0..cells).map(|i| of(i, self.min[i])).collect(),
-                Stat::Max => (0..cells).map(|i| of(i, self.max[i])).collect(),
-                Stat::Deviation => (0..cells).map(|i| of(i, deviation(self.squares[i], self.count[i]))).collect(),
-                Stat::Idw => (0..cells)
-                    .map(|i| {
-                        let ([values, weights], (sum, count)) = (self.weighted[i], self.centred[i]);
-                        let value = if count > 0 {
-                            sum as f64 / STEPS / f64::from(count)
-                        } else {
-                            values as f64 / weights as f64
-                        };
-                        of(i, value)
-                    })
-                    .collect(),
-                Stat::Median => {
-                    let mut medians = vec![f64::NAN; cells];
-                    let values = self.values.as_mut().map(std::mem::take).unwrap_or_default();
-                    fill_medians(values, &mut medians);
-                    self.values = None;
-                    medians
+        let medians = self.values.take().map(|values| {
+            let mut medians = vec![f64::NAN; self.count.len()];
+            fill_medians(values, &mut medians);
+            medians
+        });
+        let piece = self.frame.columns.max(1) * (FINISH_CELLS / self.frame.columns.max(1)).max(1);
+        for begin in (0..self.count.len()).step_by(piece) {
+            let cells = begin..(begin + piece).min(self.count.len());
+            let counts: Vec<f64> = self.count[cells.clone()].iter().map(|&count| f64::from(count)).collect();
+            planes[0].append(&counts)?;
+            for ((_, stat), plane) in stats.iter().zip(&mut planes[1..]) {
+                match stat {
+                    Stat::Count => plane.append(&counts)?,
+                    Stat::Median => plane.append(&medians.as_ref().expect("medians were asked for")[cells.clone()])?,
+                    stat => {
+                        let values: Vec<f64> = cells.clone().map(|cell| self.result(*stat, cell)).collect();
+                        plane.append(&values)?;
+                    }
                 }
-            };
-            plane.append(&result)?;
+            }
         }
         Ok(())
+    }
+
+    /// A statistic of a cell, medians and counts excepted; NaN where no point is.
+    fn result(&self, stat: Stat, cell: usize) -> f64 {
+        let count = self.count[cell];
+        if count == 0 {
+            return f64::NAN;
+        }
+        match stat {
+            Stat::Mean => self.sum[cell] as f64 / STEPS / f64::from(count),
+            Stat::Min => self.min[cell],
+            Stat::Max => self.max[cell],
+            Stat::Deviation => deviation(self.squares[cell], count),
+            Stat::Idw => {
+                let ([values, weights], (sum, centred)) = (self.weighted[cell], self.centred[cell]);
+                if centred > 0 { sum as f64 / STEPS / f64::from(centred) } else { values as f64 / weights as f64 }
+            }
+            Stat::Count | Stat::Median => f64::NAN,
+        }
     }
 }
 

@@ -454,9 +454,12 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     let budget = options.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20);
     let cell_bytes = Strip::cell_bytes(&options.stats) * sources.len() as u64;
     let row_bytes = frame.columns as u64 * cell_bytes;
-    let strip_rows = (budget / 2 / row_bytes.max(1)).min(frame.rows as u64) as usize;
+    // A quarter is for medians, and another for what sorts them.
+    let medians = options.stats.iter().any(|(_, stat)| *stat == Stat::Median);
+    let for_cells = if medians { budget / 2 } else { budget / 4 * 3 };
+    let strip_rows = (for_cells / row_bytes.max(1)).min(frame.rows as u64) as usize;
     if strip_rows == 0 {
-        return Err(too_wide(row_bytes * 2));
+        return Err(too_wide(row_bytes * 2 + BASE_BYTES));
     }
     let mut work = Work {
         path,

@@ -192,7 +192,7 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
         // Without any slope, a height and a tilt can still be had.
         found = search::run(&full, options, Flats::Kept)?;
     }
-    let fitted = match found {
+    let mut fitted = match found {
         Found::Nothing(why) => {
             if spread::of(&full, &State::default(), options.means)?.count == 0 {
                 let remedy = "look at their extents, nodata values and --stable with gdalinfo -stats";
@@ -204,6 +204,11 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     };
     let before = spread::of(&full, &State::default(), options.means)?;
     let after = spread::of(&full, &fitted.state, options.means)?;
+    if finer > 1 && after.mean.is_finite() {
+        // Ground that coarse cells smooth out leaves differences that lean to one side: a robust height is drawn from the
+        // mean, which averaging keeps, by something that the scatter of blocks does not show.
+        fitted.covariance[(2, 2)] += after.mean * after.mean;
+    }
     // The other model is read at X + shift: where it is A, A itself moves the other way.
     let sign = if coarse_a { 1.0 } else { -1.0 };
     Ok(Outcome::Aligned(Box::new(in_metres(&full, &fitted, sign, &ga, (before, after)))))

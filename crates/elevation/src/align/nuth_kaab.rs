@@ -116,7 +116,7 @@ impl Worker {
                 }
                 self.differences.add(difference as f32);
                 let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
-                let tangent = east.hypot(north);
+                let tangent = (east * east + north * north).sqrt();
                 let quotient = difference / tangent;
                 if tangent > LEAST_TANGENT && !quotient.is_nan() {
                     let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;

@@ -14,11 +14,16 @@ pub struct Spread {
     /// 1.4826 times the median distance from the median (J. Höhle and M. Höhle, *Accuracy assessment of digital elevation
     /// models by means of robust statistical methods*, 2009).
     pub nmad: f64,
+    /// Of the differences within five NMAD of the median.
+    pub mean: f64,
     pub count: u64,
 }
 
 /// Leading bits of a difference: a resolution of a two-thousandth, and interpolation within.
 pub const BITS: u32 = 20;
+
+/// How many NMAD from the median a difference counts in the mean.
+const CLIP: f64 = 5.0;
 
 /// # Errors
 /// When a model cannot be read.
@@ -65,5 +70,7 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     let mut histogram = FloatHistogram::<BITS>::default();
     parts.iter().for_each(|part| histogram.merge(&part.histogram));
     let median = histogram.quantile(0.5).unwrap_or(f64::NAN);
-    Ok(Spread { median, nmad: 1.4826 * histogram.median_distance(median), count: histogram.total() })
+    let nmad = 1.4826 * histogram.median_distance(median);
+    let mean = histogram.mean_within(median, CLIP * nmad).unwrap_or(f64::NAN);
+    Ok(Spread { median, nmad, mean, count: histogram.total() })
 }

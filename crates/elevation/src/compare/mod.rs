@@ -1,8 +1,12 @@
 //! One model minus another: statistics by class and zone, volumes, and how sure they are.
 
+mod groups;
+mod moments;
 mod page;
 mod preview;
+mod scan;
 mod select;
+mod tables;
 mod variogram;
 
 pub use page::write_page;
@@ -17,13 +21,18 @@ use serde::Serialize;
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
-use crate::grid::{Grid, GroundUnit};
+use crate::grid::Grid;
+use crate::model::Model;
 use crate::output::{self, Form};
-use crate::resample::{Interpolation, Resampled, Scratch};
-use crate::source::{Heights, Means as Averaged, Patch};
+use crate::resample::{Interpolation, Resampled};
+use crate::source::{Heights, Held, Means as Averaged};
 use crate::stream::{self, Means};
-use crate::window::Window;
-use crate::zones::Zones;
+
+use groups::Groups;
+use moments::Moments;
+use scan::{Buffers, Cell, Scan};
+use select::Pass;
+use tables::write_tables;
 
 /// `dem compare`, from files.
 pub struct CompareJob<'a> {
@@ -99,198 +108,8 @@ pub struct Summary {
 }
 
 const PERCENTS: [f64; 9] = [1.0, 5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0];
-const ASPECTS: [&str; 9] = ["N", "NE", "E", "SE", "S", "SW", "W", "NW", "flat"];
-/// Most bands of height.
-const HEIGHT_BANDS: f64 = 12.0;
-/// Units of a difference in sums: 2⁻²⁰ m.
-const UNIT: f64 = (1u64 << 20) as f64;
 /// Cells of a zone that stand for it in sums over pairs.
 const WITNESSES: usize = 1000;
-
-/// Moments that do not depend on the order.
-#[derive(Clone, Default)]
-struct Moments {
-    n: u64,
-    sum: i128,
-    squares: i128,
-    within: u64,
-    low: Option<f32>,
-    high: Option<f32>,
-}
-
-impl Moments {
-    fn add(&mut self, value: f32, within_m: f64) {
-        let fixed = (f64::from(value) * UNIT) as i64 as i128;
-        self.n += 1;
-        self.sum += fixed;
-        self.squares += fixed * fixed;
-        self.within += u64::from(f64::from(value).abs() <= within_m);
-        self.low = Some(self.low.map_or(value, |v| v.min(value)));
-        self.high = Some(self.high.map_or(value, |v| v.max(value)));
-    }
-
-    fn merge(&mut self, other: &Moments) {
-        self.n += other.n;
-        self.sum += other.sum;
-        self.squares += other.squares;
-        self.within += other.within;
-        self.low = self.low.into_iter().chain(other.low).reduce(f32::min);
-        self.high = self.high.into_iter().chain(other.high).reduce(f32::max);
-    }
-
-    fn mean(&self) -> Option<f64> {
-        (self.n > 0).then(|| self.sum as f64 / UNIT / self.n as f64)
-    }
-
-    fn rmse(&self) -> Option<f64> {
-        (self.n > 0).then(|| (self.squares as f64 / (UNIT * UNIT) / self.n as f64).sqrt())
-    }
-
-    /// Divisor n.
-    fn sd(&self) -> Option<f64> {
-        let (mean, rmse) = (self.mean()?, self.rmse()?);
-        Some((rmse * rmse - mean * mean).max(0.0).sqrt())
-    }
-}
-
-/// What is known of a cell beside its difference.
-struct Cell {
-    x: u64,
-    y: u64,
-    difference: f32,
-    slope_percent: f64,
-    aspect: Option<usize>,
-    height: f64,
-    zone: u32,
-}
-
-/// Both models on B's grid.
-struct Scan<'a> {
-    grid: Grid,
-    unit: GroundUnit,
-    a: Resampled<'a, Averaged<'a, crate::model::Model>>,
-    b: &'a crate::model::Model,
-    zones: Option<&'a Zones>,
-    /// Differences outside are left out.
-    limits: (f64, f64),
-}
-
-#[derive(Default)]
-struct Buffers {
-    scratch: Scratch,
-    a: Vec<f64>,
-    b: Vec<f64>,
-    zones: Vec<u32>,
-}
-
-impl Scan<'_> {
-    /// All common cells of a window, row by row.
-    fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell)) -> Result<()> {
-        let (width, height) = (window.width as usize, window.height as usize);
-        let (x, y) = (window.x as i64, window.y as i64);
-        self.a.read_with(Patch { x, y, width, height }, &mut buffers.scratch, &mut buffers.a)?;
-        let stride = width + 2;
-        self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
-        buffers.zones.clear();
-        buffers.zones.resize(width, 0);
-        let (grid, b) = (&self.grid, &buffers.b);
-        for row in 0..height {
-            let north = grid.y0 + ((window.y + row as u64) as f64 + 0.5) * grid.step_y;
-            if let Some(zones) = self.zones {
-                let east = grid.x0 + (window.x as f64 + 0.5) * grid.step_x;
-                zones.row(north, east, grid.step_x, &mut buffers.zones);
-            }
-            let (mx, my) = self.unit.metres_per_unit(north);
-            let (per_x, per_y) = (0.125 / (mx * grid.step_x), 0.125 / (my * grid.step_y));
-            for column in 0..width {
-                let at = (row + 1) * stride + column + 1;
-                let difference = buffers.a[row * width + column] - b[at];
-                if difference.is_nan() || difference < self.limits.0 || difference > self.limits.1 {
-                    continue;
-                }
-                let w = |dy: usize, dx: usize| b[at + dy * stride + dx - stride - 1];
-                // Horn, Hill shading and the reflectance map, 1981.
-                let east = ((w(0, 2) + 2.0 * w(1, 2) + w(2, 2)) - (w(0, 0) + 2.0 * w(1, 0) + w(2, 0))) * per_x;
-                let up = ((w(2, 0) + 2.0 * w(2, 1) + w(2, 2)) - (w(0, 0) + 2.0 * w(0, 1) + w(0, 2))) * per_y;
-                let tangent = east.hypot(up);
-                let aspect = if tangent.is_nan() {
-                    None
-                } else if tangent == 0.0 {
-                    Some(8)
-                } else {
-                    // Where the slope looks: downhill, from north by east.
-                    let turn = (-east).atan2(-up).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU * 8.0;
-                    Some((turn + 0.5) as usize % 8)
-                };
-                see(Cell {
-                    x: window.x + column as u64,
-                    y: window.y + row as u64,
-                    difference: difference as f32,
-                    slope_percent: 100.0 * tangent,
-                    aspect,
-                    height: b[at],
-                    zone: buffers.zones[column],
-                });
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Which groups there are, and which a cell belongs to.
-struct Groups {
-    slope_limits: Vec<f64>,
-    height_low: f64,
-    height_step: f64,
-    names: Vec<(String, String)>,
-    first_height: usize,
-    first_zone: usize,
-}
-
-impl Groups {
-    fn new(slope_limits: &[f64], heights: (f64, f64), zones: Option<&Zones>) -> Groups {
-        let mut names = vec![("all".to_string(), "all".to_string())];
-        for (i, limit) in slope_limits.iter().enumerate() {
-            let upper = slope_limits.get(i + 1).map_or("inf".to_string(), |v| format!("{v}%"));
-            names.push(("slope".into(), format!("[{limit}%;{upper}[")));
-        }
-        names.extend(ASPECTS.iter().map(|a| ("aspect".to_string(), (*a).to_string())));
-        let range = (heights.1 - heights.0).max(1e-3);
-        let rough = range / HEIGHT_BANDS;
-        let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].iter().map(|m| m * power).find(|s| *s >= rough).unwrap_or(rough);
-        let low = (heights.0 / step).floor() * step;
-        let first_height = names.len();
-        let bands = ((heights.1 - low) / step).floor() as usize + 1;
-        for band in 0..bands {
-            let from = low + band as f64 * step;
-            names.push(("height".into(), format!("[{from} m;{} m[", from + step)));
-        }
-        let first_zone = names.len();
-        if let Some(zones) = zones {
-            names.extend(zones.names().iter().map(|name| ("zone".to_string(), name.clone())));
-            names.push(("zone".into(), "outside all zones".into()));
-        }
-        let slope_limits = slope_limits.to_vec();
-        Groups { slope_limits, height_low: low, height_step: step, names, first_height, first_zone }
-    }
-
-    fn each(&self, cell: &Cell, mut see: impl FnMut(usize)) {
-        see(0);
-        if let Some(class) = self.slope_limits.iter().rposition(|limit| cell.slope_percent >= *limit) {
-            see(1 + class);
-        }
-        if let Some(aspect) = cell.aspect {
-            see(1 + self.slope_limits.len() + aspect);
-        }
-        let band = ((cell.height - self.height_low) / self.height_step) as usize;
-        see((self.first_height + band).min(self.first_zone - 1));
-        if self.first_zone < self.names.len() {
-            let outside = self.names.len() - 1;
-            see(if cell.zone == 0 { outside } else { self.first_zone + cell.zone as usize - 1 });
-        }
-    }
-}
 
 /// A number that scatters positions.
 fn hash(x: u64, y: u64) -> u64 {
@@ -383,12 +202,16 @@ impl CompareJob<'_> {
         }
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         let ratio = (cell(&grid) / cell(&couple.a.grid())).sqrt().round().max(1.0) as u64;
-        let averaged = Averaged::new(&couple.a, ratio);
+        let held_a = self.held(&couple.a, &couple, means)?;
+        let held_b = self.held(&couple.b, &couple, means)?;
+        let a: &dyn Heights = held_a.as_ref().map_or(&couple.a, |held| held);
+        let b: &dyn Heights = held_b.as_ref().map_or(&couple.b, |held| held);
+        let averaged = Averaged::new(a, ratio);
         let mut scan = Scan {
             grid,
             unit: couple.b.ground_unit(),
             a: Resampled::new(&averaged, grid, (0.0, 0.0), self.resampling),
-            b: &couple.b,
+            b,
             zones: zones.as_ref(),
             limits: (f64::NEG_INFINITY, f64::INFINITY),
         };
@@ -416,6 +239,13 @@ impl CompareJob<'_> {
         let mut whole = First::default();
         parts.into_iter().for_each(|(part, _)| whole.merge(part));
         Ok(whole)
+    }
+
+    /// A model in memory, where both are small; others are read in every pass.
+    fn held(&self, model: &Model, couple: &Couple, means: Means) -> Result<Option<Held>> {
+        let cells = |grid: Grid| grid.width.saturating_mul(grid.height);
+        let both = cells(couple.a.grid()).saturating_add(cells(couple.b.grid()));
+        if both <= self.resources.held_cells() { Held::of(model, means) } else { Ok(None) }
     }
 
     fn write_difference(&self, scan: &Scan<'_>, couple: &Couple, means: Means, path: &Path) -> Result<First> {
@@ -452,28 +282,32 @@ impl CompareJob<'_> {
     fn classes(&self, scan: &Scan<'_>, groups: Groups, means: Means) -> Result<Classes> {
         let tiles = means.tiles(scan.grid.width, scan.grid.height);
         let count = groups.names.len();
+        let shares = PERCENTS.map(|p| p / 100.0);
         let state = || (vec![Moments::default(); count], Buffers::default());
-        let parts = stream::gather(&tiles, means.threads, state, |(moments, buffers), window| {
+        let visit = |pass, window, (moments, buffers): &mut (Vec<Moments>, Buffers), sink: select::Sink<'_>| {
             scan.cells(window, buffers, |cell| {
-                groups.each(&cell, |group| moments[group].add(cell.difference, self.within_m));
+                groups.each(&cell, |group| {
+                    if pass == Pass::First {
+                        moments[group].add(cell.difference, self.within_m);
+                    }
+                    sink(group, cell.difference);
+                });
             })
-        })?;
+        };
+        let (quantiles, parts) = select::quantiles(count, &shares, means.threads, &tiles, state, visit)?;
         let mut moments = vec![Moments::default(); count];
         for (part, _) in &parts {
             moments.iter_mut().zip(part).for_each(|(a, b)| a.merge(b));
         }
-        let shares = PERCENTS.map(|p| p / 100.0);
-        let quantiles = select::quantiles(count, &shares, means.threads, &tiles, |window, buffers, sink| {
-            scan.cells(window, buffers, |cell| groups.each(&cell, |group| sink(group, cell.difference)))
-        })?;
         let medians: Vec<f64> = quantiles.iter().map(|q| q[4]).collect();
-        let distances = select::quantiles(count, &[0.5], means.threads, &tiles, |window, buffers, sink| {
+        let visit = |_, window, buffers: &mut Buffers, sink: select::Sink<'_>| {
             scan.cells(window, buffers, |cell| {
                 groups.each(&cell, |group| {
                     sink(group, (f64::from(cell.difference) - medians[group]).abs() as f32);
                 });
             })
-        })?;
+        };
+        let (distances, _) = select::quantiles(count, &[0.5], means.threads, &tiles, Buffers::default, visit)?;
         let nmad = distances.iter().map(|d| Some(1.4826 * d[0]).filter(|v| v.is_finite())).collect();
         Ok(Classes { groups, moments, quantiles, nmad })
     }
@@ -572,53 +406,4 @@ impl Classes {
             percentiles_m,
         }
     }
-}
-
-fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {
-    let put = |name: &str, text: String| {
-        let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|e| Error::io(&path, "write", e))
-    };
-    let number = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let mut text = String::from("group,class,n,mean_m,median_m,sd_m,nmad_m,rmse_m,min_m,max_m,share_within");
-    PERCENTS.iter().for_each(|p| text.push_str(&format!(",p{p}_m")));
-    text.push('\n');
-    for s in &summary.statistics {
-        let figures = [s.mean_m, s.median_m, s.sd_m, s.nmad_m, s.rmse_m, s.min_m, s.max_m, s.share_within];
-        text.push_str(&format!("{},{},{}", s.group, quoted(&s.class), s.n));
-        figures.iter().for_each(|v| text.push_str(&format!(",{}", number(*v))));
-        for percent in PERCENTS {
-            let value = s.percentiles_m.get(&format!("{percent}")).and_then(serde_json::Value::as_f64);
-            text.push_str(&format!(",{}", number(value)));
-        }
-        text.push('\n');
-    }
-    put("statistics.csv", text)?;
-    let mut text =
-        String::from("zone,n,area_m2,mean_m,mean_se_m,effective_n,volume_m3,volume_se_m3,low_95_m3,high_95_m3\n");
-    for v in &summary.volumes {
-        text.push_str(&format!(
-            "{},{},{},{},{},{},{},{},{},{}\n",
-            quoted(&v.zone),
-            v.n,
-            v.area_m2,
-            v.mean_m,
-            v.mean_se_m,
-            v.effective_n,
-            v.volume_m3,
-            v.volume_se_m3,
-            v.volume_95_m3[0],
-            v.volume_95_m3[1]
-        ));
-    }
-    put("volumes.csv", text)?;
-    let mut text = String::from("lag_m,semivariance_m2,pairs,model_m2\n");
-    for bin in &summary.variogram.bins {
-        let model = summary.variogram.semivariance(bin.lag_m);
-        text.push_str(&format!("{},{},{},{}\n", bin.lag_m, bin.semivariance_m2, bin.pairs, model));
-    }
-    put("variogram.csv", text)?;
-    let json = serde_json::to_string_pretty(summary).map_err(|e| Error::usage(e.to_string(), "report this"))?;
-    put("summary.json", json + "\n")
 }

@@ -118,11 +118,26 @@ struct Pairs {
 impl Pairs {
     const NONE: Pairs = Pairs { sums: [0.0; BINS], lags: [0.0; BINS], counts: [0; BINS] };
 
-    fn add(&mut self, lag_cells: f64, difference: f64, lag_m: f64) {
-        let bin = ((lag_cells.log2() * PER_DOUBLING + 0.5) as usize).min(BINS - 1);
-        self.sums[bin] += 0.5 * difference * difference;
-        self.lags[bin] += lag_m;
-        self.counts[bin] += 1;
+    fn add(&mut self, lag: &Lag, difference: f64) {
+        self.sums[lag.bin] += 0.5 * difference * difference;
+        self.lags[lag.bin] += lag.metres;
+        self.counts[lag.bin] += 1;
+    }
+}
+
+/// How far two cells are apart.
+#[derive(Clone, Copy)]
+struct Lag {
+    cells: f64,
+    metres: f64,
+    bin: usize,
+}
+
+impl Lag {
+    fn new(columns: f64, rows: f64, cell_m: (f64, f64)) -> Lag {
+        let cells = columns.hypot(rows);
+        let bin = ((cells.log2() * PER_DOUBLING + 0.5) as usize).min(BINS - 1);
+        Lag { cells, metres: (columns * cell_m.0).hypot(rows * cell_m.1), bin }
     }
 }
 
@@ -155,10 +170,9 @@ pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means
     let mut windows: Vec<(u64, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
     windows.sort_by_key(|(number, _)| *number);
     let mut pairs = Pairs::NONE;
-    let apart = |a: &(i64, i64, f64), b: &(i64, i64, f64)| {
-        let (x, y) = ((a.0 - b.0) as f64, (a.1 - b.1) as f64);
-        (x.hypot(y), (x * cell_m.0).hypot(y * cell_m.1))
-    };
+    // Within a window the same few lags come again and again.
+    let window = 0..WINDOW_PX * WINDOW_PX;
+    let near: Vec<Lag> = window.map(|at| Lag::new((at % WINDOW_PX) as f64, (at / WINDOW_PX) as f64, cell_m)).collect();
     let mut far = Vec::new();
     for (_, cells) in &windows {
         // A part of the cells with all others of their window.
@@ -166,8 +180,8 @@ pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means
         for (i, a) in cells.iter().enumerate().step_by(step) {
             for (j, b) in cells.iter().enumerate() {
                 if i != j {
-                    let (lag, lag_m) = apart(a, b);
-                    pairs.add(lag, a.2 - b.2, lag_m);
+                    let at = (a.1 - b.1).unsigned_abs() * WINDOW_PX + (a.0 - b.0).unsigned_abs();
+                    pairs.add(&near[at as usize], a.2 - b.2);
                 }
             }
         }
@@ -176,9 +190,9 @@ pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means
     }
     for (i, a) in far.iter().enumerate() {
         for b in &far[i + 1..] {
-            let (lag, lag_m) = apart(a, b);
-            if lag > WINDOW_PX as f64 {
-                pairs.add(lag, a.2 - b.2, lag_m);
+            let lag = Lag::new((a.0 - b.0) as f64, (a.1 - b.1) as f64, cell_m);
+            if lag.cells > WINDOW_PX as f64 {
+                pairs.add(&lag, a.2 - b.2);
             }
         }
     }

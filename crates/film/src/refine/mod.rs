@@ -12,10 +12,10 @@ mod surface;
 
 use self::fit::Fit;
 use self::surface::Surface;
-use super::kernel::{Kernel, widest};
 use super::template::{Linear, Model};
 use super::window::Grey;
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::simd::{Kernel, widest};
 
 /// A refined centre.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,9 +6,9 @@
 use std::ops::Range;
 
 use super::drawing::{Drawing, LATTICE, THICK};
-use crate::kernel::{Kernel, widest};
 use crate::template::{Linear, Model, invert};
 use crate::window::gaussian;
+use autoref_raster::simd::{Kernel, widest};
 
 /// Places drawn per pixel along each axis.
 const FINE: usize = 4;

@@ -1,0 +1,50 @@
+//! Sums of differences in whole numbers.
+
+/// Units of a difference in sums: 2⁻²⁰ m.
+const UNIT: f64 = (1u64 << 20) as f64;
+
+/// Moments that do not depend on the order.
+#[derive(Clone, Default)]
+pub(super) struct Moments {
+    pub(super) n: u64,
+    pub(super) sum: i128,
+    pub(super) squares: i128,
+    pub(super) within: u64,
+    pub(super) low: Option<f32>,
+    pub(super) high: Option<f32>,
+}
+
+impl Moments {
+    pub(super) fn add(&mut self, value: f32, within_m: f64) {
+        let fixed = (f64::from(value) * UNIT) as i64 as i128;
+        self.n += 1;
+        self.sum += fixed;
+        self.squares += fixed * fixed;
+        self.within += u64::from(f64::from(value).abs() <= within_m);
+        self.low = Some(self.low.map_or(value, |v| v.min(value)));
+        self.high = Some(self.high.map_or(value, |v| v.max(value)));
+    }
+
+    pub(super) fn merge(&mut self, other: &Moments) {
+        self.n += other.n;
+        self.sum += other.sum;
+        self.squares += other.squares;
+        self.within += other.within;
+        self.low = self.low.into_iter().chain(other.low).reduce(f32::min);
+        self.high = self.high.into_iter().chain(other.high).reduce(f32::max);
+    }
+
+    pub(super) fn mean(&self) -> Option<f64> {
+        (self.n > 0).then(|| self.sum as f64 / UNIT / self.n as f64)
+    }
+
+    pub(super) fn rmse(&self) -> Option<f64> {
+        (self.n > 0).then(|| (self.squares as f64 / (UNIT * UNIT) / self.n as f64).sqrt())
+    }
+
+    /// Divisor n.
+    pub(super) fn sd(&self) -> Option<f64> {
+        let (mean, rmse) = (self.mean()?, self.rmse()?);
+        Some((rmse * rmse - mean * mean).max(0.0).sqrt())
+    }
+}

@@ -1,0 +1,126 @@
+//! Both models, cell by cell on B's grid.
+
+use crate::error::Result;
+use crate::grid::{Grid, GroundUnit};
+use crate::resample::{Resampled, Scratch};
+use crate::source::{Heights, Means as Averaged, Patch};
+use crate::window::Window;
+use crate::zones::Zones;
+
+/// What is known of a cell beside its difference.
+pub(super) struct Cell {
+    pub(super) x: u64,
+    pub(super) y: u64,
+    pub(super) difference: f32,
+    pub(super) slope_percent: f64,
+    pub(super) aspect: Option<usize>,
+    pub(super) height: f64,
+    pub(super) zone: u32,
+}
+
+/// Both models on B's grid.
+pub(super) struct Scan<'a> {
+    pub(super) grid: Grid,
+    pub(super) unit: GroundUnit,
+    pub(super) a: Resampled<'a, Averaged<'a, dyn Heights + 'a>>,
+    pub(super) b: &'a dyn Heights,
+    pub(super) zones: Option<&'a Zones>,
+    /// Differences outside are left out.
+    pub(super) limits: (f64, f64),
+}
+
+#[derive(Default)]
+pub(super) struct Buffers {
+    pub(super) scratch: Scratch,
+    pub(super) a: Vec<f64>,
+    pub(super) b: Vec<f64>,
+    pub(super) zones: Vec<u32>,
+}
+
+impl Scan<'_> {
+    /// All common cells of a window, row by row.
+    pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell)) -> Result<()> {
+        let (width, height) = (window.width as usize, window.height as usize);
+        let (x, y) = (window.x as i64, window.y as i64);
+        self.a.read_with(Patch { x, y, width, height }, &mut buffers.scratch, &mut buffers.a)?;
+        let stride = width + 2;
+        self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
+        buffers.zones.clear();
+        buffers.zones.resize(width, 0);
+        let (grid, b) = (&self.grid, &buffers.b);
+        for row in 0..height {
+            let north = grid.y0 + ((window.y + row as u64) as f64 + 0.5) * grid.step_y;
+            if let Some(zones) = self.zones {
+                let east = grid.x0 + (window.x as f64 + 0.5) * grid.step_x;
+                zones.row(north, east, grid.step_x, &mut buffers.zones);
+            }
+            let (mx, my) = self.unit.metres_per_unit(north);
+            let (per_x, per_y) = (0.125 / (mx * grid.step_x), 0.125 / (my * grid.step_y));
+            for column in 0..width {
+                let at = (row + 1) * stride + column + 1;
+                let difference = buffers.a[row * width + column] - b[at];
+                if difference.is_nan() || difference < self.limits.0 || difference > self.limits.1 {
+                    continue;
+                }
+                let w = |dy: usize, dx: usize| b[at + dy * stride + dx - stride - 1];
+                // Horn, Hill shading and the reflectance map, 1981.
+                let east = ((w(0, 2) + 2.0 * w(1, 2) + w(2, 2)) - (w(0, 0) + 2.0 * w(1, 0) + w(2, 0))) * per_x;
+                let up = ((w(2, 0) + 2.0 * w(2, 1) + w(2, 2)) - (w(0, 0) + 2.0 * w(0, 1) + w(0, 2))) * per_y;
+                let tangent = (east * east + up * up).sqrt();
+                see(Cell {
+                    x: window.x + column as u64,
+                    y: window.y + row as u64,
+                    difference: difference as f32,
+                    slope_percent: 100.0 * tangent,
+                    aspect: aspect(east, up),
+                    height: b[at],
+                    zone: buffers.zones[column],
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Tangent of half of an eighth of a turn.
+const HALF_EIGHTH: f64 = std::f64::consts::SQRT_2 - 1.0;
+
+/// Which of eight directions, clockwise from north, a slope that rises so much eastwards and northwards looks to; 8 where
+/// there is none, `None` where it is not known.
+fn aspect(east: f64, north: f64) -> Option<usize> {
+    // Downhill.
+    let (e, n) = (-east, -north);
+    if e.is_nan() || n.is_nan() {
+        None
+    } else if e == 0.0 && n == 0.0 {
+        Some(8)
+    } else if e.abs() < HALF_EIGHTH * n.abs() {
+        Some(if n > 0.0 { 0 } else { 4 })
+    } else if n.abs() <= HALF_EIGHTH * e.abs() {
+        Some(if e > 0.0 { 2 } else { 6 })
+    } else {
+        Some(match (e > 0.0, n > 0.0) {
+            (true, true) => 1,
+            (true, false) => 3,
+            (false, false) => 5,
+            (false, true) => 7,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn aspects_are_those_of_the_angle() {
+        for degree in 0..720 {
+            // Between the borders of classes.
+            let downhill = (f64::from(degree) + 0.25) / 2.0;
+            let (east, north) = (-downhill.to_radians().sin(), -downhill.to_radians().cos());
+            assert_eq!(aspect(3.0 * east, 3.0 * north), Some(((downhill + 22.5) / 45.0) as usize % 8), "{downhill}");
+        }
+        assert_eq!(aspect(0.0, -0.0), Some(8));
+        assert_eq!(aspect(f64::NAN, 1.0), None);
+    }
+}
