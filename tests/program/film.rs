@@ -292,6 +292,7 @@ fn real_shapes(family: &str, pixel_um: f64, folder: &Path) -> Option<Camera> {
             values: photo.data.iter().map(|v| f32::from(*v) / 255.0).collect(),
             weights: vec![1.0; photo.data.len()],
             marks: 1,
+            reference_sigma_um: 0.0,
         };
         let path = folder.join(format!("{family}_{side}.json"));
         std::fs::write(&path, serde_json::to_vec(&template).expect("plain data")).expect("writable");

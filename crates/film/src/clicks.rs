@@ -7,6 +7,13 @@ use super::learn::Grid;
 const DISC_MM: f64 = 1.6;
 /// Correlation from which two marks look alike, and from which one is its own image turned by half a turn.
 const ALIKE: f64 = 0.6;
+/// Correlation of edges from which a mark in front of terrain is seen, from which it shows the same as the others, and contrast, of theirs,
+/// below which it is faint.
+const SEEN: f64 = 0.45;
+const SAME: f64 = 0.8;
+const FAINT: f64 = 0.5;
+/// What changes over more than this is terrain or light, not an edge: half the side of the box whose mean is taken away, millimetres.
+const EDGE_MM: f64 = 0.35;
 const SYMMETRIC: f64 = 0.85;
 /// How far clicks may be off: pixels of the scan, and millimetres.
 const REACH_PX: f64 = 8.0;
@@ -15,37 +22,107 @@ const REACH_MM: f64 = 0.15;
 /// A window about a click, values row by row.
 type Values = [f32];
 
-/// By how much every click is moved, in values of the grid to the right and down: each window's own shift. `None` for windows that
-/// look like no other and have no centre of symmetry.
-pub(super) fn shifts(windows: &[&Values], grid: &Grid) -> Vec<Option<[f64; 2]>> {
-    let field = Field::new(grid);
-    let mut moved: Vec<Option<[f64; 2]>> = vec![None; windows.len()];
-    let mut stack: Vec<f32> = windows.first().map_or(vec![], |w| w.to_vec());
-    // What is common to all is clearer than in the first alone.
-    for _ in 0..3 {
-        for (window, shift) in windows.iter().zip(&mut moved) {
-            *shift = field.register(&stack, window);
+/// What is known of the centre of a mark that was pointed at; shifts in values of the grid, to the right and down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Centre {
+    /// It shows the same as others.
+    Same([f64; 2]),
+    /// It shows what others do, but so faintly that theirs tell better what it looks like.
+    Faint([f64; 2]),
+    /// It tells by itself, or it is like others but not the same.
+    Own([f64; 2]),
+    /// It looks like no other and has no centre of symmetry.
+    AsPointed,
+}
+
+impl Centre {
+    pub fn shift(self) -> Option<[f64; 2]> {
+        match self {
+            Centre::Same(shift) | Centre::Faint(shift) | Centre::Own(shift) => Some(shift),
+            Centre::AsPointed => None,
         }
-        let known: Vec<[f64; 2]> = moved.iter().flatten().copied().collect();
-        if known.len() < 2 {
+    }
+}
+
+/// A centre and its standard deviation, values of the grid: what clicks leave where no symmetry tells the centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Told {
+    pub centre: Centre,
+    pub sigma: f64,
+}
+
+/// The centre of what every window shows.
+pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
+    let field = Field::new(grid);
+    // The first may be the one that shows least.
+    let half = windows.len().div_ceil(2).max(2);
+    let tries = (0..windows.len()).map(|first| field.laid_on(windows, first));
+    let mut best: Option<Vec<Option<[f64; 2]>>> = None;
+    let count = |moved: &[Option<[f64; 2]>]| moved.iter().flatten().count();
+    for moved in tries {
+        let enough = count(&moved) >= half;
+        if best.as_ref().is_none_or(|b| count(&moved) > count(b)) {
+            best = Some(moved);
+        }
+        if enough {
             break;
         }
-        // The clicks' own mean stays: nothing is known of what they share.
-        let mean = [0, 1].map(|d| known.iter().map(|s| s[d]).sum::<f64>() / known.len() as f64);
-        moved.iter_mut().flatten().for_each(|s| *s = [s[0] - mean[0], s[1] - mean[1]]);
-        stack = field.stacked(windows, &moved);
     }
-    if moved.iter().flatten().count() >= 2 {
-        if let Some(centre) = field.symmetric_centre(&stack) {
-            moved.iter_mut().flatten().for_each(|s| *s = [s[0] + centre[0], s[1] + centre[1]]);
+    let mut moved = best.unwrap_or_default();
+    let mut found = vec![Centre::AsPointed; windows.len()];
+    let mut shared_sigma = 0.0;
+    if count(&moved) >= 2 {
+        let stack = field.stacked(windows, &moved);
+        let symmetric = field.symmetric_centre(&stack);
+        if symmetric.is_none() {
+            let squares: f64 = moved.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
+            let n = count(&moved) as f64;
+            shared_sigma = (squares / (2.0 * (n - 1.0)) / n).sqrt();
         }
-    } else {
-        moved = vec![None; windows.len()];
+        let centre = symmetric.unwrap_or([0.0; 2]);
+        let edges = field.edges(&stack);
+        for ((window, shift), found) in windows.iter().zip(&mut moved).zip(&mut found) {
+            *found = match field.compare(&edges, &field.edges(window), *shift) {
+                Some((shift, alike)) => {
+                    let shift = [shift[0] + centre[0], shift[1] + centre[1]];
+                    if alike.correlation > SAME {
+                        Centre::Same(shift)
+                    } else if alike.contrast < FAINT {
+                        Centre::Faint(shift)
+                    } else {
+                        Centre::Own(shift)
+                    }
+                }
+                None => Centre::AsPointed,
+            };
+        }
     }
-    for (window, shift) in windows.iter().zip(&mut moved).filter(|(_, s)| s.is_none()) {
-        *shift = field.symmetric_centre(window);
-    }
-    moved
+    let click_sigma = sigma_of_clicks(&found);
+    let told = |(window, centre): (&&Values, Centre)| {
+        if centre != Centre::AsPointed {
+            return Told { centre, sigma: shared_sigma };
+        }
+        match field.symmetric_centre(window) {
+            Some(shift) => Told { centre: Centre::Own(shift), sigma: 0.0 },
+            None => Told { centre, sigma: click_sigma },
+        }
+    };
+    windows.iter().zip(found).map(told).collect()
+}
+
+/// Standard deviation of a click along one axis, by those that are known to be off; 0 where none is.
+fn sigma_of_clicks(found: &[Centre]) -> f64 {
+    let known: Vec<[f64; 2]> = found.iter().filter_map(|c| c.shift()).collect();
+    let squares: f64 = known.iter().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
+    (squares / (2 * known.len().max(1)) as f64).sqrt()
+}
+
+/// How alike two windows are where one lies on the other.
+#[derive(Clone, Copy, Debug)]
+struct Alike {
+    correlation: f64,
+    /// How strongly the second shows what the first does.
+    contrast: f64,
 }
 
 /// The values about the click that are compared.
@@ -54,6 +131,8 @@ struct Field {
     height: i64,
     radius: i64,
     reach: i64,
+    /// Half the side of the box that tells edges from terrain.
+    edge: usize,
 }
 
 impl Field {
@@ -62,7 +141,8 @@ impl Field {
         let reach = REACH_PX.max(REACH_MM / grid.step_mm).round() as i64;
         let room = width.min(height) / 2 - 2;
         let radius = ((DISC_MM / grid.step_mm).round() as i64).min(room - reach / 2).max(3);
-        Field { width, height, radius, reach: reach.min(room) }
+        let edge = ((EDGE_MM / grid.step_mm).round() as usize).max(3);
+        Field { width, height, radius, reach: reach.min(room), edge }
     }
 
     fn at(&self, values: &Values, x: i64, y: i64) -> Option<f64> {
@@ -74,26 +154,83 @@ impl Field {
         [self.width / 2, self.height / 2]
     }
 
+    /// All windows laid on that of a number, and then on what they have in common, which is clearer; shifts of mean 0, since nothing is
+    /// known of what clicks share.
+    fn laid_on(&self, windows: &[&Values], first: usize) -> Vec<Option<[f64; 2]>> {
+        let mut moved: Vec<Option<[f64; 2]>> = vec![None; windows.len()];
+        let mut stack: Vec<f32> = windows[first].to_vec();
+        for _ in 0..3 {
+            for (window, shift) in windows.iter().zip(&mut moved) {
+                *shift = self.register(&stack, window);
+            }
+            let known: Vec<[f64; 2]> = moved.iter().flatten().copied().collect();
+            if known.len() < 2 {
+                break;
+            }
+            let mean = [0, 1].map(|d| known.iter().map(|s| s[d]).sum::<f64>() / known.len() as f64);
+            moved.iter_mut().flatten().for_each(|s| *s = [s[0] - mean[0], s[1] - mean[1]]);
+            stack = self.stacked(windows, &moved);
+        }
+        moved
+    }
+
     /// Where in `window` the middle of `pattern` is, from its own middle.
     fn register(&self, pattern: &Values, window: &Values) -> Option<[f64; 2]> {
+        // Two clicks may be off in opposite directions.
+        let (at, value) = peak(2 * self.reach, |dx, dy| self.sums(pattern, window, dx, dy).correlation());
+        at.filter(|_| value > ALIKE)
+    }
+
+    /// As [`Field::register`] between edges, near a place that is known or within reach of the click.
+    fn compare(&self, pattern: &Values, window: &Values, known: Option<[f64; 2]>) -> Option<([f64; 2], Alike)> {
+        let about = known.map_or([0, 0], |k| k.map(|v| v.round() as i64));
+        let reach = if known.is_some() { 2 } else { self.reach };
+        let sums = |dx: i64, dy: i64| self.sums(pattern, window, about[0] + dx, about[1] + dy);
+        let (at, correlation) = peak(reach, |dx, dy| sums(dx, dy).correlation());
+        let Some(at) = at else { return known.map(|k| (k, Alike { correlation: 0.0, contrast: 1.0 })) };
+        let contrast = sums(at[0].round() as i64, at[1].round() as i64).slope();
+        let alike = Alike { correlation, contrast };
+        match known {
+            Some(known) => Some((known, alike)),
+            None => Some((at, alike)).filter(|_| correlation > SEEN),
+        }
+    }
+
+    fn sums(&self, pattern: &Values, window: &Values, dx: i64, dy: i64) -> Sums {
         let [cx, cy] = self.middle();
-        let score = |dx: i64, dy: i64| {
-            let mut sums = Sums::default();
-            for y in -self.radius..=self.radius {
-                for x in -self.radius..=self.radius {
-                    if x * x + y * y > self.radius * self.radius {
-                        continue;
-                    }
-                    let pair = self.at(pattern, cx + x, cy + y).zip(self.at(window, cx + x + dx, cy + y + dy));
-                    if let Some((a, b)) = pair {
-                        sums.add(a, b);
-                    }
+        let mut sums = Sums::default();
+        for y in -self.radius..=self.radius {
+            for x in -self.radius..=self.radius {
+                if x * x + y * y > self.radius * self.radius {
+                    continue;
+                }
+                let pair = self.at(pattern, cx + x, cy + y).zip(self.at(window, cx + x + dx, cy + y + dy));
+                if let Some((a, b)) = pair {
+                    sums.add(a, b);
                 }
             }
-            sums.correlation()
+        }
+        sums
+    }
+
+    /// The window without what changes slowly: each value above the mean of those around it.
+    fn edges(&self, window: &Values) -> Vec<f32> {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let mut sums = vec![0.0f64; (width + 1) * (height + 1)];
+        for y in 0..height {
+            let mut row = 0.0;
+            for x in 0..width {
+                row += f64::from(window[y * width + x]);
+                sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + row;
+            }
+        }
+        let span = |v: usize, n: usize| (v.saturating_sub(self.edge), (v + self.edge + 1).min(n));
+        let around = |k: usize| {
+            let ((x0, x1), (y0, y1)) = (span(k % width, width), span(k / width, height));
+            let at = |x: usize, y: usize| sums[y * (width + 1) + x];
+            (at(x1, y1) - at(x0, y1) - at(x1, y0) + at(x0, y0)) / ((x1 - x0) * (y1 - y0)) as f64
         };
-        // Two clicks may be off in opposite directions.
-        self.highest(2 * self.reach, ALIKE, score)
+        window.iter().enumerate().map(|(k, v)| v - around(k) as f32).collect()
     }
 
     /// The middle of the half turn that changes least, from the window's middle.
@@ -129,11 +266,6 @@ impl Field {
             }
         }
         best.map(|b| b.1)
-    }
-
-    fn highest(&self, reach: i64, least: f64, score: impl Fn(i64, i64) -> f64) -> Option<[f64; 2]> {
-        let (at, value) = peak(reach, score);
-        at.filter(|_| value > least)
     }
 
     /// Mean of the windows whose shift is known, each shifted.
@@ -209,6 +341,13 @@ impl Sums {
         self.ab += a * b;
     }
 
+    /// How many times as strongly the second shows what the first does.
+    fn slope(&self) -> f64 {
+        let n = self.n.max(1.0);
+        let variance = self.aa - self.a * self.a / n;
+        if variance > 1e-12 { (self.ab - self.a * self.b / n) / variance } else { 0.0 }
+    }
+
     fn correlation(&self) -> f64 {
         let variance = |sum: f64, square: f64| square - sum * sum / self.n.max(1.0);
         let both = variance(self.a, self.aa) * variance(self.b, self.bb);
@@ -231,6 +370,29 @@ mod tests {
             .collect()
     }
 
+    /// Half discs are no images of themselves: nothing but the clicks' mean tells where their centre is, and they scatter by what is known.
+    #[test]
+    fn clicks_on_marks_without_symmetry_say_how_good_they_are() {
+        let grid = Grid { step_mm: 0.06, width: 80, height: 80 };
+        let off = [[2.0, -1.3], [-4.6, 0.4], [0.0, 5.0], [2.6, -4.1]];
+        let made = off.map(|o| -> Vec<f32> {
+            let wedge = |k: usize| {
+                let (u, v) = ((k % 80) as f64 + 0.5 - 40.0 - o[0], (k / 80) as f64 + 0.5 - 40.0 - o[1]);
+                let depth = (0.45 * -v - u.abs()).clamp(0.0, 1.0) * (v + 20.0).clamp(0.0, 1.0);
+                depth as f32 + 0.02 * ((k * 7919) % 13) as f32 / 13.0
+            };
+            (0..6400).map(wedge).collect()
+        });
+        let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
+        let squares: f64 = off.iter().map(|o| o[0] * o[0] + o[1] * o[1]).sum();
+        let expected = (squares / 6.0 / 4.0).sqrt();
+        for (told, o) in centres(&windows, &grid).iter().zip(off) {
+            assert!((told.sigma - expected).abs() < 0.1 * expected, "{told:?}, {expected}");
+            let shift = told.centre.shift().expect("wedges look alike");
+            assert!((shift[0] - o[0]).hypot(shift[1] - o[1]) < 0.3, "{shift:?} for {o:?}");
+        }
+    }
+
     #[test]
     fn clicks_that_are_off_are_moved_to_the_centres() {
         for (width, height) in [(80, 80), (81, 79)] {
@@ -239,8 +401,8 @@ mod tests {
             let off = [[2.0, -1.3], [-4.6, 0.4], [0.0, 5.0], [1.7, 1.7]];
             let made: Vec<Vec<f32>> = off.iter().map(|o| cross_at(&grid, middle[0] + o[0], middle[1] + o[1])).collect();
             let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
-            for (found, true_off) in shifts(&windows, &grid).iter().zip(off) {
-                let found = found.expect("crosses look alike");
+            for (found, true_off) in centres(&windows, &grid).iter().zip(off) {
+                let found = found.centre.shift().expect("crosses look alike");
                 let error = (found[0] - true_off[0]).hypot(found[1] - true_off[1]);
                 assert!(error < 0.2, "{found:?} for {true_off:?}");
             }

@@ -74,6 +74,8 @@ impl FindOptions {
 /// So many marks that agree, and this share of the camera's, need no further one.
 const MANY: usize = 6;
 const MOST_SHARE: f64 = 0.75;
+/// Places of marks that were taught less exactly than this are looked at by a person, pixels.
+pub(super) const GOOD_REFERENCE_PX: f64 = 0.5;
 /// The search box grows by these factors while too few marks are found.
 const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 /// Peaks kept per search box.
@@ -364,6 +366,15 @@ impl Finder {
         if predicted.is_some_and(outside) { "lies outside the scan" } else { "not found" }
     }
 
+    /// Marks without a centre of symmetry lie where clicks taught them, by the same for all frames: nothing in a frame shows it.
+    fn doubt_references(&self, pose: &Pose, used: &[usize]) -> Option<String> {
+        let squares: f64 = used.iter().map(|k| self.model(*k).reference_sigma_um().powi(2)).sum();
+        let sigma_px = (squares / used.len().max(1) as f64).sqrt() / 1e3 * pose.px_per_mm();
+        (sigma_px > GOOD_REFERENCE_PX).then(|| {
+            format!("the marks were taught by places that are good to {sigma_px:.1} px only: teach them again, exactly")
+        })
+    }
+
     /// Solves with the marks `used` and gives the frame its status.
     fn orient(
         &self,
@@ -388,10 +399,13 @@ impl Finder {
             })
             .collect();
         let mut reasons: Vec<String> = doubtful_names.into_iter().collect();
-        // Many marks that agree check each other without the one that is not seen; one that contradicts them stays a reason.
+        // Many marks that agree check each other without the one that is not seen, or hardly; one that contradicts them stays a reason.
         let found = observations.len();
         let enough = found >= MANY && found as f64 >= MOST_SHARE * self.film.len() as f64;
-        let spared = |m: &MarkFind| m.status == MarkStatus::Missing && enough;
+        let tolerance_px = options.tolerance_px(pose);
+        let there = |m: &MarkFind| m.centre.zip(m.predicted).is_some_and(|(c, p)| distance(c, p) <= tolerance_px);
+        let unused = |m: &MarkFind| observations.iter().all(|o| o.name != m.mark);
+        let spared = |m: &MarkFind| enough && unused(m) && (m.status == MarkStatus::Missing || there(m));
         for m in result.marks.iter().filter(|m| m.status != MarkStatus::Ok && !spared(m)) {
             let reason = m.reason.as_deref().unwrap_or_default();
             if !reasons.iter().any(|r| r == reason) {
@@ -421,6 +435,7 @@ impl Finder {
                 reasons.insert(0, said);
             }
         }
+        reasons.extend(self.doubt_references(pose, used));
         let most_um = self.most_rmse_um(options, pose);
         if interior.rmse_um > most_um {
             reasons.push(format!(

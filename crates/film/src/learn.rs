@@ -6,9 +6,11 @@
 
 use std::path::{Path, PathBuf};
 
-use super::clicks::shifts;
 use super::frame::{FindOptions, Finder};
-use super::interior::{Pose, distance, fit_pose, refit, rms_px};
+use super::interior::{Pose, fit_pose, refit};
+use super::shown::Shown;
+
+pub use super::shown::Pointed;
 use super::template::{LearnedTemplate, Model};
 use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
 use super::window::{Grey, around, open_scan, read_grey};
@@ -16,13 +18,6 @@ use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
-
-/// A mark that somebody points at in the first frame.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pointed {
-    pub mark: String,
-    pub at: PixelPoint,
-}
 
 /// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg` and `mirrored`
 /// of `options` turn them.
@@ -86,14 +81,16 @@ fn learn_visiting(
             Ok(())
         })?;
         let shown = shown.as_ref().expect("the first scan was visited");
-        for (k, window) in &shown.windows {
-            templates[*k] = Some(Stack::of(window).average(&shown.grid));
+        for (k, stack) in shown.stacks() {
+            templates[k] = Some(stack.average(&shown.grid));
         }
         options.pixel_um.get_or_insert(1e3 / shown.pose.px_per_mm());
         options.mirrored.get_or_insert(shown.pose.mirrored);
         finder = with_templates(camera, &templates)?;
     }
     let options = &options;
+    // Marks that are learned from more than the place where they were pointed at.
+    let mut elsewhere = vec![false; camera.marks.len()];
     // The second round looks with the average of the first.
     for _ in 0..2 {
         let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
@@ -101,8 +98,8 @@ fn learn_visiting(
         // What somebody pointed at is a mark, whether or not it is found again.
         if let Some(shown) = &shown {
             grid = Some(shown.grid);
-            for (k, window) in &shown.windows {
-                stacks[*k] = Some(Stack::of(window));
+            for (k, stack) in shown.stacks().into_iter().filter(|(k, _)| !shown.is_guessed(*k)) {
+                stacks[k] = Some(stack);
             }
         }
         for number in usize::from(shown.is_some())..count {
@@ -113,7 +110,13 @@ fn learn_visiting(
                     return Ok(());
                 };
                 let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
+                let guessed = |k: usize| shown.as_ref().is_some_and(|s| s.is_guessed(k));
+                let agrees =
+                    |k: usize| frame.interior.as_ref().is_some_and(|i| i.marks.contains(&camera.marks[k].name));
                 for (k, at) in good_marks(camera, &frame) {
+                    if guessed(k) && !agrees(k) {
+                        continue;
+                    }
                     if let Some(w) = cut(scan, camera, &pose, k, at, &grid)? {
                         match &mut stacks[k] {
                             Some(stack) => stack.add(&w),
@@ -130,6 +133,12 @@ fn learn_visiting(
                 "point at them in the first frame with --at MARK=X,Y, two or more",
             ));
         };
+        if let Some(shown) = &shown {
+            elsewhere = stacks.iter().map(Option::is_some).collect();
+            for m in shown.guessed() {
+                stacks[m.k].get_or_insert_with(|| Stack::of(&m.window));
+            }
+        }
         for (template, stack) in templates.iter_mut().zip(stacks) {
             let least = if shown.is_some() { 1 } else { count.min(2) };
             if let Some(stack) = stack.filter(|s| s.windows >= least) {
@@ -137,6 +146,11 @@ fn learn_visiting(
             }
         }
         finder = with_templates(camera, &templates)?;
+    }
+    for (shown, mark) in shown.iter().flat_map(|s| s.windows.iter().map(move |m| (s, m))) {
+        if let Some(template) = &mut templates[mark.k] {
+            template.reference_sigma_um = shown.sigma(mark, elsewhere[mark.k]) * template.pixel_um;
+        }
     }
     Ok(templates)
 }
@@ -224,128 +238,6 @@ fn with_templates(camera: &Camera, templates: &[Option<LearnedTemplate>]) -> Res
     Ok(Finder::with_models(&kept, models))
 }
 
-fn pose_of_pointed(camera: &Camera, pointed: &[Pointed]) -> Result<(Pose, Vec<(usize, PixelPoint)>)> {
-    let mut places: Vec<(usize, PixelPoint)> = vec![];
-    for p in pointed {
-        let Some(k) = camera.marks.iter().position(|m| m.name == p.mark) else {
-            let names: Vec<&str> = camera.marks.iter().map(|m| m.name.as_str()).collect();
-            return Err(Error::usage(
-                format!("{}: the camera has no mark {}", camera.name, p.mark),
-                format!("its marks are {}", names.join(", ")),
-            ));
-        };
-        if places.iter().any(|q| q.0 == k) {
-            return Err(Error::usage(format!("mark {} is pointed at twice", p.mark), "say one --at for every mark"));
-        }
-        places.push((k, p.at));
-    }
-    pose_of_places(camera, &places).map(|pose| (pose, places)).ok_or_else(|| {
-        Error::usage(
-            "one mark does not say how the frame lies",
-            "point at two or more different marks of the first frame",
-        )
-    })
-}
-
-/// The pose through marks and their places, mirrored where three or more fit better so.
-fn pose_of_places(camera: &Camera, places: &[(usize, PixelPoint)]) -> Option<Pose> {
-    let film = camera.film_points();
-    let points: Vec<_> = places.iter().map(|(k, at)| (film[*k], *at)).collect();
-    let of =
-        |mirrored| fit_pose(&points, mirrored).and_then(|plain| refit(&points, &plain)).filter(|_| points.len() >= 2);
-    let ways: Vec<Pose> = if points.len() >= 3 {
-        Handedness::BOTH.into_iter().filter_map(of).collect()
-    } else {
-        of(Handedness::AsIs).into_iter().collect()
-    };
-    ways.into_iter().min_by(|a, b| rms_px(a, &points).total_cmp(&rms_px(b, &points)))
-}
-
-/// What somebody pointed at in the first scan, made exact.
-struct Shown {
-    pose: Pose,
-    grid: Grid,
-    /// Mark and what is about it.
-    windows: Vec<(usize, Vec<f32>)>,
-}
-
-/// Places further than this from where the other marks put them, of the frame's size, were not meant.
-const MISPOINTED: f64 = 0.05;
-
-impl Shown {
-    /// # Errors
-    /// [`Error::Usage`] that names the mark, the place and what is wrong there; those of reading the scan.
-    fn of(scan: &dyn RasterSource, camera: &Camera, pointed: &[Pointed], window_mm: [f64; 2]) -> Result<Shown> {
-        let (mut pose, mut places) = pose_of_pointed(camera, pointed)?;
-        let film = camera.film_points();
-        let size_px = pose.px_per_mm() * camera.film_size_mm[0].max(camera.film_size_mm[1]);
-        for (k, at) in &places {
-            let off = distance(pose.apply(film[*k]), *at);
-            if off > MISPOINTED * size_px {
-                return Err(Error::usage(
-                    format!(
-                        "mark {} at {:.0},{:.0} lies {:.1} mm from where the other places and the camera's millimetres put it",
-                        camera.marks[*k].name,
-                        at.x,
-                        at.y,
-                        off / pose.px_per_mm()
-                    ),
-                    "compare the names and places of --at with the camera's x_mm and y_mm",
-                ));
-            }
-        }
-        let grid = Grid::new(&pose, window_mm);
-        let first = windows_at(scan, camera, &pose, &places, &grid, window_mm)?;
-        // Clicks are a few pixels off; the marks themselves say by how much.
-        let windows: Vec<&[f32]> = first.iter().map(|(_, w)| w.as_slice()).collect();
-        for ((k, _), shift) in first.iter().zip(shifts(&windows, &grid)) {
-            let Some([dx, dy]) = shift else {
-                tracing::warn!(
-                    "mark {}: taken exactly where it was pointed at, since nothing there tells its centre",
-                    camera.marks[*k].name
-                );
-                continue;
-            };
-            let linear = pose.shape_linear(camera.turns_deg()[*k]);
-            let (u, v) = (dx * grid.step_mm, -dy * grid.step_mm);
-            let (_, at) = places.iter_mut().find(|p| p.0 == *k).expect("windows are cut at places");
-            *at = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
-        }
-        pose = pose_of_places(camera, &places).unwrap_or(pose);
-        let windows = windows_at(scan, camera, &pose, &places, &grid, window_mm)?;
-        Ok(Shown { pose, grid, windows })
-    }
-}
-
-/// Cuts every place out.
-fn windows_at(
-    scan: &dyn RasterSource,
-    camera: &Camera,
-    pose: &Pose,
-    places: &[(usize, PixelPoint)],
-    grid: &Grid,
-    window_mm: [f64; 2],
-) -> Result<Vec<(usize, Vec<f32>)>> {
-    let mut windows = vec![];
-    for &(k, at) in places {
-        let wrong = |what: String, remedy: &str| {
-            Err(Error::usage(format!("mark {} at {:.0},{:.0}: {what}", camera.marks[k].name, at.x, at.y), remedy))
-        };
-        let Some(window) = cut(scan, camera, pose, k, at, grid)? else {
-            return wrong(
-                format!("a window of {} x {} mm about it leaves the scan", window_mm[0], window_mm[1]),
-                "say a smaller --window-mm, or leave this mark out",
-            );
-        };
-        let (low, high) = window.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
-        if high - low < 0.2 {
-            return wrong("nothing stands out there".into(), "point at the mark itself, in pixels of the scan");
-        }
-        windows.push((k, window));
-    }
-    Ok(windows)
-}
-
 fn pose_of(camera: &Camera, frame: &FrameResult) -> Option<Pose> {
     let film = camera.film_points();
     let interior = frame.interior.as_ref()?;
@@ -379,7 +271,7 @@ pub(super) struct Grid {
 
 impl Grid {
     /// One value per pixel of `pose`, at most [`MOST_VALUES`] along a side.
-    fn new(pose: &Pose, window_mm: [f64; 2]) -> Grid {
+    pub fn new(pose: &Pose, window_mm: [f64; 2]) -> Grid {
         let step_mm = (1.0 / pose.px_per_mm()).max(window_mm[0].max(window_mm[1]) / MOST_VALUES);
         let [width, height] = window_mm.map(|mm| ((mm / step_mm).round() as usize).max(8));
         Grid { step_mm, width, height }
@@ -387,7 +279,7 @@ impl Grid {
 }
 
 /// The mark's surroundings as it stands at the lower edge, dark 0, bright 1. `None` when they leave the scan.
-fn cut(
+pub(super) fn cut(
     scan: &dyn RasterSource,
     camera: &Camera,
     pose: &Pose,
@@ -406,7 +298,7 @@ fn cut(
             let u = (i as f64 + 0.5 - 0.5 * width as f64) * step_mm;
             let v = -(j as f64 + 0.5 - 0.5 * height as f64) * step_mm;
             let p = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
-            match bilinear(&grey, p) {
+            match cubic(&grey, p) {
                 Some(value) => values.push(value),
                 None => return Ok(None),
             }
@@ -431,33 +323,31 @@ fn even(values: &mut [f32]) {
     values.iter_mut().for_each(|v| *v = ((*v - low) / range).clamp(-0.5, 1.5));
 }
 
-fn bilinear(grey: &Grey, p: PixelPoint) -> Option<f32> {
+/// By Keys' cubic convolution, which keeps edges where straight lines between values would soften them.
+fn cubic(grey: &Grey, p: PixelPoint) -> Option<f32> {
     let [x, y] = grey.from_scan(p).map(|v| v - 0.5);
     if x < 0.0 || y < 0.0 || x + 1.0 >= grey.width as f64 || y + 1.0 >= grey.height as f64 {
         return None;
     }
-    let (i, j) = (x as usize, y as usize);
-    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let row = |j: usize| grey.at(i, j) + (grey.at(i + 1, j) - grey.at(i, j)) * fx;
-    Some(row(j) + (row(j + 1) - row(j)) * fy)
+    Some(super::template::cubic([grey.width, grey.height], [x, y], |i, j| grey.at(i, j)))
 }
 
 /// Windows of one mark, summed: memory does not depend on their number.
 #[derive(Clone)]
-struct Stack {
-    windows: usize,
+pub(super) struct Stack {
+    pub windows: usize,
     sum: Vec<f64>,
     square: Vec<f64>,
 }
 
 impl Stack {
-    fn of(window: &[f32]) -> Stack {
+    pub fn of(window: &[f32]) -> Stack {
         let mut stack = Stack { windows: 0, sum: vec![0.0; window.len()], square: vec![0.0; window.len()] };
         stack.add(window);
         stack
     }
 
-    fn add(&mut self, window: &[f32]) {
+    pub fn add(&mut self, window: &[f32]) {
         self.windows += 1;
         for ((sum, square), v) in self.sum.iter_mut().zip(&mut self.square).zip(window) {
             *sum += f64::from(*v);
@@ -477,12 +367,14 @@ impl Stack {
             values: (0..self.sum.len()).map(|k| mean(k) as f32).collect(),
             weights: (0..self.sum.len()).map(|k| (1.0 / (1.0 + variance(k) / SPREAD.powi(2))) as f32).collect(),
             marks: self.windows,
+            reference_sigma_um: 0.0,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::clicks::centres;
     use super::*;
 
     /// Dots of five pixels on opaque film with grain, each pointed at two pixels off in another direction.
@@ -507,8 +399,8 @@ mod tests {
             })
             .collect();
         let views: Vec<&[f32]> = windows.iter().map(Vec::as_slice).collect();
-        for (shift, [dx, dy]) in shifts(&views, &grid).into_iter().zip(off) {
-            let [x, y] = shift.expect("a dot tells its centre");
+        for (centre, [dx, dy]) in centres(&views, &grid).into_iter().zip(off) {
+            let [x, y] = centre.centre.shift().expect("a dot tells its centre");
             assert!((x - dx).hypot(y - dy) < 0.3, "{x} {y} instead of {dx} {dy}");
         }
     }

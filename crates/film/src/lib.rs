@@ -34,6 +34,7 @@ pub mod resolution;
 pub mod roll;
 pub mod search;
 pub mod shape;
+mod shown;
 mod sketch;
 pub mod spool;
 pub mod tables;

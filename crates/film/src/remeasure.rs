@@ -86,10 +86,15 @@ impl Finder {
             pose = refit(&placed(&self.film, &agreed), &pose).unwrap_or(pose);
             for (k, slot) in measured.iter_mut().enumerate() {
                 let sound = slot.as_ref().is_some_and(|m| m.reason.is_none());
-                if (!sound || agreed.iter().all(|a| a.0 != k))
-                    && let Some(again) = self.measure(source, options, sketches, &pose, k, Some(NEAR_MM))?
-                {
-                    *slot = Some(again);
+                let agrees = agreed.iter().any(|a| a.0 == k);
+                if sound && agrees {
+                    continue;
+                }
+                match self.measure(source, options, sketches, &pose, k, Some(NEAR_MM))? {
+                    Some(again) => *slot = Some(again),
+                    // What is barely recognised, and not where the others put it, is not the mark.
+                    None if !agrees && slot.as_ref().is_some_and(|m| m.score < GOOD_SCORE) => *slot = None,
+                    None => {}
                 }
             }
             self.settle_points(source, &pose, &mut measured)?;

@@ -26,6 +26,10 @@ pub struct LearnedTemplate {
     pub weights: Vec<f32>,
     /// Number of marks that were averaged.
     pub marks: usize,
+    /// Standard deviation of the reference point along each axis, micrometres on the film: of marks without a centre of symmetry it is
+    /// only as good as what was pointed at.
+    #[serde(default)]
+    pub reference_sigma_um: f64,
 }
 
 impl LearnedTemplate {
@@ -42,6 +46,7 @@ impl LearnedTemplate {
                 .is_some_and(|n| n <= 1 << 24 && n == t.values.len() && n == t.weights.len())
             && t.pixel_um.is_finite()
             && t.pixel_um > 0.0
+            && t.reference_sigma_um.is_finite()
             && t.reference.iter().all(|v| v.is_finite())
             && t.values.iter().chain(&t.weights).all(|v| v.is_finite());
         if !sound {
@@ -57,15 +62,24 @@ impl LearnedTemplate {
         if i < 0.0 || j < 0.0 || i + 1.0 >= self.width as f64 || j + 1.0 >= self.height as f64 {
             return None;
         }
-        let (fx, fy) = ((x - i) as f32, (y - j) as f32);
-        let k = j as usize * self.width + i as usize;
-        let mix = |d: &[f32]| {
-            let top = d[k] + (d[k + 1] - d[k]) * fx;
-            let bottom = d[k + self.width] + (d[k + self.width + 1] - d[k + self.width]) * fx;
-            top + (bottom - top) * fy
-        };
-        Some((mix(&self.values), mix(&self.weights)))
+        let of = |d: &[f32]| cubic([self.width, self.height], [x, y], |i, j| d[j * self.width + i]);
+        Some((of(&self.values), of(&self.weights).clamp(0.0, 1.0)))
     }
+}
+
+/// Keys' cubic convolution at `at`, in values from the centre of the first; the outermost values go on beyond the picture.
+/// After R. Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29, 1981.
+pub(super) fn cubic(size: [usize; 2], at: [f64; 2], value: impl Fn(usize, usize) -> f32) -> f32 {
+    let weights = at.map(|v| {
+        let t = (v - v.floor()) as f32;
+        let (t2, t3) = (t * t, t * t * t);
+        [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2]
+    });
+    let place =
+        |axis: usize, k: usize| (at[axis].floor() as i64 + k as i64 - 1).clamp(0, size[axis] as i64 - 1) as usize;
+    let columns = [0, 1, 2, 3].map(|k| place(0, k));
+    let row = |j: usize| (0..4).map(|k| weights[0][k] * value(columns[k], j)).sum::<f32>();
+    (0..4).map(|k| weights[1][k] * row(place(1, k))).sum()
 }
 
 /// What a mark looks like, ready to be drawn at any scale and turn.
@@ -128,6 +142,14 @@ impl Model {
         match self {
             Model::Drawn(kind) => shape::thinnest_mm(kind),
             Model::Learned(_) => 0.0,
+        }
+    }
+
+    /// See [`LearnedTemplate::reference_sigma_um`]; 0 for drawn marks.
+    pub fn reference_sigma_um(&self) -> f64 {
+        match self {
+            Model::Drawn(_) => 0.0,
+            Model::Learned(t) => t.reference_sigma_um,
         }
     }
 

@@ -183,17 +183,17 @@ pub(super) struct Fit<const N: usize, const M: usize> {
     levels: [f32; 4],
     /// Robust standard deviation of a pixel in the last round; 0 before the first.
     sigma: f32,
+    /// Of the mark's contrast, how far a pixel is off since the mark is not exactly as drawn.
+    unlike: f32,
     magnitudes: Magnitudes,
 }
 
-impl<const N: usize, const M: usize> Default for Fit<N, M> {
-    fn default() -> Self {
-        let (opaque, shaped, magnitudes) = (vec![], Shaped::default(), Magnitudes::default());
-        Fit { opaque, shaped, levels: [0.0; 4], sigma: 0.0, magnitudes }
-    }
-}
-
 impl<const N: usize, const M: usize> Fit<N, M> {
+    pub fn new(unlike: f32) -> Self {
+        let (opaque, shaped, magnitudes) = (vec![], Shaped::default(), Magnitudes::default());
+        Fit { opaque, shaped, levels: [0.0; 4], sigma: 0.0, unlike, magnitudes }
+    }
+
     pub fn pixels(&self) -> usize {
         self.opaque.len() + self.shaped.grey.len()
     }
@@ -298,7 +298,7 @@ impl<const N: usize, const M: usize> Fit<N, M> {
         self.magnitudes.count(&self.opaque, levels[0]);
         self.magnitudes.count(&self.shaped.residuals, 0.0);
         // At least a fifth of an 8-bit level.
-        self.sigma = (1.4826 * self.magnitudes.median()).max(0.0008);
+        self.sigma = (1.4826 * self.magnitudes.median()).max(0.0008).max(self.unlike * levels[1].abs());
     }
 
     #[inline(always)]

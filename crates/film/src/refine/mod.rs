@@ -52,9 +52,14 @@ const CLEARLY: f64 = 0.01;
 /// So many standard deviations the misfit of some of the pixels may be above that of all.
 const ROUGHLY_SIGMAS: f64 = 2.0;
 
+/// How far a pixel of a learned mark is off although mark and place are right, of the mark's contrast: frames differ in sharpness, and
+/// a mark lies otherwise between their pixels. Its edges, which alone tell where it is, must not count as damage for that.
+const UNLIKE: f32 = 0.06;
+
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
     surface: Surface,
+    unlike: f32,
     slopes: bool,
     /// For marks of lines, how far around a start is tried where the mark is damaged.
     around_px: Option<f64>,
@@ -66,6 +71,7 @@ impl Refiner {
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
         Some(Refiner {
             surface: Surface::new(model, linear, radius_mm)?,
+            unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
         })
@@ -108,9 +114,9 @@ impl Refiner {
 
     fn settle(&self, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
         if self.slopes {
-            widest(Descent::<6, 4> { surface: &self.surface, grey, start, hopeful })
+            widest(Descent::<6, 4> { surface: &self.surface, unlike: self.unlike, grey, start, hopeful })
         } else {
-            widest(Descent::<4, 2> { surface: &self.surface, grey, start, hopeful })
+            widest(Descent::<4, 2> { surface: &self.surface, unlike: self.unlike, grey, start, hopeful })
         }
     }
 }
@@ -122,6 +128,7 @@ type Hopeful<'a> = dyn Fn(PixelPoint, f64) -> bool + 'a;
 #[derive(Clone, Copy)]
 struct Descent<'a, const N: usize, const M: usize> {
     surface: &'a Surface,
+    unlike: f32,
     grey: &'a Grey,
     start: PixelPoint,
     /// Asked before all pixels are taken.
@@ -134,9 +141,9 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
     /// Of a large mark on some of its pixels while the centre still moves, then on all.
     #[inline(always)]
     fn run(self) -> Option<Refined> {
-        let Descent { surface, grey, start, hopeful } = self;
+        let Descent { surface, unlike, grey, start, hopeful } = self;
         let mut c = grey.from_scan(start);
-        let mut fit = Fit::<N, M>::default();
+        let mut fit = Fit::<N, M>::new(unlike);
         let is_large = (0..2).flat_map(|axis| surface.reach_px(axis)).any(|px| px > LARGE_PX);
         let mut sparse = if is_large { SPARSE } else { 1 };
         let mut settled = None;
@@ -241,12 +248,58 @@ mod tests {
         let grey = scanned(&model, linear, centre);
         let refiner = Refiner::new(&model, linear, 0.8).expect("a turn");
         let start = PixelPoint { x: 45.0, y: 45.0 };
-        let descent = Descent::<4, 2> { surface: &refiner.surface, grey: &grey, start, hopeful: &|_, _| true };
+        let descent =
+            Descent::<4, 2> { surface: &refiner.surface, unlike: 0.0, grey: &grey, start, hopeful: &|_, _| true };
         let found = widest(descent).expect("settles");
         assert_eq!(Some(found), descent.run());
         // No scanner blurs this one: its edges, steeper than those of the model, count for little.
         let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
         assert!(off < 0.25, "{off} px");
+    }
+
+    /// An arrow's head, its tip at `centre`, as a scanner sees it.
+    fn arrow(side: usize, centre: [f64; 2], seed: u32) -> Vec<f32> {
+        let inside = |x: f64, y: f64| {
+            let (u, v) = (x - centre[0], y - centre[1]);
+            f32::from(u8::from(v > -26.0 && v < 0.0 && u.abs() < -0.45 * v))
+        };
+        let sharp = (0..side * side).map(|n| {
+            let part = |k: usize| (k as f64 + 0.5) / 6.0;
+            let cover = |k: usize| inside((n % side) as f64 + part(k % 6), (n / side) as f64 + part(k / 6));
+            (0..36).map(cover).sum::<f32>() / 36.0
+        });
+        let mut values: Vec<f32> = sharp.collect();
+        crate::window::blur(&mut values, side, side, 0.6);
+        let grain = |n: usize| ((n as u32 ^ seed).wrapping_mul(2_654_435_761) >> 24) as f32 / 255.0 - 0.5;
+        values.iter().enumerate().map(|(n, v)| 0.05 + 0.8 * v + 0.04 * grain(n)).collect()
+    }
+
+    /// A mark that is not its own image, learned from one scan, lies in others where it is, not where its softest edges pull it.
+    #[test]
+    fn a_learned_mark_without_symmetry_lies_where_it_is() {
+        const SIDE: usize = 81;
+        let middle = 0.5 * SIDE as f64;
+        let values = arrow(SIDE, [middle, middle], 1);
+        let model = Model::Learned(crate::template::LearnedTemplate {
+            pixel_um: 60.0,
+            width: SIDE,
+            height: SIDE,
+            reference: [middle, middle],
+            weights: vec![1.0; values.len()],
+            values,
+            marks: 1,
+            reference_sigma_um: 0.0,
+        });
+        let scale = 1e3 / 60.0;
+        let refiner = Refiner::new(&model, [scale, 0.0, 0.0, -scale], 2.0).expect("a turn");
+        for (seed, [dx, dy]) in [[0.5, 0.5], [0.3, -0.2], [-0.1, 0.45]].into_iter().enumerate() {
+            let data = arrow(SIDE, [middle + dx, middle + dy], 7 + seed as u32);
+            let grey = Grey { width: SIDE, height: SIDE, data, origin: [0, 0], factor: 1 };
+            let start = PixelPoint { x: middle + 0.4, y: middle - 0.4 };
+            let found = refiner.refine(&grey, start, |_| 0.0).expect("settles");
+            let off = (found.centre.x - middle - dx).hypot(found.centre.y - middle - dy);
+            assert!(off < 0.08, "{off} px at {dx}, {dy}");
+        }
     }
 
     /// Steps until one is small, from so far off, where each takes a share of the way that is left; and how far the furthest went.

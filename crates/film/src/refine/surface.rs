@@ -12,7 +12,7 @@ use autoref_raster::simd::{Kernel, widest};
 
 /// Places drawn per pixel along each axis.
 const FINE: usize = 4;
-/// Blur of scanner and emulsion, pixels.
+/// Blur of scanner and emulsion, pixels. Learned marks have it already.
 const BLUR_PX: f64 = 0.7;
 
 /// What the mark says about a place.
@@ -97,7 +97,8 @@ impl Surface {
             runs: vec![],
             runs_of: vec![0..0; FINE * FINE * rows],
         };
-        widest(Laid { surface: &mut surface, drawing });
+        let weights = if model.is_drawn() { gaussian(BLUR_PX * FINE as f64) } else { vec![1.0] };
+        widest(Laid { surface: &mut surface, drawing, weights });
         Some(surface)
     }
 
@@ -197,6 +198,8 @@ fn reach_px(model: &Model, linear: Linear, radius_px: f64) -> [f64; 4] {
 struct Laid<'a> {
     surface: &'a mut Surface,
     drawing: Drawing,
+    /// Of the blur, from the middle outwards.
+    weights: Vec<f32>,
 }
 
 impl Kernel for Laid<'_> {
@@ -204,8 +207,7 @@ impl Kernel for Laid<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Laid { surface, mut drawing } = self;
-        let weights = gaussian(BLUR_PX * FINE as f64);
+        let Laid { surface, mut drawing, weights } = self;
         let near = drawing.blur_along(&weights);
         let [width, height] = surface.size;
         let (mut above, mut row, mut says) = (vec![0.0f32; width], vec![0.0f32; width], vec![Say::Nothing; width]);
