@@ -34,6 +34,9 @@ test-deps:
 	@command -v chromium chromium-browser google-chrome >/dev/null || { echo "Will install with apt-get: $(TEST_PACKAGES)"; \
 	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 300 $(SUDO) apt-get install -y -qq \
 	    --no-install-recommends $(TEST_PACKAGES) >/dev/null; } || echo "No browser: the tests that open pages are skipped."; }
+	@command -v strace >/dev/null || { echo "Will install with apt-get: strace"; \
+	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 120 $(SUDO) apt-get install -y -qq \
+	    --no-install-recommends strace >/dev/null; } || echo "No strace: the tests of system calls are skipped."; }
 	@command -v colmap >/dev/null || { echo "Will install with apt-get: colmap"; \
 	  { $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive timeout 600 $(SUDO) apt-get install -y -qq \
 	    --no-install-recommends colmap >/dev/null; } || echo "No colmap: the test that solves a flight is skipped."; }
