@@ -54,21 +54,14 @@ pub(super) struct Told {
 /// The centre of what every window shows.
 pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
     let field = Field::new(grid);
-    // The first may be the one that shows least.
-    let half = windows.len().div_ceil(2).max(2);
-    let tries = (0..windows.len()).map(|first| field.laid_on(windows, first));
-    let mut best: Option<Vec<Option<[f64; 2]>>> = None;
+    // The first may be the one that shows least: then another, on which most can be laid.
+    let most = windows.len() / 2 + 1;
     let count = |moved: &[Option<[f64; 2]>]| moved.iter().flatten().count();
-    for moved in tries {
-        let enough = count(&moved) >= half;
-        if best.as_ref().is_none_or(|b| count(&moved) > count(b)) {
-            best = Some(moved);
-        }
-        if enough {
-            break;
-        }
+    let mut tries = (0..windows.len()).map(|first| field.laid_on(windows, first));
+    let mut moved = tries.next().unwrap_or_default();
+    if count(&moved) < most {
+        moved = tries.find(|m| count(m) >= most).unwrap_or(moved);
     }
-    let mut moved = best.unwrap_or_default();
     let mut found = vec![Centre::AsPointed; windows.len()];
     let mut shared_sigma = 0.0;
     if count(&moved) >= 2 {
@@ -171,7 +164,20 @@ impl Field {
             moved.iter_mut().flatten().for_each(|s| *s = [s[0] - mean[0], s[1] - mean[1]]);
             stack = self.stacked(windows, &moved);
         }
+        self.keep_alike(&stack, windows, &mut moved);
         moved
+    }
+
+    /// Lets go of windows that share no more than where it is dark and where bright: their edges lie otherwise.
+    fn keep_alike(&self, stack: &Values, windows: &[&Values], moved: &mut [Option<[f64; 2]>]) {
+        let edges = self.edges(stack);
+        for (window, shift) in windows.iter().zip(moved.iter_mut()) {
+            let alike = shift.and_then(|s| self.compare(&edges, &self.edges(window), Some(s)));
+            *shift = shift.filter(|_| alike.is_some_and(|(_, a)| a.correlation > ALIKE));
+        }
+        let known: Vec<[f64; 2]> = moved.iter().flatten().copied().collect();
+        let mean = [0, 1].map(|d| known.iter().map(|s| s[d]).sum::<f64>() / known.len().max(1) as f64);
+        moved.iter_mut().flatten().for_each(|s| *s = [s[0] - mean[0], s[1] - mean[1]]);
     }
 
     /// Where in `window` the middle of `pattern` is, from its own middle.
