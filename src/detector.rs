@@ -47,6 +47,15 @@ pub trait Detector: Sync {
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         None
     }
+    /// A detector of the brightest paint alone, for marks on ground that this one takes for paint too (white on concrete, green on
+    /// grass): it looks in the same pass. `None` when there is none.
+    fn inner(&self) -> Option<&dyn Detector> {
+        None
+    }
+    /// Piece → Mask of an inner detector, from what the outer one took for paint.
+    fn segment_within(&self, piece: &Piece, _outer: &Mask, mask: &mut Mask) {
+        self.segment_piece(piece, mask);
+    }
     /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         list

@@ -23,7 +23,7 @@ use rayon::prelude::*;
 
 use crate::candidate::Candidate;
 use crate::detector::Detector;
-use crate::segment::label::Labeller;
+use crate::segment::label::{Labeller, Region};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::mask::Mask;
@@ -140,15 +140,18 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
     let core = pixel.grown(expected.radius_px.ceil() as u64 + half_mark, &info.bounds());
     let read = core.grown(detector.halo_px() + detector.patch_margin_px(), &info.bounds());
     let block = source.read(read)?;
-    let mut mask = Mask::new(read);
-    detector.segment(&block, &mut mask);
-    // The whole raster as bounds: what is cut by the core's edge is left open, and dropped.
-    let regions = Labeller::new().label(&mask, core, info.bounds(), |region| detector.gate(region)).finished;
-    Ok(regions
-        .iter()
-        .flat_map(|region| {
+    let found = |detector: &dyn Detector| {
+        let mut mask = Mask::new(read);
+        detector.segment(&block, &mut mask);
+        // The whole raster as bounds: what is cut by the core's edge is left open, and dropped.
+        let regions = Labeller::new().label(&mask, core, info.bounds(), |region| detector.gate(region)).finished;
+        let refined = |region: &Region| {
             let window = region.bounds.grown(detector.patch_margin_px(), &info.bounds());
             detector.refine(region, &View { block: &block, window, info })
-        })
-        .collect())
+        };
+        regions.iter().flat_map(refined).collect::<Vec<_>>()
+    };
+    let mut candidates = found(detector);
+    candidates.extend(detector.inner().into_iter().flat_map(found));
+    Ok(candidates)
 }

@@ -34,14 +34,18 @@ pub(super) fn is_even(fit: &Fit, unsupported: f64, area_px: f64) -> bool {
     const MOST_UNSUPPORTED: f64 = 0.05;
     /// Colour finds the middle of a blurred mark only: of 12 px with a blur of 2 px, half.
     const LEAST_OF_AREA: f64 = 0.42;
+    const MOST_OF_AREA: f64 = 1.2;
     let [a, b] = fit.sides_px;
-    let outline_px = a * b * if fit.form == Form::Disc { std::f64::consts::FRAC_PI_4 } else { 1.0 };
+    let filled = if fit.form == Form::Disc { std::f64::consts::FRAC_PI_4 } else { 1.0 };
+    let outline_px = a * b * filled;
+    // On ground of nearly its own colour the blurred border of a mark counts as paint: a pixel all around.
+    let most_px = (MOST_OF_AREA * outline_px).max((a + 2.0) * (b + 2.0) * filled);
     fit.rms_inside <= MOST_INSIDE
         && fit.edge_sd <= MOST_EDGE
         && unsupported <= MOST_UNSUPPORTED
         && (a / b).ln().abs() <= 0.2
         && (fit.height - 1.0).abs() <= 0.15
-        && (LEAST_OF_AREA..=1.2).contains(&(area_px / outline_px))
+        && (LEAST_OF_AREA * outline_px..=most_px).contains(&area_px)
 }
 
 #[cfg(test)]

@@ -12,8 +12,8 @@ use autoref_raster::error::Result;
 
 /// Finds the marks of any profile.
 pub enum MarkDetector {
-    Paint(PaintDetector),
-    Target(TargetDetector),
+    Paint(Box<PaintDetector>),
+    Target(Box<TargetDetector>),
     #[cfg(feature = "coded")]
     Coded(Box<CodedDetector>),
 }
@@ -47,17 +47,20 @@ impl MarkDetector {
         gsd_m: Option<f64>,
     ) -> Result<Self> {
         match colours {
-            Some(colours) => Ok(MarkDetector::Paint(PaintDetector::with_colours(profile, colours, info, gsd_m)?)),
+            Some(colours) => {
+                let paint = PaintDetector::with_colours(profile, colours, info, gsd_m)?;
+                Ok(MarkDetector::Paint(Box::new(paint)))
+            }
             None if profile.tag.is_some() => coded(profile, info, gsd_m),
-            None => Ok(MarkDetector::Target(TargetDetector::new(profile, info, gsd_m)?)),
+            None => Ok(MarkDetector::Target(Box::new(TargetDetector::new(profile, info, gsd_m)?))),
         }
     }
 
     /// For places where a mark must be: a weak score is enough.
     pub fn relaxed(&self) -> Self {
         match self {
-            MarkDetector::Paint(paint) => MarkDetector::Paint(paint.relaxed()),
-            MarkDetector::Target(target) => MarkDetector::Target(target.relaxed()),
+            MarkDetector::Paint(paint) => MarkDetector::Paint(Box::new(paint.relaxed())),
+            MarkDetector::Target(target) => MarkDetector::Target(Box::new(target.relaxed())),
             #[cfg(feature = "coded")]
             MarkDetector::Coded(coded) => MarkDetector::Coded(Box::new(coded.relaxed())),
         }
@@ -66,8 +69,8 @@ impl MarkDetector {
     /// What every kind of mark can be asked.
     pub fn as_detector(&self) -> &dyn Detector {
         match self {
-            MarkDetector::Paint(paint) => paint,
-            MarkDetector::Target(target) => target,
+            MarkDetector::Paint(paint) => paint.as_ref(),
+            MarkDetector::Target(target) => target.as_ref(),
             #[cfg(feature = "coded")]
             MarkDetector::Coded(coded) => coded.as_ref(),
         }

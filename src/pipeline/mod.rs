@@ -28,6 +28,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+mod bright_paint;
 pub mod colour_search;
 pub mod georeference;
 pub mod heights;

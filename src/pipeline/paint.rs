@@ -3,6 +3,7 @@
 use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
+use crate::pipeline::bright_paint::BrightPaint;
 use crate::profile::Profile;
 use crate::segment::classify::{Classifier, PaintColours};
 use crate::segment::filters::MaskFilters;
@@ -20,6 +21,7 @@ pub struct PaintDetector {
     filters: MaskFilters,
     /// What the samples mean; kept to build stricter tests.
     info: RasterInfo,
+    inner: Option<Box<BrightPaint>>,
 }
 
 impl PaintDetector {
@@ -43,7 +45,8 @@ impl PaintDetector {
         let gates = Gates::new(&profile, gsd_m)?;
         let classifier = Classifier::of(colours, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::new(&profile.filters, gates.max_side_px());
-        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone() })
+        let inner = BrightPaint::of(&profile, &classifier, &gates).map(Box::new);
+        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), inner })
     }
 
     /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
@@ -56,6 +59,7 @@ impl PaintDetector {
             gates: self.gates.clone(),
             filters: self.filters.clone(),
             info: self.info.clone(),
+            inner: None,
         }
     }
 }
@@ -117,7 +121,11 @@ impl Detector for PaintDetector {
         let info = &self.info;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata).ok()?;
         let (gates, filters) = (self.gates.clone(), self.filters.clone());
-        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone() }))
+        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone(), inner: None }))
+    }
+
+    fn inner(&self) -> Option<&dyn Detector> {
+        self.inner.as_deref().map(|inner| inner as &dyn Detector)
     }
 
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {

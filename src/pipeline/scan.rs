@@ -21,11 +21,12 @@ use crate::merge::RegionMerger;
 use crate::pipeline::pace::Pace;
 use crate::pipeline::seams::{Seam, Seams, band_pool};
 use crate::segment::label::{Labeller, Region, TileRegions};
+use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::mask::Mask;
 use autoref_raster::memory_plan::ScanPlan;
 use autoref_raster::window::{Tile, Window};
-use autoref_raster::{Block, BufferPool, RasterInfo, RasterSource, ReadStats, View};
+use autoref_raster::{Block, BufferPool, Piece, RasterInfo, RasterSource, ReadStats, View};
 
 /// More marks than this are no marks; also what bounds memory on a picture of confetti.
 pub const MAX_CANDIDATES: usize = 1_000_000;
@@ -77,8 +78,35 @@ pub struct ScanTimings {
     pub examine_s: f64,
 }
 
+/// Which of a detector's masks a region is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Layer {
+    Whole,
+    /// Of [`Detector::inner`].
+    Inner,
+}
+
+impl Layer {
+    fn all(detector: &dyn Detector) -> &'static [Layer] {
+        if detector.inner().is_some() { &[Layer::Whole, Layer::Inner] } else { &[Layer::Whole] }
+    }
+
+    fn of(self, detector: &dyn Detector) -> &dyn Detector {
+        match self {
+            Layer::Whole => detector,
+            Layer::Inner => detector.inner().expect("only detectors with an inner one have such regions"),
+        }
+    }
+}
+
+/// A complete region.
+struct Seen {
+    layer: Layer,
+    region: Region,
+}
+
 /// A region's identity and what became of it.
-type Examined = ((u64, u64), Vec<Candidate>);
+type Examined = ((u64, u64), Layer, Vec<Candidate>);
 
 /// What a worker sends on for one tile.
 struct TileOutput {
@@ -86,15 +114,15 @@ struct TileOutput {
     /// Examined here.
     examined: Vec<Examined>,
     /// Complete, but their surroundings reach beyond the tile.
-    straddling: Vec<Region>,
-    /// Only what is open at the faces is left in it.
-    open: TileRegions,
+    straddling: Vec<Seen>,
+    /// Only what is open at the faces is left in it, of each layer.
+    open: Vec<TileRegions>,
     seam: Seam,
 }
 
 /// A complete region that lies in several tiles, with the pixels around it when the seams held them.
 struct Straddler {
-    region: Region,
+    seen: Seen,
     block: Option<Block>,
 }
 
@@ -121,7 +149,7 @@ pub fn scan(
     if !straddling.is_empty() {
         progress.stage("looking at marks that straddle tiles");
     }
-    straddling.sort_by_key(|straddler| straddler.region.first);
+    straddling.sort_by_key(|straddler| (straddler.seen.region.first, straddler.seen.layer));
     for batch in straddling.chunks(plan.workers) {
         examined.extend(examine_windows(source, detector, batch)?);
         // Or the blocks around far windows would fill the cache, in a long scan more than in a short one. A source that reads
@@ -130,16 +158,36 @@ pub fn scan(
             source.release(source.info().bounds());
         }
     }
-    examined.sort_by_key(|(first, _)| *first);
+    examined.sort_by_key(|(first, layer, _)| (*first, *layer));
     let regions_examined = collected.clutter + examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
-        candidates: detector.finish(examined.into_iter().flat_map(|(_, candidates)| candidates).collect()),
+        candidates: detector.finish(one_of_each(examined)),
         regions_examined,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
     })
+}
+
+/// All candidates in order; of those of one mark in both layers the one of the whole.
+fn one_of_each(examined: Vec<Examined>) -> Vec<Candidate> {
+    /// Centres of one mark lie within this share of its side.
+    const APART: f64 = 0.5;
+    let found = |layer: Layer| move |(_, of, found): &&Examined| *of == layer && !found.is_empty();
+    let mut whole: Vec<PixelPoint> =
+        examined.iter().filter(found(Layer::Whole)).flat_map(|(_, _, found)| found).map(|c| c.centre).collect();
+    whole.sort_by(|a, b| a.y.total_cmp(&b.y));
+    let stands = |candidate: &Candidate| {
+        let reach = APART * candidate.area_px.unwrap_or(0.0).sqrt();
+        let from = whole.partition_point(|at| at.y < candidate.centre.y - reach);
+        let near = whole[from..].iter().take_while(|at| at.y <= candidate.centre.y + reach);
+        near.into_iter().all(|at| (at.x - candidate.centre.x).hypot(at.y - candidate.centre.y) > reach)
+    };
+    let kept = |layer: Layer, found: Vec<Candidate>| {
+        found.into_iter().filter(move |candidate| layer == Layer::Whole || stands(candidate)).collect::<Vec<_>>()
+    };
+    examined.into_iter().flat_map(|(_, layer, found)| kept(layer, found)).collect()
 }
 
 fn seconds(duration: Duration) -> f64 {
@@ -214,7 +262,7 @@ fn scan_tiles(
         pace.lift();
         while outputs.recv().is_ok() {}
         result?;
-        collector.merger.finalize();
+        collector.mergers.into_iter().for_each(|merger| merger.finalize());
         let mut collected = collector.collected;
         collected.straddling.extend(straddlers.try_iter());
         Ok(collected)
@@ -237,10 +285,11 @@ struct Collector<'a> {
     source: &'a dyn RasterSource,
     plan: &'a ScanPlan,
     detector: &'a dyn Detector,
-    merger: RegionMerger,
+    /// One for each layer.
+    mergers: Vec<RegionMerger>,
     collected: Collected,
     /// Complete regions by a tile that their surroundings reach into and that has not come.
-    waiting: BTreeMap<u64, Vec<Region>>,
+    waiting: BTreeMap<u64, Vec<Seen>>,
     /// Of each tile, whether it has come.
     done: Vec<bool>,
     /// The first tile that has not come.
@@ -261,7 +310,7 @@ impl<'a> Collector<'a> {
             source,
             plan,
             detector,
-            merger: RegionMerger::new(plan.grid),
+            mergers: Layer::all(detector).iter().map(|_| RegionMerger::new(plan.grid)).collect(),
             collected: Collected::default(),
             waiting: BTreeMap::new(),
             done: vec![false; plan.grid.len() as usize],
@@ -283,23 +332,25 @@ impl<'a> Collector<'a> {
             let id = output.id;
             let regions = output.examined.len();
             let marks = self.collected.examined.len();
-            self.collected.examined.extend(output.examined.into_iter().filter(|(_, found)| !found.is_empty()));
+            self.collected.examined.extend(output.examined.into_iter().filter(|(_, _, found)| !found.is_empty()));
             self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
             let mut complete = output.straddling;
             let _span = tracing::info_span!("merge").entered();
             let detector = self.detector;
-            self.merger.feed(id, output.open, &mut |region| {
-                if detector.gate(&region) {
-                    complete.push(region);
-                }
-            });
+            for ((layer, merger), open) in Layer::all(detector).iter().zip(&mut self.mergers).zip(output.open) {
+                merger.feed(id, open, &mut |region| {
+                    if layer.of(detector).gate(&region) {
+                        complete.push(Seen { layer: *layer, region });
+                    }
+                });
+            }
             self.done[id as usize] = true;
             self.seams.keep(id, output.seam);
             complete.extend(self.waiting.remove(&id).into_iter().flatten());
-            for region in complete {
-                match self.missing_tile(&region) {
-                    Some(missing) => self.waiting.entry(missing).or_default().push(region),
-                    None => self.pass_on(region, straddlers)?,
+            for seen in complete {
+                match self.missing_tile(&seen.region) {
+                    Some(missing) => self.waiting.entry(missing).or_default().push(seen),
+                    None => self.pass_on(seen, straddlers)?,
                 }
             }
             self.release_behind();
@@ -315,7 +366,7 @@ impl<'a> Collector<'a> {
             }
         }
         let waiting = std::mem::take(&mut self.waiting).into_values().flatten();
-        self.collected.straddling.extend(waiting.map(|region| Straddler { region, block: None }));
+        self.collected.straddling.extend(waiting.map(|seen| Straddler { seen, block: None }));
         Ok(())
     }
 
@@ -327,9 +378,9 @@ impl<'a> Collector<'a> {
 
     /// All tiles around the region have come. What the seams do not hold is read again after the scan.
     /// Where the workers have enough to do it is examined here, so that no more wait than the channel holds.
-    fn pass_on(&mut self, region: Region, straddlers: &crossbeam_channel::Sender<Straddler>) -> Result<()> {
-        let window = patch_window(&region, self.detector, self.source.info());
-        let straddler = Straddler { block: self.seams.block(window), region };
+    fn pass_on(&mut self, seen: Seen, straddlers: &crossbeam_channel::Sender<Straddler>) -> Result<()> {
+        let window = patch_window(&seen.region, self.detector, self.source.info());
+        let straddler = Straddler { block: self.seams.block(window), seen };
         if straddler.block.is_none() {
             self.collected.straddling.push(straddler);
             return Ok(());
@@ -338,8 +389,8 @@ impl<'a> Collector<'a> {
             Ok(()) => {}
             Err(TrySendError::Full(straddler)) => {
                 let examined = examine_straddler(self.source, self.detector, &straddler)?;
-                self.collected.clutter += u64::from(examined.1.is_empty());
-                self.collected.examined.extend(Some(examined).filter(|(_, found)| !found.is_empty()));
+                self.collected.clutter += u64::from(examined.2.is_empty());
+                self.collected.examined.extend(Some(examined).filter(|(_, _, found)| !found.is_empty()));
             }
             // Nobody listens when all workers have ended.
             Err(TrySendError::Disconnected(straddler)) => self.collected.straddling.push(straddler),
@@ -394,12 +445,12 @@ struct Worker<'a> {
 
 impl Worker<'_> {
     fn run(&self, outputs: &crossbeam_channel::Sender<Result<TileOutput>>) {
-        let mut mask = Mask::new(Window::new(0, 0, 0, 0));
+        let mut masks = vec![Mask::new(Window::new(0, 0, 0, 0)); Layer::all(self.detector).len()];
         let mut labeller = Labeller::new();
-        while let Some((tile, block)) = self.next_block(&mut mask) {
+        while let Some((tile, block)) = self.next_block(&mut masks) {
             let output = block.and_then(|block| {
-                let mut output = self.process(&tile, &block, &mut mask, &mut labeller);
-                let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, found)| found).collect();
+                let mut output = self.process(&tile, &block, &mut masks, &mut labeller);
+                let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, _, found)| found).collect();
                 self.progress.saw(&block, tile.core, &found);
                 drop(block);
                 if self.plan.halo_px == 0 {
@@ -428,16 +479,14 @@ impl Worker<'_> {
         (!self.stop.load(Ordering::Relaxed)).then(|| self.plan.grid.tile(id))
     }
 
-    /// Tile → Block, and of the mask what can be told from each piece.
-    fn next_block(&self, mask: &mut Mask) -> Option<(Tile, Result<Block>)> {
+    /// Tile → Block, and of the masks what can be told from each piece.
+    fn next_block(&self, masks: &mut [Mask]) -> Option<(Tile, Result<Block>)> {
         if !self.source.info().sequential {
             let tile = self.next_tile()?;
             let _span = tracing::info_span!(parent: self.span, "read and classify").entered();
-            mask.reset(tile.read);
-            return Some((
-                tile,
-                self.source.read_seen(tile.read, &mut |piece| self.detector.segment_piece(piece, mask)),
-            ));
+            masks.iter_mut().for_each(|mask| mask.reset(tile.read));
+            let block = self.source.read_seen(tile.read, &mut |piece| self.segment_piece(piece, masks));
+            return Some((tile, block));
         }
         // Only the reading takes turns.
         let turn = self.in_order.lock().unwrap_or_else(PoisonError::into_inner);
@@ -445,37 +494,57 @@ impl Worker<'_> {
         let _span = tracing::info_span!(parent: self.span, "read and classify").entered();
         let block = self.source.read(tile.read);
         drop(turn);
-        mask.reset(tile.read);
-        block.iter().flat_map(|b| &b.pieces).for_each(|piece| self.detector.segment_piece(piece, mask));
+        masks.iter_mut().for_each(|mask| mask.reset(tile.read));
+        block.iter().flat_map(|b| &b.pieces).for_each(|piece| self.segment_piece(piece, masks));
         Some((tile, block))
     }
 
-    /// Block → Mask → TileRegions, and what can be examined at once. The mask holds what [`Detector::segment_piece`] set.
-    fn process(&self, tile: &Tile, block: &Block, mask: &mut Mask, labeller: &mut Labeller) -> TileOutput {
+    fn segment_piece(&self, piece: &Piece, masks: &mut [Mask]) {
+        let (whole, inner) = masks.split_at_mut(1);
+        self.detector.segment_piece(piece, &mut whole[0]);
+        if let (Some(detector), [mask]) = (self.detector.inner(), inner) {
+            detector.segment_within(piece, &whole[0], mask);
+        }
+    }
+
+    /// Block → Mask → TileRegions, and what can be examined at once. The masks hold what [`Detector::segment_piece`] set.
+    fn process(&self, tile: &Tile, block: &Block, masks: &mut [Mask], labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
-        let mut regions = {
+        let layers = Layer::all(self.detector);
+        let mut regions: Vec<TileRegions> = {
             let _span = tracing::info_span!(parent: self.span, "segment").entered();
-            self.detector.segment_block(block, mask);
-            labeller.label(mask, tile.core, info.bounds(), |region| self.detector.gate(region))
+            let label = |(layer, mask): (&Layer, &mut Mask)| {
+                let detector = layer.of(self.detector);
+                detector.segment_block(block, mask);
+                labeller.label(mask, tile.core, info.bounds(), |region| detector.gate(region))
+            };
+            layers.iter().zip(masks).map(label).collect()
         };
         let _span = tracing::info_span!(parent: self.span, "examine").entered();
         let mut output = TileOutput {
             id: tile.id,
             examined: Vec::new(),
             straddling: Vec::new(),
-            open: TileRegions::default(),
+            open: Vec::new(),
             seam: Seam::default(),
         };
-        for region in std::mem::take(&mut regions.finished) {
-            let window = patch_window(&region, self.detector, info);
+        let finished = |(layer, regions): (&Layer, &mut TileRegions)| {
+            let layer = *layer;
+            std::mem::take(&mut regions.finished).into_iter().map(move |region| Seen { layer, region })
+        };
+        for seen in layers.iter().zip(&mut regions).flat_map(finished) {
+            let Seen { layer, region } = &seen;
+            let window = patch_window(region, self.detector, info);
             if block.window.contains_window(&window) {
                 let view = View { block, window, info };
-                output.examined.push((region.first, self.detector.examine_all(&region, &view)));
+                output.examined.push((region.first, *layer, layer.of(self.detector).examine_all(region, &view)));
             } else {
-                output.straddling.push(region);
+                output.straddling.push(seen);
             }
         }
-        output.seam = Seam::of_tile(block, tile, &output.straddling, &regions.open, self.detector, info, &self.bands);
+        let whole = output.straddling.iter().map(|seen| &seen.region);
+        let open = regions.iter().flat_map(|regions| &regions.open);
+        output.seam = Seam::of_tile((block, tile), whole, open, self.detector, info, &self.bands);
         output.open = regions;
         debug_assert!(self.plan.grid.bounds() == info.bounds());
         output
@@ -501,7 +570,7 @@ fn examine_windows(
 }
 
 fn examine_straddler(source: &dyn RasterSource, detector: &dyn Detector, straddler: &Straddler) -> Result<Examined> {
-    let Straddler { region, block } = straddler;
+    let Straddler { seen: Seen { layer, region }, block } = straddler;
     let info = source.info();
     let read;
     let block = match block {
@@ -511,5 +580,6 @@ fn examine_straddler(source: &dyn RasterSource, detector: &dyn Detector, straddl
             &read
         }
     };
-    Ok((region.first, detector.examine_all(region, &View { block, window: block.window, info })))
+    let view = View { block, window: block.window, info };
+    Ok((region.first, *layer, layer.of(detector).examine_all(region, &view)))
 }

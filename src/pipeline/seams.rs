@@ -22,11 +22,10 @@ pub(super) struct Seam {
 impl Seam {
     /// Whatever of this tile the examination of a straddling region can ask for: a margin along every face for regions of
     /// the neighbours, and the surroundings of its own regions as far as they may grow beyond the face.
-    pub fn of_tile(
-        block: &Block,
-        tile: &Tile,
-        straddling: &[Region],
-        open: &[Region],
+    pub fn of_tile<'a>(
+        (block, tile): (&Block, &Tile),
+        straddling: impl Iterator<Item = &'a Region>,
+        open: impl Iterator<Item = &'a Region>,
         detector: &dyn Detector,
         info: &RasterInfo,
         pool: &BufferPool,
@@ -34,9 +33,9 @@ impl Seam {
         let (core, bounds, margin) = (tile.core, info.bounds(), detector.patch_margin_px());
         let largest = detector.largest_mark_px();
         let mut wanted: Vec<Window> = faces(core, bounds, margin).to_vec();
-        wanted.extend(straddling.iter().map(|region| region.bounds.grown(margin, &bounds)));
+        wanted.extend(straddling.map(|region| region.bounds.grown(margin, &bounds)));
         let small = |side: u64| side <= largest;
-        wanted.extend(open.iter().map(|region| region.bounds).filter(|b| small(b.width) && small(b.height)).map(|b| {
+        wanted.extend(open.map(|region| region.bounds).filter(|b| small(b.width) && small(b.height)).map(|b| {
             // A mark no larger than the largest that holds this part.
             let (x, y) = ((b.right()).saturating_sub(largest), b.bottom().saturating_sub(largest));
             Window { x, y, width: b.x + largest - x, height: b.y + largest - y }.grown(margin, &bounds)

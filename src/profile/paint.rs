@@ -5,7 +5,7 @@
 
 use super::colour::Space;
 use super::mixing::{Mixing, cloud, population};
-use super::{CloudSpec, ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
+use super::{CentreMode, CloudSpec, ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
 
 /// A name, what it is, and its sRGB values.
 struct Paint {
@@ -157,6 +157,26 @@ pub(super) const FRESH: [(&str, [u8; 3]); 6] = [
 ];
 
 impl Profile {
+    /// The least red, green and blue of this paint in nearly full light, sRGB 0..=255: asked of the bands in which it is brightest.
+    /// `None` of profiles whose mask is filtered, whose regions are taken apart, or whose centres are not fitted, and of white and
+    /// any paint at once.
+    pub(crate) fn least_in_full_light(&self) -> Option<[u8; 3]> {
+        /// Share of the light.
+        const LEAST_LIGHT: f64 = 0.8;
+        /// Bands that are nearly as bright as the brightest.
+        const BRIGHT_BAND: f64 = 0.9;
+        let plain = self.filters == Filters::default() && self.examine.centre == CentreMode::Fit && !self.examine.split;
+        const MOST_CLOUDS: usize = 8;
+        let colour = &self.colour;
+        let one_paint = colour.clouds.len() <= MOST_CLOUDS && colour.rough.is_none() && colour.rough_box.is_none();
+        if !plain || !one_paint || self.is_target() {
+            return None;
+        }
+        let fresh = self.fresh_paint().map(f64::from);
+        let most = fresh.iter().copied().fold(0.0, f64::max);
+        Some(fresh.map(|v| if v >= BRIGHT_BAND * most { (LEAST_LIGHT * v).round() as u8 } else { 0 }))
+    }
+
     /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
     /// or the middle of the first cloud.
     pub fn fresh_paint(&self) -> [u8; 3] {

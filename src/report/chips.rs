@@ -135,7 +135,8 @@ fn cut_one(
     };
     chip.picture = reduced(&chip, Some(&block.patch(frame.shown, info)), stretch);
     if frame.mark.is_some() {
-        chip.outline = outline(&block, info, detector, spot.centre);
+        let outline = |detector| outline(&block, info, detector, spot.centre);
+        chip.outline = outline(detector).or_else(|| detector.inner().and_then(outline));
     }
     Ok(chip)
 }

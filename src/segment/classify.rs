@@ -107,6 +107,8 @@ pub struct Classifier {
     alpha: Option<usize>,
     /// As an integer sample; `None` when no sample can equal it.
     nodata: Option<u16>,
+    /// Paint has at least so much red, green and blue.
+    least: [u8; 3],
 }
 
 impl Classifier {
@@ -143,17 +145,26 @@ impl Classifier {
         }
         let nodata = nodata.filter(|v| v.fract() == 0.0 && (0.0..=65_535.0).contains(v)).map(|v| v as u16);
         let [of_samples, of_colours] = [rgb, [0, 1, 2]].map(|rgb| Arc::new(Prefilter::new(rgb, table.bounds)));
-        Ok(Classifier { table, of_samples, of_colours, test, sample, white, rgb, alpha, nodata })
+        Ok(Classifier { table, of_samples, of_colours, test, sample, white, rgb, alpha, nodata, least: [0; 3] })
     }
 
-    /// The scalar reference behind the table.
+    /// The same for paint that has at least so much red, green and blue, 0..=255.
+    pub fn at_least(&self, least: [u8; 3]) -> Classifier {
+        Classifier { least, ..self.clone() }
+    }
+
+    /// The scalar reference behind the table, which knows no least.
     pub fn reference(&self) -> &PaintTest {
         &self.test
     }
 
     /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the nearest caches.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
-        self.table.bounds.passes(colour) && self.table.get(colour)
+        self.table.bounds.passes(colour) && self.accepts(colour)
+    }
+
+    fn accepts(&self, colour: [u8; 3]) -> bool {
+        (0..3).all(|c| colour[c] >= self.least[c]) && self.table.get(colour)
     }
 
     /// Which of a window's pixels are paint: `colours` red, green, blue as the file has them, `valid` where there is any.
@@ -176,7 +187,7 @@ impl Classifier {
         };
         let mut bits = vec![0u64; colours.len().div_ceil(64)];
         self.of_colours.row(&bytes, 3, colours.len(), &mut bits);
-        keep(&mut bits, |i| self.table.get([bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]]));
+        keep(&mut bits, |i| self.accepts([bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]]));
         bits
     }
 
@@ -211,6 +222,18 @@ impl Classifier {
         }
     }
 
+    /// Of a row whose paint is known, `bits` as [`Classifier::classify_row`] of a classifier without a least gives them, what has
+    /// the least.
+    pub fn narrow_row(&self, row: PixelRow<'_>, bits: &mut [u64]) {
+        let bright = |colour: [u16; 3]| (0..3).all(|c| self.to_byte(colour[c]) >= self.least[c]);
+        match row.samples {
+            Samples::U8(samples) => {
+                keep(bits, |i| bright(self.rgb.map(|b| u16::from(samples[i * row.pixel_stride + b]))));
+            }
+            Samples::U16(samples) => keep(bits, |i| bright(self.rgb.map(|b| samples[i * row.pixel_stride + b]))),
+        }
+    }
+
     fn classify_wide(&self, len: usize, bits: &mut [u64], pixel: impl Fn(usize) -> ([u16; 3], Option<u16>)) {
         for (word, first) in bits.iter_mut().zip((0..len).step_by(64)) {
             *word = 0;
@@ -227,7 +250,7 @@ impl Classifier {
         keep(bits, |i| {
             let (colour, alpha) = pixel(i);
             let holds_nothing = alpha == Some(0) || self.nodata.is_some_and(|n| colour == [n; 3]);
-            !holds_nothing && self.table.get(colour.map(|v| self.to_byte(v)))
+            !holds_nothing && self.accepts(colour.map(|v| self.to_byte(v)))
         });
     }
 }

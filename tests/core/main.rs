@@ -21,6 +21,7 @@ mod matching;
 mod mutations;
 mod names;
 mod odd_tables;
+mod own_ground;
 mod reader_facts;
 mod readers;
 mod repetition;

@@ -63,6 +63,24 @@ impl Mask {
         self.words.iter().map(|w| u64::from(w.count_ones())).sum()
     }
 
+    /// The `len` bits of image row `y` from column `x` on; further bits of the last word are zero.
+    ///
+    /// # Panics
+    /// When `bits` has fewer than `ceil(len / 64)` words.
+    pub fn get_bits(&self, x: u64, y: u64, len: u64, bits: &mut [u64]) {
+        let column = (x - self.window.x) as usize;
+        let (first, shift) = (column / 64, (column % 64) as u32);
+        let row = self.row(y);
+        let used = (len as usize).div_ceil(64);
+        for (i, word) in bits[..used].iter_mut().enumerate() {
+            let next = row.get(first + i + 1).copied().unwrap_or(0);
+            *word = row[first + i] >> shift | if shift == 0 { 0 } else { next << (64 - shift) };
+        }
+        if !len.is_multiple_of(64) {
+            bits[used - 1] &= u64::MAX >> (64 - len % 64);
+        }
+    }
+
     /// Sets `len` bits of image row `y` from column `x` on to the first `len` bits of `bits`, whose further bits must be
     /// zero. The row must be background there.
     pub fn put_bits(&mut self, x: u64, y: u64, len: u64, bits: &[u64]) {
@@ -82,6 +100,25 @@ impl Mask {
             let spill = word >> (64 - shift);
             if spill != 0 {
                 row[first + i + 1] |= spill;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bits_of_a_row_come_back_from_any_column() {
+        let mut mask = Mask::new(Window::new(10, 3, 300, 2));
+        (0..300).filter(|x| x * x % 7 < 3).for_each(|x| mask.set(10 + x, 4, true));
+        for (from, len) in [(0, 300), (1, 64), (63, 65), (64, 128), (70, 1), (130, 170), (236, 64)] {
+            let mut bits = vec![u64::MAX; 5];
+            mask.get_bits(10 + from, 4, len, &mut bits);
+            for i in 0..len.next_multiple_of(64) {
+                let set = bits[i as usize / 64] >> (i % 64) & 1 == 1;
+                assert_eq!(set, i < len && mask.get(10 + from + i, 4), "{from} {len} {i}");
             }
         }
     }

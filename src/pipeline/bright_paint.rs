@@ -1,0 +1,110 @@
+//! Marks on ground of their own colour in less light: white on grey concrete, green on grass, orange on red soil.
+//!
+//! A profile takes paint in shade too, and that is the colour of such ground: mark and ground are one region, far too large for a
+//! mark. What is nearly as bright as fresh paint in full light is a mask of its own inside the profile's, in which the mark is a
+//! region again.
+
+use crate::candidate::pixel_set::PixelSet;
+use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
+use crate::detector::Detector;
+use crate::profile::Profile;
+use crate::segment::classify::Classifier;
+use crate::segment::label::Region;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::mask::Mask;
+use autoref_raster::{Block, Piece, Pixels};
+
+/// Finds marks of which the paint is in full light, where the whole profile finds their ground as well.
+pub(super) struct BrightPaint {
+    profile: Profile,
+    /// Of the whole profile.
+    outer: Classifier,
+    /// Of its bright part.
+    classifier: Classifier,
+    gates: Gates,
+}
+
+impl BrightPaint {
+    /// `None` of a profile that is not looked at this way.
+    pub fn of(profile: &Profile, outer: &Classifier, gates: &Gates) -> Option<BrightPaint> {
+        let classifier = outer.at_least(profile.least_in_full_light()?);
+        Some(BrightPaint { profile: profile.clone(), outer: outer.clone(), classifier, gates: gates.clone() })
+    }
+
+    /// Whether the whole profile sees the same thing, or nearly, and decides about it.
+    fn is_seen_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {
+        /// Blur makes a mark of the whole profile wider.
+        const SAME: f64 = 2.0;
+        let patch = pixels.whole();
+        let (width, height) = (patch.window.width as usize, patch.window.height as usize);
+        let (y, x) = region.first;
+        if !patch.window.contains(x, y) {
+            return false;
+        }
+        let valid = PixelSet::of(&patch.valid, width);
+        let paint = PixelSet::of_bits(&self.outer.paint_bits(&patch.rgb), width, height).and(&valid);
+        let piece = paint.piece((y - patch.window.y) as usize * width + (x - patch.window.x) as usize);
+        !piece.at_edge() && piece.count() as f64 <= SAME * region.area as f64
+    }
+}
+
+impl Detector for BrightPaint {
+    fn halo_px(&self) -> u64 {
+        0
+    }
+
+    fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
+        if piece.empty {
+            return;
+        }
+        let (x, width) = (piece.window.x, piece.window.width);
+        let mut bits = vec![0u64; (width as usize).div_ceil(64)];
+        for y in piece.window.y..piece.window.bottom() {
+            self.classifier.classify_row(piece.row(x, y, width), &mut bits);
+            mask.put_bits(x, y, width, &bits);
+        }
+    }
+
+    fn segment_within(&self, piece: &Piece, outer: &Mask, mask: &mut Mask) {
+        if piece.empty {
+            return;
+        }
+        let (x, width) = (piece.window.x, piece.window.width);
+        let mut bits = vec![0u64; (width as usize).div_ceil(64)];
+        for y in piece.window.y..piece.window.bottom() {
+            outer.get_bits(x, y, width, &mut bits);
+            if bits.iter().all(|word| *word == 0) {
+                continue;
+            }
+            self.classifier.narrow_row(piece.row(x, y, width), &mut bits);
+            mask.put_bits(x, y, width, &bits);
+        }
+    }
+
+    fn segment_block(&self, _block: &Block, _mask: &mut Mask) {}
+
+    fn gate(&self, region: &Region) -> bool {
+        self.gates.region(region)
+    }
+
+    fn patch_margin_px(&self) -> u64 {
+        patch_margin_px(&self.profile)
+    }
+
+    fn largest_mark_px(&self) -> u64 {
+        self.gates.max_side_px()
+    }
+
+    fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
+        if self.is_seen_outside(region, pixels) {
+            return None;
+        }
+        examine(region, pixels, &self.classifier, &self.profile, &self.gates)
+    }
+
+    fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+        let evidence = examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?;
+        let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
+        Some((centre, evidence.fit?.outline(centre)))
+    }
+}
