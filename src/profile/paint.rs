@@ -164,7 +164,7 @@ impl Profile {
         /// Share of the light.
         const LEAST_LIGHT: f64 = 0.8;
         /// Bands that are nearly as bright as the brightest.
-        const BRIGHT_BAND: f64 = 0.9;
+        const BRIGHT_BAND: f64 = 0.95;
         let plain = self.filters == Filters::default() && self.examine.centre == CentreMode::Fit && !self.examine.split;
         const MOST_CLOUDS: usize = 8;
         let colour = &self.colour;
