@@ -10,6 +10,7 @@ use crate::align::{self, Alignment, Method, Outcome};
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::kept::Room;
 use crate::model::Model;
 use crate::output::{self, Form};
 use crate::source::{Heights, Patch};
@@ -150,6 +151,8 @@ pub struct AlignJob<'a> {
     pub method: Method,
     pub stable: Option<&'a Path>,
     pub resources: Resources,
+    /// A folder for decoded copies of large models while the job runs, as [`Room`] says.
+    pub scratch: Option<&'a Path>,
 }
 
 /// What was found, and with which models.
@@ -179,7 +182,7 @@ impl AlignJob<'_> {
             unit: couple.b.ground_unit(),
             means,
             memory_cells: self.resources.memory_cells(),
-            held_cells: self.resources.held_cells(),
+            room: Room { held_cells: self.resources.held_cells(), scratch: self.scratch },
         };
         let outcome = align::align(&couple.a, &couple.b, &options).map_err(named)?;
         Ok(AlignedFiles { couple, outcome, means })

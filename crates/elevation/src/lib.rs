@@ -15,6 +15,7 @@ pub mod footprint;
 pub mod gradient;
 pub mod grid;
 pub mod histogram;
+pub mod kept;
 pub mod lift;
 pub mod model;
 pub mod mosaic;

@@ -1,10 +1,8 @@
-//! Where heights come from: memory, means over blocks of another source, files ([`crate::model`]).
-
-use std::sync::{Mutex, PoisonError};
+//! Where heights come from: memory, means over blocks of another source, files ([`crate::model`]), copies that are quick to read again
+//! ([`crate::kept`]).
 
 use crate::error::Result;
 use crate::grid::Grid;
-use crate::stream;
 
 /// A part of a raster; it may reach outside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,59 +55,8 @@ impl Heights for MemoryHeights {
     }
 }
 
-/// Heights of another source in memory, as 32-bit numbers; NaN where there is none.
-pub struct Held {
-    grid: Grid,
-    values: Vec<f32>,
-}
-
-impl Held {
-    /// Reads the whole source; `None` when it has heights that are no 32-bit numbers: they would not come back as they were.
-    ///
-    /// # Errors
-    /// When the source cannot be read.
-    pub fn of(source: &dyn Heights, cut: stream::Means) -> Result<Option<Self>> {
-        let grid = source.grid();
-        let values = Mutex::new(vec![f32::NAN; (grid.width * grid.height) as usize]);
-        let tiles = cut.tiles(grid.width, grid.height);
-        let workers = stream::gather(
-            &tiles,
-            cut.threads,
-            || (Vec::new(), true),
-            |(buffer, exact), core| {
-                if !*exact {
-                    return Ok(());
-                }
-                let (width, height) = (core.width as usize, core.height as usize);
-                source.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, buffer)?;
-                *exact = buffer.iter().all(|v| v.is_nan() || f64::from(*v as f32) == *v);
-                let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);
-                for (row, line) in (core.y..).zip(buffer.chunks_exact(width)) {
-                    let from = (row * grid.width + core.x) as usize;
-                    values[from..from + width].iter_mut().zip(line).for_each(|(to, v)| *to = *v as f32);
-                }
-                Ok(())
-            },
-        )?;
-        let exact = workers.iter().all(|(_, exact)| *exact);
-        let values = values.into_inner().unwrap_or_else(PoisonError::into_inner);
-        Ok(exact.then_some(Held { grid, values }))
-    }
-}
-
-impl Heights for Held {
-    fn grid(&self) -> Grid {
-        self.grid
-    }
-
-    fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
-        read_rows(&self.grid, &self.values, patch, out);
-        Ok(())
-    }
-}
-
 /// The part of `values` (row by row on `grid`) that `patch` asks for, NaN outside.
-fn read_rows<T: Copy + Into<f64>>(grid: &Grid, values: &[T], patch: Patch, out: &mut Vec<f64>) {
+pub(crate) fn read_rows<T: Copy + Into<f64>>(grid: &Grid, values: &[T], patch: Patch, out: &mut Vec<f64>) {
     let (width, height) = (grid.width as i64, grid.height as i64);
     out.clear();
     out.resize(patch.width * patch.height, f64::NAN);
@@ -244,20 +191,6 @@ mod tests {
         assert_eq!(&out[1..3], &[3.0, 4.0]);
         memory.read(Patch { x: 5, y: 5, width: 2, height: 1 }, &mut out).expect("memory");
         assert!(out.iter().all(|v| v.is_nan()));
-    }
-
-    #[test]
-    fn held_heights_come_back_as_they_were_or_are_not_held() {
-        let values: Vec<f64> = (0..35 * 20).map(|i| if i % 9 == 0 { f64::NAN } else { f64::from(i) / 8.0 }).collect();
-        let memory = MemoryHeights::new(grid(35, 20), values.clone());
-        let held = Held::of(&memory, stream::Means::square(16, 2)).expect("memory").expect("eighths are exact");
-        let patch = Patch { x: -2, y: -1, width: 40, height: 24 };
-        let (mut a, mut b) = (Vec::new(), Vec::new());
-        memory.read(patch, &mut a).expect("memory");
-        held.read(patch, &mut b).expect("memory");
-        assert!(a.iter().zip(&b).all(|(a, b)| a.to_bits() == b.to_bits() || a.is_nan() && b.is_nan()));
-        let fine = MemoryHeights::new(grid(35, 20), values.iter().map(|v| v + 1e-9).collect());
-        assert!(Held::of(&fine, stream::Means::square(16, 2)).expect("memory").is_none());
     }
 
     #[test]

@@ -56,12 +56,18 @@ impl Written {
     }
 }
 
+/// Bytes that are free on the disk of a folder; `None` when it cannot be asked.
+pub fn free_disk_bytes(folder: &Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(folder).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
 /// What GDAL said, or that the disk is full when it is.
 pub fn failed_to_write(path: &Path, said: &str) -> Error {
     const FULL_BELOW_BYTES: u64 = 4 << 20;
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    match rustix::fs::statvfs(folder) {
-        Ok(disk) if disk.f_bavail.saturating_mul(disk.f_frsize) < FULL_BELOW_BYTES => {
+    match free_disk_bytes(folder) {
+        Some(free) if free < FULL_BELOW_BYTES => {
             let full = std::io::Error::new(std::io::ErrorKind::StorageFull, "the disk is full");
             Error::io(path, "write", full)
         }

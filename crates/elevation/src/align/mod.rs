@@ -16,7 +16,8 @@ use nalgebra::{DMatrix, Matrix3};
 
 use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
-use crate::source::{Cropped, Heights, Held, Means as Averaged};
+use crate::kept::{Kept, Room};
+use crate::source::{Cropped, Heights, Means as Averaged};
 use crate::stream::Means;
 use crate::zones::Zones;
 
@@ -84,8 +85,8 @@ pub struct Options<'a> {
     pub means: Means,
     /// Cells of each model that may be held at a time for the search.
     pub memory_cells: u64,
-    /// Models of so many cells together are read once and held; larger ones are read in every pass. The result is the same.
-    pub held_cells: u64,
+    /// Copies of the two models for all passes but the first; the cells are those of both together. The result is the same without.
+    pub room: Room<'a>,
 }
 
 impl Default for Options<'_> {
@@ -96,7 +97,7 @@ impl Default for Options<'_> {
             unit: GroundUnit::METRES,
             means: Means::default(),
             memory_cells: 1_500_000,
-            held_cells: 25_000_000,
+            room: Room { held_cells: 25_000_000, scratch: None },
         }
     }
 }
@@ -180,11 +181,11 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
     let frame = Frame::of(&template.grid());
     let cells = |g: &Grid| g.width * g.height;
-    let small = cells(&template.grid()) + cells(&other.grid()) <= options.held_cells;
-    let held = |source: &dyn Heights| if small { Held::of(source, options.means) } else { Ok(None) };
-    let (held_template, held_other) = (held(&template)?, held(&other)?);
-    let template: &dyn Heights = held_template.as_ref().map_or(&template, |held| held);
-    let other: &dyn Heights = held_other.as_ref().map_or(&other, |held| held);
+    let room = options.room.shared_by(cells(&template.grid()), cells(&other.grid()));
+    let kept = |source: &dyn Heights| Kept::of(source, &room, options.means);
+    let (kept_template, kept_other) = (kept(&template)?, kept(&other)?);
+    let template: &dyn Heights = kept_template.as_ref().map_or(&template, |kept| kept);
+    let other: &dyn Heights = kept_other.as_ref().map_or(&other, |kept| kept);
     let full = Pair { template, other, finer, unit: options.unit, stable: options.stable, frame };
 
     let mut found = search::run(&full, options, Flats::LeftOut)?;

@@ -22,10 +22,10 @@ use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
 use crate::grid::Grid;
-use crate::model::Model;
+use crate::kept::{Kept, Room};
 use crate::output::{self, Form};
 use crate::resample::{Interpolation, Resampled};
-use crate::source::{Heights, Held, Means as Averaged};
+use crate::source::{Heights, Means as Averaged};
 use crate::stream::{self, Means};
 
 use groups::Groups;
@@ -202,10 +202,12 @@ impl CompareJob<'_> {
         }
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         let ratio = (cell(&grid) / cell(&couple.a.grid())).sqrt().round().max(1.0) as u64;
-        let held_a = self.held(&couple.a, &couple, means)?;
-        let held_b = self.held(&couple.b, &couple, means)?;
-        let a: &dyn Heights = held_a.as_ref().map_or(&couple.a, |held| held);
-        let b: &dyn Heights = held_b.as_ref().map_or(&couple.b, |held| held);
+        let room = Room { held_cells: self.resources.held_cells(), scratch: Some(folder) };
+        let cells = |grid: Grid| grid.width.saturating_mul(grid.height);
+        let room = room.shared_by(cells(couple.a.grid()), cells(couple.b.grid()));
+        let (kept_a, kept_b) = (Kept::of(&couple.a, &room, means)?, Kept::of(&couple.b, &room, means)?);
+        let a: &dyn Heights = kept_a.as_ref().map_or(&couple.a, |kept| kept);
+        let b: &dyn Heights = kept_b.as_ref().map_or(&couple.b, |kept| kept);
         let averaged = Averaged::new(a, ratio);
         let mut scan = Scan {
             grid,
@@ -239,13 +241,6 @@ impl CompareJob<'_> {
         let mut whole = First::default();
         parts.into_iter().for_each(|(part, _)| whole.merge(part));
         Ok(whole)
-    }
-
-    /// A model in memory, where both are small; others are read in every pass.
-    fn held(&self, model: &Model, couple: &Couple, means: Means) -> Result<Option<Held>> {
-        let cells = |grid: Grid| grid.width.saturating_mul(grid.height);
-        let both = cells(couple.a.grid()).saturating_add(cells(couple.b.grid()));
-        if both <= self.resources.held_cells() { Held::of(model, means) } else { Ok(None) }
     }
 
     fn write_difference(&self, scan: &Scan<'_>, couple: &Couple, means: Means, path: &Path) -> Result<First> {

@@ -363,6 +363,7 @@ fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         method: args.method,
         stable: args.stable.as_deref(),
         resources: args.resources.resources(),
+        scratch: Some(args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))),
     };
     let found = job.run()?;
     let alignment = match &found.outcome {
