@@ -279,7 +279,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     (ordered.names, left_out) = frames::usable(&ordered.folder, &ordered.names);
     if let Some(first) = ordered.names.first() {
         let [w, h] = image_size(&ordered.folder.join(first), None)?.map(|v| v as usize);
-        left_out.extend(ordered.masks.leave_out_misfits(&ordered.names, (w, h)));
+        left_out.extend(ordered.masks.leave_out_misfits(&ordered.names, (w, h))?);
     }
     let OrderedFrames { folder, masks, names, rows } = &ordered;
     left_out.iter().for_each(|note| eprintln!("warning: {note}"));

@@ -56,20 +56,33 @@ impl Masks {
     }
 
     /// Leaves out the masks of single frames that cannot be read or are of another size than their frame; a line about each.
-    pub fn leave_out_misfits(&mut self, names: &[String], frame_px: (usize, usize)) -> Vec<String> {
+    ///
+    /// # Errors
+    /// When there are several and none fits: then they are of other frames.
+    pub fn leave_out_misfits(&mut self, names: &[String], frame_px: (usize, usize)) -> Result<Vec<String>> {
         let mut notes = Vec::new();
-        for path in
-            names.iter().flat_map(|n| self.of(n)).filter(|p| Some(p) != self.global.as_ref()).collect::<Vec<_>>()
-        {
-            let what = match Dataset::open(&path).map(|mask| mask.raster_size()) {
+        let own: Vec<PathBuf> =
+            names.iter().flat_map(|n| self.of(n)).filter(|p| Some(p) != self.global.as_ref()).collect();
+        for path in &own {
+            let what = match Dataset::open(path).map(|mask| mask.raster_size()) {
                 Ok(size) if size == frame_px => continue,
                 Ok((w, h)) => format!("the mask has {w} x {h} pixels, its frame {} x {}", frame_px.0, frame_px.1),
                 Err(error) => format!("the mask cannot be read: {error}"),
             };
             notes.push(format!("{}: left out: {what}; its frame counts without it", path.display()));
-            self.left_out.insert(path);
+            self.left_out.insert(path.clone());
         }
-        notes
+        if own.len() > 1 && self.left_out.len() == own.len() {
+            let (width, height) = frame_px;
+            bail!(
+                "{}: none of the {} masks fits the frames of {width} x {height} pixels ({}); make them of these frames with \
+                 `autoref-stream mask`, or name another folder under [masks]",
+                self.folder.display(),
+                own.len(),
+                notes[0]
+            );
+        }
+        Ok(notes)
     }
 
     /// The masks of a frame.
