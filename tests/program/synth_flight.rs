@@ -184,3 +184,103 @@ fn requests_that_make_no_sense_are_one_line() {
         assert!(!out.join("frames").exists(), "{extra:?} wrote frames");
     }
 }
+
+/// A film camera with marks that a coarse scan shows.
+const COARSE_FILM: &str = r#"
+name = "coarse-cross"
+film_size_mm = [70.0, 70.0]
+image_size_mm = [64.0, 64.0]
+focal_length_mm = 70.0
+y_axis = "down"
+upright = true
+marks = [
+  { name = "1", x_mm = -26.0, y_mm = -26.0, kind = { shape = "cross", arm_mm = 1.5, line_mm = 0.3, gap_mm = 0.0, lines_deg = 0.0 } },
+  { name = "2", x_mm = 26.0, y_mm = -26.0, kind = { shape = "cross", arm_mm = 1.5, line_mm = 0.3, gap_mm = 0.0, lines_deg = 0.0 } },
+  { name = "3", x_mm = 26.0, y_mm = 26.0, kind = { shape = "cross", arm_mm = 1.5, line_mm = 0.3, gap_mm = 0.0, lines_deg = 0.0 } },
+  { name = "4", x_mm = -26.0, y_mm = 26.0, kind = { shape = "cross", arm_mm = 1.5, line_mm = 0.3, gap_mm = 0.0, lines_deg = 0.0 } },
+]
+"#;
+
+fn grey(path: &Path) -> (usize, Vec<f64>) {
+    let set = gdal::Dataset::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let (w, h) = set.raster_size();
+    let band = set.rasterband(1).expect("a band");
+    (w, band.read_as::<f64>((0, 0), (w, h), (w, h), None).expect("readable").data().to_vec())
+}
+
+/// Of the middle of a frame with the same frame, moved.
+fn correlation((w, a): &(usize, Vec<f64>), (v, b): &(usize, Vec<f64>), moved: (usize, usize)) -> f64 {
+    let (mut n, mut sums) = (0.0, [0.0; 5]);
+    for (x, y) in (100..420).flat_map(|y| (100..420).map(move |x| (x, y))) {
+        let (p, q) = (a[y * w + x], b[(y + moved.1) * v + x + moved.0]);
+        n += 1.0;
+        [p, q, p * p, q * q, p * q].iter().zip(&mut sums).for_each(|(v, sum)| *sum += v);
+    }
+    let [p, q, pp, qq, pq] = sums.map(|s| s / n);
+    (pq - p * q) / ((pp - p * p) * (qq - q * q)).sqrt()
+}
+
+/// Scans of film with marks: `fiducials` finds them and makes the frames that the list and the project are of; with AUTOREF_LARGE=1
+/// `flight solve` then finds where the cameras stood.
+#[test]
+fn scans_of_film_become_the_frames_that_were_rendered() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (film, plain, camera) =
+        (folder.path().join("film"), folder.path().join("plain"), folder.path().join("coarse.toml"));
+    std::fs::write(&camera, COARSE_FILM).expect("writable");
+    let frames = if crate::common::large() { "5" } else { "2" };
+    let common = ["--frames", frames, "--samples", "1", "--points", "8,4", "--grain", "1", "--seed", "3"];
+    let run = |args: &[&str]| {
+        let output = autoref(args);
+        assert_eq!(output.status.code(), Some(0), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let said = run(&[&["synth-flight", text(&film), "--film", text(&camera)][..], &common].concat());
+    assert!(said.contains("Next: autoref-stream fiducials"), "{said}");
+    run(&[&["synth-flight", text(&plain), "--size", "640,640", "--f-px", "700", "--grey"][..], &common].concat());
+    let scans: Vec<String> = (1..=frames.parse::<usize>().expect("a number"))
+        .map(|i| film.join(format!("scans/L01_{i:04}.tif")).display().to_string())
+        .collect();
+    let made = film.join("frames");
+    let mut args = vec!["fiducials"];
+    args.extend(scans.iter().map(String::as_str));
+    args.extend([
+        "--camera",
+        text(&camera),
+        "--pixel-um",
+        "100",
+        "--resample",
+        "--resample-mm",
+        "0.1",
+        "-o",
+        text(&made),
+    ]);
+    run(&args);
+    let (resampled, rendered) = (grey(&made.join("L01_0001.resampled.tif")), grey(&plain.join("frames/L01_0001.tif")));
+    assert_eq!((resampled.0, rendered.0), (520, 640));
+    let here = correlation(&resampled, &rendered, (60, 60));
+    assert!(here > 0.8, "{here}");
+    for beside in [(59, 60), (61, 60), (60, 59), (60, 61)] {
+        assert!(correlation(&resampled, &rendered, beside) < here, "{beside:?}");
+    }
+    // The list of the film is that of the plain frames, 60 pixels less.
+    let places = |at: &Path| -> Vec<[f64; 2]> {
+        let list = std::fs::read_to_string(at.join("gcps.txt")).expect("written");
+        let number = |word: &str| word.parse::<f64>().expect("a number");
+        let row = |line: &str| line.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        list.lines().skip(1).map(row).map(|row| [number(&row[3]), number(&row[4])]).collect()
+    };
+    let (film_places, plain_places) = (places(&film), places(&plain));
+    assert!(film_places.len() == plain_places.len() && !film_places.is_empty());
+    for (film, plain) in film_places.iter().zip(&plain_places) {
+        assert!((0..2).all(|k| (plain[k] - film[k] - 60.0).abs() < 0.002), "{film:?} {plain:?}");
+    }
+    let project = std::fs::read_to_string(film.join("FLIGHT.toml")).expect("written");
+    assert!(project.contains("pp_px = [260.0, 260.0]") && project.contains("f_px = 700.0"), "{project}");
+    if !crate::common::large() {
+        return;
+    }
+    let solved = run(&["flight", "solve", text(&film.join("FLIGHT.toml")), "-o", text(&film.join("out")), "--json"]);
+    let solved: Value = serde_json::from_str(&solved).expect("JSON");
+    assert_eq!(solved["frames_registered"], 5, "{solved}");
+}

@@ -22,10 +22,39 @@ use autoref_raster::{Block, Piece, PieceData, RasterInfo, RasterSource, ReadStat
 use autoref_synth::rng::Rng;
 use render::{Damage, Painter};
 
-/// Grey photographs under the marks. Empty: a landscape of noise.
+/// What the film shows under the marks. Empty: a landscape of noise.
 #[derive(Clone, Debug, Default)]
 pub struct FilmGround {
+    /// Grey photographs of which each frame shows a part.
     pub photos: Vec<Arc<GreyPhoto>>,
+    /// The very picture that the camera exposed, instead.
+    pub exposed: Option<Exposed>,
+}
+
+/// A picture and its place on the film.
+#[derive(Clone, Debug)]
+pub struct Exposed {
+    pub photo: Arc<GreyPhoto>,
+    /// Outer corner of its first pixel, film millimetres, y down.
+    pub corner_mm: [f64; 2],
+    pub pixel_mm: f64,
+}
+
+impl Exposed {
+    /// Grey at a place of the film, 0 to 1, bilinear; beyond the picture its border goes on.
+    fn at(&self, film_mm: [f64; 2]) -> f32 {
+        let GreyPhoto { width, height, data } = self.photo.as_ref();
+        let [u, v] = [0, 1].map(|k| (film_mm[k] - self.corner_mm[k]) / self.pixel_mm - 0.5);
+        let (i, j) = (u.floor(), v.floor());
+        let (fx, fy) = ((u - i) as f32, (v - j) as f32);
+        let value = |x: f64, y: f64| {
+            let (x, y) = (x.clamp(0.0, *width as f64 - 1.0) as usize, y.clamp(0.0, *height as f64 - 1.0) as usize);
+            f32::from(data[y * width + x])
+        };
+        let line = |y: f64| value(i, y) + (value(i + 1.0, y) - value(i, y)) * fx;
+        let (top, bottom) = (line(j), line(j + 1.0));
+        (top + (bottom - top) * fy) / 255.0
+    }
 }
 
 /// A photograph as 8-bit grey.
@@ -43,7 +72,7 @@ impl FilmGround {
     /// Those of [`autoref_raster::open`] and of reading.
     pub fn open(paths: &[PathBuf]) -> Result<FilmGround> {
         let photos = paths.iter().map(|p| GreyPhoto::open(p).map(Arc::new)).collect::<Result<Vec<_>>>()?;
-        Ok(FilmGround { photos })
+        Ok(FilmGround { photos, exposed: None })
     }
 }
 

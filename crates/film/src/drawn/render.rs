@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{FilmGround, FilmMark, FilmSpec, GreyPhoto};
+use super::{Exposed, FilmGround, FilmMark, FilmSpec, GreyPhoto};
 use crate::interior::Pose;
 use crate::template::{Model, invert};
 use crate::types::Camera;
@@ -149,6 +149,7 @@ pub(super) struct Painter {
     tongue_mm: Vec<f64>,
     damage: Vec<Damage>,
     photo: Option<Arc<GreyPhoto>>,
+    exposed: Option<Exposed>,
     image: [f64; 4],
     /// Upper left corner of the film, millimetres.
     film: [f64; 2],
@@ -208,6 +209,7 @@ impl Painter {
             tongue_mm,
             damage,
             photo,
+            exposed: ground.exposed.clone(),
             image,
             film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
@@ -265,8 +267,9 @@ impl Painter {
         let unit = self.pose.px_per_mm();
         let film = [self.inverse[0] * dx + self.inverse[1] * dy, self.inverse[2] * dx + self.inverse[3] * dy];
         let (u, v) = (film[0] * unit, film[1] * unit);
-        let value = match &self.photo {
-            Some(photo) => {
+        let value = match (&self.exposed, &self.photo) {
+            (Some(exposed), _) => exposed.at(film),
+            (None, Some(photo)) => {
                 let (i, j) = (u.floor(), v.floor());
                 let (fx, fy) = ((u - i) as f32, (v - j) as f32);
                 let fold = |k: i64, n: usize| {
@@ -282,7 +285,7 @@ impl Painter {
                 let (top, bottom) = (line(y0), line(y0 + 1));
                 (top + (bottom - top) * fy) / 255.0
             }
-            None => {
+            (None, None) => {
                 let octave = |k: u32| {
                     let s = f64::from(1 << k) / 400.0;
                     value_noise(self.spec.seed ^ u64::from(k), (u * s) as f32, (v * s) as f32) / (k + 1) as f32

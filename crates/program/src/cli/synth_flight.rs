@@ -2,6 +2,7 @@
 
 mod control;
 mod files;
+mod film;
 
 use std::path::PathBuf;
 
@@ -65,6 +66,13 @@ pub struct Args {
     /// Width and height of a frame, pixels.
     #[arg(long, value_name = "W,H", default_value = "1800,1800", help_heading = "Camera")]
     size: Pair,
+    /// Scans of film instead, turned and shifted, with the fiducial marks of a camera: a name of `fiducials --list-cameras` or a TOML
+    /// file. `fiducials --resample` makes the frames of them; size and focal length are the camera's.
+    #[arg(long, value_name = "CAMERA", conflicts_with = "size", help_heading = "Camera")]
+    film: Option<String>,
+    /// Size of a scanned pixel on the film, micrometres.
+    #[arg(long, value_name = "UM", default_value_t = 100.0, value_parser = positive, requires = "film", help_heading = "Camera")]
+    film_um: f64,
     /// Focal length. Default: 1.17 times the width, as a 21 cm lens on 18 cm film has.
     #[arg(long, value_name = "PX", value_parser = positive, help_heading = "Camera")]
     f_px: Option<f64>,
@@ -143,14 +151,16 @@ pub fn run(args: &Args) -> Result<()> {
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global();
     }
     autoref_raster::initialise_gdal(64 << 20);
-    let camera = args.camera()?;
+    let film = args.film.as_ref().map(|name| film::Film::new(name, args.film_um)).transpose()?;
+    let camera = args.camera(film.as_ref())?;
     let (landscape, centre) = args.landscape()?;
     let ground_m = landscape.surface.height(centre[0], centre[1]).unwrap_or(landscape.surface.range()[0]);
     let plan = args.plan(centre, ground_m);
     let effects = args.effects(ground_m);
     let exposures = plan.exposures(args.seed);
-    let names: Vec<String> = exposures.iter().map(|exposure| format!("{}.tif", exposure.name)).collect();
-    let bands = if args.grey { 1 } else { 3 };
+    let ending = if film.is_some() { "resampled.tif" } else { "tif" };
+    let names: Vec<String> = exposures.iter().map(|exposure| format!("{}.{ending}", exposure.name)).collect();
+    let bands = if args.grey || film.is_some() { 1 } else { 3 };
     let frames: Vec<FrameRenderer<'_>> = exposures
         .iter()
         .map(|exposure| FrameRenderer { landscape: &landscape, camera: &camera, exposure, effects: &effects, bands })
@@ -158,18 +168,23 @@ pub fn run(args: &Args) -> Result<()> {
     let (gcps, checks) = (args.points.0 as usize, args.points.1 as usize);
     let control = control::draw(&frames, gcps, checks, [args.sigma_ground, args.sigma_image], args.seed)
         .with_context(|| format!("{}: no flight was written", args.output.display()))?;
-    let folder = args.output.join("frames");
+    let folder = args.output.join(if film.is_some() { "scans" } else { "frames" });
     std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create it", folder.display()))?;
-    for (frame, name) in frames.iter().zip(&names) {
-        let path = folder.join(name);
+    for frame in &frames {
+        let path = folder.join(format!("{}.tif", frame.exposure.name));
         if path.exists() && !args.overwrite {
             bail!("{}: exists already; use --overwrite or another folder", path.display());
         }
-        files::write_frame(frame, &path)?;
+        match &film {
+            Some(film) => film.write(frame, &path)?,
+            None => files::write_frame(frame, &path)?,
+        }
         println!("{}: {} x {} px", path.display(), camera.size_px[0], camera.size_px[1]);
     }
+    let resampled = film.as_ref().map(|film| resampled(&camera, film));
     let flight = files::Flight {
-        camera: &camera,
+        camera: resampled.as_ref().unwrap_or(&camera),
+        offset_px: film.as_ref().map_or([0.0; 2], film::Film::resampled_px),
         exposures: &exposures,
         names: &names,
         control: &control,
@@ -181,12 +196,25 @@ pub fn run(args: &Args) -> Result<()> {
     for path in flight.write(&args.output)? {
         println!("{}", path.display());
     }
+    if let (Some(film), Some(name)) = (&film, &args.film) {
+        println!("Next: autoref-stream {}", film.command(&args.output, name));
+    }
     if args.dem.is_none() {
         let path = args.output.join("dem.tif");
         files::write_model(&landscape, &path)?;
         println!("{}", path.display());
     }
     Ok(())
+}
+
+/// The camera of the frames that are made of the scans.
+fn resampled(camera: &Camera, film: &film::Film) -> Camera {
+    let ([dx, dy], [cx, cy]) = (film.resampled_px(), camera.pp_px());
+    let mut moved = camera.clone();
+    moved.size_px = film.resampled_size_px();
+    moved.set(Parameter::Cx, cx + dx);
+    moved.set(Parameter::Cy, cy + dy);
+    moved
 }
 
 impl Args {
@@ -220,10 +248,11 @@ impl Args {
         Ok(())
     }
 
-    fn camera(&self) -> Result<Camera> {
-        let size = [self.size.0, self.size.1];
+    fn camera(&self, film: Option<&film::Film>) -> Result<Camera> {
+        let size = film.map_or([self.size.0, self.size.1], film::Film::size_px);
         let pp = [size[0] / 2.0 + self.pp_offset.0, size[1] / 2.0 + self.pp_offset.1];
-        let mut camera = Camera::pinhole("synth", size, self.f_px.unwrap_or(1.17 * size[0]), pp);
+        let mut camera =
+            Camera::pinhole("synth", size, self.f_px.or(film.and_then(film::Film::f_px)).unwrap_or(1.17 * size[0]), pp);
         for entry in &self.distortion {
             let parameter = entry.split_once('=').and_then(|(name, value)| {
                 let parameter = Parameter::by_name(name.trim())?;

@@ -117,6 +117,8 @@ pub fn read_cover(path: &Path) -> Result<Cover> {
 /// What is written beside the frames.
 pub struct Flight<'a> {
     pub camera: &'a Camera,
+    /// Added to the pixels of the list.
+    pub offset_px: [f64; 2],
     pub exposures: &'a [Exposure],
     pub names: &'a [String],
     pub control: &'a [Point],
@@ -169,6 +171,7 @@ impl Flight<'_> {
             let [x, y, z] = point.listed;
             for (frame, [u, v]) in &point.seen {
                 let (frame, name) = (&self.names[*frame], &point.name);
+                let (u, v) = (u + self.offset_px[0], v + self.offset_px[1]);
                 writeln!(text, "{x:.3} {y:.3} {z:.3} {u:.3} {v:.3} {frame} {name}").expect("a string takes all writes");
             }
         }
