@@ -97,3 +97,76 @@ fn outliers_are_those_of_brute_force() {
         assert!(classes == expected, "radius, seed {seed}");
     }
 }
+
+/// How deep the origin lies below the envelope of places around it, in units of the spread: by Cramer's rule, all in memory.
+fn depth_of_brute_force(around: &[[f64; 3]]) -> Option<f64> {
+    let determinant = |m: [[f64; 3]; 3]| {
+        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+    };
+    let mut weights = vec![1.0; around.len()];
+    let mut plane = [0.0; 3];
+    let off = |plane: [f64; 3], p: &[f64; 3]| p[2] - plane[0] - plane[1] * p[0] - plane[2] * p[1];
+    for _ in 0..8 {
+        let (mut m, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
+        for (p, w) in around.iter().zip(&weights) {
+            let row = [1.0, p[0], p[1]];
+            for i in 0..3 {
+                right[i] += w * row[i] * p[2];
+                (0..3).for_each(|j| m[i][j] += w * row[i] * row[j]);
+            }
+        }
+        let whole = determinant(m);
+        for (k, value) in plane.iter_mut().enumerate() {
+            let mut replaced = m;
+            (0..3).for_each(|i| replaced[i][k] = right[i]);
+            *value = determinant(replaced) / whole;
+        }
+        let next = around.iter().map(|p| if off(plane, p) > 0.0 { 0.02 } else { 1.0 }).collect();
+        if next == weights {
+            break;
+        }
+        weights = next;
+    }
+    let sum: f64 = weights.iter().sum();
+    let squares: f64 = around.iter().zip(&weights).map(|(p, w)| w * off(plane, p).powi(2)).sum();
+    (plane[0] > 0.0).then(|| plane[0] / (squares / sum).sqrt())
+}
+
+#[test]
+fn isolated_points_are_those_of_brute_force() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("cloud.ply");
+    for (seed, count, radius_m, share, least) in
+        [(11, 900, 9.0, 0.55, 5), (12, 700, 25.0, 0.8, 3), (13, 500, 4.0, 0.4, 9)]
+    {
+        let points = landscape(count, seed);
+        write_ply(&path, &points);
+        let others = |at: usize| points.iter().enumerate().filter(move |(other, _)| *other != at).map(|(_, p)| p);
+        let apart = |at: usize, b: &[f64; 3]| -> [f64; 3] { std::array::from_fn(|i| b[i] - points[at][i]) };
+        let is_low = |at: usize| {
+            let mut around: Vec<[f64; 3]> =
+                others(at).map(|b| apart(at, b)).filter(|d| d[0] * d[0] + d[1] * d[1] <= radius_m * radius_m).collect();
+            around.sort_by(|a, b| (a[0] * a[0] + a[1] * a[1]).total_cmp(&(b[0] * b[0] + b[1] * b[1])));
+            around.truncate(128);
+            around.len() >= 6 && depth_of_brute_force(&around).is_some_and(|depth| depth >= share)
+        };
+        let neighbour = |at: usize| {
+            let mut distances: Vec<f64> = others(at).map(|b| apart(at, b).iter().map(|d| d * d).sum()).collect();
+            distances.sort_by(f64::total_cmp);
+            distances[least - 1]
+        };
+        let distances: Vec<f64> = (0..count).map(neighbour).collect();
+        let mut sorted = distances.clone();
+        sorted.sort_by(f64::total_cmp);
+        let limit = 16.0 * sorted[count / 2];
+        let expected: Vec<u8> = (0..count).map(|at| if is_low(at) || distances[at] >= limit { 7 } else { 1 }).collect();
+        let noise = expected.iter().filter(|class| **class == 7).count();
+        assert!((3..count / 2).contains(&noise), "seed {seed}: {noise}");
+        for tile_points in [40, 333, 100_000] {
+            let step = Step::Isolated(isolated::Options { radius_m: Some(radius_m), share, least });
+            let (_, _, classes) = run(&path, &Plan { tile_points: Some(tile_points), ..plan(vec![step]) }, "ply");
+            assert!(classes == expected, "seed {seed}, tiles of {tile_points}");
+        }
+    }
+}
