@@ -5,6 +5,7 @@ pub mod bundle;
 pub mod camera;
 pub mod dual;
 pub mod error;
+pub mod intersect;
 pub mod lines;
 pub mod micmac_files;
 pub mod ortho;

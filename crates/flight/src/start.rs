@@ -4,10 +4,11 @@
 
 use nalgebra::Vector3;
 
-use crate::adjust::{GroundPoint, Role, RoughPose, intersect};
+use crate::adjust::{GroundPoint, Role, RoughPose};
 use crate::bundle::{BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Trust, solve};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::intersect::intersect;
 use crate::pose::Pose;
 use crate::read::{Photograph, Reconstruction, TiePoint};
 

@@ -1,22 +1,22 @@
 //! Elevation models: aligned, compared, drawn.
 
+mod align;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
-use autoref_elevation::align::{Alignment, Method, Outcome};
 use autoref_elevation::compare::{CompareJob, Summary};
-use autoref_elevation::couple::Couple;
 use autoref_elevation::derive::{self, Drawing};
-use autoref_elevation::files::{AlignJob, Resources};
+use autoref_elevation::files::Resources;
 use autoref_elevation::gradient::{self, Edges, Kernel, Picture};
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic::{self, Existing};
 use clap::{Args, Subcommand, ValueEnum};
-use serde_json::{Map, Value, json};
 
 use crate::cli::common::Bytes;
+use align::{AlignArgs, align};
 
 /// Align, compare and draw elevation models.
 #[derive(Args, Debug)]
@@ -76,32 +76,6 @@ impl ResourceArgs {
             memory_budget_bytes: self.memory.0,
         }
     }
-}
-
-#[derive(Args, Debug)]
-struct AlignArgs {
-    /// The model that is moved.
-    a: PathBuf,
-    /// The model that stays.
-    #[arg(long, value_name = "B")]
-    to: PathBuf,
-    /// The moved model.
-    #[arg(short, long, value_name = "FILE")]
-    out: PathBuf,
-    /// auto, nuth-kaab, lzd, bias or tilt.
-    #[arg(long, value_name = "METHOD", default_value = "auto")]
-    method: Method,
-    /// Polygons of ground that has not changed. Default: found by robust weights.
-    #[arg(long, value_name = "FILE")]
-    stable: Option<PathBuf>,
-    /// Print the result as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Replace the output when it exists.
-    #[arg(long)]
-    overwrite: bool,
-    #[command(flatten)]
-    resources: ResourceArgs,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -353,103 +327,6 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         DemCommand::Colour(args) => draw(&args.draw, "color-relief", Vec::new(), Some(&args.table))?,
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
-    atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
-    let job = AlignJob {
-        a: &args.a,
-        b: &args.to,
-        method: args.method,
-        stable: args.stable.as_deref(),
-        resources: args.resources.resources(),
-        scratch: Some(args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))),
-    };
-    let found = job.run()?;
-    let alignment = match &found.outcome {
-        Outcome::Refused(why) => {
-            if args.json {
-                println!("{}", json!({ "status": "refused", "reason": why }));
-            } else {
-                println!("Not aligned: {why}");
-            }
-            return Ok(ExitCode::from(1));
-        }
-        Outcome::Aligned(alignment) => alignment,
-    };
-    found.write(alignment, &args.out)?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&document(args, alignment, &found.couple))?);
-        return Ok(ExitCode::SUCCESS);
-    }
-    // What is printed as zero has no sign.
-    let [e, n, h] = alignment.shift_m.map(|v| (v * 1e4).round() / 1e4 + 0.0);
-    let error = |i: usize| alignment.covariance_m2[(i, i)].max(0.0).sqrt();
-    println!(
-        "Shift applied to A   east {e:.4} ± {:.4} m, north {n:.4} ± {:.4} m, height {h:.4} ± {:.4} m",
-        error(0),
-        error(1),
-        error(2)
-    );
-    if let Some(tilt) = &alignment.tilt {
-        println!(
-            "Tilt applied to A    east {:.5} ± {:.5} mm/m, north {:.5} ± {:.5} mm/m",
-            1e3 * tilt.east,
-            1e3 * tilt.east_se,
-            1e3 * tilt.north,
-            1e3 * tilt.north_se
-        );
-    }
-    if found.couple.heights.lifted() {
-        println!("Heights              {}", found.couple.heights);
-    }
-    println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
-    println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
-    println!("Written              {}", args.out.display());
-    Ok(ExitCode::SUCCESS)
-}
-
-/// A number, or null where there is none.
-fn number(value: f64) -> Value {
-    serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
-}
-
-fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
-    let grid = autoref_elevation::source::Heights::grid(&couple.a);
-    let mut out = Map::new();
-    let mut put = |key: &str, value: Value| {
-        out.insert(key.into(), value);
-    };
-    put("status", "aligned".into());
-    put("method", args.method.name().into());
-    put("shift_e_m", number(found.shift_m[0]));
-    put("shift_n_m", number(found.shift_m[1]));
-    put("shift_h_m", number(found.shift_m[2]));
-    put("shift_x_px", number(found.shift.0 / grid.step_x));
-    put("shift_y_px", number(found.shift.1 / grid.step_y + 0.0));
-    let rows: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| found.covariance_m2[(i, j)]).collect()).collect();
-    put("covariance_m2", json!(rows));
-    for (i, key) in ["shift_e_se_m", "shift_n_se_m", "shift_h_se_m"].into_iter().enumerate() {
-        put(key, number(found.covariance_m2[(i, i)].max(0.0).sqrt()));
-    }
-    put("tilted", found.tilt.is_some().into());
-    let tilt = found.tilt.as_ref();
-    put("tilt_e_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.east)));
-    put("tilt_n_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.north)));
-    put("tilt_e_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.east_se)));
-    put("tilt_n_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.north_se)));
-    put("height_counts_at", json!([found.centre.0, found.centre.1]));
-    put("nmad_before_m", number(found.nmad_before_m));
-    put("nmad_after_m", number(found.nmad_after_m));
-    put("median_before_m", number(found.median_before_m));
-    put("median_after_m", number(found.median_after_m));
-    put("stable_share", number(found.stable_share));
-    put("common_cells", found.common_cells.into());
-    put("iterations", found.iterations.into());
-    put("resampled", couple.projected.into());
-    put("heights", couple.heights.to_string().into());
-    put("output", args.out.display().to_string().into());
-    Value::Object(out)
 }
 
 fn compare(args: &CompareArgs) -> anyhow::Result<()> {

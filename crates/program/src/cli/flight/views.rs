@@ -394,7 +394,7 @@ mod tests {
         // A frame's own mask of another size is left out and named; that of the camera is not.
         picture(&at("border.png"), (40, 30), |_, y| u8::from(y >= 5));
         picture(&at("f_Masq.tif"), (30, 40), |_, _| 0);
-        let notes = masks.leave_out_misfits(&["f.png".into()], (40, 30));
+        let notes = masks.leave_out_misfits(&["f.png".into()], (40, 30)).expect("one alone is left out");
         assert!(matches!(&notes[..], [one] if one.contains("f_Masq.tif") && one.contains("30 x 40")), "{notes:?}");
         let counted = Counted::read(folder.path(), "f.png", &masks).expect("readable");
         assert!(counted.has([25.5, 8.5]) && !counted.has([25.5, 2.5]));
