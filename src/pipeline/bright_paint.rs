@@ -7,6 +7,7 @@
 use crate::candidate::pixel_set::PixelSet;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
+use crate::pipeline::paint::{classify_piece, outline_of};
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
@@ -54,15 +55,7 @@ impl Detector for BrightPaint {
     }
 
     fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
-        if piece.empty {
-            return;
-        }
-        let (x, width) = (piece.window.x, piece.window.width);
-        let mut bits = vec![0u64; (width as usize).div_ceil(64)];
-        for y in piece.window.y..piece.window.bottom() {
-            self.classifier.classify_row(piece.row(x, y, width), &mut bits);
-            mask.put_bits(x, y, width, &bits);
-        }
+        classify_piece(&self.classifier, piece, mask);
     }
 
     fn segment_within(&self, piece: &Piece, outer: &Mask, mask: &mut Mask) {
@@ -103,8 +96,6 @@ impl Detector for BrightPaint {
     }
 
     fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let evidence = examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?;
-        let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
-        Some((centre, evidence.fit?.outline(centre)))
+        outline_of(examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?)
     }
 }

@@ -1,5 +1,6 @@
 //! The detector of painted marks: profile, colour test, gates and examination under one name.
 
+use crate::candidate::examine::Evidence;
 use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
@@ -70,15 +71,7 @@ impl Detector for PaintDetector {
     }
 
     fn segment_piece(&self, piece: &Piece, mask: &mut Mask) {
-        if piece.empty {
-            return;
-        }
-        let (x, width) = (piece.window.x, piece.window.width);
-        let mut bits = vec![0u64; (width as usize).div_ceil(64)];
-        for y in piece.window.y..piece.window.bottom() {
-            self.classifier.classify_row(piece.row(x, y, width), &mut bits);
-            mask.put_bits(x, y, width, &bits);
-        }
+        classify_piece(&self.classifier, piece, mask);
     }
 
     fn segment_block(&self, _block: &Block, mask: &mut Mask) {
@@ -102,9 +95,7 @@ impl Detector for PaintDetector {
     }
 
     fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let evidence = examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?;
-        let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
-        Some((centre, evidence.fit?.outline(centre)))
+        outline_of(examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?)
     }
 
     fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
@@ -131,4 +122,23 @@ impl Detector for PaintDetector {
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         crate::candidate::prototype_options::finish(list, &self.profile)
     }
+}
+
+/// Piece → Mask, by the colour of each pixel.
+pub(super) fn classify_piece(classifier: &Classifier, piece: &Piece, mask: &mut Mask) {
+    if piece.empty {
+        return;
+    }
+    let (x, width) = (piece.window.x, piece.window.width);
+    let mut bits = vec![0u64; (width as usize).div_ceil(64)];
+    for y in piece.window.y..piece.window.bottom() {
+        classifier.classify_row(piece.row(x, y, width), &mut bits);
+        mask.put_bits(x, y, width, &bits);
+    }
+}
+
+/// Centre and outline of what was fitted.
+pub(super) fn outline_of(evidence: Evidence) -> Option<(PixelPoint, Vec<PixelPoint>)> {
+    let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
+    Some((centre, evidence.fit?.outline(centre)))
 }
