@@ -144,7 +144,7 @@ fn smoothed(map: &[f64], width: usize) -> Vec<f64> {
 
 /// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the box's:
 /// gates on it are not to be asked.
-pub(super) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
+pub(crate) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
     let width = patch.window.width;
     let mut region: Option<Region> = None;
     for i in own.iter() {

@@ -5,6 +5,7 @@
 //! region again.
 
 use crate::candidate::pixel_set::PixelSet;
+use crate::candidate::split::region_of;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
 use crate::pipeline::paint::{classify_piece, outline_of};
@@ -32,10 +33,11 @@ impl BrightPaint {
         Some(BrightPaint { profile: profile.clone(), outer: outer.clone(), classifier, gates: gates.clone() })
     }
 
-    /// Whether the whole profile sees the same thing, or nearly, and decides about it.
-    fn is_seen_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {
-        /// Blur makes a mark of the whole profile wider.
-        const SAME: f64 = 2.0;
+    /// Whether what the whole profile sees there may be a mark itself: then that decides. Of other things in about the paint's colour the
+    /// brightest part is any shape.
+    fn is_decided_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {
+        /// Ground goes on beyond the patch on so many of its sides, at least; a thing beside which there is other ground does not.
+        const GROUND_SIDES: usize = 3;
         let patch = pixels.whole();
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let (y, x) = region.first;
@@ -45,7 +47,13 @@ impl BrightPaint {
         let valid = PixelSet::of(&patch.valid, width);
         let paint = PixelSet::of_bits(&self.outer.paint_bits(&patch.rgb), width, height).and(&valid);
         let piece = paint.piece((y - patch.window.y) as usize * width + (x - patch.window.x) as usize);
-        !piece.at_edge() && piece.count() as f64 <= SAME * region.area as f64
+        let Some(outer) = region_of(&piece, &patch) else { return false };
+        let (of, all) = (outer.bounds, patch.window);
+        let met = [of.x == all.x, of.y == all.y, of.right() == all.right(), of.bottom() == all.bottom()];
+        match met.into_iter().filter(|met| *met).count() {
+            0 => self.gates.shape(&outer),
+            sides => sides < GROUND_SIDES,
+        }
     }
 }
 
@@ -89,7 +97,7 @@ impl Detector for BrightPaint {
     }
 
     fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        if self.is_seen_outside(region, pixels) {
+        if self.is_decided_outside(region, pixels) {
             return None;
         }
         examine(region, pixels, &self.classifier, &self.profile, &self.gates)
