@@ -33,6 +33,16 @@ impl BrightPaint {
         Some(BrightPaint { profile: profile.clone(), outer: outer.clone(), classifier, gates: gates.clone() })
     }
 
+    /// The same paint, examined as another profile asks.
+    pub fn with_profile(&self, profile: &Profile) -> BrightPaint {
+        BrightPaint {
+            profile: profile.clone(),
+            outer: self.outer.clone(),
+            classifier: self.classifier.clone(),
+            gates: self.gates.clone(),
+        }
+    }
+
     /// Whether what the whole profile sees there may be a mark itself: then that decides. Of other things in about the paint's colour the
     /// brightest part is any shape.
     fn is_decided_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {

@@ -55,12 +55,12 @@ impl PaintDetector {
         let mut profile = self.profile.clone();
         profile.examine.min_score = profile.examine.min_score.min(0.0) - 4.0;
         PaintDetector {
-            profile,
             classifier: self.classifier.clone(),
             gates: self.gates.clone(),
             filters: self.filters.clone(),
             info: self.info.clone(),
-            inner: None,
+            inner: self.inner.as_ref().map(|inner| Box::new(inner.with_profile(&profile))),
+            profile,
         }
     }
 }

@@ -1,8 +1,12 @@
 //! Marks on ground that the profile takes for paint in less light.
 
 use crate::common::tiles::{find, memory};
+use autoref_raster::RasterSource;
+use autoref_raster::coords::PixelPoint;
 use autoref_stream::candidate::Candidate;
+use autoref_stream::pipeline::PaintDetector;
 use autoref_stream::profile::Profile;
+use autoref_stream::rematch::{Expected, Refinement, rematch};
 use autoref_synth::plant::{Picture, Random};
 
 const SIZE: usize = 400;
@@ -44,6 +48,25 @@ fn bright_paint_on_ground_of_its_own_colour_is_found() {
         for (tile, threads) in [(64, 2), (128, 2), (150, 3)] {
             assert_eq!(whole, find(&source, &profile, tile, threads), "{}, tile {tile}", profile.name);
         }
+    }
+}
+
+/// Where a mark is expected its window shows it too, on such ground as on other.
+#[test]
+fn windows_show_bright_paint_on_ground_of_its_own_colour() {
+    let source = memory(&field([60.0, 112.0, 45.0], [87.0, 166.0, 57.0], &mut Random(23)));
+    let profile = Profile::builtin("ral-6018").expect("shipped");
+    let detector = PaintDetector::new(profile, source.info(), None).expect("sizes in pixels").relaxed();
+    let expect = |(gcp, (x, y)): (usize, &(f64, f64))| Expected {
+        gcp,
+        position: PixelPoint { x: x + 2.0, y: y - 1.5 },
+        radius_px: 6.0,
+    };
+    let expected: Vec<Expected> = PLACES.iter().enumerate().map(expect).collect();
+    let answers = rematch(&source, &detector, &[], &expected).expect("memory");
+    for ((x, y), answer) in PLACES.iter().zip(answers) {
+        let Refinement::Found(mark) = answer else { panic!("{x}, {y}: {answer:?}") };
+        assert!((mark.centre.x - x).hypot(mark.centre.y - y) < 0.1, "{x}, {y}: {mark:?}");
     }
 }
 

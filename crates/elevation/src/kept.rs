@@ -22,14 +22,6 @@ pub struct Room<'a> {
     pub scratch: Option<&'a Path>,
 }
 
-impl<'a> Room<'a> {
-    /// For each of two sources of so many cells: in memory both or neither.
-    pub fn shared_by(self, a_cells: u64, b_cells: u64) -> Room<'a> {
-        let fit = a_cells.saturating_add(b_cells) <= self.held_cells;
-        Room { held_cells: if fit { self.held_cells } else { 0 }, ..self }
-    }
-}
-
 /// Larger copies are not made on disk.
 const MOST_BYTES: u64 = 16 << 30;
 
@@ -39,14 +31,32 @@ pub enum Kept {
     OnDisk(Spooled),
 }
 
+fn cells(source: &dyn Heights) -> u64 {
+    source.grid().width.saturating_mul(source.grid().height)
+}
+
 impl Kept {
+    /// Of two sources that are read side by side: in memory both or neither.
+    ///
+    /// # Errors
+    /// When one of them cannot be read.
+    pub fn both(
+        a: &dyn Heights,
+        b: &dyn Heights,
+        room: Room<'_>,
+        cut: stream::Means,
+    ) -> Result<(Option<Kept>, Option<Kept>)> {
+        let fit = cells(a).saturating_add(cells(b)) <= room.held_cells;
+        let room = Room { held_cells: if fit { room.held_cells } else { 0 }, ..room };
+        Ok((Kept::of(a, &room, cut)?, Kept::of(b, &room, cut)?))
+    }
+
     /// `None` where there is no room, or the disk fails: the source is still there.
     ///
     /// # Errors
     /// When the source cannot be read.
     pub fn of(source: &dyn Heights, room: &Room<'_>, cut: stream::Means) -> Result<Option<Kept>> {
-        let grid = source.grid();
-        if grid.width.saturating_mul(grid.height) <= room.held_cells {
+        if cells(source) <= room.held_cells {
             return Ok(Held::of(source, cut)?.map(Kept::InMemory));
         }
         let Some(folder) = room.scratch else { return Ok(None) };
@@ -102,7 +112,7 @@ impl Held {
                 }
                 let (width, height) = (core.width as usize, core.height as usize);
                 source.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, buffer)?;
-                *exact = buffer.iter().all(|v| v.is_nan() || f64::from(*v as f32) == *v);
+                *exact = buffer.iter().all(|v| Number::Single.holds(*v));
                 let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);
                 for (row, line) in (core.y..).zip(buffer.chunks_exact(width)) {
                     let from = (row * grid.width + core.x) as usize;
@@ -187,7 +197,7 @@ pub struct Spooled {
 impl Spooled {
     fn of(source: &dyn Heights, folder: &Path, number: Number, cut: stream::Means) -> Result<Copied> {
         let grid = source.grid();
-        let bytes = grid.width.saturating_mul(grid.height).saturating_mul(number.bytes() as u64);
+        let bytes = cells(source).saturating_mul(number.bytes() as u64);
         // Others need the disk too.
         let free = autoref_raster::free_disk_bytes(folder).unwrap_or(0);
         if bytes > MOST_BYTES.min(free / 2) {

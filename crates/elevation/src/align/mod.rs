@@ -180,10 +180,7 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let template = Cropped::new(template, reach(&other.grid()), 1).ok_or_else(none)?;
     let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
     let frame = Frame::of(&template.grid());
-    let cells = |g: &Grid| g.width * g.height;
-    let room = options.room.shared_by(cells(&template.grid()), cells(&other.grid()));
-    let kept = |source: &dyn Heights| Kept::of(source, &room, options.means);
-    let (kept_template, kept_other) = (kept(&template)?, kept(&other)?);
+    let (kept_template, kept_other) = Kept::both(&template, &other, options.room, options.means)?;
     let template: &dyn Heights = kept_template.as_ref().map_or(&template, |kept| kept);
     let other: &dyn Heights = kept_other.as_ref().map_or(&other, |kept| kept);
     let full = Pair { template, other, finer, unit: options.unit, stable: options.stable, frame };

@@ -203,9 +203,7 @@ impl CompareJob<'_> {
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         let ratio = (cell(&grid) / cell(&couple.a.grid())).sqrt().round().max(1.0) as u64;
         let room = Room { held_cells: self.resources.held_cells(), scratch: Some(folder) };
-        let cells = |grid: Grid| grid.width.saturating_mul(grid.height);
-        let room = room.shared_by(cells(couple.a.grid()), cells(couple.b.grid()));
-        let (kept_a, kept_b) = (Kept::of(&couple.a, &room, means)?, Kept::of(&couple.b, &room, means)?);
+        let (kept_a, kept_b) = Kept::both(&couple.a, &couple.b, room, means)?;
         let a: &dyn Heights = kept_a.as_ref().map_or(&couple.a, |kept| kept);
         let b: &dyn Heights = kept_b.as_ref().map_or(&couple.b, |kept| kept);
         let averaged = Averaged::new(a, ratio);

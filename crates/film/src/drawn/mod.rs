@@ -22,13 +22,16 @@ use autoref_raster::{Block, Piece, PieceData, RasterInfo, RasterSource, ReadStat
 use autoref_synth::rng::Rng;
 use render::{Damage, Painter};
 
-/// What the film shows under the marks. Empty: a landscape of noise.
+/// What the film shows under the marks.
 #[derive(Clone, Debug, Default)]
-pub struct FilmGround {
-    /// Grey photographs of which each frame shows a part.
-    pub photos: Vec<Arc<GreyPhoto>>,
-    /// The very picture that the camera exposed, instead.
-    pub exposed: Option<Exposed>,
+pub enum FilmGround {
+    /// A landscape of noise.
+    #[default]
+    Noise,
+    /// A part of one of these grey photographs, drawn by the frame's seed.
+    Photos(Vec<Arc<GreyPhoto>>),
+    /// The very picture that the camera exposed.
+    Exposed(Exposed),
 }
 
 /// A picture and its place on the film.
@@ -71,8 +74,7 @@ impl FilmGround {
     /// # Errors
     /// Those of [`autoref_raster::open`] and of reading.
     pub fn open(paths: &[PathBuf]) -> Result<FilmGround> {
-        let photos = paths.iter().map(|p| GreyPhoto::open(p).map(Arc::new)).collect::<Result<Vec<_>>>()?;
-        Ok(FilmGround { photos, exposed: None })
+        paths.iter().map(|p| GreyPhoto::open(p).map(Arc::new)).collect::<Result<Vec<_>>>().map(FilmGround::Photos)
     }
 }
 

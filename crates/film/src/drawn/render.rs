@@ -133,6 +133,13 @@ impl Damage {
     }
 }
 
+/// What lies under the marks of one frame.
+enum Picture {
+    Noise,
+    Photo(Arc<GreyPhoto>),
+    Exposed(Exposed),
+}
+
 /// Everything that a pixel depends on.
 pub(super) struct Painter {
     spec: FilmSpec,
@@ -148,8 +155,7 @@ pub(super) struct Painter {
     bound_mm: Vec<f64>,
     tongue_mm: Vec<f64>,
     damage: Vec<Damage>,
-    photo: Option<Arc<GreyPhoto>>,
-    exposed: Option<Exposed>,
+    picture: Picture,
     image: [f64; 4],
     /// Upper left corner of the film, millimetres.
     film: [f64; 2],
@@ -196,7 +202,11 @@ impl Painter {
             centre[0] + 0.5 * size[0],
             centre[1] + 0.5 * size[1],
         ];
-        let photo = (!ground.photos.is_empty()).then(|| ground.photos[r.below(ground.photos.len())].clone());
+        let picture = match ground {
+            FilmGround::Exposed(exposed) => Picture::Exposed(exposed.clone()),
+            FilmGround::Photos(photos) if !photos.is_empty() => Picture::Photo(photos[r.below(photos.len())].clone()),
+            FilmGround::Photos(_) | FilmGround::Noise => Picture::Noise,
+        };
         Painter {
             spec: spec.clone(),
             inverse: invert(pose.linear).expect("a pose is regular"),
@@ -208,8 +218,7 @@ impl Painter {
             bound_mm,
             tongue_mm,
             damage,
-            photo,
-            exposed: ground.exposed.clone(),
+            picture,
             image,
             film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
@@ -267,9 +276,9 @@ impl Painter {
         let unit = self.pose.px_per_mm();
         let film = [self.inverse[0] * dx + self.inverse[1] * dy, self.inverse[2] * dx + self.inverse[3] * dy];
         let (u, v) = (film[0] * unit, film[1] * unit);
-        let value = match (&self.exposed, &self.photo) {
-            (Some(exposed), _) => exposed.at(film),
-            (None, Some(photo)) => {
+        let value = match &self.picture {
+            Picture::Exposed(exposed) => exposed.at(film),
+            Picture::Photo(photo) => {
                 let (i, j) = (u.floor(), v.floor());
                 let (fx, fy) = ((u - i) as f32, (v - j) as f32);
                 let fold = |k: i64, n: usize| {
@@ -285,7 +294,7 @@ impl Painter {
                 let (top, bottom) = (line(y0), line(y0 + 1));
                 (top + (bottom - top) * fy) / 255.0
             }
-            (None, None) => {
+            Picture::Noise => {
                 let octave = |k: u32| {
                     let s = f64::from(1 << k) / 400.0;
                     value_noise(self.spec.seed ^ u64::from(k), (u * s) as f32, (v * s) as f32) / (k + 1) as f32
@@ -461,7 +470,7 @@ mod tests {
     #[test]
     fn a_window_is_the_same_however_it_is_asked_for() {
         let camera = load_camera("svalbard-zeiss-1936").expect("built in");
-        let scene = FilmScene::new(&FilmSpec::archive(&camera, 60.0, 7), &FilmGround::default()).expect("drawable");
+        let scene = FilmScene::new(&FilmSpec::archive(&camera, 60.0, 7), &FilmGround::Noise).expect("drawable");
         let m = &scene.truth().marks[0];
         let big = Window::new((m.x as u64).saturating_sub(60), (m.y as u64).saturating_sub(20), 120, 60);
         let small = Window::new(big.x + 31, big.y + 17, 40, 30);

@@ -54,7 +54,7 @@ pub fn run(args: &SynthFilmArgs) -> anyhow::Result<()> {
     }
     let camera = load_camera(&args.camera)?;
     let ground =
-        if args.photos.is_empty() { FilmGround::default() } else { FilmGround::open(&photographs(&args.photos)?)? };
+        if args.photos.is_empty() { FilmGround::Noise } else { FilmGround::open(&photographs(&args.photos)?)? };
     std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot create it", args.output.display()))?;
     for seed in args.seed..args.seed.saturating_add(args.frames) {
         let path = args.output.join(format!("{}-{seed}.tif", camera.name));

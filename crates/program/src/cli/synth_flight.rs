@@ -196,13 +196,13 @@ pub fn run(args: &Args) -> Result<()> {
     for path in flight.write(&args.output)? {
         println!("{}", path.display());
     }
-    if let (Some(film), Some(name)) = (&film, &args.film) {
-        println!("Next: autoref-stream {}", film.command(&args.output, name));
-    }
     if args.dem.is_none() {
         let path = args.output.join("dem.tif");
         files::write_model(&landscape, &path)?;
         println!("{}", path.display());
+    }
+    if let (Some(film), Some(name)) = (&film, &args.film) {
+        println!("Next: autoref-stream {}", film.command(&args.output, name));
     }
     Ok(())
 }

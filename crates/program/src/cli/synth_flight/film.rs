@@ -80,7 +80,6 @@ impl Film {
         let [width, height] = self.size_px().map(|v| v as usize);
         let photo = Arc::new(GreyPhoto { width, height, data: frame.rows(0, height) });
         let exposed = Exposed { photo, corner_mm: self.corner_mm(), pixel_mm: self.pixel_mm };
-        let ground = FilmGround { photos: Vec::new(), exposed: Some(exposed) };
         let mut rng = Rng::new(frame.exposure.seed, 0xf11, 0);
         let spec = FilmSpec {
             // The renderer's lens has it.
@@ -92,6 +91,6 @@ impl Film {
             dust: 60,
             ..FilmSpec::plain(&self.camera, 1e3 * self.pixel_mm, frame.exposure.seed)
         };
-        Ok(write_film(&FilmScene::new(&spec, &ground)?, path, TILE_PX)?)
+        Ok(write_film(&FilmScene::new(&spec, &FilmGround::Exposed(exposed))?, path, TILE_PX)?)
     }
 }
