@@ -6,6 +6,8 @@
 //! in fours, the coarse springs half as stiff as Galerkin's). All sums run in a fixed order, so that threads change
 //! nothing.
 
+use std::ops::AddAssign;
+
 use rayon::prelude::*;
 
 use super::surface::Surface;
@@ -21,6 +23,8 @@ const SWEEPS: usize = 2;
 const LAST_SWEEPS: usize = 16;
 /// Rows of one piece of work at least.
 const BAND_ROWS: usize = 16;
+/// Sums that run side by side.
+const LANES: usize = 8;
 
 /// Gives every NaN cell of `surface` a height. A surface without any known cell stays as it is.
 pub fn inpaint(surface: &mut Surface) {
@@ -36,7 +40,7 @@ pub fn inpaint(surface: &mut Surface) {
     for value in &mut surface.values {
         *value = if value.is_nan() { 0.0 } else { *value - origin };
     }
-    solve(surface, unknown);
+    solve(surface, &unknown);
     surface.values.iter_mut().for_each(|value| *value += origin);
 }
 
@@ -47,39 +51,32 @@ trait Springs: Sync {
     fn east(&self, x: usize, y: usize) -> f32;
     fn south(&self, x: usize, y: usize) -> f32;
     /// Zero where the cell itself is known.
-    fn diagonal(&self, x: usize, y: usize) -> f32;
+    fn diagonal_row(&self, y: usize) -> &[f32];
 
-    /// What the neighbours of a cell pull.
-    fn pull(&self, z: &[f32], x: usize, y: usize) -> f32 {
-        let (columns, rows) = self.size();
-        let cell = y * columns + x;
-        let mut sum = 0.0;
-        if x > 0 {
-            sum += self.east(x - 1, y) * z[cell - 1];
-        }
-        if x + 1 < columns {
-            sum += self.east(x, y) * z[cell + 1];
-        }
-        if y > 0 {
-            sum += self.south(x, y - 1) * z[cell - columns];
-        }
-        if y + 1 < rows {
-            sum += self.south(x, y) * z[cell + columns];
-        }
-        sum
-    }
+    /// What the neighbours of a row's cells pull, where `z` is zero at known cells. At those cells it means nothing.
+    fn pull_row(&self, z: &[f32], y: usize, pull: &mut [f32]);
 }
 
 /// The finest surface: all springs are alike.
 struct Fine {
     columns: usize,
     rows: usize,
-    unknown: Vec<bool>,
+    /// How many neighbours an open cell has, known or not; zero at known cells.
+    diagonal: Vec<f32>,
 }
 
 impl Fine {
+    fn new(columns: usize, rows: usize, unknown: &[bool]) -> Fine {
+        let beside = |cell: usize| {
+            let (x, y) = (cell % columns, cell / columns);
+            [x > 0, x + 1 < columns, y > 0, y + 1 < rows].into_iter().filter(|there| *there).count() as f32
+        };
+        let diagonal = unknown.iter().enumerate().map(|(cell, open)| if *open { beside(cell) } else { 0.0 });
+        Fine { columns, rows, diagonal: diagonal.collect() }
+    }
+
     fn is_open(&self, x: usize, y: usize) -> bool {
-        self.unknown[y * self.columns + x]
+        self.diagonal[y * self.columns + x] > 0.0
     }
 }
 
@@ -93,12 +90,26 @@ impl Springs for Fine {
     fn south(&self, x: usize, y: usize) -> f32 {
         f32::from(u8::from(y + 1 < self.rows && self.is_open(x, y) && self.is_open(x, y + 1)))
     }
-    fn diagonal(&self, x: usize, y: usize) -> f32 {
-        if !self.is_open(x, y) {
-            return 0.0;
-        }
-        let beside = u8::from(x > 0) + u8::from(x + 1 < self.columns);
-        f32::from(beside + u8::from(y > 0) + u8::from(y + 1 < self.rows))
+    fn diagonal_row(&self, y: usize) -> &[f32] {
+        &self.diagonal[y * self.columns..][..self.columns]
+    }
+    fn pull_row(&self, z: &[f32], y: usize, pull: &mut [f32]) {
+        sum_beside(z, (self.columns, self.rows), y, pull);
+    }
+}
+
+/// The sum of the values to the west, east, north and south of each cell of a row.
+fn sum_beside<T: Copy + Default + AddAssign>(z: &[T], (columns, rows): (usize, usize), y: usize, sum: &mut [T]) {
+    let row = &z[y * columns..][..columns];
+    sum[0] = T::default();
+    sum[1..].copy_from_slice(&row[..columns - 1]);
+    let mut add = |values: &[T]| sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += *value);
+    add(&row[1..]);
+    if y > 0 {
+        add(&z[(y - 1) * columns..][..columns]);
+    }
+    if y + 1 < rows {
+        add(&z[(y + 1) * columns..][..columns]);
     }
 }
 
@@ -132,31 +143,26 @@ impl Springs for Matrix<'_> {
     fn south(&self, x: usize, y: usize) -> f32 {
         self.south[y * self.columns + x]
     }
-    fn diagonal(&self, x: usize, y: usize) -> f32 {
-        self.diagonal[y * self.columns + x]
+    fn diagonal_row(&self, y: usize) -> &[f32] {
+        &self.diagonal[y * self.columns..][..self.columns]
     }
-}
-
-/// What pulls at the cells.
-trait Right: Sync {
-    fn at(&self, cell: usize) -> f32;
-}
-
-impl Right for Vec<f32> {
-    fn at(&self, cell: usize) -> f32 {
-        self[cell]
-    }
-}
-
-/// Scaled to one, so that single precision serves to the end.
-struct Scaled<'a> {
-    residual: &'a [f64],
-    size: f64,
-}
-
-impl Right for Scaled<'_> {
-    fn at(&self, cell: usize) -> f32 {
-        (self.residual[cell] / self.size) as f32
+    fn pull_row(&self, z: &[f32], y: usize, pull: &mut [f32]) {
+        let (columns, first) = (self.columns, y * self.columns);
+        let (row, east) = (&z[first..][..columns], &self.east[first..][..columns]);
+        pull[0] = 0.0;
+        for (pull, (spring, z)) in pull[1..].iter_mut().zip(east.iter().zip(row)) {
+            *pull = spring * z;
+        }
+        let mut add = |springs: &[f32], z: &[f32]| {
+            pull.iter_mut().zip(springs.iter().zip(z)).for_each(|(pull, (spring, z))| *pull += spring * z);
+        };
+        add(east, &row[1..]);
+        if y > 0 {
+            add(&self.south[first - columns..][..columns], &z[first - columns..][..columns]);
+        }
+        if y + 1 < self.rows {
+            add(&self.south[first..][..columns], &z[first + columns..][..columns]);
+        }
     }
 }
 
@@ -182,7 +188,7 @@ fn coarser(springs: &impl Springs) -> Level {
             let (mut right, mut down, mut all, mut within) = (0.0, 0.0, 0.0, 0.0);
             for y in 2 * row..(2 * row + 2).min(rows) {
                 for x in 2 * column..(2 * column + 2).min(columns) {
-                    all += springs.diagonal(x, y);
+                    all += springs.diagonal_row(y)[x];
                     *(if x % 2 == 0 { &mut within } else { &mut right }) += springs.east(x, y);
                     *(if y % 2 == 0 { &mut within } else { &mut down }) += springs.south(x, y);
                 }
@@ -196,28 +202,30 @@ fn coarser(springs: &impl Springs) -> Level {
 }
 
 /// One sweep of Jacobi's method from `z` into `next`.
-fn sweep(springs: &impl Springs, right: &impl Right, z: &[f32], next: &mut [f32]) {
+fn sweep(springs: &impl Springs, right: &[f32], z: &[f32], next: &mut [f32]) {
     let columns = springs.size().0;
-    next.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, next)| {
-        for (x, next) in next.iter_mut().enumerate() {
-            let diagonal = springs.diagonal(x, y);
-            let cell = y * columns + x;
-            *next = if diagonal > 0.0 {
-                z[cell] + DAMPING * ((right.at(cell) + springs.pull(z, x, y)) / diagonal - z[cell])
-            } else {
-                0.0
-            };
-        }
-    });
+    let rows = next.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS);
+    rows.for_each_init(
+        || vec![0.0; columns],
+        |pull, (y, next)| {
+            springs.pull_row(z, y, pull);
+            let (right, z) = (&right[y * columns..][..columns], &z[y * columns..][..columns]);
+            let pulled = right.iter().zip(pull.iter()).zip(z.iter().zip(springs.diagonal_row(y)));
+            for (next, ((right, pull), (z, diagonal))) in next.iter_mut().zip(pulled) {
+                let moved = z + DAMPING * ((right + pull) / diagonal - z);
+                *next = if *diagonal > 0.0 { moved } else { 0.0 };
+            }
+        },
+    );
 }
 
 /// One V-cycle: an answer `z` to the springs pulled by `right`.
-fn cycle(springs: &impl Springs, right: &impl Right, z: &mut Vec<f32>, spare: &mut Vec<f32>, levels: &mut [Level]) {
+fn cycle(springs: &impl Springs, right: &[f32], z: &mut Vec<f32>, spare: &mut Vec<f32>, levels: &mut [Level]) {
     let columns = springs.size().0;
     z.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, row)| {
-        for (x, z) in row.iter_mut().enumerate() {
-            let diagonal = springs.diagonal(x, y);
-            *z = if diagonal > 0.0 { DAMPING * right.at(y * columns + x) / diagonal } else { 0.0 };
+        let right = &right[y * columns..][..columns];
+        for (z, (right, diagonal)) in row.iter_mut().zip(right.iter().zip(springs.diagonal_row(y))) {
+            *z = if *diagonal > 0.0 { DAMPING * right / diagonal } else { 0.0 };
         }
     });
     let sweeps = if levels.is_empty() { LAST_SWEEPS } else { SWEEPS };
@@ -234,9 +242,11 @@ fn cycle(springs: &impl Springs, right: &impl Right, z: &mut Vec<f32>, spare: &m
     }
     let (wide, coarse) = (level.columns, &level.z);
     z.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS).for_each(|(y, row)| {
-        for (x, z) in row.iter_mut().enumerate() {
-            if springs.diagonal(x, y) > 0.0 {
-                *z += coarse[y / 2 * wide + x / 2];
+        let coarse = &coarse[y / 2 * wide..][..wide];
+        let diagonal = springs.diagonal_row(y).chunks(2);
+        for ((cells, diagonal), coarse) in row.chunks_mut(2).zip(diagonal).zip(coarse) {
+            for (z, diagonal) in cells.iter_mut().zip(diagonal) {
+                *z += if *diagonal > 0.0 { *coarse } else { 0.0 };
             }
         }
     });
@@ -247,73 +257,62 @@ fn cycle(springs: &impl Springs, right: &impl Right, z: &mut Vec<f32>, spare: &m
 }
 
 /// The residual of `z`, summed up in fours.
-fn restrict(springs: &impl Springs, right: &impl Right, z: &[f32], level: &mut Level) {
+fn restrict(springs: &impl Springs, right: &[f32], z: &[f32], level: &mut Level) {
     let (columns, rows) = springs.size();
-    level.right.par_chunks_mut(level.columns).enumerate().with_min_len(BAND_ROWS).for_each(|(row, sums)| {
-        for (column, sum) in sums.iter_mut().enumerate() {
-            *sum = 0.0;
+    let coarse = level.right.par_chunks_mut(level.columns).enumerate().with_min_len(BAND_ROWS);
+    coarse.for_each_init(
+        || vec![0.0; columns],
+        |pull, (row, sums)| {
+            sums.fill(0.0);
             for y in 2 * row..(2 * row + 2).min(rows) {
-                for x in 2 * column..(2 * column + 2).min(columns) {
-                    let diagonal = springs.diagonal(x, y);
-                    if diagonal > 0.0 {
-                        let cell = y * columns + x;
-                        *sum += right.at(cell) + springs.pull(z, x, y) - diagonal * z[cell];
-                    }
+                springs.pull_row(z, y, pull);
+                let (right, z) = (&right[y * columns..][..columns], &z[y * columns..][..columns]);
+                for (pull, (right, (z, diagonal))) in
+                    pull.iter_mut().zip(right.iter().zip(z.iter().zip(springs.diagonal_row(y))))
+                {
+                    *pull = if *diagonal > 0.0 { right + *pull - diagonal * z } else { 0.0 };
+                }
+                for (sum, residuals) in sums.iter_mut().zip(pull.chunks(2)) {
+                    residuals.iter().for_each(|residual| *sum += residual);
                 }
             }
-        }
-    });
+        },
+    );
 }
 
-/// The springs' matrix times `x` at the open cells, and the dot product of both; `x` is zero at the others.
+/// The springs' matrix times `x` at the open cells, and the dot product of both, to which known cells add nothing.
 fn times(fine: &Fine, x: &[f64], result: &mut [f64]) -> f64 {
-    let (columns, rows) = fine.size();
-    let pieces: Vec<f64> = result
-        .par_chunks_mut(columns)
-        .enumerate()
-        .with_min_len(BAND_ROWS)
+    let (columns, _) = fine.size();
+    let rows = result.par_chunks_mut(columns).enumerate().with_min_len(BAND_ROWS);
+    let pieces: Vec<f64> = rows
         .map(|(y, result)| {
-            let mut dot = 0.0;
-            for (column, result) in result.iter_mut().enumerate() {
-                let cell = y * columns + column;
-                *result = if fine.unknown[cell] { residual_of(x, cell, column, y, columns, rows) } else { 0.0 };
-                dot += *result * x[cell];
+            sum_beside(x, fine.size(), y, result);
+            let x = &x[y * columns..][..columns];
+            for (result, (x, count)) in result.iter_mut().zip(x.iter().zip(fine.diagonal_row(y))) {
+                *result = if *count > 0.0 { f64::from(*count) * x - *result } else { 0.0 };
             }
-            dot
+            dot_row(result, x)
         })
         .collect();
     pieces.iter().sum()
 }
 
-/// The cell's value, as often as it has neighbours, less theirs.
-fn residual_of(values: &[f64], cell: usize, x: usize, y: usize, columns: usize, rows: usize) -> f64 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    let mut add = |other: usize| {
-        sum += values[other];
-        count += 1.0;
-    };
-    if x > 0 {
-        add(cell - 1);
+/// The products' sum, in one order.
+fn dot_row<A: Copy + Into<f64>>(a: &[A], b: &[f64]) -> f64 {
+    let (many_a, rest_a) = a.as_chunks::<LANES>();
+    let (many_b, rest_b) = b.as_chunks::<LANES>();
+    let mut sums = [0.0; LANES];
+    for (a, b) in many_a.iter().zip(many_b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += (*a).into() * b;
+        }
     }
-    if x + 1 < columns {
-        add(cell + 1);
-    }
-    if y > 0 {
-        add(cell - columns);
-    }
-    if y + 1 < rows {
-        add(cell + columns);
-    }
-    count * values[cell] - sum
+    sums.iter().sum::<f64>() + rest_a.iter().zip(rest_b).map(|(a, b)| (*a).into() * b).sum::<f64>()
 }
 
 fn dot<A: Copy + Into<f64> + Sync>(columns: usize, a: &[A], b: &[f64]) -> f64 {
-    let pieces: Vec<f64> = a
-        .par_chunks(columns)
-        .zip(b.par_chunks(columns))
-        .with_min_len(BAND_ROWS)
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (*a).into() * b).sum())
-        .collect();
+    let pieces: Vec<f64> =
+        a.par_chunks(columns).zip(b.par_chunks(columns)).with_min_len(BAND_ROWS).map(|(a, b)| dot_row(a, b)).collect();
     pieces.iter().sum()
 }
 
@@ -326,9 +325,9 @@ fn add(columns: usize, target: &mut [f64], factor: f64, other: &[f64]) {
 }
 
 /// Open cells of `surface` are zero at the begin.
-fn solve(surface: &mut Surface, unknown: Vec<bool>) {
+fn solve(surface: &mut Surface, unknown: &[bool]) {
     let (columns, rows) = (surface.columns, surface.rows);
-    let fine = Fine { columns, rows, unknown };
+    let fine = Fine::new(columns, rows, unknown);
     let mut levels: Vec<Level> = Vec::new();
     let (mut wide, mut tall) = (columns, rows);
     while wide * tall > 8 {
@@ -348,6 +347,7 @@ fn solve(surface: &mut Surface, unknown: Vec<bool>) {
     let enough = dot(columns, &residual, &residual) * TOLERANCE * TOLERANCE;
     let mut direction = vec![0.0; residual.len()];
     let mut product = vec![0.0; residual.len()];
+    let mut right = vec![0f32; residual.len()];
     let mut z = vec![0f32; residual.len()];
     let mut spare = vec![0f32; residual.len()];
     let mut before = 0.0;
@@ -357,7 +357,9 @@ fn solve(surface: &mut Surface, unknown: Vec<bool>) {
             break;
         }
         let size = norm.sqrt();
-        cycle(&fine, &Scaled { residual: &residual, size }, &mut z, &mut spare, &mut levels);
+        // Scaled to one, so that single precision serves to the end.
+        right.par_iter_mut().zip(&residual).for_each(|(right, residual)| *right = (residual / size) as f32);
+        cycle(&fine, &right, &mut z, &mut spare, &mut levels);
         let now = dot(columns, &z, &residual) * size;
         let keep = if step == 0 { 0.0 } else { now / before };
         before = now;
@@ -378,6 +380,28 @@ fn solve(surface: &mut Surface, unknown: Vec<bool>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The cell's value, as often as it has neighbours, less theirs.
+    fn residual_of(values: &[f64], cell: usize, x: usize, y: usize, columns: usize, rows: usize) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        let mut add = |other: usize| {
+            sum += values[other];
+            count += 1.0;
+        };
+        if x > 0 {
+            add(cell - 1);
+        }
+        if x + 1 < columns {
+            add(cell + 1);
+        }
+        if y > 0 {
+            add(cell - columns);
+        }
+        if y + 1 < rows {
+            add(cell + columns);
+        }
+        count * values[cell] - sum
+    }
 
     #[test]
     fn planes_and_hollows() {
