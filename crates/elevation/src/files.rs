@@ -6,7 +6,7 @@ use gdal::raster::GdalDataType;
 use gdal::vector::LayerAccess;
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
-use crate::align::{self, Alignment, Method, Outcome};
+use crate::align::{self, Alignment, Degree, Method, Outcome};
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
@@ -149,6 +149,7 @@ pub struct AlignJob<'a> {
     pub a: &'a Path,
     pub b: &'a Path,
     pub method: Method,
+    pub surface: Degree,
     pub stable: Option<&'a Path>,
     pub resources: Resources,
     /// A folder for decoded copies of large models while the job runs, as [`Room`] says.
@@ -178,6 +179,7 @@ impl AlignJob<'_> {
         let means = self.resources.means(&[&couple.a, &couple.b]);
         let options = align::Options {
             method: self.method,
+            surface: self.surface,
             stable: stable.as_ref(),
             unit: couple.b.ground_unit(),
             means,

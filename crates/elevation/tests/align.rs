@@ -1,6 +1,6 @@
 //! Known shifts and tilts of drawn terrain are found again, and their stated errors are right.
 
-use autoref_elevation::align::{Alignment, Method, Options, Outcome, align};
+use autoref_elevation::align::{Alignment, Degree, Method, Options, Outcome, align};
 use autoref_elevation::grid::{Grid, GroundUnit};
 use autoref_elevation::source::MemoryHeights;
 use autoref_elevation::stream::Means;
@@ -36,12 +36,21 @@ struct View {
     /// Where the file says the ground lies, minus where it lies.
     error: (f64, f64, f64),
     tilt: (f64, f64),
+    /// Metres at a place, which runs from −1 to 1 over the view.
+    bend: fn(f64, f64) -> f64,
     noise_m: f64,
     cell_m: f64,
 }
 
-const PLAIN: View =
-    View { width: 200, height: 160, error: (0.0, 0.0, 0.0), tilt: (0.0, 0.0), noise_m: 0.0, cell_m: CELL_M };
+const PLAIN: View = View {
+    width: 200,
+    height: 160,
+    error: (0.0, 0.0, 0.0),
+    tilt: (0.0, 0.0),
+    bend: |_, _| 0.0,
+    noise_m: 0.0,
+    cell_m: CELL_M,
+};
 
 fn draw(terrain: &Terrain, view: &View, dice: &mut SplitMix64) -> MemoryHeights {
     let grid = Grid {
@@ -60,7 +69,8 @@ fn draw(terrain: &Terrain, view: &View, dice: &mut SplitMix64) -> MemoryHeights 
             let (middle_e, middle_n) = grid.centre();
             let (from_e, from_n) = (east - (middle_e - grid.x0), north - (middle_n - grid.y0));
             let height = terrain.at(east - view.error.0, north - view.error.1) + view.error.2;
-            values.push(height + view.tilt.0 * from_e + view.tilt.1 * from_n + view.noise_m * dice.normal());
+            let bend = (view.bend)(from_e / (middle_e - grid.x0), from_n / (grid.y0 - middle_n));
+            values.push(height + view.tilt.0 * from_e + view.tilt.1 * from_n + bend + view.noise_m * dice.normal());
         }
     }
     MemoryHeights::new(grid, values)
@@ -109,6 +119,56 @@ fn shift_and_tilt_are_found_together() {
     assert!((found.shift_m[2] + 2.0).abs() < 1e-6, "{found:?}");
 }
 
+/// A bowl with a twist, and something of the third degree.
+fn bowl(u: f64, v: f64) -> f64 {
+    4.0 * u * u - 2.0 * v * v + 1.5 * u * v + 0.5 * u
+}
+
+fn twisted(u: f64, v: f64) -> f64 {
+    bowl(u, v) + 2.0 * u * u * u - 1.5 * u * v * v
+}
+
+#[test]
+fn bent_models_are_bent_back() {
+    use autoref_elevation::source::Heights;
+    let (terrain, mut dice) = (Terrain::new(10), SplitMix64(10));
+    let b = draw(&terrain, &View { noise_m: 0.2, ..PLAIN }, &mut dice);
+    // Coarser than the other model too: then it is the one whose cells the fit counts in.
+    let coarse = View { width: 80, height: 64, cell_m: 25.0, ..PLAIN };
+    for (view, worst_m) in [(PLAIN, 0.15), (coarse, 0.5)] {
+        for (bend, degree) in [(bowl as fn(f64, f64) -> f64, Degree::Quadratic), (twisted, Degree::Cubic)] {
+            let error = (17.3, -8.6, 2.5);
+            let a = draw(&terrain, &View { error, bend, noise_m: 0.2, ..view }, &mut dice);
+            let found = aligned(&a, &b, &Options { surface: Degree::Cubic, ..Options::default() });
+            assert_eq!(found.bend.as_ref().map(|bend| bend.degree), Some(degree), "{found:?}");
+            assert!((found.shift_m[0] + 17.3).abs() < worst_m && (found.shift_m[1] - 8.6).abs() < worst_m, "{found:?}");
+            let grid = a.grid();
+            let [w, s, e, n] = grid.bounds();
+            for (u, v) in [(0.0, 0.0), (0.9, 0.9), (-0.9, 0.4), (0.5, -0.8)] {
+                let (x, y) = ((w + e) / 2.0 + u * (e - w) / 2.0, (s + n) / 2.0 + v * (n - s) / 2.0);
+                let expected = -(error.2 + bend(u, v));
+                let correction = found.height_at(x + found.shift.0, y + found.shift.1, &GroundUnit::METRES);
+                assert!((correction - expected).abs() < worst_m, "{degree} at {u}, {v}: {correction} for {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_surface_is_taken_out_only_where_there_is_one() {
+    let (terrain, mut dice) = (Terrain::new(11), SplitMix64(11));
+    let noisy = View { noise_m: 1.0, ..PLAIN };
+    let b = draw(&terrain, &noisy, &mut dice);
+    for (tilt, tilted) in [((0.0, 0.0), false), ((0.002, 0.001), true)] {
+        let a = draw(&terrain, &View { error: (12.0, 5.0, -1.0), tilt, ..noisy }, &mut dice);
+        let found = aligned(&a, &b, &Options { surface: Degree::Cubic, ..Options::default() });
+        assert!(found.bend.is_none() && found.tilt.is_some() == tilted, "{found:?}");
+        // A surface that is asked for by name is fitted whole.
+        let forced = Options { surface: Degree::Quadratic, method: Method::Tilt, ..Options::default() };
+        assert_eq!(aligned(&a, &b, &forced).bend.expect("asked for").terms.len(), 3);
+    }
+}
+
 #[test]
 fn hundreds_of_metres_and_a_fifth_of_the_ground_changed() {
     let (terrain, mut dice) = (Terrain::new(3), SplitMix64(3));
@@ -148,15 +208,18 @@ fn any_tiling_and_any_number_of_threads_gives_the_same_bits() {
     let small = View { width: 140, height: 100, ..PLAIN };
     let b = draw(&terrain, &small, &mut dice);
     let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), noise_m: 1.0, ..small }, &mut dice);
-    for method in [Method::Auto, Method::NuthKaab] {
+    for (method, surface) in
+        [(Method::Auto, Degree::Linear), (Method::NuthKaab, Degree::Linear), (Method::Tilt, Degree::Cubic)]
+    {
         // The second run holds a fraction in memory and streams the rest.
         for memory_cells in [1 << 20, 4096] {
-            if method == Method::NuthKaab && memory_cells > 4096 {
+            if method != Method::Auto && memory_cells > 4096 {
                 continue;
             }
             let run = |tile_px: u64, threads: usize| {
                 let means = Means::square(tile_px, threads);
-                format!("{:?}", aligned(&a, &b, &Options { means, memory_cells, method, ..Options::default() }))
+                let options = Options { means, memory_cells, method, surface, ..Options::default() };
+                format!("{:?}", aligned(&a, &b, &options))
             };
             let whole = run(4096, 1);
             for (tile_px, threads) in [(16, 2), (33, 1), (64, 3), (100, 2), (128, 4)] {
@@ -249,5 +312,31 @@ fn stated_errors_are_the_real_ones() {
         let normalised = (sum / trials as f64).sqrt();
         println!("normalised error {i}: {normalised:.3} over {trials} trials");
         assert!((normalised - 1.0).abs() < limit, "parameter {i}: {normalised}");
+    }
+}
+
+/// The same of a bend's terms, beside a shift.
+#[test]
+fn stated_errors_of_a_bend_are_the_real_ones() {
+    let terrain = Terrain::new(12);
+    let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 30 };
+    let small = View { width: 128, height: 128, noise_m: 1.5, ..PLAIN };
+    let mut squares = [0.0; 3];
+    for trial in 0..trials {
+        let mut dice = SplitMix64(5000 + trial);
+        let b = draw(&terrain, &small, &mut dice);
+        let a = draw(&terrain, &View { error: (3.0, -4.0, 1.0), bend: bowl, ..small }, &mut dice);
+        let found = aligned(&a, &b, &Options { surface: Degree::Quadratic, ..Options::default() });
+        let bend = found.bend.expect("there is one");
+        // That of the cells of A before the shift, of which the second degree does not change.
+        for (square, (term, truth)) in squares.iter_mut().zip(bend.terms.iter().zip([-4.0, -1.5, 2.0])) {
+            *square += ((term.metres - truth) / term.se_m).powi(2);
+        }
+    }
+    let limit = if trials >= 400 { 0.1 } else { 0.4 };
+    for (i, sum) in squares.iter().enumerate() {
+        let normalised = (sum / trials as f64).sqrt();
+        println!("normalised error of term {i}: {normalised:.3} over {trials} trials");
+        assert!((normalised - 1.0).abs() < limit, "term {i}: {normalised}");
     }
 }

@@ -1,8 +1,8 @@
-//! One streamed pass over both models: the normal equations of shift and plane, robustly weighted.
+//! One streamed pass over both models: the normal equations of shift and surface, robustly weighted.
 //!
 //! The linearised model is that of the least-squares z-difference (K. Rosenholm and K. Torlegård, *Three-dimensional
 //! absolute orientation of stereo models using digital elevation models*, 1988), of whose seven parameters the shift and
-//! the two tilts are kept. Where it differs: the estimating equations take the gradient of the template, which no
+//! the two tilts are kept, and a surface of the second or third degree on request. Where it differs: the estimating equations take the gradient of the template, which no
 //! interpolation has touched and whose noise has nothing in common with that of the other model, so that noise does not
 //! draw the shift; and the matrix is the mixed product of both models' gradients, which noise does not enlarge.
 
@@ -16,8 +16,10 @@ use crate::stream::{self, BLOCK_PX, Means};
 use crate::window::Window;
 use crate::zones::Zones;
 
-/// East, north (in cells of the template, along its axes), height, and two tilts.
-pub const PARAMETERS: usize = 5;
+use super::surface::{Degree, Surface, terms};
+
+/// East and north (in cells of the template, along its axes) come before the terms of the surface.
+pub const SHIFTS: usize = 2;
 
 /// Upper limits of the slope classes, as tangents; the last has none.
 const SLOPE_LIMITS: [f64; SLOPES - 1] = [0.03, 0.07, 0.15, 0.3, 0.5, 0.8, 1.2];
@@ -94,8 +96,8 @@ impl Frame {
 pub struct State {
     /// The template's X meets the other's X + shift; units of the CRS.
     pub shift: (f64, f64),
-    /// template − other = plane[0] + plane[1]·u + plane[2]·v in the normalised coordinates of [`Frame`].
-    pub plane: [f64; 3],
+    /// template − other, in the normalised coordinates of [`Frame`].
+    pub surface: Surface,
 }
 
 /// How a residual is weighed.
@@ -213,8 +215,10 @@ const TRUNCATED_MEDIAN: f64 = 0.672_0;
 /// What a pass gathers. Sums are exact, so that joining them in any order gives the same bits.
 #[derive(Clone)]
 pub struct Sums {
-    pub matrix: Vec<ExactSum>,
-    pub right: Vec<ExactSum>,
+    /// Shifts, and terms of the surface.
+    parameters: usize,
+    matrix: Vec<ExactSum>,
+    right: Vec<ExactSum>,
     /// By slope class.
     pub residuals: Vec<AbsHistogram>,
     /// Cells that both models have (and that lie on stable ground, where that is given).
@@ -223,23 +227,24 @@ pub struct Sums {
     pub sloping: u64,
     /// Of them, those whose weight is not zero.
     pub used: u64,
-    /// Scores by block, fixed point.
-    scores: Vec<[i128; PARAMETERS]>,
+    /// Scores by block, fixed point, `parameters` for each.
+    scores: Vec<i128>,
 }
 
 /// Units of a score: 2⁻⁵⁰.
 const SCORE_UNIT: f64 = (1u64 << 50) as f64;
 
 impl Sums {
-    fn new(blocks: usize) -> Self {
+    fn new(parameters: usize, blocks: usize) -> Self {
         Sums {
-            matrix: vec![ExactSum::default(); PARAMETERS * PARAMETERS],
-            right: vec![ExactSum::default(); PARAMETERS],
+            parameters,
+            matrix: vec![ExactSum::default(); parameters * parameters],
+            right: vec![ExactSum::default(); parameters],
             residuals: vec![AbsHistogram::default(); SLOPES],
             common: 0,
             sloping: 0,
             used: 0,
-            scores: vec![[0; PARAMETERS]; blocks],
+            scores: vec![0; parameters * blocks],
         }
     }
 
@@ -250,14 +255,27 @@ impl Sums {
         self.common += other.common;
         self.sloping += other.sloping;
         self.used += other.used;
-        for (mine, theirs) in self.scores.iter_mut().zip(&other.scores) {
-            mine.iter_mut().zip(theirs).for_each(|(a, b)| *a += b);
-        }
+        self.scores.iter_mut().zip(&other.scores).for_each(|(a, b)| *a += b);
     }
 
-    /// Scores of the blocks, row by row.
-    pub fn block_scores(&self) -> Vec<[f64; PARAMETERS]> {
-        self.scores.iter().map(|s| s.map(|v| v as f64 / SCORE_UNIT)).collect()
+    /// How many parameters the equations are of.
+    pub fn parameters(&self) -> usize {
+        self.parameters
+    }
+
+    /// An element of the normal equations' matrix.
+    pub fn matrix(&self, row: usize, column: usize) -> f64 {
+        self.matrix[row * self.parameters + column].value()
+    }
+
+    /// An element of their right-hand side.
+    pub fn right(&self, row: usize) -> f64 {
+        self.right[row].value()
+    }
+
+    /// Scores of the blocks, row by row, [`Sums::parameters`] for each.
+    pub fn block_scores(&self) -> Vec<f64> {
+        self.scores.iter().map(|v| *v as f64 / SCORE_UNIT).collect()
     }
 
     /// Standard deviation of the residuals in each slope class; a class with few cells has that of all.
@@ -300,6 +318,15 @@ struct Worker {
 /// # Errors
 /// When a model cannot be read.
 pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means: Means) -> Result<Sums> {
+    match state.surface.degree {
+        Degree::Level | Degree::Linear => pass_of::<{ SHIFTS + 3 }>(pair, state, gather, flats, means),
+        Degree::Quadratic => pass_of::<{ SHIFTS + 6 }>(pair, state, gather, flats, means),
+        Degree::Cubic => pass_of::<{ SHIFTS + 10 }>(pair, state, gather, flats, means),
+    }
+}
+
+/// The same with `N` parameters.
+fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means: Means) -> Result<Sums> {
     let grid = pair.template.grid();
     let blocks_across = |block_px: u64| grid.width.div_ceil(block_px);
     let blocks = match gather {
@@ -308,7 +335,7 @@ pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means:
     };
     let other = Moved::of(pair, state.shift);
     let worker = || Worker {
-        sums: Sums::new(blocks),
+        sums: Sums::new(N, blocks),
         scratch: MovedBuffers::default(),
         template: Vec::new(),
         other: Vec::new(),
@@ -329,7 +356,7 @@ pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means:
         for y in (0..core.height).step_by(BLOCK_PX as usize) {
             for x in (0..core.width).step_by(BLOCK_PX as usize) {
                 let block = Window::new(x, y, BLOCK_PX.min(core.width - x), BLOCK_PX.min(core.height - y));
-                let partial = view.block(block, state, gather, flats, &worker.stable, &mut worker.sums);
+                let partial: Partial<N> = view.block(block, state, gather, flats, &worker.stable, &mut worker.sums);
                 let index = match gather {
                     Gather::Scores { block_px, .. } => {
                         Some(((core.y + y) / block_px * blocks_across(block_px) + (core.x + x) / block_px) as usize)
@@ -341,7 +368,7 @@ pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means:
         }
         Ok(())
     })?;
-    let mut whole = Sums::new(blocks);
+    let mut whole = Sums::new(N, blocks);
     parts.iter().for_each(|part| whole.merge(&part.sums));
     Ok(whole)
 }
@@ -359,14 +386,13 @@ pub fn mark_stable(pair: &Pair<'_>, grid: &Grid, core: Window, out: &mut Vec<u32
 }
 
 /// Plain sums of a block, made in one fixed order.
-#[derive(Default)]
-struct Partial {
-    matrix: [[f64; PARAMETERS]; PARAMETERS],
-    right: [f64; PARAMETERS],
+struct Partial<const N: usize> {
+    matrix: [[f64; N]; N],
+    right: [f64; N],
 }
 
 impl Sums {
-    fn take(&mut self, partial: &Partial, block: Option<usize>) {
+    fn take<const N: usize>(&mut self, partial: &Partial<N>, block: Option<usize>) {
         for (sum, &term) in self.matrix.iter_mut().zip(partial.matrix.as_flattened()) {
             sum.add(term);
         }
@@ -374,7 +400,7 @@ impl Sums {
             sum.add(term);
         }
         if let Some(block) = block {
-            for (score, &term) in self.scores[block].iter_mut().zip(&partial.right) {
+            for (score, &term) in self.scores[block * N..][..N].iter_mut().zip(&partial.right) {
                 *score += (term * SCORE_UNIT) as i128;
             }
         }
@@ -391,7 +417,7 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    fn block(
+    fn block<const N: usize>(
         &self,
         block: Window,
         state: &State,
@@ -399,10 +425,11 @@ impl View<'_> {
         flats: Flats,
         stable: &[u32],
         sums: &mut Sums,
-    ) -> Partial {
+    ) -> Partial<N> {
         let stride = self.core.width as usize + 2;
         let (grid, frame) = (self.grid, &self.pair.frame);
-        let mut partial = Partial::default();
+        let mut partial = Partial { matrix: [[0.0; N]; N], right: [0.0; N] };
+        let coefficients = &state.surface.coefficients;
         for row in block.y..block.bottom() {
             let y = grid.y0 + ((self.core.y + row) as f64 + 0.5) * grid.step_y;
             let v = (y - frame.y) / frame.half_y;
@@ -432,7 +459,9 @@ impl View<'_> {
                 sums.sloping += 1;
                 let x = grid.x0 + ((self.core.x + column) as f64 + 0.5) * grid.step_x;
                 let u = (x - frame.x) / frame.half_x;
-                let residual = difference - (state.plane[0] + state.plane[1] * u + state.plane[2] * v);
+                let mut left = terms::<N, SHIFTS>(u, v);
+                let surface: f64 = coefficients.iter().zip(&left[SHIFTS..]).map(|(c, term)| c * term).sum();
+                let residual = difference - surface;
                 let class = if complete { slope_class((tx * per_x).powi(2) + (ty * per_y).powi(2)) } else { 0 };
                 sums.residuals[class].add(residual.abs());
                 let (scales, weighing, derivative) = match gather {
@@ -449,8 +478,8 @@ impl View<'_> {
                 let (weight, slope) = (weight / (scale * scale), slope / (scale * scale));
                 // Without neighbours there is a height, no gradient.
                 let (tx, ty, ox, oy) = if complete { (tx, ty, ox, oy) } else { (0.0, 0.0, 0.0, 0.0) };
-                let left = [tx, ty, 1.0, u, v];
-                let right = [ox, oy, 1.0, u, v];
+                let mut right = left;
+                (left[0], left[1], right[0], right[1]) = (tx, ty, ox, oy);
                 let curvature = if derivative { slope } else { weight };
                 for (i, &l) in left.iter().enumerate() {
                     partial.right[i] += weight * residual * l;

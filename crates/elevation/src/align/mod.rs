@@ -1,6 +1,6 @@
-//! One elevation model brought onto another: shift, height, tilt.
+//! One elevation model brought onto another: shift, height, tilt, and a surface of low degree.
 //!
-//! `auto` searches for the shift from coarse to fine and then fits shift and plane together, robustly
+//! `auto` searches for the shift from coarse to fine and then fits shift and surface together, robustly
 //! (module `fit`); `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets
 //! for quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
 
@@ -8,6 +8,7 @@ mod fit;
 mod nuth_kaab;
 mod search;
 mod spread;
+mod surface;
 
 use std::fmt;
 use std::str::FromStr;
@@ -21,9 +22,11 @@ use crate::source::{Cropped, Heights, Means as Averaged};
 use crate::stream::Means;
 use crate::zones::Zones;
 
-use fit::{Flats, Frame, PARAMETERS, Pair, State};
+use fit::{Flats, Frame, Pair, SHIFTS, State};
 use search::{Fitted, Found};
 pub use spread::Spread;
+pub use surface::Degree;
+use surface::{MOST_TERMS, TERMS, moved_share};
 
 /// What is fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -37,7 +40,7 @@ pub enum Method {
     Lzd,
     /// The height alone.
     Bias,
-    /// Height and tilt.
+    /// Height and tilt, or the surface asked for.
     Tilt,
 }
 
@@ -52,6 +55,11 @@ impl Method {
             Method::Bias => "bias",
             Method::Tilt => "tilt",
         }
+    }
+
+    /// Whether it fits a surface of which the degree can be chosen.
+    pub fn bends(self) -> bool {
+        matches!(self, Method::Auto | Method::Tilt)
     }
 
     fn moves(self) -> bool {
@@ -79,6 +87,8 @@ impl FromStr for Method {
 #[derive(Clone, Copy)]
 pub struct Options<'a> {
     pub method: Method,
+    /// Highest degree of the surface: `auto` takes what is there, `tilt` all of it; other methods fit none.
+    pub surface: Degree,
     /// Stable ground in the map coordinates of both models.
     pub stable: Option<&'a Zones>,
     pub unit: GroundUnit,
@@ -93,6 +103,7 @@ impl Default for Options<'_> {
     fn default() -> Self {
         Options {
             method: Method::Auto,
+            surface: Degree::Linear,
             stable: None,
             unit: GroundUnit::METRES,
             means: Means::default(),
@@ -111,8 +122,10 @@ pub struct Alignment {
     pub shift_m: [f64; 3],
     /// Of `shift_m`, square metres: east, north, height.
     pub covariance_m2: Matrix3<f64>,
-    /// Rise of the correction towards east and north, metres per metre, when a tilt was taken out.
+    /// Rise of the correction towards east and north at [`Alignment::centre`], metres per metre, when a tilt was taken out.
     pub tilt: Option<Tilt>,
+    /// What the correction has above the tilt, when such a surface was taken out.
+    pub bend: Option<Bend>,
     /// Where the height counts: the middle of the aligned A.
     pub centre: (f64, f64),
     pub nmad_before_m: f64,
@@ -134,12 +147,39 @@ pub struct Tilt {
     pub north_se: f64,
 }
 
+/// A surface above the tilt: Σ metres · u^east · v^north, where u and v count from [`Alignment::centre`] to east and north in `half_m`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bend {
+    pub degree: Degree,
+    pub half_m: (f64, f64),
+    pub terms: Vec<BendTerm>,
+}
+
+/// One term of a [`Bend`] and its standard error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BendTerm {
+    pub east: usize,
+    pub north: usize,
+    pub metres: f64,
+    pub se_m: f64,
+}
+
+impl Bend {
+    /// At so many metres east and north of the centre.
+    fn at(&self, east_m: f64, north_m: f64) -> f64 {
+        let (u, v) = (east_m / self.half_m.0, north_m / self.half_m.1);
+        self.terms.iter().map(|t| t.metres * u.powi(t.east as i32) * v.powi(t.north as i32)).sum()
+    }
+}
+
 impl Alignment {
     /// What is added to A's height at a map position of the aligned A.
     pub fn height_at(&self, x: f64, y: f64, unit: &GroundUnit) -> f64 {
         let Some(tilt) = self.tilt else { return self.shift_m[2] };
         let (mx, my) = unit.metres_per_unit(self.centre.1);
-        self.shift_m[2] + tilt.east * (x - self.centre.0) * mx + tilt.north * (y - self.centre.1) * my
+        let plane = self.shift_m[2] + tilt.east * (x - self.centre.0) * mx + tilt.north * (y - self.centre.1) * my;
+        let Some(bend) = &self.bend else { return plane };
+        plane + bend.at((x - self.centre.0) * mx, (y - self.centre.1) * my)
     }
 }
 
@@ -219,31 +259,51 @@ fn in_metres(full: &Pair<'_>, fitted: &Fitted, sign: f64, a: &Grid, spreads: (Sp
     // A zero has no sign.
     let shift = (sign * state.shift.0 + 0.0, sign * state.shift.1 + 0.0);
     let centre = (a.centre().0 + shift.0, a.centre().1 + shift.1);
-    // Where the plane counts: in the template's own coordinates.
+    // Where the surface counts: in the template's own coordinates.
     let place = if sign > 0.0 { a.centre() } else { centre };
     let (u, v) = ((place.0 - frame.x) / frame.half_x, (place.1 - frame.y) / frame.half_y);
-    // From (cells, cells, plane) to (east, north, height at the centre).
-    let mut jacobian = DMatrix::zeros(3, PARAMETERS);
+    // From (cells, cells, surface about the frame's middle) to (east, north, surface about the centre).
+    let parameters = fitted.covariance.nrows();
+    let mut jacobian = DMatrix::zeros(parameters, parameters);
     jacobian[(0, 0)] = sign * grid.step_x * mx;
     jacobian[(1, 1)] = sign * grid.step_y * my;
-    for (j, value) in [1.0, u, v].into_iter().enumerate() {
-        jacobian[(2, 2 + j)] = -sign * value;
+    let surface = &state.surface;
+    let mut coefficients = [0.0; MOST_TERMS];
+    for to in 0..parameters - SHIFTS {
+        for from in 0..parameters - SHIFTS {
+            let share = moved_share(to, from, u, v);
+            jacobian[(SHIFTS + to, SHIFTS + from)] = -sign * share;
+            coefficients[to] += share * surface.coefficients[from];
+        }
     }
     let covariance = &jacobian * &fitted.covariance * jacobian.transpose();
     let (half_east, half_north) = (frame.half_x * mx, frame.half_y * my);
-    let error = |i: usize| fitted.covariance[(i, i)].max(0.0).sqrt();
-    let tilt = fitted.tilted.then(|| Tilt {
-        east: -sign * state.plane[1] / half_east,
-        north: -sign * state.plane[2] / half_north,
-        east_se: error(3) / half_east,
-        north_se: error(4) / half_north,
+    let coefficient = |term: usize| -sign * coefficients[term] + 0.0;
+    let error = |term: usize| covariance[(SHIFTS + term, SHIFTS + term)].max(0.0).sqrt();
+    let tilt = (surface.degree >= Degree::Linear).then(|| Tilt {
+        east: coefficient(1) / half_east,
+        north: coefficient(2) / half_north,
+        east_se: error(1) / half_east,
+        north_se: error(2) / half_north,
     });
-    let height = -sign * (state.plane[0] + state.plane[1] * u + state.plane[2] * v) + 0.0;
+    let bend = (surface.degree > Degree::Linear).then(|| Bend {
+        degree: surface.degree,
+        half_m: (half_east, half_north),
+        terms: (Degree::Linear.terms()..surface.degree.terms())
+            .map(|term| BendTerm {
+                east: TERMS[term].0,
+                north: TERMS[term].1,
+                metres: coefficient(term),
+                se_m: error(term),
+            })
+            .collect(),
+    });
     Alignment {
         shift,
-        shift_m: [shift.0 * mx, shift.1 * my, height],
+        shift_m: [shift.0 * mx, shift.1 * my, coefficient(0)],
         covariance_m2: Matrix3::from_fn(|i, j| covariance[(i, j)]),
         tilt,
+        bend,
         centre,
         nmad_before_m: spreads.0.nmad,
         nmad_after_m: spreads.1.nmad,

@@ -13,6 +13,7 @@ use crate::stream::{self, Means};
 
 use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 use super::spread;
+use super::surface::Degree;
 
 const ASPECTS: usize = 72;
 const BITS: u32 = 14;
@@ -35,12 +36,12 @@ const ROUGH_PX: f64 = 0.02;
 pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u32)> {
     let grid = pair.template.grid();
     let mut state = start;
-    state.plane = [state.plane[0], 0.0, 0.0];
-    state.plane[0] += spread::of(pair, &state, means)?.median;
+    state.surface = state.surface.of_degree(Degree::Level);
+    state.surface.coefficients[0] += spread::of(pair, &state, means)?.median;
     let mut rows_apart = (grid.width * grid.height / ENOUGH_CELLS).clamp(1, MOST_APART);
     for pass in 1..=MOST_PASSES {
         let step = step(pair, &state, means, rows_apart)?;
-        state.plane[0] += step.height_m;
+        state.surface.coefficients[0] += step.height_m;
         let Some((east_m, north_m)) = step.shift_m else {
             if rows_apart == 1 {
                 return Ok((state, pass));
@@ -110,7 +111,7 @@ impl Worker {
             let (per_x, per_y) = (0.5 / (mx * grid.step_x), 0.5 / (my * grid.step_y));
             for column in 0..width {
                 let (at, inside) = ((row + 1) * stride + column + 1, row * width + column);
-                let difference = t[at] - self.other[inside] - state.plane[0];
+                let difference = t[at] - self.other[inside] - state.surface.coefficients[0];
                 if self.stable[inside] == 0 || difference.is_nan() {
                     continue;
                 }

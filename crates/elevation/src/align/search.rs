@@ -8,7 +8,8 @@ use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Means as Averaged, MemoryHeights, Patch};
 use crate::stream::{self, BLOCK_PX, Means};
 
-use super::fit::{self, Flats, Gather, PARAMETERS, Pair, SLOPES, State, Sums, Weighing};
+use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
+use super::surface::Degree;
 use super::{Method, Options, nuth_kaab};
 
 /// Fewest common cells of a fit.
@@ -28,7 +29,6 @@ const CANDIDATES: usize = 3;
 pub struct Fitted {
     pub state: State,
     pub covariance: DMatrix<f64>,
-    pub tilted: bool,
     /// Share of the common cells with any weight.
     pub share: f64,
     pub common: u64,
@@ -40,20 +40,32 @@ pub enum Found {
     Nothing(String),
 }
 
-/// Which of the five parameters are free.
-type Free = &'static [usize];
+/// What is fitted: a shift or none, and a surface. The parameters that are free lie side by side.
+#[derive(Clone, Copy)]
+struct Free {
+    moves: bool,
+    surface: Degree,
+}
 
-const SHIFT_AND_PLANE: Free = &[0, 1, 2, 3, 4];
-const SHIFT: Free = &[0, 1, 2];
-const HEIGHT: Free = &[2];
-const PLANE: Free = &[2, 3, 4];
+impl Free {
+    fn of(method: Method) -> Free {
+        let surface = match method {
+            Method::Auto | Method::Tilt => Degree::Linear,
+            Method::NuthKaab | Method::Lzd | Method::Bias => Degree::Level,
+        };
+        Free { moves: method.moves(), surface }
+    }
 
-fn free_of(method: Method) -> Free {
-    match method {
-        Method::Auto => SHIFT_AND_PLANE,
-        Method::NuthKaab | Method::Lzd => SHIFT,
-        Method::Bias => HEIGHT,
-        Method::Tilt => PLANE,
+    fn with(self, surface: Degree) -> Free {
+        Free { surface, ..self }
+    }
+
+    fn first(self) -> usize {
+        if self.moves { 0 } else { SHIFTS }
+    }
+
+    fn count(self) -> usize {
+        SHIFTS + self.surface.terms() - self.first()
     }
 }
 
@@ -64,7 +76,7 @@ fn free_of(method: Method) -> Free {
 pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found> {
     let levels = pyramid(full, options)?;
     let finest = levels.first().map_or(1, |level| level.factor);
-    let mut free = free_of(options.method);
+    let mut free = Free::of(options.method);
     let weighing = if options.method == Method::Lzd { Weighing::Clip } else { Weighing::Biweight };
     let fitter = Fitter { full, flats, weighing, means: options.means };
     let nothing = |why: &str| Ok(Found::Nothing(why.into()));
@@ -73,18 +85,12 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
         return nothing("too few cells with a slope are common to both models");
     };
     let precision = if finest > 1 { STREAMED } else { IN_MEMORY };
-    if options.method == Method::Auto {
-        // Whether there is a tilt shows where the models are in memory.
-        let pair = levels[0].pair(full);
-        let tilted = match fitter.settle(&pair, state, free, COARSE)? {
-            Some(settled) => fitter.finish(&pair, &settled, free, Step::Taken)?.is_some_and(|end| end.needs_tilt),
-            None => false,
-        };
-        if !tilted {
-            free = SHIFT;
-            state.plane = [state.plane[0], 0.0, 0.0];
-        }
+    match options.method {
+        Method::Auto => free = free.with(fitter.degree(&levels[0].pair(full), state, free, options.surface)?),
+        Method::Tilt => free = free.with(options.surface),
+        Method::NuthKaab | Method::Lzd | Method::Bias => {}
     }
+    state.surface = state.surface.of_degree(free.surface);
     let (settled, step) = if options.method == Method::NuthKaab {
         let (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
         let sums = fit::pass(full, &state, Gather::Residuals, flats, options.means)?;
@@ -94,14 +100,13 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
         (settled, Step::Taken)
     };
     let Some(end) = fitter.finish(full, &settled, free, step)? else { return nothing(FLAT) };
-    let uncertain = free.contains(&0) && (end.worst_shift_px.is_nan() || end.worst_shift_px > WORST_SHIFT_PX);
+    let uncertain = free.moves && (end.worst_shift_px.is_nan() || end.worst_shift_px > WORST_SHIFT_PX);
     if uncertain {
         return nothing(FLAT);
     }
     Ok(Found::Fitted(Box::new(Fitted {
         state: end.state,
         covariance: end.covariance,
-        tilted: free.contains(&3),
         share: end.sums.used as f64 / end.sums.common.max(1) as f64,
         common: end.sums.common,
         iterations: settled.iterations,
@@ -292,7 +297,6 @@ enum Step {
 struct End {
     state: State,
     covariance: DMatrix<f64>,
-    needs_tilt: bool,
     worst_shift_px: f64,
     sums: Sums,
 }
@@ -315,8 +319,8 @@ impl Fitter<'_> {
             let mut settled: Vec<(State, f64)> = Vec::new();
             for (mut state, misfit) in candidates {
                 if misfit.is_infinite() {
-                    state.plane[0] = super::spread::of(&pair, &state, self.means)?.median;
-                    if !state.plane[0].is_finite() {
+                    state.surface.coefficients[0] = super::spread::of(&pair, &state, self.means)?.median;
+                    if !state.surface.coefficients[0].is_finite() {
                         continue;
                     }
                 }
@@ -361,12 +365,29 @@ impl Fitter<'_> {
             let Some(step) = solve(&sums, free) else { return Ok(None) };
             let moved = apply(&mut state, &step, &pair.template.grid());
             let scale = scales.iter().copied().fold(f64::INFINITY, f64::min);
-            let still = moved < precision.step_px && step[2].abs() < precision.step_px * scale.max(1e-2);
+            let still = moved < precision.step_px && step[SHIFTS].abs() < precision.step_px * scale.max(1e-2);
             if still || iteration == precision.passes {
                 return Ok(Some(Settled { state, sums, iterations: iteration }));
             }
         }
         Ok(None)
+    }
+
+    /// The degree of the surface that is there, as it shows where the models are in memory; no higher than `highest`.
+    fn degree(&self, pair: &Pair<'_>, start: State, free: Free, highest: Degree) -> Result<Degree> {
+        let mut degree = highest;
+        while degree > Degree::Level {
+            let free = free.with(degree);
+            let start = State { surface: start.surface.of_degree(degree), ..start };
+            if let Some(settled) = self.settle(pair, start, free, COARSE)?
+                && let Some(end) = self.finish(pair, &settled, free, Step::Taken)?
+                && degree_matters(&end, &settled.sums.scales(FLOOR_M), &settled.sums)
+            {
+                break;
+            }
+            degree = degree.lower();
+        }
+        Ok(degree)
     }
 
     /// A last step with the full curvature, and what it is worth.
@@ -391,29 +412,35 @@ impl Fitter<'_> {
         }
         let shift = covariance.view((0, 0), (2, 2)).symmetric_eigenvalues();
         let worst_shift_px = shift.iter().fold(0.0, |worst: f64, v| worst.max(v.abs())).sqrt();
-        let needs_tilt = free.contains(&3) && tilt_matters(&state, &covariance, &scales, residuals);
-        Ok(Some(End { state, covariance, needs_tilt, worst_shift_px, sums }))
+        Ok(Some(End { state, covariance, worst_shift_px, sums }))
     }
 }
 
-/// Whether a tilt is there beyond chance (one in a thousand), and is worth a tenth of the residuals' own scatter.
-fn tilt_matters(state: &State, covariance: &DMatrix<f64>, scales: &[f64; SLOPES], sums: &Sums) -> bool {
-    const CHI2: f64 = 13.8;
-    let tilt = DVector::from_vec(vec![state.plane[1], state.plane[2]]);
-    let variance = covariance.view((3, 3), (2, 2)).clone_owned();
-    let Some(inverse) = variance.try_inverse() else { return tilt.norm() > FLOOR_M };
-    let counts = sums.residuals.iter().map(|h| h.total);
+/// Whether the terms of the surface's own degree are there beyond chance (one in a thousand), and are worth a tenth of the
+/// residuals' own scatter.
+fn degree_matters(end: &End, scales: &[f64; SLOPES], residuals: &Sums) -> bool {
+    let surface = &end.state.surface;
+    let (degree, first) = (surface.degree, surface.degree.lower().terms());
+    // χ² of as many terms.
+    let chi2 = match degree {
+        Degree::Level | Degree::Linear => 13.8,
+        Degree::Quadratic => 16.3,
+        Degree::Cubic => 18.5,
+    };
+    let count = degree.terms() - first;
+    let terms = DVector::from_column_slice(&surface.coefficients[first..][..count]);
+    let variance = end.covariance.view((SHIFTS + first, SHIFTS + first), (count, count)).clone_owned();
+    let Some(inverse) = variance.try_inverse() else { return terms.norm() > FLOOR_M };
+    let counts = residuals.residuals.iter().map(|h| h.total);
     let typical = scales.iter().zip(counts).max_by_key(|(_, count)| *count).map_or(0.0, |(scale, _)| *scale);
-    // Over −1…1 the surface has this root mean square.
-    let rms = (tilt.norm_squared() / 3.0).sqrt();
-    (tilt.transpose() * inverse * &tilt)[(0, 0)] > CHI2 && rms > typical / 10.0
+    (terms.transpose() * inverse * &terms)[(0, 0)] > chi2 && surface.rms_from(degree) > typical / 10.0
 }
 
 /// The step of the free parameters; those held stay zero.
-fn solve(sums: &Sums, free: Free) -> Option<[f64; PARAMETERS]> {
-    let n = free.len();
-    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix[free[i] * PARAMETERS + free[j]].value());
-    let right = DVector::from_fn(n, |i, _| sums.right[free[i]].value());
+fn solve(sums: &Sums, free: Free) -> Option<Vec<f64>> {
+    let (first, n) = (free.first(), free.count());
+    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix(first + i, first + j));
+    let right = DVector::from_fn(n, |i, _| sums.right(first + i));
     let scale: Vec<f64> = (0..n).map(|i| matrix[(i, i)].abs().sqrt()).collect();
     if scale.iter().any(|s| s.is_nan() || *s <= 0.0) {
         return None;
@@ -425,21 +452,21 @@ fn solve(sums: &Sums, free: Free) -> Option<[f64; PARAMETERS]> {
         return None;
     }
     let solution = lu.solve(&DVector::from_fn(n, |i, _| right[i] / scale[i]))?;
-    let mut step = [0.0; PARAMETERS];
-    for (i, &parameter) in free.iter().enumerate() {
-        step[parameter] = solution[i] / scale[i];
+    let mut step = vec![0.0; sums.parameters()];
+    for (i, value) in step[first..][..n].iter_mut().enumerate() {
+        *value = solution[i] / scale[i];
     }
     step.iter().all(|v| v.is_finite()).then_some(step)
 }
 
 /// Takes a step; returns how far it went, in cells. Steps of more than two cells are shortened: the gradient reaches no further.
-fn apply(state: &mut State, step: &[f64; PARAMETERS], grid: &Grid) -> f64 {
+fn apply(state: &mut State, step: &[f64], grid: &Grid) -> f64 {
     const LONGEST_PX: f64 = 2.0;
     let length = step[0].hypot(step[1]);
     let share = if length > LONGEST_PX { LONGEST_PX / length } else { 1.0 };
     state.shift.0 += share * step[0] * grid.step_x;
     state.shift.1 += share * step[1] * grid.step_y;
-    for (value, change) in state.plane.iter_mut().zip(&step[2..]) {
+    for (value, change) in state.surface.coefficients.iter_mut().zip(&step[SHIFTS..]) {
         *value += share * change;
     }
     share * length
@@ -462,16 +489,16 @@ fn score_block_px(grid: &Grid) -> u64 {
 /// hang together within a block count as what they are. Blocks are doubled while that shows more than chance does.
 fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
     const FEWEST: usize = 40;
-    let n = free.len();
-    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix[free[i] * PARAMETERS + free[j]].value());
+    let (first, n, parameters) = (free.first(), free.count(), sums.parameters());
+    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix(first + i, first + j));
     let inverse = matrix.try_inverse()?;
     let mut scores = sums.block_scores();
     let (mut across, mut down) = (grid.width.div_ceil(block_px) as usize, grid.height.div_ceil(block_px) as usize);
-    let spread = |scores: &[[f64; PARAMETERS]]| {
+    let spread = |scores: &[f64]| {
         let mut meat = DMatrix::<f64>::zeros(n, n);
-        let filled: Vec<_> = scores.iter().filter(|s| s.iter().any(|v| *v != 0.0)).collect();
+        let filled: Vec<_> = scores.chunks_exact(parameters).filter(|s| s.iter().any(|v| *v != 0.0)).collect();
         for score in &filled {
-            let s = DVector::from_fn(n, |i, _| score[free[i]]);
+            let s = DVector::from_column_slice(&score[first..][..n]);
             meat += &s * s.transpose();
         }
         let blocks = filled.len();
@@ -481,7 +508,7 @@ fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMa
     };
     let (mut best, mut blocks) = spread(&scores);
     loop {
-        (scores, across, down) = doubled(&scores, across, down);
+        (scores, across, down) = doubled(&scores, parameters, across, down);
         let (next, fewer) = spread(&scores);
         let chance = 1.0 + 2.0 * (2.0 / fewer.max(1) as f64).sqrt();
         if fewer < FEWEST || fewer >= blocks || next.trace() <= best.trace() * chance {
@@ -489,22 +516,18 @@ fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMa
         }
         (best, blocks) = (next, fewer);
     }
-    let mut whole = DMatrix::zeros(PARAMETERS, PARAMETERS);
-    for (i, &a) in free.iter().enumerate() {
-        for (j, &b) in free.iter().enumerate() {
-            whole[(a, b)] = best[(i, j)];
-        }
-    }
+    let mut whole = DMatrix::zeros(parameters, parameters);
+    whole.view_mut((first, first), (n, n)).copy_from(&best);
     Some(whole)
 }
 
 /// Four blocks to one.
-fn doubled(scores: &[[f64; PARAMETERS]], across: usize, down: usize) -> (Vec<[f64; PARAMETERS]>, usize, usize) {
+fn doubled(scores: &[f64], parameters: usize, across: usize, down: usize) -> (Vec<f64>, usize, usize) {
     let (wide, high) = (across.div_ceil(2), down.div_ceil(2));
-    let mut joined = vec![[0.0; PARAMETERS]; wide * high];
-    for (i, score) in scores.iter().enumerate() {
-        let target = &mut joined[i / across / 2 * wide + i % across / 2];
-        target.iter_mut().zip(score).for_each(|(sum, v)| *sum += v);
+    let mut joined = vec![0.0; parameters * wide * high];
+    for (i, score) in scores.chunks_exact(parameters).enumerate() {
+        let target = (i / across / 2 * wide + i % across / 2) * parameters;
+        joined[target..].iter_mut().zip(score).for_each(|(sum, v)| *sum += v);
     }
     (joined, wide, high)
 }

@@ -7,7 +7,7 @@ use crate::stream::{self, Means};
 
 use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 
-/// Of the differences template − other − plane.
+/// Of the differences template − other − surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
     pub median: f64,
@@ -54,12 +54,12 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
         let frame = &pair.frame;
         for row in 0..height {
             let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
-            let base = state.plane[0] + state.plane[2] * (y - frame.y) / frame.half_y;
+            let v = (y - frame.y) / frame.half_y;
             for column in 0..width {
                 let at = row * width + column;
                 let x = grid.x0 + ((core.x + column as u64) as f64 + 0.5) * grid.step_x;
-                let plane = base + state.plane[1] * (x - frame.x) / frame.half_x;
-                let difference = worker.template[at] - worker.other[at] - plane;
+                let surface = state.surface.at((x - frame.x) / frame.half_x, v);
+                let difference = worker.template[at] - worker.other[at] - surface;
                 if worker.stable[at] != 0 && !difference.is_nan() {
                     worker.histogram.add(difference as f32);
                 }

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use autoref_elevation::align::{Alignment, Method, Outcome};
+use anyhow::bail;
+use autoref_elevation::align::{Alignment, Bend, BendTerm, Degree, Method, Outcome};
 use autoref_elevation::couple::Couple;
 use autoref_elevation::files::AlignJob;
 use autoref_raster::atomic::{self, Existing};
@@ -25,6 +26,10 @@ pub struct AlignArgs {
     /// auto, nuth-kaab, lzd, bias or tilt.
     #[arg(long, value_name = "METHOD", default_value = "auto")]
     method: Method,
+    /// Highest degree of the surface that is taken out beside the shift: linear (a tilt), quadratic or cubic. `auto` takes what is there
+    /// beyond chance, `tilt` all of it.
+    #[arg(long, value_name = "DEGREE", default_value = "linear")]
+    surface: Degree,
     /// Polygons of ground that has not changed. Default: found by robust weights.
     #[arg(long, value_name = "FILE")]
     stable: Option<PathBuf>,
@@ -44,10 +49,14 @@ pub struct AlignArgs {
 /// When a model cannot be read or the result not be written.
 pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
+    if !args.method.bends() && args.surface > Degree::Linear {
+        bail!("--surface {}: --method {} fits no surface; use --method auto or tilt", args.surface, args.method);
+    }
     let job = AlignJob {
         a: &args.a,
         b: &args.to,
         method: args.method,
+        surface: args.surface,
         stable: args.stable.as_deref(),
         resources: args.resources.resources(),
         scratch: Some(args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))),
@@ -87,6 +96,10 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
             1e3 * tilt.north_se
         );
     }
+    if let Some(bend) = &alignment.bend {
+        let largest = bend.terms.iter().map(|term| term.metres.abs()).fold(0.0, f64::max);
+        println!("Bend applied to A    {}, terms up to {largest:.3} m (--json lists them)", bend.degree);
+    }
     if found.couple.heights.lifted() {
         println!("Heights              {}", found.couple.heights);
     }
@@ -99,6 +112,26 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
 /// A number, or null where there is none.
 fn number(value: f64) -> Value {
     serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
+}
+
+/// The degree of what is taken out beside the shift.
+fn surface(found: &Alignment) -> &'static str {
+    match (&found.bend, &found.tilt) {
+        (Some(bend), _) => bend.degree.name(),
+        (None, Some(_)) => Degree::Linear.name(),
+        (None, None) => Degree::Level.name(),
+    }
+}
+
+/// The terms above the tilt, each metres · u^east · v^north.
+fn bend(bend: &Bend) -> Value {
+    let term =
+        |t: &BendTerm| json!({ "east": t.east, "north": t.north, "m": number(t.metres), "se_m": number(t.se_m) });
+    json!({
+        "half_e_m": number(bend.half_m.0),
+        "half_n_m": number(bend.half_m.1),
+        "terms": bend.terms.iter().map(term).collect::<Vec<_>>(),
+    })
 }
 
 fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
@@ -125,6 +158,8 @@ fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
     put("tilt_n_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.north)));
     put("tilt_e_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.east_se)));
     put("tilt_n_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.north_se)));
+    put("surface", surface(found).into());
+    put("bend", found.bend.as_ref().map_or(Value::Null, bend));
     put("height_counts_at", json!([found.centre.0, found.centre.1]));
     put("nmad_before_m", number(found.nmad_before_m));
     put("nmad_after_m", number(found.nmad_after_m));
