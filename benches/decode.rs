@@ -1,10 +1,10 @@
 //! How near is reading a file to the speed of its codec alone, and how far from GDAL?
 //!
-//! For each layout, in processor time of one thread (so that other work on the machine does not count) and with the file in
-//! the page cache: `ours` reads every pixel in windows and looks at one
-//! byte in each cache line; `codec` only decompresses the same blocks from memory (no predictor, no file, no cache, for
-//! LZW with weezl); `gdal` reads the same windows through the GDAL reader. Excluded: opening. The picture is a photograph
-//! under ../shared/data, or the file in AUTOREF_BENCH_FILE; without either the bench says so and ends.
+//! For each layout, in processor time of one thread (so that other work on the machine does not count) and with the
+//! file in the page cache: `ours` reads every pixel in windows and looks at one byte in each cache line; `codec` only
+//! decompresses the same blocks from memory (no predictor, no file, no cache, for LZW with weezl); `gdal` reads the
+//! same windows through the GDAL reader. Excluded: opening. The picture is a photograph under ../shared/data, or the
+//! file in AUTOREF_BENCH_FILE; without either the bench says so and ends.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};

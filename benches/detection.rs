@@ -1,16 +1,16 @@
 //! How many marks are found, how many false ones come with them, and how well the centres sit?
 //!
 //! Marks are planted with known sub-pixel centres into real photographs, one factor at a time about a base case (10 px,
-//! blur 0.9 px, fading up to 20 %, JPEG 90). Excluded: reading files, tiling and merging (they never change a candidate).
+//! blur 0.9 px, fading up to 20 %, JPEG 90). Excluded: reading files, tiling and merging (they never change a
+//! candidate).
 //!
-//! `cargo bench -p autoref-benches --bench detection` prints the tables of `docs/benchmark-detection.md` (at least 2,000 marks a cell);
-//! `AUTOREF_BENCH_MARKS=100` is a quick look,
-//! `AUTOREF_BENCH_PYTHON=python3` (with scikit-image) adds the pipeline of `benches/scikit_pipeline.py` on the same pictures;
-//! `AUTOREF_BENCH_ROWS=rows.txt` writes one line a mark found: condition, error, standard deviations, what the fit saw;
-//! `AUTOREF_BENCH_MISSES=folder` writes a window around every mark missed, as PNG, and what the detector saw there;
-//! `AUTOREF_BENCH_COVERS=IMG_00,forest` plants only into the covers whose name holds one of these words;
-//! `AUTOREF_BENCH_ONLY=covered,JPEG` measures only the conditions and covers whose name holds one of these words. The photographs are
-//! looked for in `../shared/data`.
+//! `cargo bench -p autoref-benches --bench detection` prints the tables of `docs/benchmark-detection.md` (at least
+//! 2,000 marks a cell); `AUTOREF_BENCH_MARKS=100` is a quick look, `AUTOREF_BENCH_PYTHON=python3` (with scikit-image)
+//! adds the pipeline of `benches/scikit_pipeline.py` on the same pictures; `AUTOREF_BENCH_ROWS=rows.txt` writes one
+//! line a mark found: condition, error, standard deviations, what the fit saw; `AUTOREF_BENCH_MISSES=folder` writes a
+//! window around every mark missed, as PNG, and what the detector saw there; `AUTOREF_BENCH_COVERS=IMG_00,forest`
+//! plants only into the covers whose name holds one of these words; `AUTOREF_BENCH_ONLY=covered,JPEG` measures only the
+//! conditions and covers whose name holds one of these words. The photographs are looked for in `../shared/data`.
 
 #[path = "detection/scan.rs"]
 mod scan;
@@ -42,8 +42,8 @@ const COVERS: [&str; 9] = [
     "photos/forest_agung.jpg",
     "targets/IMG_0046.jpg",
 ];
-/// Covers that are reported by themselves: full of things of the paint's own colour, or small, or held out: nothing was ever
-/// planted into `oak_sjer_neon.tif` and `IMG_0031.jpg` before the figures that are published.
+/// Covers that are reported by themselves: full of things of the paint's own colour, or small, or held out: nothing was
+/// ever planted into `oak_sjer_neon.tif` and `IMG_0031.jpg` before the figures that are published.
 const MORE: [&str; 5] = [
     "photos/village_boruszyn.jpg",
     "photos/town_freetown.jpg",

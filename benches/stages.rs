@@ -1,7 +1,7 @@
 //! Each stage of the flow by itself, on one thread's worth of made input: what a change to one of them costs or gains.
 //!
-//! `cargo bench -p autoref-benches --bench stages` prints a line a stage; a word after `--` chooses stages. Decoding has a bench
-//! of its own (`decode`), against codecs and GDAL.
+//! `cargo bench -p autoref-benches --bench stages` prints a line a stage; a word after `--` chooses stages. Decoding
+//! has a bench of its own (`decode`), against codecs and GDAL.
 
 use std::hint::black_box;
 

@@ -11,8 +11,8 @@ use crate::segment::label::Region;
 pub trait Detector: Sync {
     /// Pixels around a core that [`Detector::segment`] must see to be right inside it.
     fn halo_px(&self) -> u64;
-    /// Piece → Mask, for detectors that judge a pixel by itself: called for each piece of a block as soon as it is read, while
-    /// it lies in the nearest cache. The mask is of the block's window, and background at first.
+    /// Piece → Mask, for detectors that judge a pixel by itself: called for each piece of a block as soon as it is
+    /// read, while it lies in the nearest cache. The mask is of the block's window, and background at first.
     fn segment_piece(&self, _piece: &Piece, _mask: &mut Mask) {}
     /// Block → Mask: what is left to do when all pieces are there; sets the foreground bits of the mask.
     fn segment_block(&self, block: &Block, mask: &mut Mask);
@@ -42,13 +42,13 @@ pub trait Detector: Sync {
     fn refine(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.examine(region, pixels).into_iter().collect()
     }
-    /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were taken
-    /// for paint too (a mark on a red roof). `None` when there is no narrower one.
+    /// The same detector with a narrower idea of the paint, for a place where a mark must be but its surroundings were
+    /// taken for paint too (a mark on a red roof). `None` when there is no narrower one.
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         None
     }
-    /// A detector of the brightest paint alone, for marks on ground that this one takes for paint too (white on concrete, green on
-    /// grass): it looks in the same pass. `None` when there is none.
+    /// A detector of the brightest paint alone, for marks on ground that this one takes for paint too (white on
+    /// concrete, green on grass): it looks in the same pass. `None` when there is none.
     fn inner(&self) -> Option<&dyn Detector> {
         None
     }

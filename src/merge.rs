@@ -1,10 +1,10 @@
 //! Joining regions that straddle tile edges.
 //!
 //! Each tile hands over its open regions and, for every face it shares with another tile, the runs of pixels along it.
-//! When two neighbouring tiles have both been fed, their facing runs are compared and touching regions united; when every
-//! piece of a united region has met all the tiles that it reaches, the region is complete. Everything in a [`Region`] is an
-//! integer and every operation on it commutes, so the result does not depend on the order in which tiles arrive, nor on
-//! the tiling itself.
+//! When two neighbouring tiles have both been fed, their facing runs are compared and touching regions united; when
+//! every piece of a united region has met all the tiles that it reaches, the region is complete. Everything in a
+//! [`Region`] is an integer and every operation on it commutes, so the result does not depend on the order in which
+//! tiles arrive, nor on the tiling itself.
 //!
 //! After dask-image's `_label.py` (look only at the faces, unite, relabel), but streaming: what is held is the open
 //! regions of tiles that still wait for a neighbour.

@@ -35,9 +35,9 @@ struct Held {
 /// Applies the edits in order and solves again.
 ///
 /// # Errors
-/// [`Error::Usage`] when the result's best pattern refers to what the result does not have; [`Error::Format`] when an edit
-/// names a GCP or candidate that the result does not have, accepts a GCP that has no mark, puts one outside the image, or when
-/// one candidate ends as the mark of two GCPs.
+/// [`Error::Usage`] when the result's best pattern refers to what the result does not have; [`Error::Format`] when an
+/// edit names a GCP or candidate that the result does not have, accepts a GCP that has no mark, puts one outside the
+/// image, or when one candidate ends as the mark of two GCPs.
 pub fn replay(recorded: &RunResult, patch: &PatchFile, patch_path: &Path) -> Result<Replayed> {
     let pairs = recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs);
     if pairs.into_iter().any(|&(c, g)| c >= recorded.candidates.len() || g >= recorded.gcps.len()) {
@@ -188,7 +188,8 @@ mod tests {
     use crate::gcp::Gcp;
     use autoref_review::{SCHEMA, SCHEMA_VERSION, Subject};
 
-    /// Four marks of a north-up image of 0.1 m pixels, the last one a metre off, and a fifth candidate where it should be.
+    /// Four marks of a north-up image of 0.1 m pixels, the last one a metre off, and a fifth candidate where it should
+    /// be.
     fn recorded() -> RunResult {
         let places = [("A", 100.0, 100.0), ("B", 900.0, 120.0), ("C", 880.0, 700.0), ("D", 140.0, 660.0)];
         let row = |name: &str, x: f64, y: f64| {

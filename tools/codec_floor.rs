@@ -2,9 +2,9 @@
 //!
 //!     codec_floor FILE THREADS
 //!
-//! Offsets come from the `tiff` crate; the compressed bytes are read from the page cache block by block, decoded into one
-//! reused buffer a thread, the horizontal predictor undone by the plainest loop the compiler vectorises or not. Nothing is
-//! unpacked, classified or kept. Prints seconds.
+//! Offsets come from the `tiff` crate; the compressed bytes are read from the page cache block by block, decoded into
+//! one reused buffer a thread, the horizontal predictor undone by the plainest loop the compiler vectorises or not.
+//! Nothing is unpacked, classified or kept. Prints seconds.
 
 use std::fs::File;
 use std::io::BufReader;

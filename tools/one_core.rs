@@ -2,8 +2,9 @@
 //!
 //!     one_core FILE [PROFILE]
 //!
-//! Decodes once with nothing else in between, then once more with every tile classified, of which only the classifying is
-//! counted. Prints both in processor seconds of the thread, and their sum: what `autoref-stream FILE --threads 1` is compared with.
+//! Decodes once with nothing else in between, then once more with every tile classified, of which only the classifying
+//! is counted. Prints both in processor seconds of the thread, and their sum: what `autoref-stream FILE --threads 1` is
+//! compared with.
 
 use std::path::Path;
 use std::time::Duration;

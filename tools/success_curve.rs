@@ -1,12 +1,13 @@
-//! How often the matcher is right, against the number of visible GCPs, of false candidates, and the error of the marks; and
-//! how often the formula of the number of false alarms says it can be.
+//! How often the matcher is right, against the number of visible GCPs, of false candidates, and the error of the marks;
+//! and how often the formula of the number of false alarms says it can be.
 //!
-//! The prediction is the formula laid on the true pattern, which nobody knows in practice: a case counts as possible when
-//! the true marks, at their measured places, are rarer than 1e-4. Where measured and predicted agree, the search finds
-//! what can be believed and the limit is that of the evidence. Excluded: the time of making the cases.
+//! The prediction is the formula laid on the true pattern, which nobody knows in practice: a case counts as possible
+//! when the true marks, at their measured places, are rarer than 1e-4. Where measured and predicted agree, the search
+//! finds what can be believed and the limit is that of the evidence. Excluded: the time of making the cases.
 //!
-//! `cargo run --release -p autoref-tools --bin success_curve -- FOLDER [TRIALS [FROM]]` writes `matching-success.csv` and `.svg` there. With
-//! FROM the fields of fewer false candidates are taken over from the table in FOLDER; beyond all of them it is only drawn.
+//! `cargo run --release -p autoref-tools --bin success_curve -- FOLDER [TRIALS [FROM]]` writes `matching-success.csv`
+//! and `.svg` there. With FROM the fields of fewer false candidates are taken over from the table in FOLDER; beyond all
+//! of them it is only drawn.
 
 #[path = "../tests/common/random.rs"]
 mod random;
@@ -28,7 +29,8 @@ const GSD: f64 = 0.03;
 const VISIBLE: [usize; 9] = [3, 4, 5, 6, 7, 8, 10, 14, 20];
 const FALSE: [usize; 6] = [0, 30, 100, 300, 1000, 20_000];
 const SIGMA_PX: [f64; 4] = [0.5, 1.0, 2.0, 5.0];
-/// From so many false candidates on north is known to ±15°, as it is for orthophotos: without it no search ends in time.
+/// From so many false candidates on north is known to ±15°, as it is for orthophotos: without it no search ends in
+/// time.
 const NORTH_KNOWN_FROM: usize = 20_000;
 const NORTH_UP_DEG: f64 = 15.0;
 const COLOURS: [&str; 6] = ["#1b6ca8", "#2a9d8f", "#8a9a2b", "#e9a23b", "#d1495b", "#6d3b8e"];

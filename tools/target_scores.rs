@@ -1,5 +1,5 @@
-//! Prints what the score of black and white targets is made of: targets planted into real photographs beside whatever else
-//! answers there, for the populations in `src/black_white/examine.rs`.
+//! Prints what the score of black and white targets is made of: targets planted into real photographs beside whatever
+//! else answers there, for the populations in `src/black_white/examine.rs`.
 //!
 //! `cargo run --release -p autoref-tools --bin target_scores` (photographs in `../shared/data`).
 

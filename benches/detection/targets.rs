@@ -51,8 +51,8 @@ fn colour(kind: Kind, u: f64, v: f64) -> (bool, bool) {
     }
 }
 
-/// Plants a target in each square of a grid: side drawn from 14 to 60 px (plates from 30) unless given, any rotation, blur
-/// 0.7 to 1.4 px, light 50 to 100 %, JPEG 88. Returns the centres.
+/// Plants a target in each square of a grid: side drawn from 14 to 60 px (plates from 30) unless given, any rotation,
+/// blur 0.7 to 1.4 px, light 50 to 100 %, JPEG 88. Returns the centres.
 pub fn plant_targets(
     ground: &Picture,
     kind: Kind,

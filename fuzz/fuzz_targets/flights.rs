@@ -1,5 +1,5 @@
-//! Any bytes as what describes a flight: MicMac's and MMVII's XML, OpenSfM's JSON, camera tables, points in images; a camera of
-//! film.
+//! Any bytes as what describes a flight: MicMac's and MMVII's XML, OpenSfM's JSON, camera tables, points in images; a
+//! camera of film.
 #![no_main]
 
 mod common;

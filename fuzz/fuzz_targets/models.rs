@@ -1,4 +1,5 @@
-//! Any bytes as COLMAP's model, binary or text: the first byte chooses, two lengths of two bytes part cameras, images and points.
+//! Any bytes as COLMAP's model, binary or text: the first byte chooses, two lengths of two bytes part cameras, images
+//! and points.
 #![no_main]
 
 use autoref_flight::read::colmap;

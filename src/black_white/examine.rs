@@ -18,8 +18,8 @@ const FIT_CELLS: f64 = 14.0;
 /// The last fit of a target that is believed may take this many.
 const POLISH_CELLS: f64 = 24.0;
 
-/// What the fit cannot see of its own error: rounding to bytes and JPEG move both edges of a bar alike (measured on planted
-/// targets in `tests/core/targets.rs`).
+/// What the fit cannot see of its own error: rounding to bytes and JPEG move both edges of a bar alike (measured on
+/// planted targets in `tests/core/targets.rs`).
 const FLOOR_PX: f64 = 0.0075;
 
 /// The strongest answer of one scale inside the region, image pixels.
@@ -256,8 +256,8 @@ fn samples(patch: &Patch, at: (f64, f64), view: f64, size: u64) -> Vec<Sample> {
 /// Side of the target and shortest over longest arm or quarter: rays from the middle are followed while they stay on
 /// their side of the middle level.
 ///
-/// Along each arm of a cross both flanks are followed too: the arm ends with its plate. Of a saddle's quarters the pair that
-/// ends first counts, because ground of the other pair's brightness does not end it.
+/// Along each arm of a cross both flanks are followed too: the arm ends with its plate. Of a saddle's quarters the pair
+/// that ends first counts, because ground of the other pair's brightness does not end it.
 fn extent(detector: &TargetDetector, patch: &Patch, fit: &Fit) -> Option<(f64, f64)> {
     let longest = REACH_SIDES * detector.side_px.1;
     let width = (fit.widths[0] * fit.widths[1]).sqrt();
@@ -338,10 +338,10 @@ fn sample_at(patch: &Patch, x: f64, y: f64, size: f64) -> Option<f64> {
 
 /// Log-likelihood ratio of "target" against "something else that answered", natural logarithm.
 ///
-/// The measurement is the logarithm of the share of variance that the model leaves over, taken as Gaussian for both. Clutter:
-/// 2,866 places that answered on 54 megapixels of photographs (`tools/target_scores.rs`). Targets: 911 planted ones have
-/// −6.8 ± 0.6, the cloth of six real plates −4.3 to −4.9; the population covers both. A fit better than the mean does not
-/// count further.
+/// The measurement is the logarithm of the share of variance that the model leaves over, taken as Gaussian for both.
+/// Clutter: 2,866 places that answered on 54 megapixels of photographs (`tools/target_scores.rs`). Targets: 911 planted
+/// ones have −6.8 ± 0.6, the cloth of six real plates −4.3 to −4.9; the population covers both. A fit better than the
+/// mean does not count further.
 fn score(fit: &Fit) -> f64 {
     const TARGET: (f64, f64) = (-6.0, 1.2);
     const CLUTTER: (f64, f64) = (-1.4, 0.75);

@@ -1,9 +1,9 @@
 //! Sub-pixel centres: two straight edges or two bars that cross, blurred, fitted to grey levels.
 //!
-//! A saddle is `½ − ½·e(d₁)·e(d₂)` with `e(d) = 2Φ(d/σ) − 1` and d the signed distances from two lines through the centre;
-//! a cross is the union of two blurred bars about such lines. Blur along a line is neglected, which is exact for bars at
-//! right angles up to the middle square. Levenberg–Marquardt (D. W. Marquardt, 1963) with Tukey's weights; covariance by
-//! the sandwich of W. K. Newey and K. D. West (1987), as for paint.
+//! A saddle is `½ − ½·e(d₁)·e(d₂)` with `e(d) = 2Φ(d/σ) − 1` and d the signed distances from two lines through the
+//! centre; a cross is the union of two blurred bars about such lines. Blur along a line is neglected, which is exact
+//! for bars at right angles up to the middle square. Levenberg–Marquardt (D. W. Marquardt, 1963) with Tukey's weights;
+//! covariance by the sandwich of W. K. Newey and K. D. West (1987), as for paint.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -12,16 +12,16 @@ use crate::candidate::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, 
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
-/// Centre x, y; directions of the two lines; logarithms of the two bar widths and of the blur; ground level, height of the
-/// bright over it, slope of the ground in x and y.
+/// Centre x, y; directions of the two lines; logarithms of the two bar widths and of the blur; ground level, height of
+/// the bright over it, slope of the ground in x and y.
 const PARAMETERS: usize = 11;
 type Vector = SVector<f64, PARAMETERS>;
 type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// What is given up before a fit is finished, as shares of the samples' variance that are left over: where the fit starts (with
-/// the best ground and height), after the first rounds, and after least squares, which no robust fit undercuts. Of 402 fits to
-/// targets and to what scores like one in photographs, no share was larger than 0.93, 0.67 and 0.44; on a picture that is itself
-/// a checkerboard most fits end at the first.
+/// What is given up before a fit is finished, as shares of the samples' variance that are left over: where the fit
+/// starts (with the best ground and height), after the first rounds, and after least squares, which no robust fit
+/// undercuts. Of 402 fits to targets and to what scores like one in photographs, no share was larger than 0.93, 0.67
+/// and 0.44; on a picture that is itself a checkerboard most fits end at the first.
 const MOST_UNLIKE: f64 = 0.96;
 const MOST_LEFT_EARLY: f64 = 0.85;
 const MOST_LEFT: f64 = 0.6;
@@ -97,8 +97,8 @@ impl<'a> Posed<'a> {
 }
 
 impl Problem<'_> {
-    /// The two lines at a place, the shape there (0..=1), and its derivatives by the two: for each line the value and the
-    /// derivatives by distance, ln width, ln σ.
+    /// The two lines at a place, the shape there (0..=1), and its derivatives by the two: for each line the value and
+    /// the derivatives by distance, ln width, ln σ.
     #[inline]
     fn shape(&self, pose: &Posed<'_>, dx: f64, dy: f64) -> ([[f64; 4]; 2], f64, [f64; 2]) {
         let mut part = [[0.0; 4]; 2];
@@ -184,7 +184,8 @@ impl Problem<'_> {
         self.samples.iter().map(|s| (s.level - self.value(&pose, s.x, s.y)).powi(2)).sum()
     }
 
-    /// Share of the samples' variance that the shape at `p` leaves over with the ground and the height that suit it best.
+    /// Share of the samples' variance that the shape at `p` leaves over with the ground and the height that suit it
+    /// best.
     fn unlike(&self, p: &Vector) -> f64 {
         let pose = Posed::new(p);
         let n = self.samples.len() as f64;
@@ -251,7 +252,8 @@ impl Surface<PARAMETERS> for Problem<'_> {
     }
 }
 
-/// Weights by Tukey's biweight, with the noise that the residuals show about a fit whose bright and dark are `height` apart.
+/// Weights by Tukey's biweight, with the noise that the residuals show about a fit whose bright and dark are `height`
+/// apart.
 pub(crate) fn tukey_weights(residuals: &[f64], height: f64) -> Vec<f64> {
     const CUT: f64 = 4.7;
     let spread = 1.4826 * crate::candidate::scene::median(residuals.iter().map(|r| r.abs()).collect());
@@ -264,8 +266,8 @@ pub(crate) fn tukey_weights(residuals: &[f64], height: f64) -> Vec<f64> {
     residuals.iter().map(weight).collect()
 }
 
-/// Fits the motif. `None` with fewer than 40 samples, samples without any contrast or nothing like the motif, or when the
-/// equations break down.
+/// Fits the motif. `None` with fewer than 40 samples, samples without any contrast or nothing like the motif, or when
+/// the equations break down.
 pub fn fit(motif: Motif, samples: &[Sample], start: Start, skew: f64) -> Option<Fit> {
     let n = samples.len() as f64;
     let mean = samples.iter().map(|s| s.level).sum::<f64>() / n;
@@ -385,8 +387,8 @@ mod tests {
         }
     }
 
-    /// A picture that is itself a checkerboard answers at every crossing and scale: there a fit must be given up before its
-    /// first round, or the picture takes minutes.
+    /// A picture that is itself a checkerboard answers at every crossing and scale: there a fit must be given up before
+    /// its first round, or the picture takes minutes.
     #[test]
     fn a_checkerboard_of_smaller_squares_is_given_up_at_once() {
         let disc = |level: &dyn Fn(f64, f64) -> f64| -> Vec<Sample> {

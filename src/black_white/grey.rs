@@ -1,7 +1,8 @@
 //! Grey levels of a window and their halvings.
 //!
-//! Everything here is integer arithmetic on pixels in an order that the image fixes, not the tile: cell (X, Y) of level k
-//! is the average of the pixels `[X·2ᵏ, (X+1)·2ᵏ) × [Y·2ᵏ, (Y+1)·2ᵏ)` of the image, whatever window they were read in.
+//! Everything here is integer arithmetic on pixels in an order that the image fixes, not the tile: cell (X, Y) of level
+//! k is the average of the pixels `[X·2ᵏ, (X+1)·2ᵏ) × [Y·2ᵏ, (Y+1)·2ᵏ)` of the image, whatever window they were read
+//! in.
 
 use autoref_raster::window::Window;
 use autoref_raster::{Block, Patch, RasterInfo, Samples};
@@ -31,8 +32,8 @@ pub fn level(colour: [u16; 3], white: u16) -> f64 {
     (sum * 255.0 / 256.0 / f64::from(white)).min(255.0)
 }
 
-/// Mean grey of the cell of `size` × `size` pixels, counted in cells from the patch's corner, on the scale of bytes, for fits; `None`
-/// when a pixel of it is not there.
+/// Mean grey of the cell of `size` × `size` pixels, counted in cells from the patch's corner, on the scale of bytes,
+/// for fits; `None` when a pixel of it is not there.
 pub fn mean_of_cell(patch: &Patch, (u, v): (u64, u64), size: u64) -> Option<f64> {
     let mut sum = 0.0;
     for y in v * size..(v + 1) * size {

@@ -1,9 +1,9 @@
 //! Black and white targets by their shape: checkers, hourglasses and crosses on plates, in grey.
 //!
 //! Colour says nothing about them, so the place of the colour test is taken by a response to the middle of the target
-//! (`response`) at several scales, computed in integers. Where it is strong enough, the examination fits the two lines that
-//! cross (`fit`), follows the arms or quarters outwards for the target's size, and gives centre, covariance and score
-//! (`examine`).
+//! (`response`) at several scales, computed in integers. Where it is strong enough, the examination fits the two lines
+//! that cross (`fit`), follows the arms or quarters outwards for the target's size, and gives centre, covariance and
+//! score (`examine`).
 
 mod examine;
 pub(crate) mod fit;
@@ -71,7 +71,8 @@ pub struct TargetDetector {
 
 impl TargetDetector {
     /// # Errors
-    /// [`autoref_raster::Error::Usage`] when the profile is not valid, is one of paint, or gives metres and `gsd_m` is unknown.
+    /// [`autoref_raster::Error::Usage`] when the profile is not valid, is one of paint, or gives metres and `gsd_m` is
+    /// unknown.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<TargetDetector> {
         profile.validate()?;
         let (motif, skew) = match profile.shape {
@@ -125,8 +126,9 @@ impl TargetDetector {
 
 /// The rings whose radius suits some target of the range.
 ///
-/// A cross answers when the ring cuts its arms, 1.2 to 2.5 bar widths out; bars are a ninth to a fifth of the plate. A saddle
-/// answers on every ring inside it, so small ones serve large targets too; they only need to be larger than the blur.
+/// A cross answers when the ring cuts its arms, 1.2 to 2.5 bar widths out; bars are a ninth to a fifth of the plate. A
+/// saddle answers on every ring inside it, so small ones serve large targets too; they only need to be larger than the
+/// blur.
 fn scales(motif: Motif, (low, high): (f64, f64)) -> Vec<Scale> {
     let (from, to) = match motif {
         Motif::Cross => (1.2 * low / 9.0, (2.5 * high / 5.0).min(0.35 * high)),

@@ -1,5 +1,5 @@
-//! How much the neighbourhood of a cell looks like the middle of a target: the least difference between samples on a ring
-//! that must be bright and samples that must be dark.
+//! How much the neighbourhood of a cell looks like the middle of a target: the least difference between samples on a
+//! ring that must be bright and samples that must be dark.
 //!
 //! Sixteen samples on a circle, after S. Bennett and J. Lasenby, "ChESS – quick and robust detection of chess-board
 //! features", 2014. We take minimum and maximum where they take sums: a clear corner passes, and one bright stone on a
@@ -217,7 +217,8 @@ mod tests {
                     for (name, other) in [("edge", &edge), ("bar", &bar), ("blob", &blob)] {
                         for motif in [Motif::Cross, Motif::Saddle] {
                             if name == "bar" && motif == Motif::Saddle {
-                                // Four samples of a bar can alternate as those of a checker do; the fit tells them apart.
+                                // Four samples of a bar can alternate as those of a checker do; the fit tells them
+                                // apart.
                                 continue;
                             }
                             let response = middle(other, ring, motif);

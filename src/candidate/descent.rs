@@ -1,5 +1,5 @@
-//! The one least-squares descent of the fits to marks: Levenberg–Marquardt (D. W. Marquardt, "An algorithm for least-squares
-//! estimation of nonlinear parameters", 1963).
+//! The one least-squares descent of the fits to marks: Levenberg–Marquardt (D. W. Marquardt, "An algorithm for
+//! least-squares estimation of nonlinear parameters", 1963).
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -55,8 +55,8 @@ impl<const N: usize> End<N> {
     }
 }
 
-/// Descends from `p`, at most `rounds` accepted or refused steps; `damping` is that of the last. `None` when the equations break
-/// down.
+/// Descends from `p`, at most `rounds` accepted or refused steps; `damping` is that of the last. `None` when the
+/// equations break down.
 pub(crate) fn descend<const N: usize, S: Surface<N>>(
     surface: &S,
     mut p: SVector<f64, N>,

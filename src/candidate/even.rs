@@ -1,15 +1,16 @@
 //! Marks on rough ground: even inside, edges all around, the outline of a square or a disc.
 //!
-//! The score weighs what a fit leaves over. On rough ground (straw, pebbles, stubble) nearly all of that is the ground beside the
-//! mark, and white on it stands out by a few deviations only, though no eye misses it. Here the inside is asked instead. Every limit
-//! was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the other looks turned down, white and worn, and
-//! of 730 other regions that they turned down it takes 2.
+//! The score weighs what a fit leaves over. On rough ground (straw, pebbles, stubble) nearly all of that is the ground
+//! beside the mark, and white on it stands out by a few deviations only, though no eye misses it. Here the inside is
+//! asked instead. Every limit was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the
+//! other looks turned down, white and worn, and of 730 other regions that they turned down it takes 2.
 
 use super::fit::{Fit, Form};
 use super::gates::central_moments;
 use crate::segment::label::Region;
 
-/// Logarithm of how much larger the share of marks is than that of other things that pass, of what the other looks turned down.
+/// Logarithm of how much larger the share of marks is than that of other things that pass, of what the other looks
+/// turned down.
 pub(super) const SCORE: f64 = 5.3;
 
 /// Whether the pixels of a region fill a square or a disc: what most clutter is not, asked of its sums alone.
@@ -27,7 +28,8 @@ pub(super) fn is_compact(region: &Region) -> bool {
         && middle + half_gap <= MOST_ASPECT * MOST_ASPECT * (middle - half_gap)
 }
 
-/// Whether a fit says so: an even inside, sides alike, a full step at every edge, and about as large as what colour found.
+/// Whether a fit says so: an even inside, sides alike, a full step at every edge, and about as large as what colour
+/// found.
 pub(super) fn is_even(fit: &Fit, unsupported: f64, area_px: f64) -> bool {
     const MOST_INSIDE: f64 = 0.075;
     const MOST_EDGE: f64 = 0.12;

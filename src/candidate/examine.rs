@@ -1,10 +1,10 @@
 //! The examination: the pixels around a region decide whether it is a mark, and where exactly its centre lies.
 //!
-//! Colour alone cannot tell a faded mark from a roof tile, but a mark differs from the ground right beside it. The ground is
-//! measured in a ring; the direction in colour space that separates paint from that ground best (R. A. Fisher, "The use of
-//! multiple measurements in taxonomic problems", 1936) turns the patch into a picture of the share of paint in each pixel,
-//! in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]). The answer depends on
-//! nothing but the patch, so no tiling can change it.
+//! Colour alone cannot tell a faded mark from a roof tile, but a mark differs from the ground right beside it. The
+//! ground is measured in a ring; the direction in colour space that separates paint from that ground best (R. A.
+//! Fisher, "The use of multiple measurements in taxonomic problems", 1936) turns the patch into a picture of the share
+//! of paint in each pixel, in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]).
+//! The answer depends on nothing but the patch, so no tiling can change it.
 
 use nalgebra::Vector3;
 
@@ -182,7 +182,8 @@ impl Looks<'_> {
         region_of(own, patch).is_some_and(|region| self.gates.shape(&region))
     }
 
-    /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it leaves open.
+    /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it
+    /// leaves open.
     fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
         let grown = whole::whole(seen, plateau(seen));
         let own = match &grown {
@@ -228,11 +229,11 @@ impl Looks<'_> {
         })
     }
 
-    /// The evidence of a mark in two lights: shape and contrast as even light shows them, the centre by the fit of mark and lights
-    /// together. `best` is what was found without heeding the light.
+    /// The evidence of a mark in two lights: shape and contrast as even light shows them, the centre by the fit of mark
+    /// and lights together. `best` is what was found without heeding the light.
     fn in_even_light(&self, best: Evidence, mark: &Scene<'_>, relit: &Relit) -> Evidence {
-        /// How far off the border of the shadow may be moves the centre by so large a share of a side, where only the even light was
-        /// fitted.
+        /// How far off the border of the shadow may be moves the centre by so large a share of a side, where only the
+        /// even light was fitted.
         const LINE_OF_SIDE: f64 = 0.06;
         /// Share of the squared distance of the two centres that stays in doubt.
         const DOUBT: f64 = 0.25;
@@ -248,7 +249,8 @@ impl Looks<'_> {
         let scene = Scene::of_pixels(even, own.clone(), &own.or(&scene.other));
         // The blocks of a JPEG hold the uneven light: without them.
         let mut evidence = self.measured(&scene, None);
-        // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like one.
+        // The lit part alone may fit better than the whole does, and is no mark: it is enough that the whole looks like
+        // one.
         let likely = self.score(&evidence) >= self.profile.examine.min_score;
         if !likely && !better_fit(&evidence, &best) {
             // Of a mark in two lights it is not known where it ends.
@@ -352,7 +354,8 @@ fn candidate(
     if let Some((x, y)) = super::prototype_options::plain_centre(scene, classifier, profile) {
         evidence.centre = (x, y);
     }
-    // A mark of which colour found only a part is as much rarer as the part is smaller: fringes and glints grow many times over.
+    // A mark of which colour found only a part is as much rarer as the part is smaller: fringes and glints grow many
+    // times over.
     let growth = (evidence.area_px / region.area as f64).max(1.0);
     let score = score(&evidence, profile, gates) - growth.ln();
     if score.is_nan() || score < profile.examine.min_score {
@@ -388,7 +391,8 @@ pub fn measure(
     measure_whole(&scene, pixels, region, classifier, profile, gates)
 }
 
-/// 98 % of the marks that the look at the ring misses stand out more, and 85 % of what has a mark's colour but is none less.
+/// 98 % of the marks that the look at the ring misses stand out more, and 85 % of what has a mark's colour but is none
+/// less.
 const LEAST_CONTRAST: f64 = 4.0;
 
 /// Turned down, though it stands out a little.
@@ -400,8 +404,8 @@ fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> 
         && profile.filters == Filters::default()
 }
 
-/// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its whole mark.
-/// `None` when the mark is another region's.
+/// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its
+/// whole mark. `None` when the mark is another region's.
 fn look_again(
     scene: &Scene<'_>,
     around: Option<Around<'_>>,
@@ -507,8 +511,8 @@ fn fit_shape(
     }
 }
 
-/// Centre and covariance by the best fit and what its edges leave open; with `around`, by the fits in linear light and to the
-/// coefficients of a JPEG too.
+/// Centre and covariance by the best fit and what its edges leave open; with `around`, by the fits in linear light and
+/// to the coefficients of a JPEG too.
 fn settle(
     evidence: &mut Evidence,
     scene: &Scene<'_>,

@@ -2,8 +2,8 @@
 //!
 //! The model is a filled shape convolved with a Gaussian, which for a rectangle is a product of differences of normal
 //! distribution functions, on a tilted plane of ground. It is fitted by Levenberg–Marquardt (D. W. Marquardt, "An
-//! algorithm for least-squares estimation of nonlinear parameters", 1963) with iteratively reweighted residuals
-//! (P. J. Huber, "Robust statistics", 1981). What is left over is ground texture and JPEG blocks, not white noise, so the
+//! algorithm for least-squares estimation of nonlinear parameters", 1963) with iteratively reweighted residuals (P. J.
+//! Huber, "Robust statistics", 1981). What is left over is ground texture and JPEG blocks, not white noise, so the
 //! scatter of the centre is summed along the edges; the uncertainty room makes a covariance of it.
 
 use nalgebra::{SMatrix, SVector};
@@ -48,8 +48,8 @@ pub struct Fit {
     pub angle_rad: f64,
     pub blur_px: f64,
     pub height: f64,
-    /// Scatter of x and y by what is left over, summed along the edges: xx, xy, yy, px². Not yet a covariance: what the fit
-    /// itself absorbs is not in it.
+    /// Scatter of x and y by what is left over, summed along the edges: xx, xy, yy, px². Not yet a covariance: what the
+    /// fit itself absorbs is not in it.
     pub scatter_px2: [f64; 3],
     /// Weighted mean square of what is left over, in units of the expected noise.
     pub chi2: f64,
@@ -64,8 +64,8 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// The border of the shape about a centre, as a closed polygon in the units of the centre: four corners, or a disc in
-    /// steps of 15°.
+    /// The border of the shape about a centre, as a closed polygon in the units of the centre: four corners, or a disc
+    /// in steps of 15°.
     pub fn outline(&self, centre: PixelPoint) -> Vec<PixelPoint> {
         let [a, b] = self.sides_px;
         if self.form == Form::Disc {
@@ -170,7 +170,8 @@ impl Surface<PARAMETERS> for Slope<'_> {
     }
 
     fn rests(&self, step: &Vector, (before, after): (f64, f64), there: &Equations) -> bool {
-        // No fit of 20,000 to planted marks, nor of 740 to clutter, that stood still so far above its limit came below it.
+        // No fit of 20,000 to planted marks, nor of 740 to clutter, that stood still so far above its limit came below
+        // it.
         const FAR: f64 = 1.5;
         const SLOW: f64 = 0.95;
         let small = step[0].abs().max(step[1].abs()) < STILL && (before - after) < SHARE_STILL * before;
@@ -218,8 +219,8 @@ impl Problem<'_> {
         Equations { normal: Normal { h, g, cost }, rms: (sums.left2 / self.samples.count() as f64).sqrt() }
     }
 
-    /// Descends from `p`, at most `rounds` steps; fewer where what is left over would have to fall far to reach `rms_limit` and has
-    /// almost come to rest.
+    /// Descends from `p`, at most `rounds` steps; fewer where what is left over would have to fall far to reach
+    /// `rms_limit` and has almost come to rest.
     fn descend(&self, p: Vector, rounds: usize, rms_limit: f64) -> Option<Vector> {
         let slope = Slope { problem: self, rms_limit };
         descend(&slope, p, self.normal_equations(&p), rounds, &mut { FIRST_DAMPING }).map(End::place)
@@ -270,7 +271,8 @@ pub fn start_cost(
 
 /// Fits `form` to the samples from a start (centre, side, angle).
 ///
-/// A first fit that leaves more than `rms_limit` over is not refined: robust weights do not make what is left over smaller.
+/// A first fit that leaves more than `rms_limit` over is not refined: robust weights do not make what is left over
+/// smaller.
 ///
 /// `None` when there are fewer than 12 samples or the normal equations break down.
 pub fn fit(
@@ -344,9 +346,10 @@ fn report(problem: &Problem<'_>, p: &Vector, seen: &Seen) -> Option<Fit> {
     })
 }
 
-/// H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹ for the centre along the two axes of the shape, where s_k sums what the samples of one line parallel
-/// to an edge, a pixel wide, add to the gradient (clusters after K.-Y. Liang and S. L. Zeger, "Longitudinal data analysis using
-/// generalized linear models", Biometrika 73(1), 1986). Along an edge in step with the pixel grid every pixel errs alike.
+/// H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹ for the centre along the two axes of the shape, where s_k sums what the samples of one line
+/// parallel to an edge, a pixel wide, add to the gradient (clusters after K.-Y. Liang and S. L. Zeger, "Longitudinal
+/// data analysis using generalized linear models", Biometrika 73(1), 1986). Along an edge in step with the pixel grid
+/// every pixel errs alike.
 fn edge_scatter(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3] {
     // Farther out nothing pushes.
     const LINES: usize = 192;
@@ -365,7 +368,8 @@ fn edge_scatter(problem: &Problem<'_>, p: &Vector, inverse: &Matrix) -> [f64; 3]
     [cos * cos * along + sin * sin * across, sin * cos * (along - across), sin * sin * along + cos * cos * across]
 }
 
-/// Adds priors to normal equations: of each its residual over its standard deviation and the parameters that it pulls at.
+/// Adds priors to normal equations: of each its residual over its standard deviation and the parameters that it pulls
+/// at.
 pub(crate) fn add_priors<const N: usize>(
     priors: impl IntoIterator<Item = (f64, [(usize, f64); 2])>,
     h: &mut SMatrix<f64, N, N>,
@@ -383,9 +387,10 @@ pub(crate) fn add_priors<const N: usize>(
     }
 }
 
-/// Scatter (xx, xy, yy) of a sum of pushes (W. K. Newey and K. D. West, "A simple, positive semi-definite, heteroskedasticity
-/// and autocorrelation consistent covariance matrix", 1987), each `(column, row, push x, push y)`, that are correlated with their neighbours:
-/// products of pushes weighted with a Bartlett kernel of 4 cells on a side. Not numbers when there are none.
+/// Scatter (xx, xy, yy) of a sum of pushes (W. K. Newey and K. D. West, "A simple, positive semi-definite,
+/// heteroskedasticity and autocorrelation consistent covariance matrix", 1987), each `(column, row, push x, push y)`,
+/// that are correlated with their neighbours: products of pushes weighted with a Bartlett kernel of 4 cells on a side.
+/// Not numbers when there are none.
 pub(crate) fn correlated_scatter(pushes: &[(i64, i64, f64, f64)]) -> [f64; 3] {
     const REACH: i64 = 4;
     let (x0, y0) = pushes.iter().fold((i64::MAX, i64::MAX), |m, q| (m.0.min(q.0), m.1.min(q.1)));

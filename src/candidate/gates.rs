@@ -1,5 +1,5 @@
-//! The cheap gates: what a region's integers alone can rule out. They follow the limits of the 2016 prototype (Scripts A.9
-//! and A.55), computed from exact moments instead of pixels.
+//! The cheap gates: what a region's integers alone can rule out. They follow the limits of the 2016 prototype (Scripts
+//! A.9 and A.55), computed from exact moments instead of pixels.
 
 use crate::profile::Profile;
 use crate::segment::label::Region;
@@ -22,9 +22,9 @@ pub struct Gates {
 const MOST_TOUCHING: u64 = 16;
 
 impl Gates {
-    /// Absent limits are derived from the range of mark sides. Colour finds a faded or blurred small mark only in part and
-    /// a saturated one with its blurred border, so the derived limits are wide: a sixth of the smallest mark's area to
-    /// the largest mark's with 2 pixels of border, and the diagonal with that border for the side.
+    /// Absent limits are derived from the range of mark sides. Colour finds a faded or blurred small mark only in part
+    /// and a saturated one with its blurred border, so the derived limits are wide: a sixth of the smallest mark's area
+    /// to the largest mark's with 2 pixels of border, and the diagonal with that border for the side.
     ///
     /// # Errors
     /// [`autoref_raster::Error::Usage`] when the profile is not valid, or gives metres only and `gsd_m` is unknown.
@@ -56,7 +56,8 @@ impl Gates {
         })
     }
 
-    /// Longest bounding box side that can pass: a labeller may forget the pixels, not the existence, of anything longer.
+    /// Longest bounding box side that can pass: a labeller may forget the pixels, not the existence, of anything
+    /// longer.
     pub fn max_side_px(&self) -> u64 {
         self.side.1
     }
@@ -105,7 +106,8 @@ impl Gates {
 }
 
 /// Central second moments of a region in px² (xx, xy, yy), with the 1/12 that a pixel's own extent adds, from its exact
-/// sums. Sums are taken relative to the bounding box first, so that nothing is lost however far from the origin it lies.
+/// sums. Sums are taken relative to the bounding box first, so that nothing is lost however far from the origin it
+/// lies.
 pub fn central_moments(region: &Region) -> [f64; 3] {
     let (x0, y0, n) = (u128::from(region.bounds.x), u128::from(region.bounds.y), u128::from(region.area));
     let sx = region.sum_x - n * x0;

@@ -1,11 +1,12 @@
 //! Centres in pictures that went through a JPEG, weighed as the JPEG left them.
 //!
-//! A JPEG rounds the cosine coefficients of 8 × 8 blocks, luma at full and chroma mostly at half resolution, each in steps of
-//! its own (ITU-T T.81, 1992). Seen pixel by pixel that is noise correlated over whole blocks, before which a fit of pixels
-//! gets half of what the picture holds. Where the steps show in the patch ([`super::jpeg_steps`]), the shape that was fitted to
-//! pixels is fitted again to the coefficients: each weighs as much as its step (rounding has the variance q²/12: B. Widrow
-//! and I. Kollar, "Quantization noise", 2008) and the texture of the ground at that frequency let it. A picture that was
-//! resampled after its JPEG shows no steps on the grid and keeps the fit to pixels.
+//! A JPEG rounds the cosine coefficients of 8 × 8 blocks, luma at full and chroma mostly at half resolution, each in
+//! steps of its own (ITU-T T.81, 1992). Seen pixel by pixel that is noise correlated over whole blocks, before which a
+//! fit of pixels gets half of what the picture holds. Where the steps show in the patch ([`super::jpeg_steps`]), the
+//! shape that was fitted to pixels is fitted again to the coefficients: each weighs as much as its step (rounding has
+//! the variance q²/12: B. Widrow and I. Kollar, "Quantization noise", 2008) and the texture of the ground at that
+//! frequency let it. A picture that was resampled after its JPEG shows no steps on the grid and keeps the fit to
+//! pixels.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -61,8 +62,8 @@ struct Planes {
     half_seen: Vec<bool>,
 }
 
-/// Linear combinations of luma and colour differences whose ground texture is not correlated: each less what those before it
-/// tell of it. What rounding adds to each is kept with it.
+/// Linear combinations of luma and colour differences whose ground texture is not correlated: each less what those
+/// before it tell of it. What rounding adds to each is kept with it.
 struct Channels {
     /// Second less first; third less first, third less second.
     less: [f64; 3],
@@ -167,7 +168,8 @@ fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Optio
     Some((Planes { width, height, luma, seen: core_seen, chroma, half_seen }, (x, y)))
 }
 
-/// Colour differences at half resolution, as the file has them, and which are known; `all` and `seen` have a rim of a pixel.
+/// Colour differences at half resolution, as the file has them, and which are known; `all` and `seen` have a rim of a
+/// pixel.
 fn chroma(all: &[Vector3<f64>], seen: &[bool], (width, height): (usize, usize)) -> ([Vec<f64>; 2], Vec<bool>) {
     // libjpeg interpolates with weights of 3/4 and 1/4; these four undo that exactly.
     const UNDO: [f64; 4] = [-0.25, 0.75, 0.75, -0.25];
@@ -321,8 +323,8 @@ fn class(k: usize) -> usize {
 }
 const CLASSES: usize = 11;
 
-/// Variance of the ground's texture in each channel and class: what is left over beyond rounding, and before much was seen a
-/// spectrum that falls with the third power of the frequency and has the variance of the pixels in the ring.
+/// Variance of the ground's texture in each channel and class: what is left over beyond rounding, and before much was
+/// seen a spectrum that falls with the third power of the frequency and has the variance of the pixels in the ring.
 fn texture(seen: &[Seen<'_>], channels: &Channels, classes: &[usize; CELLS]) -> [[f64; CLASSES]; 3] {
     const TRUST: f64 = 4.0;
     let mut sums = [[[0.0f64; 2]; CLASSES]; 3];
@@ -394,8 +396,8 @@ impl Problem<'_> {
         blocks
     }
 
-    /// One step of least squares and, after the last, the covariance (xx, xy, yy) of the centre; from the second on weight is
-    /// taken from what lies far off (Student's distribution).
+    /// One step of least squares and, after the last, the covariance (xx, xy, yy) of the centre; from the second on
+    /// weight is taken from what lies far off (Student's distribution).
     fn step(&self, state: &State, round: usize) -> Option<(Vector, [f64; 3])> {
         const FREEDOM: f64 = 6.0;
         let blocks = self.blocks(state);
@@ -440,11 +442,12 @@ impl Problem<'_> {
 
     /// Covariance of the centre: what rounding and texture add to the very sums that it is made of.
     ///
-    /// The inverse of the normal equations would be it if the texture of each coefficient were independent of the others'. Where
-    /// a mark cuts through a block it is not: texture that is long against the block, cut off at the border, shows in all
-    /// coefficients at once, most of all in those that tell where the border is. So the influence of each coefficient on the centre
-    /// (F. R. Hampel, "The influence curve and its role in robust estimation", Journal of the American Statistical Association
-    /// 69, 1974) is taken back to pixels, weakened there by how much of the ground each shows, and met with the ground's spectrum.
+    /// The inverse of the normal equations would be it if the texture of each coefficient were independent of the
+    /// others'. Where a mark cuts through a block it is not: texture that is long against the block, cut off at the
+    /// border, shows in all coefficients at once, most of all in those that tell where the border is. So the influence
+    /// of each coefficient on the centre (F. R. Hampel, "The influence curve and its role in robust estimation",
+    /// Journal of the American Statistical Association 69, 1974) is taken back to pixels, weakened there by how much of
+    /// the ground each shows, and met with the ground's spectrum.
     fn covariance(
         &self,
         state: &State,
@@ -510,8 +513,8 @@ impl Problem<'_> {
     }
 }
 
-/// Fits again to the coefficients, from a fit to pixels; `around` is a patch that holds the scene's and more. `None` when it
-/// shows no steps of a JPEG or nothing came of it.
+/// Fits again to the coefficients, from a fit to pixels; `around` is a patch that holds the scene's and more. `None`
+/// when it shows no steps of a JPEG or nothing came of it.
 pub(super) fn refine(
     scene: &Scene<'_>,
     around: &Patch,

@@ -94,8 +94,8 @@ impl Tables {
         Tables { quality, luma: steps(&LUMA, quality), chroma: steps(&CHROMA, quality) }
     }
 
-    /// The tables whose steps the luma of a patch shows, on a grid that begins at the image's corner (tiles of a TIFF begin at
-    /// multiples of 16); `None` when it shows none, or those of no table that libjpeg makes.
+    /// The tables whose steps the luma of a patch shows, on a grid that begins at the image's corner (tiles of a TIFF
+    /// begin at multiples of 16); `None` when it shows none, or those of no table that libjpeg makes.
     pub fn shown_by(patch: &Patch, cosines: &Cosines) -> Option<Tables> {
         /// Natural logarithm of how much likelier the steps are than none.
         const LEAST: f64 = 25.0;

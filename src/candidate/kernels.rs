@@ -1,7 +1,7 @@
 //! The blurred shape over many pixels at once: its values, and the sums of the normal equations.
 //!
-//! Every function is written once, over pixels in lanes, and compiled three times: plainly, for AVX2 and for AVX-512. Nothing
-//! is contracted or reordered, so all give the same bits; tests compare them.
+//! Every function is written once, over pixels in lanes, and compiled three times: plainly, for AVX2 and for AVX-512.
+//! Nothing is contracted or reordered, so all give the same bits; tests compare them.
 #![allow(unsafe_code)]
 
 use super::fit::Form;
@@ -87,8 +87,8 @@ struct Look {
     gradient: [Lanes; PARAMETERS],
 }
 
-/// Sums over all pixels, weighted: products of gradients (upper triangle, by rows), gradients times what is left over, and
-/// squares of what is left over.
+/// Sums over all pixels, weighted: products of gradients (upper triangle, by rows), gradients times what is left over,
+/// and squares of what is left over.
 pub struct Equations {
     pub squares: [f64; SQUARES],
     pub pushes: [f64; PARAMETERS],

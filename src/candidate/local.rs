@@ -1,10 +1,11 @@
 //! A local-background fit, for marks that lie over the border of two grounds or were found only in part.
 //!
-//! One Gaussian over the whole ring takes a roof on one side and a garden on the other for one ground of enormous variance,
-//! before which nothing stands out; and the larger a mark, the more kinds of ground it touches. Here the ground under each
-//! pixel is the mean of the ring near it (normalised convolution: H. Knutsson and C.-F. Westin, "Normalized and
-//! differential convolution", CVPR 1993), and only the scatter about that local mean is noise. A region that colour found in
-//! part is first grown over the pixels that look more like its paint than like the ground beside it.
+//! One Gaussian over the whole ring takes a roof on one side and a garden on the other for one ground of enormous
+//! variance, before which nothing stands out; and the larger a mark, the more kinds of ground it touches. Here the
+//! ground under each pixel is the mean of the ring near it (normalised convolution: H. Knutsson and C.-F. Westin,
+//! "Normalized and differential convolution", CVPR 1993), and only the scatter about that local mean is noise. A region
+//! that colour found in part is first grown over the pixels that look more like its paint than like the ground beside
+//! it.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -66,8 +67,8 @@ impl<'a> Local<'a> {
         (direction, direction.dot(step).max(4.0))
     }
 
-    /// Share of paint in a pixel: 0 on the local ground, 1 on the plateau. Where no ground is near, 1 of paint and 0 of the
-    /// rest.
+    /// Share of paint in a pixel: 0 on the local ground, 1 on the plateau. Where no ground is near, 1 of paint and 0 of
+    /// the rest.
     fn share(&self, i: usize) -> f64 {
         let Some(ground) = mean(&self.sums[i]) else { return f64::from(u8::from(self.scene.own.has(i))) };
         let (direction, contrast2) = self.contrast2(&(self.plateau - ground));

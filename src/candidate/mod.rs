@@ -1,5 +1,5 @@
-//! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then an examination of the pixels of
-//! what is left.
+//! From [`crate::segment::label::Region`] to [`Candidate`]: cheap integer gates first, then an examination of the
+//! pixels of what is left.
 //!
 //! ```
 //! use autoref_stream::georef::candidate_list::read_csv;
@@ -67,8 +67,8 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Probability that it is a mark, when mark and background are as likely beforehand: 1 / (1 + e^−score). `None` without
-    /// a score.
+    /// Probability that it is a mark, when mark and background are as likely beforehand: 1 / (1 + e^−score). `None`
+    /// without a score.
     pub fn probability(&self) -> Option<f64> {
         self.score.map(|score| 1.0 / (1.0 + (-score).exp()))
     }

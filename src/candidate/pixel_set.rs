@@ -1,5 +1,5 @@
-//! Sets of pixels of a small window, a bit each: what is near, what is deep inside and what hangs together is then found for
-//! 64 pixels at a time. Distances are Chebyshev's.
+//! Sets of pixels of a small window, a bit each: what is near, what is deep inside and what hangs together is then
+//! found for 64 pixels at a time. Distances are Chebyshev's.
 
 /// Pixels of a window, named by their index in row-major order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -148,7 +148,8 @@ impl PixelSet {
         if self.is_empty() {
             return set;
         }
-        // What reaches r on both sides, moved by r + 1 and put together, reaches 2r + 1, also where one side is cut off.
+        // What reaches r on both sides, moved by r + 1 and put together, reaches 2r + 1, also where one side is cut
+        // off.
         let last = self.last_word();
         let mut reached = 0;
         while reached < reach_px {
@@ -211,8 +212,9 @@ impl PixelSet {
                 || rows.any(beside))
     }
 
-    /// With all pixels of `within` that are 8-connected to it by such as `wanted` holds of. `go_on` sees what each round adds and
-    /// all there is by then. `None` where it says no. Few pixels are asked for: those beside what was reached.
+    /// With all pixels of `within` that are 8-connected to it by such as `wanted` holds of. `go_on` sees what each
+    /// round adds and all there is by then. `None` where it says no. Few pixels are asked for: those beside what was
+    /// reached.
     pub fn spread(
         &self,
         within: &PixelSet,
@@ -237,7 +239,8 @@ impl PixelSet {
         Some(all)
     }
 
-    /// Fills the runs of `mask` in row `y` that row `beside` touches or that it holds a part of; whether anything changed.
+    /// Fills the runs of `mask` in row `y` that row `beside` touches or that it holds a part of; whether anything
+    /// changed.
     fn fill_row(&mut self, mask: &PixelSet, y: usize, beside: usize) -> bool {
         let row = |y: usize| y * self.stride..(y + 1) * self.stride;
         if self.words[row(beside)].iter().all(|&word| word == 0) {

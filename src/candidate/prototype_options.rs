@@ -1,5 +1,5 @@
-//! The remaining options of the 2016 prototype (Script A.9), each off by default: clutter, spread, solidity, kernel density,
-//! plain centres, candidates too close to each other, and the order of the list.
+//! The remaining options of the 2016 prototype (Script A.9), each off by default: clutter, spread, solidity, kernel
+//! density, plain centres, candidates too close to each other, and the order of the list.
 
 use super::Candidate;
 use super::scene::Scene;

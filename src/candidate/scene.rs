@@ -209,8 +209,8 @@ pub fn ground(colours: &[Vector3<f64>]) -> Option<Ground> {
     Some(Ground { mean, covariance: scatter / n, count: kept.len() })
 }
 
-/// [`ground`] of samples as the file has them, of which `white` is 255, in whole numbers: every region of the right colour
-/// asks. Copies of an image with all samples and the white multiplied give the same to the last bit.
+/// [`ground`] of samples as the file has them, of which `white` is 255, in whole numbers: every region of the right
+/// colour asks. Copies of an image with all samples and the white multiplied give the same to the last bit.
 pub fn sample_ground(colours: &[[u16; 3]], white: u16) -> Option<Ground> {
     if colours.len() < 12 {
         return None;

@@ -7,10 +7,10 @@ use crate::profile::{Profile, Shape};
 
 /// Log-likelihood ratio of "mark" against "something else of this colour", natural logarithm.
 ///
-/// Two measurements, the contrast with the ground beside it and what the fit leaves over, each as a logarithm; their joint
-/// distribution is taken as Gaussian for marks (50,000 planted under all conditions of the benchmark) and for clutter (1,068
-/// regions of this colour in eight real photographs). Beyond the mark's own mean more contrast or a better fit
-/// does not count further. A candidate that no shape could be fitted to (no ground around it) has ratio 0.
+/// Two measurements, the contrast with the ground beside it and what the fit leaves over, each as a logarithm; their
+/// joint distribution is taken as Gaussian for marks (50,000 planted under all conditions of the benchmark) and for
+/// clutter (1,068 regions of this colour in eight real photographs). Beyond the mark's own mean more contrast or a
+/// better fit does not count further. A candidate that no shape could be fitted to (no ground around it) has ratio 0.
 pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     let Some(fit) = &evidence.fit else { return 0.0 };
     let (low, high) = gates.mark_side_px();
@@ -84,7 +84,8 @@ impl Populations {
         }
     }
 
-    /// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly fit.
+    /// The score that the best of fits would give at this contrast. Most clutter is dropped by it before the costly
+    /// fit.
     pub(super) fn best_possible_score(&self, contrast: f64) -> f64 {
         let ln_contrast = contrast.max(0.1).ln();
         let ratio = self.logarithmic_ratio();

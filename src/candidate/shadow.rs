@@ -1,4 +1,5 @@
-//! The border of a shadow that crosses a mark: where it lies, how much darker it is beyond, and the patch with even light.
+//! The border of a shadow that crosses a mark: where it lies, how much darker it is beyond, and the patch with even
+//! light.
 
 use std::cell::OnceCell;
 
@@ -10,16 +11,16 @@ use super::scene::{RING_PX, Scene};
 use super::whole::LEAST_GROWTH;
 use autoref_raster::Patch;
 
-/// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted by a line. The
-/// line and its width follow from paint and ground together, the ratio of the two lights, band by band, from the paint alone;
-/// everything beyond the line is divided by the ratio. `None` where the light is even already.
+/// The patch with even light, where the border of a shadow crosses the region: the paint has two brightnesses, parted
+/// by a line. The line and its width follow from paint and ground together, the ratio of the two lights, band by band,
+/// from the paint alone; everything beyond the line is divided by the ratio. `None` where the light is even already.
 pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     /// Lights that differ by less are one.
     const LEAST_RATIO: f64 = 1.25;
     /// Least share of the region on either side.
     const LEAST_SHARE: f64 = 0.08;
-    /// Even light must explain nearly all of what differs: of marks in two lights it leaves up to a tenth, of worn, mixed or even
-    /// ones over a quarter.
+    /// Even light must explain nearly all of what differs: of marks in two lights it leaves up to a tenth, of worn,
+    /// mixed or even ones over a quarter.
     const MOST_LEFT_OVER: f64 = 0.18;
     // The outermost pixels are mixed with ground. A part in shadow may be no deeper than three pixels.
     let core = Some(scene.own.shrunk(1)).filter(|core| core.count() >= 20)?;
@@ -34,7 +35,8 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     // No line explains the paint better than this one.
     let first = Line::through(&seen, Grid::FINE).filter(|first| first.left_over(&seen) <= MOST_LEFT_OVER)?;
     let paint = first.lights_of(&seen)?.1;
-    // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the mark.
+    // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the
+    // mark.
     let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
     // The paint alone is asked whether that is its border too.
     let own = |line: &Line| line.left_over(&seen) <= MOST_LEFT_OVER && line.parts(&seen) >= LEAST_SHARE;
@@ -59,8 +61,8 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     Some(Relit { even: patch, border: line, ratio })
 }
 
-/// The pixels of a mark with those connected to them that are its paint in a shadow: of which, whatever the light on them, paint makes up
-/// more than ground. `None` where there are none, or no end of them.
+/// The pixels of a mark with those connected to them that are its paint in a shadow: of which, whatever the light on
+/// them, paint makes up more than ground. `None` where there are none, or no end of them.
 pub(super) fn grown_into_shade(scene: &Scene<'_>, paint: Vector3<f64>) -> Option<PixelSet> {
     /// A mark is at most so many times the part that was found of it.
     const MOST_GROWTH: usize = 4;
@@ -142,7 +144,8 @@ impl Line {
         if total > 0.0 { left / total } else { 1.0 }
     }
 
-    /// Colours of the paint in the shadow and in the light: a regression on the light, so that few pixels of a side are enough.
+    /// Colours of the paint in the shadow and in the light: a regression on the light, so that few pixels of a side are
+    /// enough.
     fn lights_of(&self, seen: &[Seen]) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
         let (mut of_dark, mut of_lit) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
@@ -165,8 +168,9 @@ impl Line {
         lit.min(1.0 - lit)
     }
 
-    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, with a sharp border,
-    /// then the best made finer. `None` where the best sharp border leaves more unexplained than the grid allows.
+    /// The line that explains the brightnesses best: every direction is tried and every place near the middle, with a
+    /// sharp border, then the best made finer. `None` where the best sharp border leaves more unexplained than the grid
+    /// allows.
     fn through(seen: &[Seen], grid: Grid) -> Option<Line> {
         let n = seen.len() as f64;
         let (cx, cy) = (seen.iter().map(|s| s.0).sum::<f64>() / n, seen.iter().map(|s| s.1).sum::<f64>() / n);
@@ -208,9 +212,9 @@ impl Line {
     }
 }
 
-/// Angle and offset of the sharp border that leaves least of the brightnesses unexplained, of pixels about their middle, and the sum of
-/// squares of all brightnesses about their mean. One histogram of brightness an angle holds the sums on both sides of all offsets.
-/// `None` where every border leaves more than the grid allows.
+/// Angle and offset of the sharp border that leaves least of the brightnesses unexplained, of pixels about their
+/// middle, and the sum of squares of all brightnesses about their mean. One histogram of brightness an angle holds the
+/// sums on both sides of all offsets. `None` where every border leaves more than the grid allows.
 fn sharp_border(about: &[[f64; 3]], grid: Grid) -> Option<(f64, f64, f64)> {
     let n = about.len() as f64;
     let far = about.iter().map(|[x, y, _]| x.hypot(*y)).fold(0.0, f64::max);
@@ -267,7 +271,8 @@ impl Grid {
     const COARSE: Grid = Grid { angles: 16, step_px: 1.0, reach: 0.4, most_left_over: 1.0 };
 }
 
-/// Sum of squares of what a line in the first does not explain of the second, and all of it. The light lies on the bright side.
+/// Sum of squares of what a line in the first does not explain of the second, and all of it. The light lies on the
+/// bright side.
 fn unexplained(pairs: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     let (mut n, mut s1, mut s2, mut b1, mut b2, mut sb) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (l, b) in pairs {
@@ -298,8 +303,8 @@ fn lit_ground(scene: &Scene<'_>, line: &Line) -> Option<Vector3<f64>> {
     scene.statistics(&PixelSet::from_fn(scene.width, scene.height, lit)).map(|ground| ground.mean)
 }
 
-/// The light on each pixel about the mark, which is 1 where the two colours were seen: what it takes of both of them to make the
-/// pixel's colour (non-negative least squares).
+/// The light on each pixel about the mark, which is 1 where the two colours were seen: what it takes of both of them to
+/// make the pixel's colour (non-negative least squares).
 fn lights(scene: &Scene<'_>, paint: Vector3<f64>, ground: Vector3<f64>) -> Vec<Seen> {
     let hidden = scene.beside_other().minus(&scene.own);
     let mut seen = Vec::new();

@@ -1,7 +1,7 @@
 //! Marks that touch: one region, several candidates.
 //!
-//! The middle of each mark is the local maximum of a smoothed map of how well the colour fits; every pixel of the region
-//! goes to its nearest middle, and each part is examined as if the others were other paint.
+//! The middle of each mark is the local maximum of a smoothed map of how well the colour fits; every pixel of the
+//! region goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
 use super::examine::{examine_part, examine_whole, measure_scene, near};
@@ -15,11 +15,12 @@ use crate::segment::label::Region;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, Pixels};
 
-/// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs an examination.
+/// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs an
+/// examination.
 const MOST_PARTS: usize = 256;
 
-/// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a mark
-/// than the whole.
+/// [`super::examine()`] for a region that may be several marks: the whole, or its parts when one of them is likelier a
+/// mark than the whole.
 pub fn examine_parts(
     region: &Region,
     pixels: &dyn Pixels,
@@ -53,7 +54,8 @@ pub fn examine_parts(
     }
 }
 
-/// Two parts of one mark give its centre twice: of candidates closer than `least_px` the likeliest stays, in the old order.
+/// Two parts of one mark give its centre twice: of candidates closer than `least_px` the likeliest stays, in the old
+/// order.
 fn apart(parts: Vec<Candidate>, least_px: f64) -> Vec<Candidate> {
     let near = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y) < least_px;
     let beaten = |i: usize| {
@@ -74,8 +76,8 @@ fn nearest(middles: &[(f64, f64)], p: (f64, f64)) -> usize {
     (0..middles.len()).min_by(|&a, &b| distance(&middles[a]).total_cmp(&distance(&middles[b]))).unwrap_or(0)
 }
 
-/// Local maxima of the smoothed map that are at least about a mark's smallest side apart, in raster order; `region` is the one
-/// that the scene is of.
+/// Local maxima of the smoothed map that are at least about a mark's smallest side apart, in raster order; `region` is
+/// the one that the scene is of.
 fn middles(
     scene: &Scene<'_>,
     region: &Region,
@@ -142,8 +144,8 @@ fn smoothed(map: &[f64], width: usize) -> Vec<f64> {
     (0..map.len()).map(|i| blend(if i >= width { across[i - width] } else { 0.0 }, across[i], at(i + width))).collect()
 }
 
-/// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the box's:
-/// gates on it are not to be asked.
+/// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the
+/// box's: gates on it are not to be asked.
 pub(crate) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
     let width = patch.window.width;
     let mut region: Option<Region> = None;

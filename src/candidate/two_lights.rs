@@ -1,11 +1,12 @@
-//! A mark in two lights, fitted whole: shape, colours of paint and ground, the border of the shadow and the ratio of the two lights
-//! at once.
+//! A mark in two lights, fitted whole: shape, colours of paint and ground, the border of the shadow and the ratio of
+//! the two lights at once.
 //!
-//! Dividing the darker part by a ratio ([`super::shadow`]) leaves a seam wherever border or ratio are a little off, and the fit of a
-//! shape takes the seam for an edge. Here the colours of the pixels themselves are the observations: a blurred shape of paint on
-//! ground, times the light, which falls across a straight blurred border. Where the border meets the outline, the product of two
-//! blurred pictures stands for the blurred product. Levenberg–Marquardt with Tukey's weights, as in [`super::fit`]; the
-//! covariance of the centre is that of correlated residuals (W. K. Newey and K. D. West, 1987).
+//! Dividing the darker part by a ratio ([`super::shadow`]) leaves a seam wherever border or ratio are a little off, and
+//! the fit of a shape takes the seam for an edge. Here the colours of the pixels themselves are the observations: a
+//! blurred shape of paint on ground, times the light, which falls across a straight blurred border. Where the border
+//! meets the outline, the product of two blurred pictures stands for the blurred product. Levenberg–Marquardt with
+//! Tukey's weights, as in [`super::fit`]; the covariance of the centre is that of correlated residuals (W. K. Newey and
+//! K. D. West, 1987).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -16,8 +17,9 @@ use super::pixel_set::PixelSet;
 use super::scene::Scene;
 use super::shadow::{Line, ramp};
 
-/// Parameters: centre x, y; logarithms of the sides; angle; logarithm of the blur; direction of the light, offset and logarithm of the
-/// width of the shadow's border; colours of paint and of ground in the light; the ratio of the lights by band.
+/// Parameters: centre x, y; logarithms of the sides; angle; logarithm of the blur; direction of the light, offset and
+/// logarithm of the width of the shadow's border; colours of paint and of ground in the light; the ratio of the lights
+/// by band.
 const PARAMETERS: usize = 18;
 const SHAPE: usize = 6;
 const BORDER: usize = 6;
@@ -46,8 +48,8 @@ pub(super) struct Centre {
     pub covariance_px2: [f64; 3],
 }
 
-/// Fits the mark whose pixels `own` about are, from the shape `start`, the border and the ratio of the lights. `texture` is the
-/// covariance of the ground in the light.
+/// Fits the mark whose pixels `own` about are, from the shape `start`, the border and the ratio of the lights.
+/// `texture` is the covariance of the ground in the light.
 ///
 /// `None` where the equations break down or the fit runs away from where it began.
 pub(super) fn fit(
@@ -325,8 +327,8 @@ mod tests {
 
     #[test]
     fn the_centre_of_a_mark_in_two_lights_is_found_from_a_start_a_pixel_off() {
-        // A square of 12 px about (24.3, 23.8), turned by 0.2, that a shadow × 0.4 covers beyond a line: each pixel the mean of 64
-        // places.
+        // A square of 12 px about (24.3, 23.8), turned by 0.2, that a shadow × 0.4 covers beyond a line: each pixel the
+        // mean of 64 places.
         let (sin, cos) = 0.2f64.sin_cos();
         let patch = patch_of(|i| {
             let mut sum = [0.0; 3];

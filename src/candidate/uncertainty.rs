@@ -1,12 +1,13 @@
 //! Where the centre of a fitted mark is, and how sure that is.
 //!
-//! The scatter of the centre by what a fit leaves over knows neither what the fit absorbs (a shift of both edges alike is a
-//! shift of the mark) nor errors of the model. Both show in the same residuals: the more is left over on the border, the
-//! smoother the border and the shorter the edges, the further the centre is off. How far was measured on planted marks, by a
-//! generalised linear model with a logarithmic link (J. A. Nelder and R. W. M. Wedderburn, "Generalized linear models", Journal
-//! of the Royal Statistical Society A 135(3), 1972) of the squared error of 40,000 coordinates on what each fit saw, all
-//! uncovered conditions of `docs/benchmark-detection.md` weighted alike, on all covers but `IMG_0046`. Nothing in it knows a
-//! condition. What a strip that is lost on one side leaves open is reasoned, not fitted ([`cut_side`]).
+//! The scatter of the centre by what a fit leaves over knows neither what the fit absorbs (a shift of both edges alike
+//! is a shift of the mark) nor errors of the model. Both show in the same residuals: the more is left over on the
+//! border, the smoother the border and the shorter the edges, the further the centre is off. How far was measured on
+//! planted marks, by a generalised linear model with a logarithmic link (J. A. Nelder and R. W. M. Wedderburn,
+//! "Generalized linear models", Journal of the Royal Statistical Society A 135(3), 1972) of the squared error of 40,000
+//! coordinates on what each fit saw, all uncovered conditions of `docs/benchmark-detection.md` weighted alike, on all
+//! covers but `IMG_0046`. Nothing in it knows a condition. What a strip that is lost on one side leaves open is
+//! reasoned, not fitted ([`cut_side`]).
 
 use super::fit::{Fit, Form};
 use super::jpeg_fit::Refined;
@@ -21,9 +22,9 @@ pub(super) struct Place {
 
 /// Centres are not known better than this, pixels.
 const FLOOR_PX: f64 = 0.01;
-/// Of the logarithm of the variance: constant; logarithms of the scatter, of the scatter of one axis over the mean of both,
-/// of what is left over, of side and blur in pixels, and the square of the logarithm of the side over 10 px; edges at 45° to
-/// the pixel grid.
+/// Of the logarithm of the variance: constant; logarithms of the scatter, of the scatter of one axis over the mean of
+/// both, of what is left over, of side and blur in pixels, and the square of the logarithm of the side over 10 px;
+/// edges at 45° to the pixel grid.
 const CONSTANT: f64 = 7.62;
 const SCATTER: f64 = 0.274;
 const AXIS: f64 = 0.328;
@@ -38,9 +39,9 @@ impl Place {
         Place { x: fit.x, y: fit.y, covariance_px2: covariance(fit) }
     }
 
-    /// Optics mix paint and ground in linear light, image editors and resampling in sRGB; where the grounds on two sides
-    /// differ the two models put the edges differently. The picture tells little about which holds, so the centres are
-    /// averaged, weighted by how well each explains the border, and their difference widens the covariance.
+    /// Optics mix paint and ground in linear light, image editors and resampling in sRGB; where the grounds on two
+    /// sides differ the two models put the edges differently. The picture tells little about which holds, so the
+    /// centres are averaged, weighted by how well each explains the border, and their difference widens the covariance.
     /// The second answer is what was added to the covariance.
     pub fn averaged_with(self, fit: &Fit, other: &Fit) -> (Place, [f64; 3]) {
         let (dx, dy) = (other.x - fit.x, other.y - fit.y);
@@ -50,9 +51,9 @@ impl Place {
         (Place { x: self.x + weight * dx, y: self.y + weight * dy, covariance_px2 }, spread)
     }
 
-    /// The place by the fit to a JPEG's coefficients, where there is one: moved and widened by the other mixing as the fit to
-    /// pixels (`fit`) is here. Its covariance follows from rounding and texture as measured in the patch, and from
-    /// nothing that was fitted to planted marks.
+    /// The place by the fit to a JPEG's coefficients, where there is one: moved and widened by the other mixing as the
+    /// fit to pixels (`fit`) is here. Its covariance follows from rounding and texture as measured in the patch, and
+    /// from nothing that was fitted to planted marks.
     pub fn refined(self, fit: &Fit, spread_px2: [f64; 3], refined: &Refined) -> Place {
         const FLOOR_PX: f64 = 0.005;
         let [xx, xy, yy] = refined.covariance_px2;
@@ -75,9 +76,9 @@ impl Place {
     }
 }
 
-/// Chance that the mark was mixed in linear light: a logistic regression on planted marks of both kinds (how much better the
-/// border is explained says more the further the centres are apart), with even odds moved to 1 : 2.7 because pictures are
-/// resampled and compressed after development.
+/// Chance that the mark was mixed in linear light: a logistic regression on planted marks of both kinds (how much
+/// better the border is explained says more the further the centres are apart), with even odds moved to 1 : 2.7 because
+/// pictures are resampled and compressed after development.
 fn weight(fit: &Fit, other: &Fit, distance_px: f64) -> f64 {
     const ODDS: f64 = -1.0;
     // No mixing moves a centre further: one of the fits ran away.
@@ -121,12 +122,12 @@ fn hidden(fit: &Fit, side: f64) -> f64 {
     ((fit.hidden - 0.02).max(0.0) * side * 0.25).powi(2)
 }
 
-/// A square that lost a strip along one edge (grass, sand, a shoe) is seen as a rectangle: its middle is off by half of what is
-/// missing, towards one of the two short ends, and the picture does not tell which. Variance in that direction: (d/2)² times
-/// the chance that a strip is lost, given the difference d of the two sides. By Bayes' rule: with nothing lost d is an error of
-/// measurement; four independent edges give it √8 times the standard deviation of a coordinate of the centre (on 33,000
-/// planted marks its median is that of the half-normal distribution to 2 %, its tail a little longer); otherwise any d up to
-/// half the longer side is as likely as another.
+/// A square that lost a strip along one edge (grass, sand, a shoe) is seen as a rectangle: its middle is off by half of
+/// what is missing, towards one of the two short ends, and the picture does not tell which. Variance in that direction:
+/// (d/2)² times the chance that a strip is lost, given the difference d of the two sides. By Bayes' rule: with nothing
+/// lost d is an error of measurement; four independent edges give it √8 times the standard deviation of a coordinate of
+/// the centre (on 33,000 planted marks its median is that of the half-normal distribution to 2 %, its tail a little
+/// longer); otherwise any d up to half the longer side is as likely as another.
 fn cut_side([a, b]: [f64; 2], angle_rad: f64, variance_px2: f64) -> [f64; 3] {
     /// Marks that are cut, of all that are put out.
     const OFTEN: f64 = 0.05;
@@ -141,8 +142,8 @@ fn cut_side([a, b]: [f64; 2], angle_rad: f64, variance_px2: f64) -> [f64; 3] {
     [variance * cos * cos, variance * sin * cos, variance * sin * sin]
 }
 
-/// How much edges lie at 45° to the pixel grid, where every pixel of an edge errs alike: 1 exactly so, less the further an
-/// edge drifts over its length.
+/// How much edges lie at 45° to the pixel grid, where every pixel of an edge errs alike: 1 exactly so, less the further
+/// an edge drifts over its length.
 fn across_grid(fit: &Fit, side: f64) -> f64 {
     const DRIFT_PX: f64 = 0.4;
     if fit.form == Form::Disc {

@@ -1,8 +1,9 @@
 //! The whole mark: before a centre is believed, what colour found is grown to the edge that the picture shows.
 //!
-//! The colour test only says where to look. Where a part of a mark lies beyond its limit, the part has a centre of its own, and a
-//! fit to it knows nothing of the rest. So the pixels connected to the region that look more like its paint than like the ground
-//! beside it are its mark too; the ground is measured again around what has grown until nothing changes.
+//! The colour test only says where to look. Where a part of a mark lies beyond its limit, the part has a centre of its
+//! own, and a fit to it knows nothing of the rest. So the pixels connected to the region that look more like its paint
+//! than like the ground beside it are its mark too; the ground is measured again around what has grown until nothing
+//! changes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -46,7 +47,8 @@ pub(super) fn whole(scene: &Scene<'_>, plateau: Vector3<f64>) -> Whole {
         }
         let (direction, origin) = (direction / contrast2, direction.dot(&ground.mean) / contrast2);
         let like = |i: usize| {
-            // Across the direction too it must be nearer to the paint: a white line beside a mark is brighter than both.
+            // Across the direction too it must be nearer to the paint: a white line beside a mark is brighter than
+            // both.
             let colour = scene.colour(i);
             scene.own.has(i)
                 || scene.one_along(i, direction, origin) > 0.5
@@ -93,9 +95,9 @@ fn ground_around(scene: &Scene<'_>, own: &PixelSet) -> Option<Ground> {
     scene.statistics(&clear).or_else(|| scene.statistics(&ring))
 }
 
-/// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the picture shows no
-/// step from paint to ground across a side, the mark may go on there, or end before.
-/// The second answer is how many of four sides those are.
+/// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the
+/// picture shows no step from paint to ground across a side, the mark may go on there, or end before. The second answer
+/// is how many of four sides those are.
 pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64; 3], f64) {
     /// Steps of less than this share of the paint's contrast are doubtful.
     const STEP: f64 = 0.6;

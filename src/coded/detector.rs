@@ -217,8 +217,8 @@ fn engine(family: Family, smallest_side_px: f64) -> LocusEngine {
     DetectorBuilder::new().with_config(config).with_family(family_of).with_max_concurrent_frames(2).build_engine()
 }
 
-/// Which modules are black, and the levels of black and white: the border is black by definition, a module of the inside when
-/// it is nearer to that than to the brightest quarter of the inside.
+/// Which modules are black, and the levels of black and white: the border is black by definition, a module of the
+/// inside when it is nearer to that than to the brightest quarter of the inside.
 fn pattern(patch: &Patch, pose: &Pose, n: usize) -> Option<(Pattern, (f64, f64))> {
     let half = n as f64 / 2.0;
     let mut means = [[0.0; MOST_MODULES]; MOST_MODULES];
@@ -291,8 +291,8 @@ fn samples(patch: &Patch, pose: &Pose, n: usize, size: u64) -> Option<Vec<Sample
 
 /// Log-likelihood ratio of "tag" against "something else that decodes", natural logarithm.
 ///
-/// The measurement is the logarithm of the share of variance that the model leaves over, taken as Gaussian for both. A fit
-/// better than the mean does not count further.
+/// The measurement is the logarithm of the share of variance that the model leaves over, taken as Gaussian for both. A
+/// fit better than the mean does not count further.
 fn score(misfit: f64) -> f64 {
     const TAG: (f64, f64) = (-5.0, 1.2);
     const CLUTTER: (f64, f64) = (-1.4, 0.75);

@@ -1,9 +1,10 @@
 //! Sub-pixel centres of tags: the pattern of black and white modules, blurred, fitted to grey levels.
 //!
-//! The model is `ground + height·C(u, v)` with a slope of the light, (u, v) an affine function of the pixel, and C the share of
-//! white: one less the sum of the black modules, each a product of two differences of the normal distribution. The pattern is
-//! the one seen, so that a module under a leaf is no residual. Levenberg–Marquardt (D. W. Marquardt, 1963) with Tukey's
-//! weights; covariance by the sandwich of W. K. Newey and K. D. West (1987), as for paint.
+//! The model is `ground + height·C(u, v)` with a slope of the light, (u, v) an affine function of the pixel, and C the
+//! share of white: one less the sum of the black modules, each a product of two differences of the normal distribution.
+//! The pattern is the one seen, so that a module under a leaf is no residual. Levenberg–Marquardt (D. W.
+//! Marquardt, 1963) with Tukey's weights; covariance by the sandwich of W. K. Newey and K. D. West (1987), as for
+//! paint.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -12,8 +13,8 @@ use crate::candidate::descent::{FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surfa
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
-/// Centre x, y; steps of one module along u and along v; logarithm of the blur in modules; ground level, height of white over
-/// it, slope of the light in x and y.
+/// Centre x, y; steps of one module along u and along v; logarithm of the blur in modules; ground level, height of
+/// white over it, slope of the light in x and y.
 const PARAMETERS: usize = 11;
 type Vector = SVector<f64, PARAMETERS>;
 type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
@@ -57,8 +58,8 @@ impl Pose {
         (u[0].hypot(u[1]) * v[0].hypot(v[1])).sqrt()
     }
 
-    /// Whether the sides are as long as each other within a fifth and at right angles within 11 degrees: tags lie flat on ground
-    /// that is seen from above.
+    /// Whether the sides are as long as each other within a fifth and at right angles within 11 degrees: tags lie flat
+    /// on ground that is seen from above.
     pub fn is_square(&self) -> bool {
         let [u, v] = self.along;
         let (a, b) = (u[0].hypot(u[1]), v[0].hypot(v[1]));
@@ -153,7 +154,8 @@ impl Problem<'_> {
         let half = self.modules as f64 / 2.0;
         let [white, by_u, by_v, by_blur] = self.white(half + a[0], half + a[1], p[6].exp());
         let height = p[8];
-        // How the level changes when the centre moves along x and y; a step moves a place by its modules from the centre.
+        // How the level changes when the centre moves along x and y; a step moves a place by its modules from the
+        // centre.
         let along = [0, 1].map(|i| -height * (by_u * inverse[0][i] + by_v * inverse[1][i]));
         let (rx, ry) = (x - self.start[0], y - self.start[1]);
         let g = Vector::from([
@@ -235,8 +237,8 @@ impl Surface<PARAMETERS> for Problem<'_> {
     }
 }
 
-/// Fits the pattern. `blur` is a guess, in cells; `levels` those of black and white. `None` with fewer than 60 samples, or when
-/// the equations break down.
+/// Fits the pattern. `blur` is a guess, in cells; `levels` those of black and white. `None` with fewer than 60 samples,
+/// or when the equations break down.
 pub fn fit(
     samples: &[Sample],
     modules: usize,

@@ -336,8 +336,8 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 }
 
 impl Columns {
-    /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's, or a title
-    /// that was passed over has such a word in it ("Høyde-navn").
+    /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's,
+    /// or a title that was passed over has such a word in it ("Høyde-navn").
     fn unclear(&self) -> Option<String> {
         let used: Vec<usize> = [Some(self.easting), Some(self.northing), self.name, self.height, self.sigma]
             .into_iter()

@@ -1,9 +1,9 @@
 //! GCPs as KOF, the coordinate file of Norwegian survey software.
 //!
 //! A point is a record "05" with fixed columns (counted from 1): 2–3 the record type, 5–14 the point's name, 16–23 the
-//! theme code, 25–36 northing, 38–48 easting, 50–57 height. Lines that do not keep to the columns are cut at blanks: type or
-//! running number, name, perhaps a theme code, northing, easting, height, as in the files of the 2016 thesis (its
-//! Script A.63, which then wrote north for east). Records of other types are passed over.
+//! theme code, 25–36 northing, 38–48 easting, 50–57 height. Lines that do not keep to the columns are cut at blanks:
+//! type or running number, name, perhaps a theme code, northing, easting, height, as in the files of the 2016 thesis
+//! (its Script A.63, which then wrote north for east). Records of other types are passed over.
 
 use std::path::Path;
 

@@ -1,8 +1,9 @@
-//! GCPs as OpenDroneMap's `gcp_list.txt`: a first line with the CRS, then `geo_x geo_y geo_z im_x im_y image [label …]`,
-//! one line for each image in which a point was seen. Lists of points under such a first line (`label x y z`) are taken too.
+//! GCPs as OpenDroneMap's `gcp_list.txt`: a first line with the CRS, then
+//! `geo_x geo_y geo_z im_x im_y image [label …]`, one line for each image in which a point was seen. Lists of points
+//! under such a first line (`label x y z`) are taken too.
 //!
-//! Source: the chapter "Ground Control Points" of OpenDroneMap's manual. What is measured in the images is checked but not
-//! used: it belongs to the photographs from which an orthophoto was made.
+//! Source: the chapter "Ground Control Points" of OpenDroneMap's manual. What is measured in the images is checked but
+//! not used: it belongs to the photographs from which an orthophoto was made.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -53,8 +54,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     Ok(list)
 }
 
-/// At tabs when there are any, since names may hold blanks; else at blanks; else at semicolons, beside which a comma is a decimal
-/// one, or at commas.
+/// At tabs when there are any, since names may hold blanks; else at blanks; else at semicolons, beside which a comma is
+/// a decimal one, or at commas.
 fn fields(line: &str) -> Vec<&str> {
     let cut = |at: &[char]| -> Vec<&str> { line.split(at).map(str::trim).filter(|f| !f.is_empty()).collect() };
     let marks = if line.contains(';') { [';'] } else { [','] };

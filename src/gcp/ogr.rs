@@ -1,5 +1,5 @@
-//! GCPs in whatever GDAL's vector library (OGR) opens: GeoPackage, Shapefile (also zipped), KML, GPX, GML, DXF, and tables of
-//! a spreadsheet.
+//! GCPs in whatever GDAL's vector library (OGR) opens: GeoPackage, Shapefile (also zipped), KML, GPX, GML, DXF, and
+//! tables of a spreadsheet.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
-//! Whether a list lies where its CRS is used, and where the image says it is: exchanged columns, a wrong CRS and slips of a
-//! digit show here, before a pixel is read.
+//! Whether a list lies where its CRS is used, and where the image says it is: exchanged columns, a wrong CRS and slips
+//! of a digit show here, before a pixel is read.
 
 use std::path::Path;
 
@@ -16,11 +16,12 @@ const NEAR_DEG: f64 = 1.0;
 /// ... and, as they stand, the points lie this far off.
 const FAR_DEG: f64 = 5.0;
 
-/// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where that mends
-/// it and the caller asked for it.
+/// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
+/// that mends it and the caller asked for it.
 ///
 /// # Errors
-/// [`Error::Format`] with the remedy: numbers that are no coordinates, columns that are exchanged, a CRS that is not theirs.
+/// [`Error::Format`] with the remedy: numbers that are no coordinates, columns that are exchanged, a CRS that is not
+/// theirs.
 pub(super) fn check(
     path: &Path,
     points: &mut Vec<RawPoint>,
@@ -59,8 +60,8 @@ fn refuse_absurd(path: &Path, points: &[RawPoint]) -> Result<()> {
     }
 }
 
-/// Whether all points lie wrong as they stand and right with their coordinates exchanged, by the CRS's area of use or by the
-/// image's own place.
+/// Whether all points lie wrong as they stand and right with their coordinates exchanged, by the CRS's area of use or
+/// by the image's own place.
 fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> bool {
     if points.is_empty() {
         return false;

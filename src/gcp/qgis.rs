@@ -2,8 +2,9 @@
 //! `mapX,mapY,sourceX,sourceY,enable,dX,dY,residual`; files of QGIS 1 and 2 have `pixelX,pixelY` and no CRS, the oldest
 //! ones tabs and no header. Source: `QgsGCPList::loadGcps` and `saveGcps` in QGIS.
 //!
-//! A column `name` beyond QGIS's own (QGIS passes over it) gives the names; without it points are numbered by row. With a
-//! column `role`, which `gcps convert` writes, points that are switched off are kept: as check points when it says so.
+//! A column `name` beyond QGIS's own (QGIS passes over it) gives the names; without it points are numbered by row. With
+//! a column `role`, which `gcps convert` writes, points that are switched off are kept: as check points when it says
+//! so.
 
 use std::path::Path;
 

@@ -55,7 +55,8 @@ pub(super) enum ColumnOrder {
     Stated,
     /// East before north by custom, which is not everybody's.
     Assumed,
-    /// East before north by the format's own rule, which not everybody keeps (GeoJSON): only what cannot be is exchanged.
+    /// East before north by the format's own rule, which not everybody keeps (GeoJSON): only what cannot be is
+    /// exchanged.
     Ruled,
 }
 

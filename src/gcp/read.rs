@@ -367,8 +367,8 @@ fn swap(points: &mut [RawPoint]) {
     }
 }
 
-/// East first or north first, where the file does not say: the CRS's area of use decides, else the size of the numbers. What
-/// is not certain is said; a wrong order mirrors the pattern, which is never matched.
+/// East first or north first, where the file does not say: the CRS's area of use decides, else the size of the numbers.
+/// What is not certain is said; a wrong order mirrors the pattern, which is never matched.
 fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: Option<&Crs>, notes: &mut Vec<String>) {
     let assumed = order == ColumnOrder::Assumed;
     if order == ColumnOrder::Stated {

@@ -2,8 +2,8 @@
 
 use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
 
-/// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its letters, as old
-/// survey software and Excel write; line ends of any system. `None` for files that are no text.
+/// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its
+/// letters, as old survey software and Excel write; line ends of any system. `None` for files that are no text.
 pub(super) fn decode(bytes: &[u8]) -> Option<String> {
     let wide = |pairs: &[u8], big: bool| -> String {
         let units = pairs.chunks_exact(2).map(|pair| {
@@ -35,7 +35,8 @@ pub(super) fn decode(bytes: &[u8]) -> Option<String> {
     Some(text.replace("\r\n", "\n").replace('\r', "\n"))
 }
 
-/// Text of one of the encodings with a byte a letter: Windows-1252 (West), 1250 (Middle Europe), 1251 and KOI8 (Cyrillic), …
+/// Text of one of the encodings with a byte a letter: Windows-1252 (West), 1250 (Middle Europe), 1251 and KOI8
+/// (Cyrillic), …
 fn of_a_country(bytes: &[u8]) -> String {
     let mut detector = EncodingDetector::new(Iso2022JpDetection::Deny);
     detector.feed(bytes, true);
@@ -80,7 +81,8 @@ pub(super) fn lines(text: &str) -> Vec<Line<'_>> {
     found
 }
 
-/// How many rows further the record that begins at `start` ends: further than its own row when a cell's quote is closed there.
+/// How many rows further the record that begins at `start` ends: further than its own row when a cell's quote is closed
+/// there.
 fn last_row(text: &str, start: usize, ends: &[usize]) -> usize {
     const MOST_ROWS: usize = 50;
     let (mut open, mut from) = (false, start);

@@ -17,8 +17,8 @@ pub enum Reproject {
     After,
 }
 
-/// How coordinates of the fit become those of the outputs. Everything between reading and writing is in metres: points in
-/// feet are scaled before the fit, and the transform is scaled back after it, exactly.
+/// How coordinates of the fit become those of the outputs. Everything between reading and writing is in metres: points
+/// in feet are scaled before the fit, and the transform is scaled back after it, exactly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorkingCrs {
     /// System of the points, in its own units; `None` for local coordinates.
@@ -120,8 +120,8 @@ impl WorkingCrs {
         Ok(())
     }
 
-    /// The fitted transform as the outputs have it: scaled exactly when only units differ; else the affine transform that
-    /// comes nearest to the exact one on a grid over the image, with what that leaves out.
+    /// The fitted transform as the outputs have it: scaled exactly when only units differ; else the affine transform
+    /// that comes nearest to the exact one on a grid over the image, with what that leaves out.
     ///
     /// # Errors
     /// Those of [`Crs::transform`]; when the image is empty.

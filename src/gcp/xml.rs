@@ -1,8 +1,8 @@
 //! GCPs in XML: the markers that Metashape exports, and MicMac's `DicoAppuisFlottant`.
 //!
-//! Sources: an export of Metashape (`document/chunk/markers/marker/reference`), and `include/XML_GEN/ParamChantierPhotogram.xml`
-//! of MicMac. In Metashape a marker that is switched off is a check point; where it was seen stands apart, in
-//! `frames/frame/markers/marker/location`, by the numbers of marker and camera.
+//! Sources: an export of Metashape (`document/chunk/markers/marker/reference`), and
+//! `include/XML_GEN/ParamChantierPhotogram.xml` of MicMac. In Metashape a marker that is switched off is a check point;
+//! where it was seen stands apart, in `frames/frame/markers/marker/location`, by the numbers of marker and camera.
 
 use std::borrow::Cow;
 use std::collections::HashMap;

@@ -1,10 +1,10 @@
 //! Lists of candidates as files: what `detect` writes and `solve` reads.
 //!
 //! CSV columns: `x,y` (pixels, (0, 0) the outer corner of the first pixel), then `score`, `cov_xx,cov_xy,cov_yy` (px²),
-//! `area` (px), `width,height` (px), `elevation` (m), `probability` (that it is a mark, from the score; not read back), and
-//! `code` (`family:number`) when the list holds coded targets. Only `x` and `y` are required when reading; the order is free.
-//! Numbers are written in the shortest form that reads back to the same value, so that two lists are equal when their
-//! bytes are.
+//! `area` (px), `width,height` (px), `elevation` (m), `probability` (that it is a mark, from the score; not read back),
+//! and `code` (`family:number`) when the list holds coded targets. Only `x` and `y` are required when reading; the
+//! order is free. Numbers are written in the shortest form that reads back to the same value, so that two lists are
+//! equal when their bytes are.
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -143,8 +143,8 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     Ok(candidates)
 }
 
-/// What stands between the columns, by the first line that is no comment: a comma, or what spreadsheets write in countries with a
-/// decimal comma.
+/// What stands between the columns, by the first line that is no comment: a comma, or what spreadsheets write in
+/// countries with a decimal comma.
 fn delimiter(path: &Path) -> Result<u8> {
     use std::io::BufRead;
     let file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;

@@ -1,11 +1,13 @@
 //! The georeference of a JPEG in its EXIF block (CIPA DC-008, Exif 2.32).
 //!
-//! A copy is written: coded pixels and all other segments byte for byte, and of an EXIF block that is there everything but the
-//! old place (a maker's notes keep their positions, since the new directory goes behind the old block). The block gets
+//! A copy is written: coded pixels and all other segments byte for byte, and of an EXIF block that is there everything
+//! but the old place (a maker's notes keep their positions, since the new directory goes behind the old block). The
+//! block gets
 //!
-//! - what every viewer of photographs reads: latitude and longitude (WGS 84) of the middle of the image, the direction of its
-//!   top from true north, the largest expected error of a point in a corner (95 %);
-//! - the GeoTIFF tags of transform and CRS in the first directory, as in a TIFF, which EXIF is: the place of every pixel.
+//! - what every viewer of photographs reads: latitude and longitude (WGS 84) of the middle of the image, the direction
+//!   of its top from true north, the largest expected error of a point in a corner (95 %);
+//! - the GeoTIFF tags of transform and CRS in the first directory, as in a TIFF, which EXIF is: the place of every
+//!   pixel.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};

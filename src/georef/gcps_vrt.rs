@@ -1,4 +1,5 @@
-//! Tie points as GDAL knows them: a virtual raster that refers to the image and has a list of GCPs instead of a transform.
+//! Tie points as GDAL knows them: a virtual raster that refers to the image and has a list of GCPs instead of a
+//! transform.
 //!
 //! GDAL's own writer cuts pixels to four decimals; the list is written here, so that the points come back exactly.
 

@@ -27,8 +27,8 @@ pub struct CopyPlace<'a> {
     pub crs_wkt: Option<&'a str>,
 }
 
-/// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats. A few rows at a time are held, so memory does not
-/// depend on the model's size. Pixels without a height stay without. To make it appear whole or not at all is the
+/// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats. A few rows at a time are held, so memory does
+/// not depend on the model's size. Pixels without a height stay without. To make it appear whole or not at all is the
 /// caller's part ([`autoref_raster::atomic`]).
 ///
 /// # Errors

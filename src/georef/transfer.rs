@@ -1,5 +1,5 @@
-//! The georeference of one raster for another of the same project: the elevation model beside the orthophoto, a version of
-//! another resolution.
+//! The georeference of one raster for another of the same project: the elevation model beside the orthophoto, a version
+//! of another resolution.
 
 use std::path::Path;
 
@@ -22,13 +22,13 @@ pub enum Edges {
 
 /// The result as it would be, had it been solved on `other`: transform, size, and the pixels of the matches.
 ///
-/// Which pixel of `other` is which of the image is known in one of three ways, in this order:
-/// both had a georeference of their own in the same system before (photogrammetry in local coordinates or by the drone's
-/// GNSS); both have the same number of pixels; or `edges` says that they coincide.
+/// Which pixel of `other` is which of the image is known in one of three ways, in this order: both had a georeference
+/// of their own in the same system before (photogrammetry in local coordinates or by the drone's GNSS); both have the
+/// same number of pixels; or `edges` says that they coincide.
 ///
 /// # Errors
-/// [`Error::Usage`] when none of these holds, or when what `other` has may be our own output; [`Error::Gdal`] when it cannot
-/// be opened.
+/// [`Error::Usage`] when none of these holds, or when what `other` has may be our own output; [`Error::Gdal`] when it
+/// cannot be opened.
 pub fn carry(result: &RunResult, other: &Path, edges: Edges) -> Result<RunResult> {
     let same_extent = edges == Edges::Coincide;
     let mut carried = result.clone();

@@ -1,7 +1,7 @@
 //! Everything a solved orientation can be written as, checked before the work and put in place all together.
 //!
-//! Files are made under temporary names first ([`WriteRequest::stage`]); only when all of them exist are they renamed, and
-//! the image's own tags switched ([`Transaction::commit`]). A failure at any point leaves what was there before.
+//! Files are made under temporary names first ([`WriteRequest::stage`]); only when all of them exist are they renamed,
+//! and the image's own tags switched ([`Transaction::commit`]). A failure at any point leaves what was there before.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -168,8 +168,8 @@ impl WriteRequest {
         }
     }
 
-    /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a mosaic, each with its corner
-    /// in pixels of the whole.
+    /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a mosaic, each with its
+    /// corner in pixels of the whole.
     fn parts(&self) -> Result<Vec<Part>> {
         if !mosaic::is_mosaic(&self.image) {
             return Ok(vec![Part { path: self.image.clone(), base: self.base.clone(), tile: None }]);

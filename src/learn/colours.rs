@@ -17,8 +17,8 @@ const TABLE_BYTES: u64 = 256 << 20;
 
 /// Learns a profile from samples of the paint's colour (sRGB 0..=1), for marks of this size.
 ///
-/// The colour limit is 3.5 standard deviations, and never below what holds 95 % of the samples. Nothing is known of the ground,
-/// so the scores are those of any profile.
+/// The colour limit is 3.5 standard deviations, and never below what holds 95 % of the samples. Nothing is known of the
+/// ground, so the scores are those of any profile.
 ///
 /// # Errors
 /// [`Error::Usage`] with fewer than ten colours, or for a rule that leaves no box.
@@ -57,9 +57,9 @@ pub fn learn_colours(name: &str, colours: Vec<[f64; 3]>, size: Size, options: &L
     Ok(Lesson { profile, paint: colours })
 }
 
-/// Reads a table of colours: three numbers a row, red, green, blue, of 0 to 1 or of 0 to 255, with or without titles; commas,
-/// semicolons, tabs or spaces between. With titles, the columns named red/r, green/g, blue/b are taken. Colours in 0..=1 come
-/// back; a table is of 0 to 1 when no value in it is above 1.
+/// Reads a table of colours: three numbers a row, red, green, blue, of 0 to 1 or of 0 to 255, with or without titles;
+/// commas, semicolons, tabs or spaces between. With titles, the columns named red/r, green/g, blue/b are taken. Colours
+/// in 0..=1 come back; a table is of 0 to 1 when no value in it is above 1.
 ///
 /// # Errors
 /// [`Error::Format`] naming the row that is no colour; [`Error::Limit`] above four million rows.
@@ -104,7 +104,8 @@ pub fn read_colours(path: &Path) -> Result<Vec<[f64; 3]>> {
     Ok(colours)
 }
 
-/// What stands between commas, semicolons, tabs or spaces. A decimal comma is one where semicolons, tabs or spaces divide.
+/// What stands between commas, semicolons, tabs or spaces. A decimal comma is one where semicolons, tabs or spaces
+/// divide.
 fn cells(line: &str) -> Vec<String> {
     let plain = |cell: &str| cell.trim().trim_matches('"').to_owned();
     for divider in [';', '\t'] {

@@ -31,8 +31,8 @@ pub const OUTLINE_REACH_PX: u64 = example::RING_PX as u64 + 2;
 /// How the rough box in RGB follows from the paint's pixels; one value for each band.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RoughRule {
-    /// The middle share of the values, 1 being smallest to largest. The prototype's `min-max` with a percentile of 25 % is
-    /// 0.75.
+    /// The middle share of the values, 1 being smallest to largest. The prototype's `min-max` with a percentile of 25 %
+    /// is 0.75.
     Middle([f64; 3]),
     /// Mean ± so many standard deviations: the prototype's `mean-std` with its weights.
     Sigma([f64; 3]),
@@ -80,8 +80,8 @@ pub struct LearnOptions {
 /// Values that a density keeps of each axis.
 const DENSITY_SAMPLES: usize = 200;
 
-/// Densities of L\*, a\*, b\*: quantiles of the paint, with B. W. Silverman's bandwidth 1.06·σ·n^(−1/5) (Density Estimation
-/// for Statistics and Data Analysis, 1986, eq. 3.28).
+/// Densities of L\*, a\*, b\*: quantiles of the paint, with B. W. Silverman's bandwidth 1.06·σ·n^(−1/5) (Density
+/// Estimation for Statistics and Data Analysis, 1986, eq. 3.28).
 fn density(paint: &[[f64; 3]]) -> Density {
     let axis = |axis: usize| {
         let mut values: Vec<f64> = paint.iter().map(|c| lab_from_srgb(*c)[axis]).collect();
@@ -103,8 +103,8 @@ fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     (mean, (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt())
 }
 
-/// Learns a profile from marks at known positions (each inside its patch, which should reach [`DEFAULT_REACH_PX`] around
-/// it).
+/// Learns a profile from marks at known positions (each inside its patch, which should reach [`DEFAULT_REACH_PX`]
+/// around it).
 ///
 /// The paint is what is connected to the position and lies nearer to the colour there than to the ground on the patch's
 /// border, seen along the direction that separates the two best. The colour limit is 3.5 standard deviations, less when
@@ -117,8 +117,8 @@ pub fn learn(name: &str, marks: &[(Patch, PixelPoint)]) -> Result<Profile> {
     learn_with(name, marks, &LearnOptions::default()).map(|lesson| lesson.profile)
 }
 
-/// [`learn`], with the parts of the 2016 prototype's colour model that need samples (Script A.9): a rough box in RGB, and
-/// kernel densities.
+/// [`learn`], with the parts of the 2016 prototype's colour model that need samples (Script A.9): a rough box in RGB,
+/// and kernel densities.
 ///
 /// # Errors
 /// Those of [`learn`]; [`Error::Usage`] for a rule that leaves no box.
@@ -153,8 +153,8 @@ pub struct Outlined {
 /// Learns a profile from outlined marks: their pixels are the paint, what is around them the ground.
 ///
 /// # Errors
-/// [`Error::Usage`] naming the mark that holds no pixel or has no ground around it; when there is none; for a rule that leaves
-/// no box.
+/// [`Error::Usage`] naming the mark that holds no pixel or has no ground around it; when there is none; for a rule that
+/// leaves no box.
 pub fn learn_outlined(name: &str, marks: &[Outlined], options: &LearnOptions) -> Result<Lesson> {
     if marks.is_empty() {
         return Err(Error::usage("no mark is outlined", "give a mask or polygons that hold at least one"));
@@ -232,8 +232,8 @@ fn from_examples(name: &str, patches: &[&Patch], examples: &[Example], options: 
     Ok(Lesson { profile, paint })
 }
 
-/// The cloud of the paint in L\*a\*b\*, and its distances. The next mark lies in other light: at least 4 units of lightness and
-/// 2.5 of each chroma axis are added.
+/// The cloud of the paint in L\*a\*b\*, and its distances. The next mark lies in other light: at least 4 units of
+/// lightness and 2.5 of each chroma axis are added.
 fn widened(paint: &[[f64; 3]]) -> Result<(CloudSpec, Cloud)> {
     let mut spec = cloud(paint);
     for (axis, least) in [4.0f64, 2.5, 2.5].into_iter().enumerate() {
@@ -246,8 +246,8 @@ fn widened(paint: &[[f64; 3]]) -> Result<(CloudSpec, Cloud)> {
 
 /// The score that the next mark should reach: four standard deviations below the examples' mean, at most the usual 0.
 ///
-/// What was pointed at is known to be a mark, however little it resembles flat paint on even ground, which the score was
-/// made for. Few examples say little of their spread, so it is taken as at least 1.5.
+/// What was pointed at is known to be a mark, however little it resembles flat paint on even ground, which the score
+/// was made for. Few examples say little of their spread, so it is taken as at least 1.5.
 fn least_score(profile: &Profile, patches: &[&Patch], examples: &[Example]) -> Result<f64> {
     let white = patches[0].white;
     let classifier = Classifier::new(profile, SampleType::U16, white, [0, 1, 2], None, None)?;

@@ -6,8 +6,8 @@ use autoref_raster::coords::PixelPoint;
 /// A prediction that chance hits this often is not worth a look.
 pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;
 
-/// How often a chance prediction may find its bit set with no candidate within the radius. Fewer cells say less, but stay in the
-/// nearest cache: with cells of half the radius most of a look was waiting for memory.
+/// How often a chance prediction may find its bit set with no candidate within the radius. Fewer cells say less, but
+/// stay in the nearest cache: with cells of half the radius most of a look was waiting for memory.
 const NEEDLESS_LOOK: f64 = 0.03;
 
 /// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look.

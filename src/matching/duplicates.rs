@@ -1,9 +1,9 @@
 //! Points listed twice and marks found in pieces: which of them belong together.
 //!
-//! The search takes whichever lies nearest, so that a pattern may mix both surveys of a list, or the left half of one mark
-//! with the right half of the next, and be tilted by that. Whatever lies close to a pair of the pattern is an alternative
-//! to it; the alternatives that agree best with each other, over the whole pattern, are taken. Where two ways of naming
-//! the points agree about as well and put the image at different places, the list itself is ambiguous.
+//! The search takes whichever lies nearest, so that a pattern may mix both surveys of a list, or the left half of one
+//! mark with the right half of the next, and be tilted by that. Whatever lies close to a pair of the pattern is an
+//! alternative to it; the alternatives that agree best with each other, over the whole pattern, are taken. Where two
+//! ways of naming the points agree about as well and put the image at different places, the list itself is ambiguous.
 
 use std::collections::HashSet;
 
@@ -34,8 +34,8 @@ struct Choice {
 }
 
 impl Search<'_> {
-    /// The pattern with the alternatives that agree best, and another one that the list allows as well when there is one;
-    /// `None` when nothing has an alternative.
+    /// The pattern with the alternatives that agree best, and another one that the list allows as well when there is
+    /// one; `None` when nothing has an alternative.
     pub fn told_apart(&self, pattern: &Pattern) -> Option<(Pattern, Option<Pattern>)> {
         let slots = self.alternatives(pattern);
         if slots.iter().all(|slot| slot.len() == 1) {
@@ -51,7 +51,8 @@ impl Search<'_> {
         if sharper.pairs.len() < pattern.pairs.len() && sharper.log10_false_alarms > pattern.log10_false_alarms {
             return None;
         }
-        // With an unknown error of the marks, the likelihood of n pairs falls with the (n − 2)th power of the sum of squares.
+        // With an unknown error of the marks, the likelihood of n pairs falls with the (n − 2)th power of the sum of
+        // squares.
         let freedom = (slots.len() as f64 - 2.0).max(1.0);
         let least_px2 = 2.0 * freedom * LEAST_NOISE_PX * LEAST_NOISE_PX;
         let as_good = |choice: &&Choice| {

@@ -1,18 +1,19 @@
 //! How likely is it that a pattern is an accident?
 //!
-//! The a-contrario reasoning of A. Desolneux, L. Moisan and J.-M. Morel, "Meaningful alignments", 2000, and of L. Moisan and
-//! B. Stival, "A probabilistic criterion to detect rigid point matches between two images", 2004: under the background
-//! model the candidates are a Poisson field of their own local density, without any relation to the GCPs. A hypothesis is
-//! an ordered pair of candidates laid on a pair of GCPs; it predicts where all other GCPs must be, each with a tolerance
-//! that grows with its distance from the pair. The number of false alarms is
+//! The a-contrario reasoning of A. Desolneux, L. Moisan and J.-M. Morel, "Meaningful alignments", 2000, and of L.
+//! Moisan and B. Stival, "A probabilistic criterion to detect rigid point matches between two images", 2004: under the
+//! background model the candidates are a Poisson field of their own local density, without any relation to the GCPs. A
+//! hypothesis is an ordered pair of candidates laid on a pair of GCPs; it predicts where all other GCPs must be, each
+//! with a tolerance that grows with its distance from the pair. The number of false alarms is
 //!
 //! NFA = (hypotheses possible) · (tolerance levels) · P[at least as many of the predicted GCPs are hit by chance],
 //!
 //! the probability a Poisson-binomial tail over the GCPs inside the image. By the union bound the expected number of
-//! hypotheses with NFA ≤ ε in a field without the pattern is at most ε. Since the hypotheses are pairs, not fits, no freedom
-//! is spent that is not counted; a pattern is given the smallest NFA of its own pairs. Where marks agree closely it may go by the GCPs
-//! near the pair alone: the limit is shared out among four extents, nine tenths of it to all GCPs together. Where we differ: heterogeneous
-//! probabilities (tolerance and density differ from GCP to GCP), and a level set of tolerances instead of the k-th residual.
+//! hypotheses with NFA ≤ ε in a field without the pattern is at most ε. Since the hypotheses are pairs, not fits, no
+//! freedom is spent that is not counted; a pattern is given the smallest NFA of its own pairs. Where marks agree
+//! closely it may go by the GCPs near the pair alone: the limit is shared out among four extents, nine tenths of it to
+//! all GCPs together. Where we differ: heterogeneous probabilities (tolerance and density differ from GCP to GCP), and
+//! a level set of tolerances instead of the k-th residual.
 
 use std::cell::OnceCell;
 use std::f64::consts::SQRT_2;
@@ -24,11 +25,12 @@ use autoref_solve::Similarity;
 /// Tolerance levels tried, pixels: a half for marks that agree to a tenth, then 1 to 11.3 by √2.
 pub const LEVELS_PX: [f64; 9] = [0.5, 1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
 
-/// The closest tolerance that a hypothesis is judged by during the search, pixels: one mark in pieces may be centred no better.
+/// The closest tolerance that a hypothesis is judged by during the search, pixels: one mark in pieces may be centred no
+/// better.
 pub const CLOSEST_PX: f64 = 1.0;
 
-/// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² + |w|²)
-/// with w the complex position of `p` along the pair.
+/// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² +
+/// |w|²) with w the complex position of `p` along the pair.
 pub fn spread_from_pair(a: MapPoint, b: MapPoint, p: MapPoint) -> f64 {
     let (ux, uy) = (b.easting - a.easting, b.northing - a.northing);
     let (vx, vy) = (p.easting - a.easting, p.northing - a.northing);
@@ -83,8 +85,8 @@ pub fn pair_evidence(
     evidence_of(field, gcps, (a, b), &Line::through(field, pixels), level_px, log10_tests, &|_, _| true)
 }
 
-/// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as if
-/// nothing were forbidden, so that the evidence is never stronger than without.
+/// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as
+/// if nothing were forbidden, so that the evidence is never stronger than without.
 pub(super) fn evidence_of(
     field: &Field,
     gcps: &[MapPoint],
@@ -120,8 +122,8 @@ pub(super) fn evidence_of(
             (nearest.min(square), touches || square < (r + radius) * (r + radius))
         });
         let nearest = nearest.sqrt();
-        // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed twice is
-        // no second witness, nor is a mark that was found in two pieces.
+        // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed
+        // twice is no second witness, nor is a mark that was found in two pieces.
         if touches || nearest < field.usual_place_px() {
             continue;
         }
@@ -171,17 +173,18 @@ pub(super) fn evidence_of(
     })
 }
 
-/// How far from the pair predictions may lie to be counted, by how much less sure they are than one mark; and the share of the limit
-/// on accidents that each extent has. A pair of a cluster says little of points far away: their circles hold clutter by chance, and
-/// with them all six of six that lie close together are no surprise. All together is what a pattern that spans the image
-/// needs, so nearly all of the limit is its own.
+/// How far from the pair predictions may lie to be counted, by how much less sure they are than one mark; and the share
+/// of the limit on accidents that each extent has. A pair of a cluster says little of points far away: their circles
+/// hold clutter by chance, and with them all six of six that lie close together are no surprise. All together is what a
+/// pattern that spans the image needs, so nearly all of the limit is its own.
 const EXTENTS: [(f64, f64); 4] = [(f64::INFINITY, 0.9), (6.0, 0.034), (3.5, 0.033), (2.2, 0.033)];
 
-/// Only patterns whose marks agree as closely as this are weighed by their neighbours: among wrong rows of a list a loose fit of
-/// a few close together is no surprise.
+/// Only patterns whose marks agree as closely as this are weighed by their neighbours: among wrong rows of a list a
+/// loose fit of a few close together is no surprise.
 const NEAR_LEVEL_PX: f64 = 1.5;
 
-/// log₁₀ of the probability of as many hits, at the extent where it is least, each over its share of the limit; and that extent.
+/// log₁₀ of the probability of as many hits, at the extent where it is least, each over its share of the limit; and
+/// that extent.
 fn best_tail(probabilities: &[f64], told_by: &[(f64, bool)], level_px: f64) -> (f64, f64) {
     let at = |(extent, share): (f64, f64)| {
         let inside = || (0..probabilities.len()).filter(|&i| told_by[i].0 <= extent);
@@ -303,7 +306,8 @@ mod tests {
 
     #[test]
     fn far_points_do_not_hide_a_cluster() {
-        // Four of four near points hit, which chance seldom does; fourteen far away whose circles always hold something.
+        // Four of four near points hit, which chance seldom does; fourteen far away whose circles always hold
+        // something.
         let mut told_by = vec![(1.5, true); 4];
         told_by.extend([(20.0, true); 8]);
         told_by.extend([(20.0, false); 6]);

@@ -1,5 +1,5 @@
-//! What lies far from a cluster of marks that agree closely must agree with it too: where it does not, chance filled a wide tolerance, and
-//! the image's corners would follow it.
+//! What lies far from a cluster of marks that agree closely must agree with it too: where it does not, chance filled a
+//! wide tolerance, and the image's corners would follow it.
 
 use crate::matching::Pattern;
 use crate::matching::search::Search;
@@ -10,7 +10,8 @@ use autoref_solve::similarity::{Pair, fit_equal_weights};
 
 /// A pair lies far from the others when the square of its distance from their middle is more than the sum of theirs.
 const FAR_ARM: f64 = 1.0;
-/// Pairs agree when the others, fitted without one, put it within so many of their deviations: F(2, 8) exceeds 18.5 once in a thousand.
+/// Pairs agree when the others, fitted without one, put it within so many of their deviations: F(2, 8) exceeds 18.5
+/// once in a thousand.
 const AGREEING_SIGMAS: f64 = 6.1;
 /// The deviation of marks is hardly less.
 const LEAST_NOISE_PX: f64 = 0.2;
@@ -32,8 +33,8 @@ struct Beside {
 }
 
 impl Search<'_> {
-    /// The pattern without what lies far from a cluster that agrees closely and not where the cluster puts it. `None` when there is
-    /// nothing of the kind, or too few would be left to say so.
+    /// The pattern without what lies far from a cluster that agrees closely and not where the cluster puts it. `None`
+    /// when there is nothing of the kind, or too few would be left to say so.
     pub(super) fn without_far(&self, pattern: &Pattern) -> Option<Pattern> {
         let by_neighbours = pattern.log10_false_alarms < pattern.log10_whole_false_alarms - 1.0;
         let mut near = pattern.pairs.clone();
@@ -72,8 +73,8 @@ impl Search<'_> {
         (by_neighbours || believed).then_some(without)
     }
 
-    /// Takes away the pair for which `measure` is largest, as long as it exceeds `most` and enough are left; the last one gone is the
-    /// last of the list.
+    /// Takes away the pair for which `measure` is largest, as long as it exceeds `most` and enough are left; the last
+    /// one gone is the last of the list.
     fn drop_worst(&self, pairs: &mut Vec<Taken>, most: f64, measure: impl Fn(&Beside) -> f64) -> Vec<Taken> {
         let mut gone = Vec::new();
         while pairs.len() > FEWEST_NEAR {

@@ -216,9 +216,9 @@ impl Field {
         self.sampled = self.points.len().div_ceil(step);
     }
 
-    /// Where points come in twos or in clumps: how often one has another within twice a distance. `None` where they have
-    /// no more than an even field would give them (B. D. Ripley, "Modelling spatial patterns", 1977: the K function),
-    /// and for distances at which neighbours are no clumps.
+    /// Where points come in twos or in clumps: how often one has another within twice a distance. `None` where they
+    /// have no more than an even field would give them (B. D. Ripley, "Modelling spatial patterns", 1977: the K
+    /// function), and for distances at which neighbours are no clumps.
     pub fn company(&self, distance_px: f64) -> Option<f64> {
         let reach = 2.0 * distance_px;
         let density = self.points.len() as f64 / self.area_px2();
@@ -231,9 +231,9 @@ impl Field {
         (seen > expected + 6.0 * expected.sqrt() + 6.0).then(|| (seen / self.sampled as f64).min(1.0))
     }
 
-    /// Points per px² about `p`: the largest of the whole field's and of discs that would hold 16, 4 and 1 points of the
-    /// whole field's. Clutter in clumps and rows makes accidents likelier just there, so the estimate leans to the dense
-    /// side. Each disc leaves out one point: the hit whose chance is asked for.
+    /// Points per px² about `p`: the largest of the whole field's and of discs that would hold 16, 4 and 1 points of
+    /// the whole field's. Clutter in clumps and rows makes accidents likelier just there, so the estimate leans to the
+    /// dense side. Each disc leaves out one point: the hit whose chance is asked for.
     pub fn density_near(&self, p: PixelPoint) -> f64 {
         let global = self.points.len() as f64 / self.area_px2();
         let mut density = global;

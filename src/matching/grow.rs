@@ -1,11 +1,11 @@
 //! Patterns grown outwards from a short base, for fields so dense that one look from a pair tells nothing.
 //!
-//! Where tens of thousands of candidates lie a few marks apart, a long pair of GCPs has billions of hypotheses, and a short one
-//! predicts the other GCPs so loosely that somebody is everywhere. A short pair and its nearest neighbour, however, predict the
-//! next one closely, and so on: each mark that is taken in narrows the place of the next. Chance hypotheses die after three or
-//! four looks, by the sequential probability ratio test (A. Wald, "Sequential tests of statistical hypotheses", 1945; for
-//! verification O. Chum and J. Matas, "Optimal randomized RANSAC", 2008). What survives is settled and weighed as every other
-//! pattern; nothing is believed because it grew.
+//! Where tens of thousands of candidates lie a few marks apart, a long pair of GCPs has billions of hypotheses, and a
+//! short one predicts the other GCPs so loosely that somebody is everywhere. A short pair and its nearest neighbour,
+//! however, predict the next one closely, and so on: each mark that is taken in narrows the place of the next. Chance
+//! hypotheses die after three or four looks, by the sequential probability ratio test (A. Wald, "Sequential tests of
+//! statistical hypotheses", 1945; for verification O. Chum and J. Matas, "Optimal randomized RANSAC", 2008). What
+//! survives is settled and weighed as every other pattern; nothing is believed because it grew.
 
 use crate::matching::Pattern;
 use crate::matching::search::{GcpPair, Search};
@@ -34,8 +34,8 @@ const MOST_GROWN: usize = 24;
 /// A candidate taken for a GCP.
 type Couple = (u32, u32);
 
-/// A pattern that grows: the sums of a least-squares similarity pixels = t + z·map, as complex numbers with north and up
-/// along the imaginary axis.
+/// A pattern that grows: the sums of a least-squares similarity pixels = t + z·map, as complex numbers with north and
+/// up along the imaginary axis.
 #[derive(Clone, Copy)]
 struct Shoot {
     n: f64,
@@ -93,7 +93,8 @@ impl Shoot {
 type Goal = (u32, (f64, f64));
 
 impl Search<'_> {
-    /// Patterns grown from the bases that can tell anything, for about `budget` hypotheses, and the number of those tried.
+    /// Patterns grown from the bases that can tell anything, for about `budget` hypotheses, and the number of those
+    /// tried.
     pub fn grown(&self, pairs: &[GcpPair], budget: u64) -> (Vec<Pattern>, u64) {
         let mut bases: Vec<(&GcpPair, Vec<Goal>)> = Vec::new();
         let mut cheapest: Vec<&GcpPair> = pairs.iter().collect();

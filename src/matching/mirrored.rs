@@ -8,8 +8,8 @@ use crate::gcp::Gcp;
 
 /// Asks another matcher for the pattern as the image shows it, and as its mirror image would.
 ///
-/// These are two chances for a false alarm: the matcher within should have half of what is allowed. A list that is its own
-/// mirror image fits both ways; then neither is believed.
+/// These are two chances for a false alarm: the matcher within should have half of what is allowed. A list that is its
+/// own mirror image fits both ways; then neither is believed.
 pub struct MirrorMatcher {
     pub within: Box<dyn Matcher>,
 }

@@ -1,8 +1,8 @@
 //! Working out which candidate is which GCP, from the pattern alone.
 //!
-//! [`robust`] is the default: hypotheses from pairs, verified against all GCPs, accepted only when an accident is unlikely
-//! enough ([`evidence`]). [`tpp`] is the topological point pattern of the 2016 thesis, kept for comparison; what it proposes
-//! must pass the same test of evidence.
+//! [`robust`] is the default: hypotheses from pairs, verified against all GCPs, accepted only when an accident is
+//! unlikely enough ([`evidence`]). [`tpp`] is the topological point pattern of the 2016 thesis, kept for comparison;
+//! what it proposes must pass the same test of evidence.
 //!
 //! ```
 //! use autoref_stream::candidate::Candidate;
@@ -72,8 +72,8 @@ pub struct Priors {
 const MARK_SIDE_M: (f64, f64) = (0.01, 10.0);
 
 impl Priors {
-    /// The same; where nothing is known of the scale, what the size of the candidates says of it: nobody paints marks of more
-    /// than ten metres. Without it, a clump of clutter can look like the whole list seen from far away.
+    /// The same; where nothing is known of the scale, what the size of the candidates says of it: nobody paints marks
+    /// of more than ten metres. Without it, a clump of clutter can look like the whole list seen from far away.
     pub fn with_mark_sizes(&self, candidates: &[Candidate]) -> Priors {
         let mut sides: Vec<f64> =
             candidates.iter().filter_map(|c| c.size_px).map(|[w, h]| w.max(h)).filter(|side| *side > 0.0).collect();

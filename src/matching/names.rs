@@ -1,17 +1,19 @@
 //! Names that coded targets bear, and the GCPs that they name.
 //!
-//! A code of number 17 names the GCP whose label's last digits are 17 ("17", "GCP17", "tag_017", "P-17b"): the last run of
-//! digits, without leading zeros, when no other label of the list (check points included) has the same; the family does not
-//! matter. Codes without such a label name nothing, and their marks are as free as paint.
+//! A code of number 17 names the GCP whose label's last digits are 17 ("17", "GCP17", "tag_017", "P-17b"): the last run
+//! of digits, without leading zeros, when no other label of the list (check points included) has the same; the family
+//! does not matter. Codes without such a label name nothing, and their marks are as free as paint.
 //!
-//! Names only forbid: a mark that bears one is never another GCP's. The evidence of a pattern is counted from places alone,
-//! and a hit that names forbid is none, so that it is never stronger than without names. What names take away is rivals, and
-//! with them the guard against figures that repeat; therefore they are heeded only when they cannot agree by accident.
+//! Names only forbid: a mark that bears one is never another GCP's. The evidence of a pattern is counted from places
+//! alone, and a hit that names forbid is none, so that it is never stronger than without names. What names take away is
+//! rivals, and with them the guard against figures that repeat; therefore they are heeded only when they cannot agree
+//! by accident.
 //!
-//! The accident: numbers that have nothing to do with the labels, dealt at random among the marks. Of K marks with names, n lie
-//! where an alignment of image and list puts some GCP, and A of them where it puts their own; an alignment has that many with a
-//! probability of at most C(n, A)·(K − A)!/K!, and the list allows L alignments that put A marks on GCPs at all (a regular grid
-//! has many). Names are heeded when L·C(n, A)·(K − A)!/K! is below the limit on false alarms.
+//! The accident: numbers that have nothing to do with the labels, dealt at random among the marks. Of K marks with
+//! names, n lie where an alignment of image and list puts some GCP, and A of them where it puts their own; an alignment
+//! has that many with a probability of at most C(n, A)·(K − A)!/K!, and the list allows L alignments that put A marks
+//! on GCPs at all (a regular grid has many). Names are heeded when L·C(n, A)·(K − A)!/K! is below the limit on false
+//! alarms.
 
 use std::collections::HashMap;
 
@@ -160,7 +162,8 @@ impl Search<'_> {
         })
     }
 
-    /// Alignments that put at least `agree` of the marks on GCPs, whichever. Every one is met once for each two of those marks.
+    /// Alignments that put at least `agree` of the marks on GCPs, whichever. Every one is met once for each two of
+    /// those marks.
     fn alignments(&self, named: &[(usize, usize)], agree: usize, reach_px: f64) -> f64 {
         let points = |k: usize| self.field.points()[named[k].0];
         let mut met = 0usize;

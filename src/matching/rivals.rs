@@ -1,8 +1,8 @@
 //! Before a pattern is believed: does another one explain the same marks, or lay the same GCPs on other marks?
 //!
 //! The search ends with the first pattern that is rare enough. The number of false alarms guards it against chance, not
-//! against repetition: a list may hold the same figure twice, an image may show it twice, and the pair of GCPs that found
-//! the first need not belong to the second. Both questions are asked of few points, so that they cost little.
+//! against repetition: a list may hold the same figure twice, an image may show it twice, and the pair of GCPs that
+//! found the first need not belong to the second. Both questions are asked of few points, so that they cost little.
 
 use rayon::prelude::*;
 
@@ -14,10 +14,12 @@ use autoref_solve::Similarity;
 
 /// Hypotheses that are refined for each of the two questions.
 const REFINED: usize = 12;
-/// Hypotheses about the pattern's own GCPs that are tried in any case; half as many as the search took when that is more.
+/// Hypotheses about the pattern's own GCPs that are tried in any case; half as many as the search took when that is
+/// more.
 const FEWEST_TRIED: u64 = 200_000;
-/// Marks of the pattern at the two ends of a hypothesis of the first question. A rival that speaks against a pattern explains half
-/// of its marks at least; of so many, drawn at random, fewer than two are among these in one case of 600,000 (25 · 2⁻²⁴).
+/// Marks of the pattern at the two ends of a hypothesis of the first question. A rival that speaks against a pattern
+/// explains half of its marks at least; of so many, drawn at random, fewer than two are among these in one case of
+/// 600,000 (25 · 2⁻²⁴).
 const MOST_MARKS: usize = 24;
 
 impl Search<'_> {
@@ -84,8 +86,8 @@ impl Search<'_> {
         })
     }
 
-    /// Two patterns say the same when one of them has most marks of the other where it expects them: within the noise of
-    /// both, and a mark's size where it has another candidate there, which may be another part of the same mark.
+    /// Two patterns say the same when one of them has most marks of the other where it expects them: within the noise
+    /// of both, and a mark's size where it has another candidate there, which may be another part of the same mark.
     pub fn same_claim(&self, one: &Pattern, other: &Pattern) -> bool {
         let noise_px = 6.0 * (one.noise_px + other.noise_px);
         let expects = |one: &Pattern, other: &Pattern| {

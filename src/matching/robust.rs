@@ -1,11 +1,11 @@
 //! Blind matching by pairs: hypothesise, verify, refine, weigh.
 //!
-//! An ordered pair of candidates laid on a pair of GCPs fixes a similarity. Pairs of GCPs are taken in order of how many
-//! pairs of candidates can be theirs (short ones first when the scale is roughly known: few candidates lie at the right
-//! distance), and every hypothesis predicts where the other GCPs must be, most certain first, so that most are dropped
-//! after a few looks into an occupancy bitmap. The best of each GCP pair are refined to a least-squares pattern, whose
-//! worth is its number of false alarms ([`super::evidence`]), not its residuals. `docs/decisions/matcher.md` argues the
-//! choice.
+//! An ordered pair of candidates laid on a pair of GCPs fixes a similarity. Pairs of GCPs are taken in order of how
+//! many pairs of candidates can be theirs (short ones first when the scale is roughly known: few candidates lie at the
+//! right distance), and every hypothesis predicts where the other GCPs must be, most certain first, so that most are
+//! dropped after a few looks into an occupancy bitmap. The best of each GCP pair are refined to a least-squares
+//! pattern, whose worth is its number of false alarms ([`super::evidence`]), not its residuals.
+//! `docs/decisions/matcher.md` argues the choice.
 
 use crate::candidate::Candidate;
 use crate::gcp::{Gcp, GcpRole};
@@ -20,20 +20,20 @@ use autoref_raster::coords::MapPoint;
 const RUNNER_UP_GAP: f64 = 2.0;
 /// A rival rarer than this (log₁₀) is hardly an accident: the limit holds against it too.
 const SUSPECT_LOG10: f64 = -2.0;
-/// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then, because
-/// marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
+/// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then,
+/// because marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
 const REPETITION_LOG10: f64 = -4.0;
 /// Above this many candidates the best-scored are tried alone first, ...
 const GUIDED_ABOVE: usize = 6000;
 const GUIDED_FIRST: usize = 2000;
-/// ... then this many times as many, and so on to all (after O. Chum and J. Matas, "Matching with PROSAC", 2005): hypotheses grow
-/// with the square of the candidates.
+/// ... then this many times as many, and so on to all (after O. Chum and J. Matas, "Matching with PROSAC", 2005):
+/// hypotheses grow with the square of the candidates.
 const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
 const GROWTH_SHARE: u64 = 3;
-/// A field of few candidates needs no more than this many hypotheses for each ordered pair of them, and at least [`FEWEST`]: a
-/// refusal is to come in seconds.
+/// A field of few candidates needs no more than this many hypotheses for each ordered pair of them, and at least
+/// [`FEWEST`]: a refusal is to come in seconds.
 const ROUNDS: u64 = 40;
 const FEWEST: u64 = 30_000_000;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
@@ -146,8 +146,8 @@ impl RobustMatcher {
     }
 }
 
-/// What a search has done of what it may do, counted as hypotheses: what a long list adds to each of them is in it, and what a
-/// pattern costs that is refined.
+/// What a search has done of what it may do, counted as hypotheses: what a long list adds to each of them is in it, and
+/// what a pattern costs that is refined.
 struct Work {
     done: u64,
     allowed: u64,
@@ -280,8 +280,9 @@ impl RobustMatcher {
         let looks = gcps.min(screening.first_looks as u64);
         let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps, looks };
         for pair in &pairs {
-            // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that leaves out
-            // most of what is expected in the image does not end the search: a better one may be made of its points.
+            // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that
+            // leaves out most of what is expected in the image does not end the search: a better one may be made of its
+            // points.
             if found.best.as_ref().is_some_and(|best| best.log10_whole_false_alarms <= limit - 1.0)
                 || done >= screening.pairs
             {

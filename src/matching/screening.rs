@@ -5,7 +5,8 @@
 pub(super) struct Screening {
     /// Pairs of GCPs that are enough.
     pub pairs: usize,
-    /// A hypothesis that hits nothing with so many looks at other GCPs is dropped; a GCP outside the image is a look too.
+    /// A hypothesis that hits nothing with so many looks at other GCPs is dropped; a GCP outside the image is a look
+    /// too.
     pub first_looks: usize,
 }
 
@@ -43,8 +44,8 @@ mod tests {
     use super::*;
     use autoref_raster::random::SplitMix64;
 
-    /// A pair of 20 points drawn at random and the first looks: how often a pattern of few marks is noticed by the pairs that the
-    /// screening allows, counted instead of reckoned.
+    /// A pair of 20 points drawn at random and the first looks: how often a pattern of few marks is noticed by the
+    /// pairs that the screening allows, counted instead of reckoned.
     #[test]
     fn a_screened_search_notices_99_of_100_patterns() {
         for (hits, others, pairs) in [(4, 18, 190), (6, 18, 190), (10, 18, 190), (6, 48, 1225), (20, 198, 19_900)] {

@@ -26,7 +26,8 @@ const CHANCE_HIT: f64 = 0.02;
 const REFINED_PER_PAIR: usize = 6;
 /// From so many candidates on, pairs of GCPs are weighed before they are tried.
 const CROWD: usize = 3000;
-/// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of them.
+/// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
+/// them.
 const WORTH_THREADS: u64 = 10_000;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
@@ -88,7 +89,8 @@ pub(super) struct Search<'a> {
 /// The pairs of GCPs that a search holds: of long lists those that come first.
 const MOST_PAIRS: usize = 200_000;
 
-/// The pairs of GCPs in the order of trying, at most [`MOST_PAIRS`], and the number of hypotheses that the priors allow with all.
+/// The pairs of GCPs in the order of trying, at most [`MOST_PAIRS`], and the number of hypotheses that the priors allow
+/// with all.
 fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
     let diagonal = field.width_px.hypot(field.height_px);
     let distances = sampled_distances(field.points());
@@ -158,8 +160,8 @@ fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
 }
 
 impl<'a> Search<'a> {
-    /// The field ready for searching, the pairs of GCPs in order of trying, and the number of hypotheses that the priors
-    /// allow; `None` when they allow none.
+    /// The field ready for searching, the pairs of GCPs in order of trying, and the number of hypotheses that the
+    /// priors allow; `None` when they allow none.
     pub fn new(
         candidates: &[&Candidate],
         gcps: &'a [MapPoint],
@@ -183,10 +185,11 @@ impl<'a> Search<'a> {
         Some((search, pairs, possible))
     }
 
-    /// So many pairs of GCPs in a random order that one of them is noticed, but for one case in a hundred, if there is a pattern to be
-    /// believed (after M. A. Fischler and R. C. Bolles, "Random sample consensus", 1981): both its marks are in the image, and one of
-    /// the first looks hits a third (after J. Matas and O. Chum, "Randomized RANSAC with T(d,d) test", 2004; theirs asks all looks to
-    /// hit). As many first looks as make the search shortest; all pairs and all looks where the order is not random.
+    /// So many pairs of GCPs in a random order that one of them is noticed, but for one case in a hundred, if there is
+    /// a pattern to be believed (after M. A. Fischler and R. C. Bolles, "Random sample consensus", 1981): both its
+    /// marks are in the image, and one of the first looks hits a third (after J. Matas and O. Chum, "Randomized RANSAC
+    /// with T(d,d) test", 2004; theirs asks all looks to hit). As many first looks as make the search shortest; all
+    /// pairs and all looks where the order is not random.
     pub fn screening(&self, log10_limit: f64, pairs: usize) -> Screening {
         let whole = Screening { pairs, first_looks: Screening::EVERY_LOOK };
         if self.priors.gsd_m_per_px.is_some() || self.gcps.len() < 3 {
@@ -217,9 +220,9 @@ impl<'a> Search<'a> {
             && self.priors.rotation_deg.is_none_or(|(centre, half)| off(centre).min(360.0 - off(centre)) <= half)
     }
 
-    /// In a crowd the cheapest pairs tell nothing: seen from a short base the other GCPs may be anywhere, and somebody is
-    /// everywhere. Pairs whose true hypothesis would stand out among all chance ones come first, then the rest, both in the
-    /// order in which they came.
+    /// In a crowd the cheapest pairs tell nothing: seen from a short base the other GCPs may be anywhere, and somebody
+    /// is everywhere. Pairs whose true hypothesis would stand out among all chance ones come first, then the rest, both
+    /// in the order in which they came.
     fn telling_first(&self, pairs: Vec<GcpPair>) -> Vec<GcpPair> {
         if self.field.points().len() < CROWD || pairs.len() * self.gcps.len() > 20_000_000 {
             return pairs;
@@ -236,7 +239,8 @@ impl<'a> Search<'a> {
     }
 
     /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried: all, or from evenly
-    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks` see [`Screening`].
+    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks`
+    /// see [`Screening`].
     pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair);
         let fewest = self.fewest_hits(&targets);
@@ -248,9 +252,9 @@ impl<'a> Search<'a> {
         self.over_chosen_points(pair, budget, per_point, keep_best)
     }
 
-    /// The best of what `each` finds with points at the first end of a pair, and how many hypotheses it tried: with all points, or
-    /// evenly chosen with about as many as the budget of hypotheses allows. They are joined in any order: `keep_best` must go by a
-    /// total one.
+    /// The best of what `each` finds with points at the first end of a pair, and how many hypotheses it tried: with all
+    /// points, or evenly chosen with about as many as the budget of hypotheses allows. They are joined in any order:
+    /// `keep_best` must go by a total one.
     pub fn over_chosen_points<T: Send>(
         &self,
         pair: &GcpPair,
@@ -395,8 +399,8 @@ impl<'a> Search<'a> {
         self.turned_right(z_re, z_im).then_some((z_re, z_im))
     }
 
-    /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale they
-    /// must not lie beyond the farthest corner.
+    /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale
+    /// they must not lie beyond the farthest corner.
     fn in_reach<'t>(&self, pair: &GcpPair, targets: &'t [Target], from: PixelPoint) -> Cow<'t, [Target]> {
         let origin = self.field.origin();
         let (right, bottom) = (origin.x + self.field.width_px, origin.y + self.field.height_px);
@@ -445,8 +449,8 @@ impl<'a> Search<'a> {
     }
 
     /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
-    /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all GCPs
-    /// into one clump.
+    /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all
+    /// GCPs into one clump.
     #[inline]
     fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], demand: Demand) -> Option<f64> {
         let Demand { fewest, first_looks } = demand;

@@ -7,7 +7,8 @@ use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// Pairs of a pattern that it is weighed by, the longest; fewer where many points lie in the image, since every weighing takes long.
+/// Pairs of a pattern that it is weighed by, the longest; fewer where many points lie in the image, since every
+/// weighing takes long.
 const MOST_BASES: usize = 48;
 const FEW_BASES: usize = 4;
 const MANY: usize = 200;
@@ -34,8 +35,8 @@ impl Search<'_> {
 
     /// From a first list of pairs to the pattern that they and their neighbours settle on, weighed.
     pub fn settle(&self, mut similarity: Similarity, mut pairs: Vec<(usize, usize)>) -> Option<Pattern> {
-        // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the other
-        // pairs would tilt the whole pattern.
+        // Nobody is taken in whom chance would put there three times in a thousand: a false candidate far from the
+        // other pairs would tilt the whole pattern.
         let widest_px = self.chance_radius_px(0.003);
         let mut noise_px = 2.0;
         for _ in 0..16 {
@@ -49,7 +50,8 @@ impl Search<'_> {
             similarity = fit_equal_weights(&fitted)?;
             noise_px = usual_noise_px(&similarity, &fitted);
             let (centre, spread) = centre_and_spread(&fitted);
-            // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from them.
+            // The noise of few pairs may come out far too small: four neighbours would shut out all that lies far from
+            // them.
             let few = 1.0 + 8.0 / (fitted.len() as f64 - 2.0).powi(2);
             let next = self.assign(&similarity, |_, p| {
                 tolerance_px(few * noise_px, fitted.len(), centre, spread, p).min(widest_px)
@@ -110,8 +112,8 @@ impl Search<'_> {
         Pair { pixel, covariance_px2: None, map: self.gcps[gcp], survey_sigma_m: None }
     }
 
-    /// The nearest candidate to every GCP in the image. Marks found in pieces and points listed twice are one pair each: the
-    /// closest.
+    /// The nearest candidate to every GCP in the image. Marks found in pieces and points listed twice are one pair
+    /// each: the closest.
     fn assign(&self, similarity: &Similarity, radius_px: impl Fn(usize, PixelPoint) -> f64) -> Vec<(usize, usize)> {
         let mut hits: Vec<(f64, usize, usize, PixelPoint)> = (0..self.gcps.len())
             .filter_map(|k| {
@@ -137,7 +139,8 @@ impl Search<'_> {
         pairs
     }
 
-    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels, and the pairs that it goes by.
+    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels, and the pairs that it
+    /// goes by.
     pub(super) fn weigh(
         &self,
         similarity: Similarity,
@@ -181,8 +184,8 @@ impl Search<'_> {
     }
 }
 
-/// How far from its predicted place a mark may be: the length that a two-dimensional normal error of the mark and of the
-/// fit through `n` others exceeds once in 1,400.
+/// How far from its predicted place a mark may be: the length that a two-dimensional normal error of the mark and of
+/// the fit through `n` others exceeds once in 1,400.
 pub(super) fn tolerance_px(noise_px: f64, n: usize, centre: PixelPoint, spread: f64, p: PixelPoint) -> f64 {
     let arm = (p.x - centre.x).powi(2) + (p.y - centre.y).powi(2);
     3.8 * noise_px * (1.0 + 1.0 / n as f64 + arm / spread).sqrt()

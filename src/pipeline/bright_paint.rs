@@ -1,8 +1,8 @@
 //! Marks on ground of their own colour in less light: white on grey concrete, green on grass, orange on red soil.
 //!
-//! A profile takes paint in shade too, and that is the colour of such ground: mark and ground are one region, far too large for a
-//! mark. What is nearly as bright as fresh paint in full light is a mask of its own inside the profile's, in which the mark is a
-//! region again.
+//! A profile takes paint in shade too, and that is the colour of such ground: mark and ground are one region, far too
+//! large for a mark. What is nearly as bright as fresh paint in full light is a mask of its own inside the profile's,
+//! in which the mark is a region again.
 
 use crate::candidate::pixel_set::PixelSet;
 use crate::candidate::split::region_of;
@@ -43,10 +43,11 @@ impl BrightPaint {
         }
     }
 
-    /// Whether what the whole profile sees there may be a mark itself: then that decides. Of other things in about the paint's colour the
-    /// brightest part is any shape.
+    /// Whether what the whole profile sees there may be a mark itself: then that decides. Of other things in about the
+    /// paint's colour the brightest part is any shape.
     fn is_decided_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {
-        /// Ground goes on beyond the patch on so many of its sides, at least; a thing beside which there is other ground does not.
+        /// Ground goes on beyond the patch on so many of its sides, at least; a thing beside which there is other
+        /// ground does not.
         const GROUND_SIDES: usize = 3;
         let patch = pixels.whole();
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);

@@ -1,6 +1,6 @@
-//! When nothing fits, the picture is asked: compact objects of any saturated colour that stand out from their ground, sorted by
-//! colour; each cluster is tried against the list. The limit on false alarms holds for all clusters together, because the matcher
-//! that is given counts [`MOST_CLUSTERS`] of them, tried or not.
+//! When nothing fits, the picture is asked: compact objects of any saturated colour that stand out from their ground,
+//! sorted by colour; each cluster is tried against the list. The limit on false alarms holds for all clusters together,
+//! because the matcher that is given counts [`MOST_CLUSTERS`] of them, tried or not.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -121,8 +121,8 @@ fn place(rgb: [u8; 3]) -> Vector3<f64> {
     Vector3::new(lab[0] / 2.0, lab[1], lab[2])
 }
 
-/// Indices of the candidates of each cluster, the largest first: the candidate with the most neighbours in colour takes them all,
-/// and so on with what is left.
+/// Indices of the candidates of each cluster, the largest first: the candidate with the most neighbours in colour takes
+/// them all, and so on with what is left.
 fn clusters(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     // Neighbours are counted in cells of colour: candidates may be tens of thousands.
     let mut cells: std::collections::BTreeMap<[i32; 3], Vec<usize>> = std::collections::BTreeMap::new();

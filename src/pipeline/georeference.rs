@@ -136,7 +136,8 @@ fn unrefined(job: &Job<'_>, candidates: &[Candidate], expected: &[Expected]) -> 
     expected.iter().map(answer).collect()
 }
 
-/// Orients by a match that is believed already; points that the job's refinement does not see are looked for with `taught` too.
+/// Orients by a match that is believed already; points that the job's refinement does not see are looked for with
+/// `taught` too.
 ///
 /// # Errors
 /// When the raster cannot be read.
@@ -323,7 +324,8 @@ fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
 
 /// Where a GCP must be, and how far off it may be: what the match's noise and the fit's uncertainty there allow.
 fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, density: f64) -> Expected {
-    /// Where the fit is less sure than a mark, a candidate that chance puts there more often than this is no mark of the point.
+    /// Where the fit is less sure than a mark, a candidate that chance puts there more often than this is no mark of
+    /// the point.
     const CHANCE: f64 = 0.0002;
     let position = solution.similarity.invert(point.position());
     let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;

@@ -20,8 +20,8 @@ pub enum MarkDetector {
 
 impl MarkDetector {
     /// # Errors
-    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown, or asks for coded targets in a build
-    /// without the cargo feature `coded`.
+    /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown, or asks for coded targets in a
+    /// build without the cargo feature `coded`.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
         let colours = MarkDetector::colours(&profile)?;
         MarkDetector::with_colours(profile, colours, info, gsd_m)

@@ -1,6 +1,7 @@
 //! Threads, channels and the memory budget: the only wiring.
 //!
-//! [`autoref_raster::memory_plan::plan()`] works out what fits before anything is read, [`scan()`] runs the stages from tiles to candidates.
+//! [`autoref_raster::memory_plan::plan()`] works out what fits before anything is read, [`scan()`] runs the stages from
+//! tiles to candidates.
 //!
 //! ```
 //! use autoref_raster::memory_plan::{PlanOptions, plan};

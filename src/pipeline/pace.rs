@@ -1,7 +1,7 @@
 //! Keeps the tiles that are under way close together, and what is fetched of the file close before them.
 //!
-//! What was found at the faces of a tile that comes late waits for it in memory, and the longer the scan, the later the latest
-//! comes: without a bound the peak would grow with the file.
+//! What was found at the faces of a tile that comes late waits for it in memory, and the longer the scan, the later the
+//! latest comes: without a bound the peak would grow with the file.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -18,7 +18,8 @@ pub(super) struct Pace {
 
 struct Reached {
     first_missing: u64,
-    /// The nearest place that anybody waits for: to wake whoever waits for more would only cost the time of those who work.
+    /// The nearest place that anybody waits for: to wake whoever waits for more would only cost the time of those who
+    /// work.
     wanted: u64,
 }
 
@@ -73,8 +74,8 @@ impl Pace {
         self.reached(u64::MAX);
     }
 
-    /// A worker that panics leaves a tile that never comes. Nobody may wait for it, or the panic would not be heard: the guard
-    /// lifts the pace when it is dropped by one.
+    /// A worker that panics leaves a tile that never comes. Nobody may wait for it, or the panic would not be heard:
+    /// the guard lifts the pace when it is dropped by one.
     pub fn lifted_by_panic(&self) -> impl Drop + '_ {
         struct Guard<'a>(&'a Pace);
         impl Drop for Guard<'_> {

@@ -13,8 +13,8 @@ const SIDE_PX: u64 = 64;
 const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
 /// Fewer pixels than these say nothing.
 const FEWEST_PIXELS: usize = 100;
-/// Bare ground, roofs and dry grass are redder than blue. Above this share of coloured pixels that are bluer, by this factor, the
-/// bands may stand in the order blue, green, red.
+/// Bare ground, roofs and dry grass are redder than blue. Above this share of coloured pixels that are bluer, by this
+/// factor, the bands may stand in the order blue, green, red.
 const BLUISH_SHARE: f64 = 0.8;
 const BLUISH: f64 = 1.08;
 

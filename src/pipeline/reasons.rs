@@ -106,8 +106,8 @@ impl NotFound {
     }
 }
 
-/// Why each point without a mark has none, in the order of the list: those inside the image, then those outside. Without a source
-/// (a list of candidates alone) nothing can be looked at, and points inside are hidden.
+/// Why each point without a mark has none, in the order of the list: those inside the image, then those outside.
+/// Without a source (a list of candidates alone) nothing can be looked at, and points inside are hidden.
 ///
 /// # Errors
 /// When a window cannot be read.

@@ -1,10 +1,10 @@
 //! Tiles in, candidates out: `Tile → Block → Mask → TileRegions → Region → Candidate`.
 //!
 //! Workers take tiles in order, kept close together by `pipeline::pace`; each does one tile at a time from reading to
-//! labelling, and the calling thread merges. Marks whose surroundings lie inside a tile are examined by its worker at once, while their pixels are
-//! there; those that straddle tiles are examined as soon as the last of these tiles is read, from pixels along the faces
-//! that were kept for them (`pipeline::seams`), or else through small windows read again. Either way the examination sees the
-//! same pixels, so that no candidate depends on the tiling.
+//! labelling, and the calling thread merges. Marks whose surroundings lie inside a tile are examined by its worker at
+//! once, while their pixels are there; those that straddle tiles are examined as soon as the last of these tiles is
+//! read, from pixels along the faces that were kept for them (`pipeline::seams`), or else through small windows read
+//! again. Either way the examination sees the same pixels, so that no candidate depends on the tiling.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -30,8 +30,8 @@ use autoref_raster::{Block, BufferPool, Piece, RasterInfo, RasterSource, ReadSta
 
 /// More marks than this are no marks; also what bounds memory on a picture of confetti.
 pub const MAX_CANDIDATES: usize = 1_000_000;
-/// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second of a fast
-/// disk. It lies in the system's cache, not in ours.
+/// The system is asked to fetch so much of the file before the tiles that are under way: a few hundredths of a second
+/// of a fast disk. It lies in the system's cache, not in ours.
 const FETCH_AHEAD_BYTES: u64 = 64 << 20;
 /// Straddling marks that may wait for each worker, with the pixels around them.
 const STRADDLERS_PER_WORKER: usize = 64;
@@ -152,8 +152,8 @@ pub fn scan(
     straddling.sort_by_key(|straddler| (straddler.seen.region.first, straddler.seen.layer));
     for batch in straddling.chunks(plan.workers) {
         examined.extend(examine_windows(source, detector, batch)?);
-        // Or the blocks around far windows would fill the cache, in a long scan more than in a short one. A source that reads
-        // from the top down needs its cache to step back.
+        // Or the blocks around far windows would fill the cache, in a long scan more than in a short one. A source that
+        // reads from the top down needs its cache to step back.
         if !source.info().sequential {
             source.release(source.info().bounds());
         }
@@ -320,8 +320,8 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Until there are no more outputs. What is complete goes to the workers through `straddlers`; what is left in the end
-    /// is in `collected`.
+    /// Until there are no more outputs. What is complete goes to the workers through `straddlers`; what is left in the
+    /// end is in `collected`.
     fn run(
         &mut self,
         outputs: &crossbeam_channel::Receiver<Result<TileOutput>>,
@@ -398,8 +398,8 @@ impl<'a> Collector<'a> {
         Ok(())
     }
 
-    /// Lets go of the tiles that have come: of their file blocks when no tile can want them any more, and of their seams when no
-    /// region that straddles them can be open still.
+    /// Lets go of the tiles that have come: of their file blocks when no tile can want them any more, and of their
+    /// seams when no region that straddles them can be open still.
     fn release_behind(&mut self) {
         let grid = &self.plan.grid;
         let (margin, largest) = (self.detector.patch_margin_px(), self.detector.largest_mark_px());
@@ -507,7 +507,8 @@ impl Worker<'_> {
         }
     }
 
-    /// Block → Mask → TileRegions, and what can be examined at once. The masks hold what [`Detector::segment_piece`] set.
+    /// Block → Mask → TileRegions, and what can be examined at once. The masks hold what [`Detector::segment_piece`]
+    /// set.
     fn process(&self, tile: &Tile, block: &Block, masks: &mut [Mask], labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
         let layers = Layer::all(self.detector);

@@ -1,5 +1,5 @@
-//! Pixels along the faces of tiles, kept until the regions that straddle them are complete, so that no file block must be kept
-//! or decoded again for a mark that lies in two tiles.
+//! Pixels along the faces of tiles, kept until the regions that straddle them are complete, so that no file block must
+//! be kept or decoded again for a mark that lies in two tiles.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,8 +20,8 @@ pub(super) struct Seam {
 }
 
 impl Seam {
-    /// Whatever of this tile the examination of a straddling region can ask for: a margin along every face for regions of
-    /// the neighbours, and the surroundings of its own regions as far as they may grow beyond the face.
+    /// Whatever of this tile the examination of a straddling region can ask for: a margin along every face for regions
+    /// of the neighbours, and the surroundings of its own regions as far as they may grow beyond the face.
     pub fn of_tile<'a>(
         (block, tile): (&Block, &Tile),
         straddling: impl Iterator<Item = &'a Region>,
@@ -83,8 +83,9 @@ fn faces(core: Window, bounds: Window, margin: u64) -> [Window; 4] {
     ]
 }
 
-/// Buffers for bands along the longer faces of a grid's tiles. Bands come and go with every tile: in buffers that are used again they
-/// need no memory that was not touched before, and leave no holes in it. Samples of 16 bits lie in memory of their own.
+/// Buffers for bands along the longer faces of a grid's tiles. Bands come and go with every tile: in buffers that are
+/// used again they need no memory that was not touched before, and leave no holes in it. Samples of 16 bits lie in
+/// memory of their own.
 pub(super) fn band_pool(grid: &TileGrid, margin_px: u64, info: &RasterInfo) -> BufferPool {
     let longest = grid.tile_width().max(grid.tile_height());
     let band_bytes = longest * margin_px * info.bands as u64;
@@ -193,7 +194,8 @@ impl Seams {
         }
     }
 
-    /// Keeps of a tile no more than its lowest rows: what a region can ask for when all tiles above and beside it have come.
+    /// Keeps of a tile no more than its lowest rows: what a region can ask for when all tiles above and beside it have
+    /// come.
     pub fn keep_lowest(&mut self, tile: u64, rows: u64) {
         let core = self.grid.tile(tile).core;
         let lowest =

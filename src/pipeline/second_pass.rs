@@ -14,8 +14,9 @@ use autoref_raster::{Patch, RasterSource, read_patch};
 
 /// Most marks that teach.
 const MOST_TEACHERS: usize = 12;
-/// After a refusal nobody knows whether marks have taught or ground. Marks are like their teachers and score best; ground gives
-/// thousands of candidates, and to refuse them would take minutes. So many of the strongest are matched, or so many for each point.
+/// After a refusal nobody knows whether marks have taught or ground. Marks are like their teachers and score best;
+/// ground gives thousands of candidates, and to refuse them would take minutes. So many of the strongest are matched,
+/// or so many for each point.
 const MOST_LEARNED: usize = 200;
 const MOST_LEARNED_EACH: usize = 5;
 
@@ -92,8 +93,8 @@ impl SecondPass {
     }
 }
 
-/// Teaches a profile by what the first pass found and runs the job again with it; the better run comes back. A second run
-/// that solves a refused job, or finds more GCPs, is better. `None` with the first run when nothing can be learned.
+/// Teaches a profile by what the first pass found and runs the job again with it; the better run comes back. A second
+/// run that solves a refused job, or finds more GCPs, is better. `None` with the first run when nothing can be learned.
 ///
 /// # Errors
 /// When the raster cannot be read.
@@ -126,8 +127,9 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
 /// Patterns with as many expected false alarms as this (log₁₀), or more, are weak.
 const WEAK_LOG10: f64 = -5.0;
 
-/// Looks again where it can help: in the windows of points that must be in the image and are not matched, with a profile taught by
-/// those that are; and by a whole second pass where the pattern is weak. `None` with the run as it was where nothing is missing.
+/// Looks again where it can help: in the windows of points that must be in the image and are not matched, with a
+/// profile taught by those that are; and by a whole second pass where the pattern is weak. `None` with the run as it
+/// was where nothing is missing.
 ///
 /// # Errors
 /// When the raster cannot be read.

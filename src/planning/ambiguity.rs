@@ -1,11 +1,12 @@
 //! In how many ways does a pattern fit itself?
 //!
-//! A wrong match is a similarity (perhaps a mirroring one) that lays most of the marks on surveyed points of other names.
-//! When it misses u of them and just these u are lost, the wrong match explains what is left as well as the right one. So a
-//! pattern is safe against the loss of k marks when every similarity but the identity misses more than k.
+//! A wrong match is a similarity (perhaps a mirroring one) that lays most of the marks on surveyed points of other
+//! names. When it misses u of them and just these u are lost, the wrong match explains what is left as well as the
+//! right one. So a pattern is safe against the loss of k marks when every similarity but the identity misses more than
+//! k.
 //!
-//! The search is complete: of k + 1 disjoint pairs of points at least one has both ends hit when no more than k points are
-//! missed, so laying each of these pairs on every pair of points in turn meets every such similarity.
+//! The search is complete: of k + 1 disjoint pairs of points at least one has both ends hit when no more than k points
+//! are missed, so laying each of these pairs on every pair of points in turn meets every such similarity.
 
 use std::collections::HashSet;
 
@@ -108,8 +109,8 @@ fn source(p: MapPoint, mirrored: Handedness) -> PixelPoint {
     PixelPoint { x: p.easting, y: -mirrored.sign() * p.northing }
 }
 
-/// Every ambiguity that the freedom allows, the worst (fewest missed, then nearest) first. Of a similarity and its inverse
-/// one is listed.
+/// Every ambiguity that the freedom allows, the worst (fewest missed, then nearest) first. Of a similarity and its
+/// inverse one is listed.
 pub fn find(places: &[MapPoint], freedom: &Freedom) -> Vec<Ambiguity> {
     let sorted = Sorted::new(places);
     let n = places.len();

@@ -1,5 +1,5 @@
-//! Before the flight: will the pattern of the marks be recognised, how well will it hold the image, how large must a mark
-//! be, and which paint stands out? Nothing here needs an image but the last question, which needs an old one.
+//! Before the flight: will the pattern of the marks be recognised, how well will it hold the image, how large must a
+//! mark be, and which paint stands out? Nothing here needs an image but the last question, which needs an old one.
 
 pub mod ambiguity;
 mod moves;
@@ -15,8 +15,8 @@ use serde::Serialize;
 
 use autoref_raster::coords::MapPoint;
 
-/// Sides of marks, pixels, from `docs/benchmark-detection.md`: from the smaller on at least 99 % are found, at the larger
-/// the centre is also known to a twentieth of a pixel and wear costs little.
+/// Sides of marks, pixels, from `docs/benchmark-detection.md`: from the smaller on at least 99 % are found, at the
+/// larger the centre is also known to a twentieth of a pixel and wear costs little.
 pub const SMALLEST_MARK_PX: f64 = 6.0;
 pub const COMFORTABLE_MARK_PX: f64 = 10.0;
 /// Fewest marks that the matcher can believe in without other knowledge (`docs/limitations.md`).
@@ -25,8 +25,8 @@ pub const FEWEST_MARKS: usize = 4;
 pub const TOLERANCE_PX: f64 = 12.0;
 /// The same when the size of a pixel is unknown: [`TOLERANCE_PX`] of an image of some 5,000 pixels.
 pub const TOLERANCE_SHARE: f64 = 0.0025;
-/// 1σ of a coordinate of a mark about a similarity, pixels, in a real orthophoto: that of the 14 points of Table B.8 of the
-/// 2016 thesis (RMSE 0.0641 m at 0.032 m, 24 redundant of 28).
+/// 1σ of a coordinate of a mark about a similarity, pixels, in a real orthophoto: that of the 14 points of Table B.8 of
+/// the 2016 thesis (RMSE 0.0641 m at 0.032 m, 24 redundant of 28).
 pub const TYPICAL_NOISE_PX: f64 = 1.5;
 
 /// What is asked.

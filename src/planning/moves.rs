@@ -1,7 +1,7 @@
 //! Which point to move, and where to, so that the pattern no longer fits itself.
 //!
-//! Greedy: of all single moves (some points, eight directions, a few lengths) the one that leaves the fewest ways of fitting,
-//! and of those the shortest; again, until none is left.
+//! Greedy: of all single moves (some points, eight directions, a few lengths) the one that leaves the fewest ways of
+//! fitting, and of those the shortest; again, until none is left.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -13,7 +13,8 @@ use autoref_raster::coords::MapPoint;
 const LENGTHS: [f64; 4] = [4.0, 7.0, 12.0, 20.0];
 /// More moves than this are a new plan.
 const MOST_MOVES: usize = 6;
-/// Points tried in a round, and hypotheses looked at for it: of several hundred points fewer are tried, of a thousand none.
+/// Points tried in a round, and hypotheses looked at for it: of several hundred points fewer are tried, of a thousand
+/// none.
 const MOST_TRIED: usize = 16;
 const HYPOTHESES_PER_ROUND: usize = 40_000_000;
 const WINDS: [(&str, f64); 8] = [

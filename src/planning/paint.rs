@@ -21,8 +21,8 @@ pub struct PaintRank {
     pub profile: String,
     /// Share of the ground that would be taken for paint.
     pub ground_share: f64,
-    /// Distance of the ground's colours from the paint, over the profile's limit (up to 1 is paint): what all but one in ten
-    /// thousand pixels exceed, and all but one in a hundred.
+    /// Distance of the ground's colours from the paint, over the profile's limit (up to 1 is paint): what all but one
+    /// in ten thousand pixels exceed, and all but one in a hundred.
     pub margin_p0001: f64,
     pub margin_p01: f64,
     pub pixels: usize,

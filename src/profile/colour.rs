@@ -1,8 +1,8 @@
 //! Colours and distances between them.
 //!
-//! sRGB to CIE XYZ after IEC 61966-2-1 (white point D65), XYZ to L\*a\*b\* after CIE 15:2004. The three distances are those
-//! of the 2016 prototype: Euclidean, standardised Euclidean and Mahalanobis (P. C. Mahalanobis, "On the generalised
-//! distance in statistics", 1936).
+//! sRGB to CIE XYZ after IEC 61966-2-1 (white point D65), XYZ to L\*a\*b\* after CIE 15:2004. The three distances are
+//! those of the 2016 prototype: Euclidean, standardised Euclidean and Mahalanobis (P. C. Mahalanobis, "On the
+//! generalised distance in statistics", 1936).
 
 use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 use nalgebra::{Matrix3, Vector3};
@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, Vector3};
 /// White point D65, 2° observer.
 const WHITE: [f64; 3] = [0.950_47, 1.0, 1.088_83];
 
-/// XYZ over the white point's, from linear red, green, blue. Every coefficient is positive, so that each output rises with
-/// each input: the table builder relies on it.
+/// XYZ over the white point's, from linear red, green, blue. Every coefficient is positive, so that each output rises
+/// with each input: the table builder relies on it.
 pub(crate) fn xyz_from_linear(c: [f64; 3]) -> [f64; 3] {
     [
         (0.412_456_4 * c[0] + 0.357_576_1 * c[1] + 0.180_437_5 * c[2]) / WHITE[0],
@@ -29,8 +29,8 @@ pub(crate) fn lab_f(t: f64) -> f64 {
     if t > LAB_KNEE { t.cbrt() } else { (KAPPA * t + 16.0) / 116.0 }
 }
 
-/// [`lab_f`] within [`LAB_F_NEAR`] of itself, relatively, in a fraction of the time: a table of colours asks it millions of
-/// times whether the exact answer matters. One step of Halley's method from a third of the exponent.
+/// [`lab_f`] within [`LAB_F_NEAR`] of itself, relatively, in a fraction of the time: a table of colours asks it
+/// millions of times whether the exact answer matters. One step of Halley's method from a third of the exponent.
 pub(crate) fn lab_f_near(t: f64) -> f64 {
     if t <= LAB_KNEE {
         return lab_f(t);

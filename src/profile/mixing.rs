@@ -1,9 +1,9 @@
 //! Where the shipped colour clouds come from: a mixing model, not one photograph.
 //!
-//! A pixel of a mark is paint seen through wear, light and blur: the paint's reflectance, mixed in linear light with 0–40 % of
-//! a ground that shines through (fading), lit by full sun to open shade (which is dimmer and bluer), mixed again with up to
-//! a quarter of ground by the blur of the border, and exposed. The cloud is the mean and covariance of that population in
-//! L\*a\*b\*; `tools/derive_profiles.rs` prints the TOML of every shipped profile from it.
+//! A pixel of a mark is paint seen through wear, light and blur: the paint's reflectance, mixed in linear light with
+//! 0–40 % of a ground that shines through (fading), lit by full sun to open shade (which is dimmer and bluer), mixed
+//! again with up to a quarter of ground by the blur of the border, and exposed. The cloud is the mean and covariance of
+//! that population in L\*a\*b\*; `tools/derive_profiles.rs` prints the TOML of every shipped profile from it.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,8 +11,8 @@ use super::CloudSpec;
 use super::colour::lab_from_srgb;
 use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 
-/// Reflectances of common grounds, linear red, green, blue: asphalt old and new, concrete, gravel, grass green and dry, soil
-/// brown and red, sand, snow-bright lime.
+/// Reflectances of common grounds, linear red, green, blue: asphalt old and new, concrete, gravel, grass green and dry,
+/// soil brown and red, sand, snow-bright lime.
 pub const GROUNDS: [[f64; 3]; 10] = [
     [0.08, 0.08, 0.08],
     [0.16, 0.16, 0.155],

@@ -1,5 +1,5 @@
-//! What a mark looks like: colour, size, shape, and the limits of every gate. A profile is a small TOML file; the shipped
-//! ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
+//! What a mark looks like: colour, size, shape, and the limits of every gate. A profile is a small TOML file; the
+//! shipped ones are compiled in (`src/profile/builtin/`). Every option is listed in `docs/detection-options.md`.
 //!
 //! ```
 //! use autoref_stream::profile::Profile;
@@ -143,8 +143,8 @@ pub struct RoughDistance {
     pub covariance: [[f64; 3]; 3],
 }
 
-/// Side (or diameter) of a mark; in pixels, in metres (then the ground sample distance must be known), or both: metres win
-/// where the ground sample distance is known.
+/// Side (or diameter) of a mark; in pixels, in metres (then the ground sample distance must be known), or both: metres
+/// win where the ground sample distance is known.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Size {

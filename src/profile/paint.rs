@@ -1,7 +1,7 @@
 //! Profiles of paints by their colour: RAL Classic and a few others by name, any other from its sRGB value.
 //!
-//! The clouds are those of the mixing model ([`super::mixing`]) for the paint itself, fresh and worn. sRGB values of RAL colours differ
-//! from table to table; both that are in wide use are taken.
+//! The clouds are those of the mixing model ([`super::mixing`]) for the paint itself, fresh and worn. sRGB values of
+//! RAL colours differ from table to table; both that are in wide use are taken.
 
 use super::colour::Space;
 use super::mixing::{Mixing, cloud, population};
@@ -67,8 +67,8 @@ impl Profile {
         Some(Profile::of_paint([byte(0)?, byte(2)?, byte(4)?]))
     }
 
-    /// Any paint at all: saturated colours all around the circle, and white. Only to see what might be marks when a profile finds
-    /// none; what it finds is sorted by colour.
+    /// Any paint at all: saturated colours all around the circle, and white. Only to see what might be marks when a
+    /// profile finds none; what it finds is sorted by colour.
     pub fn any_paint() -> Profile {
         let mut wheel: Vec<[u8; 3]> = vec![[200, 25, 30], [34, 113, 179], [0, 60, 200], [87, 166, 57], [255, 105, 180]];
         for sixth in 0..6u8 {
@@ -145,8 +145,8 @@ fn of(name: &str, description: String, srgb: &[[u8; 3]]) -> Profile {
     }
 }
 
-/// One fresh paint of each shipped profile, in full sun: of those that `tools/derive_profiles.rs` makes the clouds from,
-/// but for orange, which is the benchmark's.
+/// One fresh paint of each shipped profile, in full sun: of those that `tools/derive_profiles.rs` makes the clouds
+/// from, but for orange, which is the benchmark's.
 pub(super) const FRESH: [(&str, [u8; 3]); 6] = [
     ("orange", [255, 110, 20]),
     ("pink", [255, 20, 147]),
@@ -157,9 +157,9 @@ pub(super) const FRESH: [(&str, [u8; 3]); 6] = [
 ];
 
 impl Profile {
-    /// The least red, green and blue of this paint in nearly full light, sRGB 0..=255: asked of the bands in which it is brightest.
-    /// `None` of profiles whose mask is filtered, whose regions are taken apart, or whose centres are not fitted, and of white and
-    /// any paint at once.
+    /// The least red, green and blue of this paint in nearly full light, sRGB 0..=255: asked of the bands in which it
+    /// is brightest. `None` of profiles whose mask is filtered, whose regions are taken apart, or whose centres are not
+    /// fitted, and of white and any paint at once.
     pub(crate) fn least_in_full_light(&self) -> Option<[u8; 3]> {
         /// Share of the light.
         const LEAST_LIGHT: f64 = 0.8;
@@ -177,8 +177,8 @@ impl Profile {
         Some(fresh.map(|v| if v >= BRIGHT_BAND * most { (LEAST_LIGHT * v).round() as u8 } else { 0 }))
     }
 
-    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what was learned,
-    /// or the middle of the first cloud.
+    /// The colour of a new mark of this profile in full sun, sRGB 0..=255: that of a shipped paint, the mean of what
+    /// was learned, or the middle of the first cloud.
     pub fn fresh_paint(&self) -> [u8; 3] {
         let byte = |rgb: [f64; 3]| rgb.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8);
         if let Some((_, paint)) = FRESH.iter().find(|(name, _)| *name == self.name) {

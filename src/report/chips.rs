@@ -1,5 +1,5 @@
-//! Small windows around marks: from what the scan kept of them, else by one read each after the run, in parallel where the
-//! source allows it.
+//! Small windows around marks: from what the scan kept of them, else by one read each after the run, in parallel where
+//! the source allows it.
 
 use rayon::prelude::*;
 

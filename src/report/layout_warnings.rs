@@ -43,8 +43,8 @@ fn ground(value_m: f64) -> String {
     }
 }
 
-/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` when nothing is known of
-/// the noise, or there is none.
+/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` when nothing is
+/// known of the noise, or there is none.
 fn corner_error(solution: &Solution, width_px: f64, height_px: f64) -> Option<(f64, f64, String)> {
     let amid = ErrorModel::new(solution)?.at(solution.centre).transform_95_m;
     let worst = corners(solution, (width_px, height_px))

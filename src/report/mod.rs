@@ -2,9 +2,9 @@
 //!
 //! The overview is gathered during the scan ([`Overview`]), the chips are cut after it ([`gather`]), and [`page`] puts
 //! both with the result into a page of fixed markup, style and script. All that comes from files (names of GCPs, paths,
-//! messages) is in one block of JSON whose `<` are escaped, and reaches the document as text only, so that a name cannot
-//! become markup. The page draws plots and tables itself, because the review redraws them; it asks for nothing over
-//! the network, and a content security policy in it says so to the browser.
+//! messages) is in one block of JSON whose `<` are escaped, and reaches the document as text only, so that a name
+//! cannot become markup. The page draws plots and tables itself, because the review redraws them; it asks for nothing
+//! over the network, and a content security policy in it says so to the browser.
 
 mod chips;
 mod jpeg;
@@ -105,8 +105,8 @@ struct OverviewData<'a> {
     src: &'a str,
 }
 
-/// The whole page. `source` is the name (without folder) of the result file beside it, `sections` come before the technical
-/// part in their order, and `made` is when, in words.
+/// The whole page. `source` is the name (without folder) of the result file beside it, `sections` come before the
+/// technical part in their order, and `made` is when, in words.
 ///
 /// # Errors
 /// Those of making pictures; see [`gather`].

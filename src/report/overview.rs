@@ -33,8 +33,8 @@ impl Stretch {
     }
 }
 
-/// The growing overview. Every pixel of it is the mean of four pixels of the raster at fixed places, each of which lies in the
-/// core of one tile, so that the picture does not depend on the tiling. What holds no data is white.
+/// The growing overview. Every pixel of it is the mean of four pixels of the raster at fixed places, each of which lies
+/// in the core of one tile, so that the picture does not depend on the tiling. What holds no data is white.
 pub struct Overview {
     width: usize,
     height: usize,
@@ -77,7 +77,8 @@ impl Overview {
         }
     }
 
-    /// Takes what it needs of a tile, unless it had it before. Cores must not overlap; `core` lies in the block's window.
+    /// Takes what it needs of a tile, unless it had it before. Cores must not overlap; `core` lies in the block's
+    /// window.
     pub fn add(&self, block: &Block, core: Window) {
         if !self.added.lock().unwrap_or_else(PoisonError::into_inner).insert((core.x, core.y)) {
             return;
@@ -138,8 +139,8 @@ impl Overview {
         }
     }
 
-    /// The picture so far, and the stretch it was made with: none for 8 bits; for more, from the darkest to the brightest
-    /// half per cent of what is seen, since few such images use their whole range.
+    /// The picture so far, and the stretch it was made with: none for 8 bits; for more, from the darkest to the
+    /// brightest half per cent of what is seen, since few such images use their whole range.
     pub fn picture(&self) -> (Rgb8, Stretch) {
         let sums = self.sums.lock().unwrap_or_else(PoisonError::into_inner);
         // A sum of four samples, back to one.

@@ -1,5 +1,5 @@
-//! The flat JSON object of a result, with its keys in the order in which they are written. Every key is here; which of them
-//! hold a value follows from the outcome, and an object that contradicts itself is not read.
+//! The flat JSON object of a result, with its keys in the order in which they are written. Every key is here; which of
+//! them hold a value follows from the outcome, and an object that contradicts itself is not read.
 
 use std::borrow::Cow;
 

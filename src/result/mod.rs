@@ -46,7 +46,8 @@ pub struct RunResult {
     pub gcps_listed: usize,
     /// The whole list as it was used in the fit, in the order of the file.
     pub gcps: Vec<Gcp>,
-    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another CRS.
+    /// `gcps` and `solution` are in the metres of the fit, `geotransform` and the matches in other units or another
+    /// CRS.
     pub delivered: bool,
     pub candidates_found: usize,
     pub candidates: Vec<Candidate>,
@@ -283,8 +284,8 @@ impl RunResult {
     /// Reads a document that a run has written.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document, [`Error::Unsupported`]
-    /// when it is of a later version.
+    /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document,
+    /// [`Error::Unsupported`] when it is of a later version.
     pub fn read(path: &Path) -> Result<Self> {
         let text = bounded::read_to_string(path, "a result", bounded::DOCUMENT_BYTES)?;
         let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());

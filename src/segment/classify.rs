@@ -1,10 +1,10 @@
 //! Which pixels are paint: exactly, and at memory speed.
 //!
-//! The decision on an 8-bit colour depends on three bytes, so it is a table of 2²⁴ bits (2 MiB), computed once per profile
-//! from the scalar reference [`PaintTest`] (`segment::table`). A row first
-//! goes through a vectorised test of the accepted colours' bounds (see [`super::kernels`]), which drops nearly all pixels of an
-//! ordinary image, and what is left is looked up. 16-bit samples are scaled to 8 bits by `(255·v + white/2) / white`, never
-//! by a tile's own statistics, so that the answer does not depend on the tiling.
+//! The decision on an 8-bit colour depends on three bytes, so it is a table of 2²⁴ bits (2 MiB), computed once per
+//! profile from the scalar reference [`PaintTest`] (`segment::table`). A row first goes through a vectorised test of
+//! the accepted colours' bounds (see [`super::kernels`]), which drops nearly all pixels of an ordinary image, and what
+//! is left is looked up. 16-bit samples are scaled to 8 bits by `(255·v + white/2) / white`, never by a tile's own
+//! statistics, so that the answer does not depend on the tiling.
 
 use std::sync::Arc;
 
@@ -76,8 +76,8 @@ impl PaintTest {
     }
 }
 
-/// The colours that a profile takes for paint, each decided once: what takes time about a [`Classifier`], and does not depend
-/// on the image. Cheap to clone.
+/// The colours that a profile takes for paint, each decided once: what takes time about a [`Classifier`], and does not
+/// depend on the image. Cheap to clone.
 #[derive(Clone)]
 pub struct PaintColours {
     table: Arc<ColourTable>,
@@ -112,8 +112,8 @@ pub struct Classifier {
 }
 
 impl Classifier {
-    /// `rgb` and `alpha` are sample indices in a pixel (one grey band three times is fine); `white` is the sample value of
-    /// full white; a pixel whose colour samples all equal `nodata`, or whose alpha is 0, is background.
+    /// `rgb` and `alpha` are sample indices in a pixel (one grey band three times is fine); `white` is the sample value
+    /// of full white; a pixel whose colour samples all equal `nodata`, or whose alpha is 0, is background.
     ///
     /// # Errors
     /// [`Error::Usage`] when the profile is not valid or `white` is 0.
@@ -158,7 +158,8 @@ impl Classifier {
         &self.test
     }
 
-    /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the nearest caches.
+    /// The table's answer for an 8-bit colour. The bounds spare most colours the table, which is larger than the
+    /// nearest caches.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
         self.table.bounds.passes(colour) && self.accepts(colour)
     }
@@ -167,7 +168,8 @@ impl Classifier {
         (0..3).all(|c| colour[c] >= self.least[c]) && self.table.get(colour)
     }
 
-    /// Which of a window's pixels are paint: `colours` red, green, blue as the file has them, `valid` where there is any.
+    /// Which of a window's pixels are paint: `colours` red, green, blue as the file has them, `valid` where there is
+    /// any.
     ///
     /// # Panics
     /// When the two are not of one length.
@@ -196,7 +198,8 @@ impl Classifier {
         scale(sample, self.white)
     }
 
-    /// One bit a pixel: is it paint? `bits` has `ceil(row.len / 64)` words; all are overwritten, unused high bits are zero.
+    /// One bit a pixel: is it paint? `bits` has `ceil(row.len / 64)` words; all are overwritten, unused high bits are
+    /// zero.
     ///
     /// # Panics
     /// When `bits` or the row's samples are too short.
@@ -222,8 +225,8 @@ impl Classifier {
         }
     }
 
-    /// Of a row whose paint is known, `bits` as [`Classifier::classify_row`] of a classifier without a least gives them, what has
-    /// the least.
+    /// Of a row whose paint is known, `bits` as [`Classifier::classify_row`] of a classifier without a least gives
+    /// them, what has the least.
     pub fn narrow_row(&self, row: PixelRow<'_>, bits: &mut [u64]) {
         let bright = |colour: [u16; 3]| (0..3).all(|c| self.to_byte(colour[c]) >= self.least[c]);
         match row.samples {

@@ -1,10 +1,10 @@
-//! Filters of the mask that need to see beyond a tile's core: median, closing and opening with a disc or an element of one's
-//! own, bounded filling of holes.
+//! Filters of the mask that need to see beyond a tile's core: median, closing and opening with a disc or an element of
+//! one's own, bounded filling of holes.
 //!
 //! Each filter is local: the bits inside the core depend only on bits at most [`MaskFilters::halo_px`] away, so any
-//! tiling gives the same mask. Beyond the raster's edge there is nothing: background for the median and for dilation, and
-//! no obstacle for erosion, so that a mark on the edge is not eaten. Holes are filled only inside regions no larger than
-//! the largest mark, because filling without a bound is not local.
+//! tiling gives the same mask. Beyond the raster's edge there is nothing: background for the median and for dilation,
+//! and no obstacle for erosion, so that a mark on the edge is not eaten. Holes are filled only inside regions no larger
+//! than the largest mark, because filling without a bound is not local.
 
 use autoref_raster::mask::morphology::{closed, fill_holes, median3, opened};
 use autoref_raster::mask::{Element, Mask};
@@ -48,8 +48,8 @@ impl MaskFilters {
         u64::from(self.median) + twice(&self.closing) + fill + twice(&self.opening)
     }
 
-    /// Filters the mask of a read window in place, in the order median, closing, filling, opening. What comes out is right
-    /// at least [`MaskFilters::halo_px`] inside the window, and up to edges that are the raster's.
+    /// Filters the mask of a read window in place, in the order median, closing, filling, opening. What comes out is
+    /// right at least [`MaskFilters::halo_px`] inside the window, and up to edges that are the raster's.
     pub fn apply(&self, mask: &mut Mask) {
         if self.median {
             *mask = median3(mask);

@@ -1,9 +1,9 @@
 //! Connected regions of a mask, found in one pass over its rows.
 //!
 //! Rows become runs; runs of neighbouring rows that touch (8-connected) are united. A region that has no run in the
-//! current row is complete and leaves at once, so that what is held is bounded by a row and the tile's outline, never by
-//! the number of regions: a mask of pure noise costs no more than an empty one. What touches a face shared with another
-//! tile stays open for [`crate::merge::RegionMerger`].
+//! current row is complete and leaves at once, so that what is held is bounded by a row and the tile's outline, never
+//! by the number of regions: a mask of pure noise costs no more than an empty one. What touches a face shared with
+//! another tile stays open for [`crate::merge::RegionMerger`].
 //!
 //! The run-and-union idea is that of A. Rosenfeld and J. L. Pfaltz, "Sequential operations in digital picture
 //! processing", 1966; we add the early exit and the faces.

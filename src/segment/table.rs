@@ -1,8 +1,9 @@
 //! The 2²⁴ colours that are paint, one bit each.
 //!
-//! Cubes of colours are split until one answer holds for the whole of each. What holds for a cube follows from interval bounds:
-//! each coordinate of the distance is taken as linear in linear light, with a bound for how far it bends within the cube. What the
-//! bounds leave open is asked of the scalar reference, so that they decide how long it takes and nothing else.
+//! Cubes of colours are split until one answer holds for the whole of each. What holds for a cube follows from interval
+//! bounds: each coordinate of the distance is taken as linear in linear light, with a bound for how far it bends within
+//! the cube. What the bounds leave open is asked of the scalar reference, so that they decide how long it takes and
+//! nothing else.
 
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -22,8 +23,8 @@ enum Verdict {
     Mixed,
 }
 
-/// One cloud and its limit, in the coordinates that bounds are taken in: the squared distance is that of `basis · v` from `centre`,
-/// v being red, green, blue, or the compressed X, Y, Z that L\*a\*b\* is made of.
+/// One cloud and its limit, in the coordinates that bounds are taken in: the squared distance is that of `basis · v`
+/// from `centre`, v being red, green, blue, or the compressed X, Y, Z that L\*a\*b\* is made of.
 #[derive(Clone, Debug)]
 struct Ball {
     basis: [[f64; 3]; 3],
@@ -75,8 +76,8 @@ impl Ball {
     }
 }
 
-/// What all colours of a cube are in the coordinates of a [`Ball`]: within `bend` of `middle` and, for each channel, up to one
-/// `slope` more or less.
+/// What all colours of a cube are in the coordinates of a [`Ball`]: within `bend` of `middle` and, for each channel, up
+/// to one `slope` more or less.
 struct Extent {
     middle: [f64; 3],
     slope: [[f64; 3]; 3],
@@ -165,8 +166,8 @@ impl<'a> Judge<'a> {
         Some(Judge { test, space: test.space, clouds, rough, xyz })
     }
 
-    /// What holds for every colour of the cube `low..=high`, and which of the clouds `near` still are; the others are too far from a
-    /// cube that this one is a part of.
+    /// What holds for every colour of the cube `low..=high`, and which of the clouds `near` still are; the others are
+    /// too far from a cube that this one is a part of.
     fn judge(&self, low: [u8; 3], high: [u8; 3], near: Near) -> (Verdict, Near) {
         let test = self.test;
         if (0..3).any(|i| high[i] < test.low[i] || low[i] > test.high[i]) {
@@ -240,7 +241,8 @@ struct Fill<'a> {
 }
 
 impl Fill<'_> {
-    /// Splits cubes until one answer holds for the whole of each; a single colour that the bounds leave open is asked exactly.
+    /// Splits cubes until one answer holds for the whole of each; a single colour that the bounds leave open is asked
+    /// exactly.
     fn cube(&mut self, [r, g, b]: [usize; 3], side: usize, near: Near) {
         let low = [r as u8, g as u8, b as u8];
         let high = low.map(|v| v + (side - 1) as u8);
@@ -275,8 +277,8 @@ impl Fill<'_> {
     }
 }
 
-/// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order. Clouds that are not
-/// near are farther than the limit.
+/// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
+/// Clouds that are not near are farther than the limit.
 fn table_bit(test: &PaintTest, colour: [u8; 3], near: Near) -> bool {
     if test.space == Space::Rgb || test.rough.is_some() || test.low != [0; 3] || test.high != [255; 3] {
         return test.is_paint(colour);
@@ -308,7 +310,8 @@ mod tests {
         assert!(found.iter().all(|n| *n > 10_000), "{found:?}");
     }
 
-    /// Whatever the bounds say of a cube holds for each of its colours, and they say it of small cubes that are not at the border.
+    /// Whatever the bounds say of a cube holds for each of its colours, and they say it of small cubes that are not at
+    /// the border.
     #[test]
     fn bounds_hold_for_every_colour_of_a_cube() {
         for name in ["orange", "autoref-2016", "white-on-dark"] {

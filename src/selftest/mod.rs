@@ -1,8 +1,8 @@
 //! What to expect of the detector on this image, before anybody trusts it: marks of known sub-pixel centres are planted
 //! into the image as it is read (the file is not touched), the real scan is run over it, and what it finds is compared.
 //!
-//! Marks are painted as in the detection benchmark (`docs/benchmark-detection.md`): fading, blur, any rotation, mixed with the
-//! ground that is there, and JPEG.
+//! Marks are painted as in the detection benchmark (`docs/benchmark-detection.md`): fading, blur, any rotation, mixed
+//! with the ground that is there, and JPEG.
 
 mod planted;
 mod tally;
@@ -138,7 +138,8 @@ pub fn selftest(
         let outcome = scan(&planted, &plan(source.info())?, detector, progress)?;
         let others = compare(&planted.marks, &cells, &outcome.candidates, &mut tallies);
         if rounds == 0 {
-            // The others find the same again. What lies beside a mark is the mark, badly centred, or was made by its JPEG.
+            // The others find the same again. What lies beside a mark is the mark, badly centred, or was made by its
+            // JPEG.
             false_finds = others.into_iter().filter(|c| !planted.covers(c.centre)).collect();
             clear_megapixels = planted.clear_pixels() as f64 / 1e6;
         }
@@ -165,9 +166,9 @@ pub fn selftest(
     })
 }
 
-/// What the brightest half per cent of the samples reach, over full white, in images of more than 8 bits: sensors seldom use
-/// the whole range, and paint that is brighter than all else would be found too easily. 1 for 8 bits, which are developed
-/// pictures.
+/// What the brightest half per cent of the samples reach, over full white, in images of more than 8 bits: sensors
+/// seldom use the whole range, and paint that is brighter than all else would be found too easily. 1 for 8 bits, which
+/// are developed pictures.
 fn exposure(source: &dyn RasterSource) -> Result<f64> {
     if source.info().sample == SampleType::U8 {
         return Ok(1.0);

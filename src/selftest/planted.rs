@@ -76,8 +76,8 @@ pub fn chip_bytes(cell: &Cell, sample: SampleType) -> u64 {
 }
 
 impl PlantedSource {
-    /// Plants `wanted[i]` marks of the conditions `cells[i]` at random places, none overlapping, none on pixels that hold
-    /// nothing. There may be fewer than wanted where the image has no more room.
+    /// Plants `wanted[i]` marks of the conditions `cells[i]` at random places, none overlapping, none on pixels that
+    /// hold nothing. There may be fewer than wanted where the image has no more room.
     ///
     /// # Errors
     /// When a window of the image cannot be read.
@@ -206,7 +206,8 @@ fn painted(
         rgb: patch.rgb.iter().map(|c| c.map(byte)).collect(),
     };
     let mut picture = ground.clone();
-    // Anywhere relative to the blocks of the JPEG, which treats a mark in the middle of a block better than one on its edge.
+    // Anywhere relative to the blocks of the JPEG, which treats a mark in the middle of a block better than one on its
+    // edge.
     let mut offset = || MARGIN_PX as usize + (random.unit() * ALIGN_PX as f64) as usize;
     let corner = (offset(), offset());
     let (x, y) = paint_mark(&mut picture, cell, corner, random);

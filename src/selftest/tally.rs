@@ -30,8 +30,8 @@ pub fn reach_px(side_px: f64) -> f64 {
 }
 
 impl Tally {
-    /// Counts marks of one side at the true places; a mark is found when a candidate lies within half its side. The places
-    /// count from `origin`, which tells their squares of ground from those of other pictures.
+    /// Counts marks of one side at the true places; a mark is found when a candidate lies within half its side. The
+    /// places count from `origin`, which tells their squares of ground from those of other pictures.
     pub fn add(&mut self, origin: (f64, f64), truth: &[(f64, f64)], found: &[Candidate], side_px: f64) {
         let field = Field::new(found.iter().map(|c| c.centre).collect(), None);
         for &(x, y) in truth {
@@ -64,26 +64,27 @@ impl Tally {
         self.found() as f64 / self.marks.max(1) as f64
     }
 
-    /// Variance of the number found, from how the squares of ground differ: C / (C − 1) · Σ (found − recall · marks)² over C
-    /// squares, the variance of a ratio of clusters (W. G. Cochran, "Sampling techniques", 3rd edition, 1977, section 9A.2 and
-    /// equation 6.13), to which a bootstrap over the squares converges.
+    /// Variance of the number found, from how the squares of ground differ: C / (C − 1) · Σ (found − recall · marks)²
+    /// over C squares, the variance of a ratio of clusters (W. G. Cochran, "Sampling techniques", 3rd edition, 1977,
+    /// section 9A.2 and equation 6.13), to which a bootstrap over the squares converges.
     pub fn clustered_variance(&self) -> f64 {
         let (count, recall) = (self.squares.len() as f64, self.recall());
         let square = |[marks, found]: &[usize; 2]| (*found as f64 - recall * *marks as f64).powi(2);
         if count < 2.0 { 0.0 } else { count / (count - 1.0) * self.squares.values().map(square).sum::<f64>() }
     }
 
-    /// How many times the variance is that of as many independent marks, at least 1: marks on one piece of ground tell less
-    /// than marks on several.
+    /// How many times the variance is that of as many independent marks, at least 1: marks on one piece of ground tell
+    /// less than marks on several.
     pub fn design_effect(&self) -> f64 {
         let independent = self.marks as f64 * self.recall() * (1.0 - self.recall());
         if independent > 0.0 { (self.clustered_variance() / independent).max(1.0) } else { 1.0 }
     }
 
-    /// 95 % interval of the recall (E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-    /// 1927) of as many marks as are worth these by their [`design_effect`](Self::design_effect) (E. L. Korn, B. I. Graubard,
-    /// "Confidence intervals for proportions with small expected number of positive counts estimated from survey data", 1998);
-    /// 0 to 1 without marks.
+    /// 95 % interval of the recall (E. B. Wilson, "Probable inference, the law of succession, and statistical
+    /// inference",
+    /// 1927) of as many marks as are worth these by their [`design_effect`](Self::design_effect) (E. L. Korn, B. I.
+    /// Graubard, "Confidence intervals for proportions with small expected number of positive counts estimated from
+    /// survey data", 1998); 0 to 1 without marks.
     pub fn recall_95(&self) -> (f64, f64) {
         if self.marks == 0 {
             return (0.0, 1.0);
@@ -119,8 +120,8 @@ impl Tally {
     }
 }
 
-/// 95 % interval of a Poisson count (the normal approximation of its cube root, E. B. Wilson and M. M. Hilferty, 1931): exact
-/// to a few per cent from zero on.
+/// 95 % interval of a Poisson count (the normal approximation of its cube root, E. B. Wilson and M. M. Hilferty, 1931):
+/// exact to a few per cent from zero on.
 pub fn poisson_95(count: usize) -> (f64, f64) {
     let bound = |k: f64, z: f64| k * (1.0 - 1.0 / (9.0 * k) + z / (3.0 * k.sqrt())).powi(3);
     let low = if count == 0 { 0.0 } else { bound(count as f64, -Z_95).max(0.0) };
@@ -152,7 +153,8 @@ mod tests {
             let candidate = found_at_origin();
             tally.count((600.0 * f64::from(i), 0.0), (1.0, 1.0), found.then_some(&candidate));
         }
-        // By hand: recall 0.75; Σ (found − 7.5)² = 3·2.5² + 7.5² = 75, times 4/3; of independent marks 40·0.75·0.25 = 7.5.
+        // By hand: recall 0.75; Σ (found − 7.5)² = 3·2.5² + 7.5² = 75, times 4/3; of independent marks 40·0.75·0.25 =
+        // 7.5.
         assert!((tally.clustered_variance() - 100.0).abs() < 1e-9);
         assert!((tally.design_effect() - 100.0 / 7.5).abs() < 1e-9);
         let independent = Tally { marks: 40, errors: vec![[0.0; 2]; 30], ..Tally::default() };
@@ -160,8 +162,8 @@ mod tests {
         assert!(width(tally.recall_95()) > 2.0 * width(independent.recall_95()));
     }
 
-    /// Images of 60 squares of ground of which one in ten is bad: the interval holds the truth as often as it says, the one
-    /// that takes marks for independent does not.
+    /// Images of 60 squares of ground of which one in ten is bad: the interval holds the truth as often as it says, the
+    /// one that takes marks for independent does not.
     #[test]
     fn the_interval_holds_on_ground_that_differs() {
         let mut random = autoref_synth::plant::Random(77);

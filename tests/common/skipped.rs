@@ -2,7 +2,8 @@
 
 use std::io::Write;
 
-/// Says why a test, or a part of it, is skipped. With `AUTOREF_SKIPPED=FILE` a line is added to that file: test and reason.
+/// Says why a test, or a part of it, is skipped. With `AUTOREF_SKIPPED=FILE` a line is added to that file: test and
+/// reason.
 pub fn skipped(why: impl std::fmt::Display) {
     eprintln!("skipped: {why}");
     let Some(file) = std::env::var_os("AUTOREF_SKIPPED") else { return };

@@ -1,5 +1,5 @@
-//! Lists and images made to mislead: every one may be refused, none may be solved wrong, and where all marks are there most must
-//! be solved. `AUTOREF_LARGE=1` runs a thousand of each kind (`AUTOREF_TRIALS` says another number).
+//! Lists and images made to mislead: every one may be refused, none may be solved wrong, and where all marks are there
+//! most must be solved. `AUTOREF_LARGE=1` runs a thousand of each kind (`AUTOREF_TRIALS` says another number).
 
 use std::time::Instant;
 

@@ -79,8 +79,8 @@ fn planted_marks_are_found_and_centred() {
     }
 }
 
-/// Four grounds that differ more from each other than any does from itself meet under each mark: one Gaussian over all of
-/// them hides it. Larger marks lie on such places more often.
+/// Four grounds that differ more from each other than any does from itself meet under each mark: one Gaussian over all
+/// of them hides it. Larger marks lie on such places more often.
 #[test]
 fn marks_where_grounds_meet_are_found() {
     let detector = orange();

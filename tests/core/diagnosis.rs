@@ -1,5 +1,5 @@
-//! The gross-error diagnosis: every mistake it knows, made in the two lists of the thesis, and correct lists, about which it must
-//! say nothing.
+//! The gross-error diagnosis: every mistake it knows, made in the two lists of the thesis, and correct lists, about
+//! which it must say nothing.
 
 use crate::common::{Random, bare_candidate};
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
@@ -155,8 +155,8 @@ fn feet_show_in_the_scale_and_their_kind_in_the_place() {
             let unknown = Priors { gsd_m_per_px: Some((0.02, 0.2)), ..feet.priors() };
             let answer = feet.ask(&unknown, None, Some(setting.known()));
             assert!(answer.0);
-            // The international and the US survey foot are 14 m apart here: a smaller image would tell them from each other
-            // as well as a place that is right to a few metres, which this one is.
+            // The international and the US survey foot are 14 m apart here: a smaller image would tell them from each
+            // other as well as a place that is right to a few metres, which this one is.
             feet.must_name(kind, &answer, &[]);
         }
         let priors = Priors {
@@ -307,7 +307,8 @@ fn nothing_is_claimed_about_correct_lists() {
         assert!(told.iter().all(|d| d.certainty == Certainty::Possible), "trial {trial}, {visible} visible: {told:?}");
     }
     println!("{count} correct lists, {solved} solved: 0 mistakes claimed, {possible} mentioned as possible");
-    // The figure that is printed with a possibility is at most POSSIBLE_LOG10 for each kind of slip, of which there are three.
+    // The figure that is printed with a possibility is at most POSSIBLE_LOG10 for each kind of slip, of which there are
+    // three.
     assert!(possible as f64 <= 3.0 + 0.06 * count as f64, "{possible} of {count}");
 }
 

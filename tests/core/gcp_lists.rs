@@ -1,5 +1,5 @@
-//! Lists of control points as found in the field and as other programs write them: read right, or refused with the line at
-//! fault.
+//! Lists of control points as found in the field and as other programs write them: read right, or refused with the line
+//! at fault.
 
 use std::path::{Path, PathBuf};
 

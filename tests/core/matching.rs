@@ -313,8 +313,8 @@ fn nothing_there_is_refused() {
     }
 }
 
-/// Random fields without the pattern, small enough that thousands are cheap: how often is the best pattern as rare as a limit
-/// says? The printed chance must not promise more than that.
+/// Random fields without the pattern, small enough that thousands are cheap: how often is the best pattern as rare as a
+/// limit says? The printed chance must not promise more than that.
 #[test]
 fn the_printed_chance_is_no_promise_too_much() {
     let count = crate::common::trials(400, 20_000);

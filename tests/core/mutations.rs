@@ -1,5 +1,5 @@
-//! Every text that comes from outside, broken in ten thousand ways: an answer or an error, never a panic. `AUTOREF_LARGE=1` breaks
-//! each of them more often.
+//! Every text that comes from outside, broken in ten thousand ways: an answer or an error, never a panic.
+//! `AUTOREF_LARGE=1` breaks each of them more often.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! Names that coded targets bear: what they solve, and what they must not make anybody believe. No image and no decoder is
-//! needed; `AUTOREF_LARGE=1` runs many more trials (`AUTOREF_TRIALS` says another number).
+//! Names that coded targets bear: what they solve, and what they must not make anybody believe. No image and no decoder
+//! is needed; `AUTOREF_LARGE=1` runs many more trials (`AUTOREF_TRIALS` says another number).
 
 use crate::common::{Random, bare_candidate, trials, turned};
 use autoref_raster::coords::PixelPoint;
@@ -129,7 +129,8 @@ fn numbers_dealt_at_random_on_a_grid_are_not_believed() {
     assert_eq!(most, 36);
 }
 
-/// On points without any regularity the pattern alone decides; foreign numbers must neither mislead it nor stand in its way.
+/// On points without any regularity the pattern alone decides; foreign numbers must neither mislead it nor stand in its
+/// way.
 #[test]
 fn foreign_numbers_do_not_spoil_an_irregular_list() {
     let mut random = Random::new(5);
@@ -151,7 +152,8 @@ fn foreign_numbers_do_not_spoil_an_irregular_list() {
     assert!(20 * solved >= 19 * n, "{solved} of {n}");
 }
 
-/// One number misread, one target seen twice, one number on two targets, numbers that no label has, a label that two points have.
+/// One number misread, one target seen twice, one number on two targets, numbers that no label has, a label that two
+/// points have.
 #[test]
 fn a_few_wrong_numbers_are_borne() {
     let mut random = Random::new(13);

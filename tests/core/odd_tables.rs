@@ -1,4 +1,5 @@
-//! Tables as spreadsheets and offices of other countries save them: read right, or refused in one line that names the row.
+//! Tables as spreadsheets and offices of other countries save them: read right, or refused in one line that names the
+//! row.
 
 use autoref_stream::gcp::{self, GcpList, GcpOptions};
 

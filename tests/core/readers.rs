@@ -12,8 +12,9 @@ use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterSource, ReaderChoice, open, read_patch, tiff as native};
 
 const CACHE: u64 = 64 << 20;
-/// Decoders of lossy files that are not baseline JPEG may differ: by rounding in the inverse transform and in the colour
-/// conversion, and by how colour differences are brought to full size. Largest and mean difference of one sample that is accepted.
+/// Decoders of lossy files that are not baseline JPEG may differ: by rounding in the inverse transform and in the
+/// colour conversion, and by how colour differences are brought to full size. Largest and mean difference of one sample
+/// that is accepted.
 const JPEG_LARGEST: u16 = 12;
 const JPEG_MEAN: f64 = 0.6;
 
@@ -178,8 +179,8 @@ const LAYOUTS: [&[&str]; 6] = [
 
 /// The samples of an interleaved file as the `tiff` crate decodes them.
 ///
-/// `None` where the crate does not take what GDAL wrote: it asks for an end code that GDAL's LZW leaves out when a strip ends
-/// just where the codes grow.
+/// `None` where the crate does not take what GDAL wrote: it asks for an end code that GDAL's LZW leaves out when a
+/// strip ends just where the codes grow.
 fn tiff_crate_samples(path: &Path) -> Option<Vec<u16>> {
     let file = std::io::BufReader::new(std::fs::File::open(path).expect("it was just written"));
     let mut decoder = tiff::decoder::Decoder::new(file).expect("a TIFF");
@@ -242,7 +243,8 @@ fn check_against_truth(path: &Path, kind: &Kind, seed: usize, what: &str) -> boo
             same(&read_patch(&*source, window).expect("GDAL reads its own"), &kind.truth(window), what);
         }
     }
-    // The tiff crate is built without ZSTD, reads only the first of separate planes, and mixes up bands beyond the alpha.
+    // The tiff crate is built without ZSTD, reads only the first of separate planes, and mixes up bands beyond the
+    // alpha.
     let has = |option: &str| kind.options.iter().any(|o| o == option);
     if has("INTERLEAVE=PIXEL") && !has("COMPRESS=ZSTD") && kind.bands < 5 {
         let Some(samples) = tiff_crate_samples(path) else {
@@ -278,7 +280,8 @@ fn jpeg_blocks_decode_as_gdal_decodes_them() {
                 let oracle = gdal_patch(&path, got.window).expect("GDAL reads its own");
                 let (largest, mean) = worst_difference(&got, &oracle);
                 println!("{options:?} {reader}: up to {largest}, {mean:.3} in the mean");
-                // Of one and three components ours is libjpeg's arithmetic, as GDAL's is; interleaved fours are decoded elsewhere.
+                // Of one and three components ours is libjpeg's arithmetic, as GDAL's is; interleaved fours are decoded
+                // elsewhere.
                 let ours = bands < 4 || interleave == "INTERLEAVE=BAND";
                 let allowed = if ours { (0, 0.0) } else { (JPEG_LARGEST, JPEG_MEAN) };
                 assert!(largest <= allowed.0 && mean <= allowed.1, "{options:?}");

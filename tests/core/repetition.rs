@@ -1,4 +1,5 @@
-//! Figures that repeat, in the list or in the image: nothing in the picture says which is which, so nothing may be claimed.
+//! Figures that repeat, in the list or in the image: nothing in the picture says which is which, so nothing may be
+//! claimed.
 
 use crate::common::{Random, bare_candidate, turned};
 use autoref_raster::coords::{MapPoint, PixelPoint};

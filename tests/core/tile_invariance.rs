@@ -209,7 +209,8 @@ mod options {
 
     const SIZE: (u64, u64) = (410, 330);
 
-    /// Squares, discs and rings of orange that stand alone, touch, overlap, and lie over edges; some faded; specks and lines.
+    /// Squares, discs and rings of orange that stand alone, touch, overlap, and lie over edges; some faded; specks and
+    /// lines.
     fn picture(seed: u64) -> MemorySource {
         let mut bits = crate::common::Random::new(seed);
         let mut random = move |below: u64| bits.bits() % below;

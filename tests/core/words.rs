@@ -1,4 +1,5 @@
-//! One word for one thing: the words that `docs/words.md` replaces are nowhere in sources, pages and messages.
+//! One word for one thing: the words that `docs/words.md` replaces are nowhere in sources, pages and messages. And
+//! lines that can be read side by side.
 
 use std::path::{Path, PathBuf};
 
@@ -14,11 +15,7 @@ fn replaced_words_are_gone() {
         .filter(|word| !word.is_empty())
         .collect();
     assert!(replaced.len() >= 4, "the table was not read: {replaced:?}");
-    let mut files = vec![root.join("README.md")];
-    for folder in ["src", "crates", "docs", "examples", "tools", "benches"] {
-        gather(&root.join(folder), &mut files);
-    }
-    assert!(files.len() > 300, "{} files were read", files.len());
+    let files = texts(&root);
     let mut found = Vec::new();
     for file in files.iter().filter(|file| !file.ends_with("docs/words.md")) {
         let Ok(text) = std::fs::read_to_string(file) else { continue };
@@ -30,6 +27,44 @@ fn replaced_words_are_gone() {
         }
     }
     assert!(found.is_empty(), "replaced words:\n{}", found.join("\n"));
+}
+
+/// Characters of a line of prose at most: in pages without tables and code, in comments without tables and code.
+const WIDEST: usize = 120;
+
+#[test]
+fn lines_of_prose_are_not_too_wide() {
+    let mut found = Vec::new();
+    for file in texts(&crate::common::root()) {
+        let Ok(text) = std::fs::read_to_string(&file) else { continue };
+        let prose: fn(&str) -> Option<&str> = match file.extension().and_then(|e| e.to_str()) {
+            Some("md") => |line| (!line.starts_with("    ")).then_some(line),
+            Some("rs") => |line| {
+                let comment = line.trim_start().strip_prefix("//")?;
+                Some(comment.trim_start_matches(['/', '!']).trim_start())
+            },
+            _ => continue,
+        };
+        let mut code = false;
+        for (number, line) in text.lines().enumerate() {
+            let Some(words) = prose(line) else { continue };
+            code ^= words.starts_with("```");
+            if !code && !words.starts_with('|') && line.chars().count() > WIDEST {
+                found.push(format!("{}:{}", file.display(), number + 1));
+            }
+        }
+    }
+    assert!(found.is_empty(), "lines of more than {WIDEST} characters:\n{}", found.join("\n"));
+}
+
+/// Pages and sources.
+fn texts(root: &Path) -> Vec<PathBuf> {
+    let mut files = ["README.md", "CHANGELOG.md", "SECURITY.md"].map(|name| root.join(name)).to_vec();
+    for folder in ["src", "crates", "docs", "examples", "tests", "tools", "benches", "fuzz"] {
+        gather(&root.join(folder), &mut files);
+    }
+    assert!(files.len() > 300, "{} files were read", files.len());
+    files
 }
 
 fn gather(folder: &Path, files: &mut Vec<PathBuf>) {

@@ -303,8 +303,8 @@ fn edges_and_emptiness_are_answered() {
     assert!(find(&memory(&stripes(300, 200)), &tiny, 128, 2).is_empty());
 }
 
-/// An orthophoto with a regular grid of tags, from file to georeference by the program itself: solved by the numbers, refused when
-/// the labels say others.
+/// An orthophoto with a regular grid of tags, from file to georeference by the program itself: solved by the numbers,
+/// refused when the labels say others.
 #[test]
 fn a_grid_of_tags_is_georeferenced_by_its_numbers() {
     let folder = tempfile::tempdir().expect("a temporary folder");

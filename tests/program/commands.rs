@@ -1,4 +1,5 @@
-//! Every command that writes files, with what it reads: for the tests of inputs that are no outputs and of faults on the way.
+//! Every command that writes files, with what it reads: for the tests of inputs that are no outputs and of faults on
+//! the way.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -7,8 +8,8 @@ use autoref_synth::{SynthSpec, random_gcps};
 
 use super::flight::{Place, write_dem};
 
-/// The program in `folder`, where a stand-in for COLMAP may lie in `bin`; its scratch files go to `tmp` beside it, when that
-/// is there.
+/// The program in `folder`, where a stand-in for COLMAP may lie in `bin`; its scratch files go to `tmp` beside it, when
+/// that is there.
 pub(super) fn command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_autoref-stream"));
     surround(&mut command, folder);

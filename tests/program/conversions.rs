@@ -1,5 +1,5 @@
-//! Lists of GCPs from every format into every other one and back: what comes back is what went in, but for what was said to
-//! be lost.
+//! Lists of GCPs from every format into every other one and back: what comes back is what went in, but for what was
+//! said to be lost.
 
 use std::path::{Path, PathBuf};
 

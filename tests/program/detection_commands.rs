@@ -546,7 +546,8 @@ fn refused_outlines(sample: &Sample, image: &Path) {
     }
 }
 
-/// Rules over named properties: a bound in or out decides, probabilities are there, unknown names are refused with their column.
+/// Rules over named properties: a bound in or out decides, probabilities are there, unknown names are refused with
+/// their column.
 #[test]
 fn gates_of_ones_own() {
     use autoref_synth::{self as synth, MarkSize, MarkStyle, SynthSpec, Visible};

@@ -1,5 +1,5 @@
-//! One solve, all dialects: those that carry the transform put every pixel on the same ground, those that carry tie points
-//! return exactly the pairs, each read back by its own rules.
+//! One solve, all dialects: those that carry the transform put every pixel on the same ground, those that carry tie
+//! points return exactly the pairs, each read back by its own rules.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output as Finished};

@@ -1,6 +1,7 @@
-//! What goes wrong while files are written and read: a full disk, a kill, a folder that takes no files, an input that ends before
-//! its end. One line and exit code 2; no output is half written, no part file stays, no input changes; after a kill the next run
-//! clears up. Every command of `commands::CASES` with AUTOREF_LARGE=1; in `make test` one in four, under one fault each in turn.
+//! What goes wrong while files are written and read: a full disk, a kill, a folder that takes no files, an input that
+//! ends before its end. One line and exit code 2; no output is half written, no part file stays, no input changes;
+//! after a kill the next run clears up. Every command of `commands::CASES` with AUTOREF_LARGE=1; in `make test` one in
+//! four, under one fault each in turn.
 
 use std::collections::BTreeMap;
 use std::os::unix::process::ExitStatusExt;

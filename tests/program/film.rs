@@ -1,5 +1,5 @@
-//! Fiducial marks: measured against drawn frames with known truth, and against the real Wild frame. `AUTOREF_LARGE=1` runs the
-//! trials of thousands of marks whose figures are in `docs/film.md`; small twins always run.
+//! Fiducial marks: measured against drawn frames with known truth, and against the real Wild frame. `AUTOREF_LARGE=1`
+//! runs the trials of thousands of marks whose figures are in `docs/film.md`; small twins always run.
 
 use std::path::{Path, PathBuf};
 
@@ -19,8 +19,8 @@ fn large() -> bool {
     std::env::var_os("AUTOREF_LARGE").is_some()
 }
 
-/// Seed of the first frame drawn: `AUTOREF_FILM_FIRST_SEED` asks for frames that nobody has looked at, `AUTOREF_FILM_FRAMES`
-/// for another number of them.
+/// Seed of the first frame drawn: `AUTOREF_FILM_FIRST_SEED` asks for frames that nobody has looked at,
+/// `AUTOREF_FILM_FRAMES` for another number of them.
 fn first_seed() -> u64 {
     std::env::var("AUTOREF_FILM_FIRST_SEED").ok().and_then(|v| v.parse().ok()).unwrap_or(0)
 }
@@ -172,8 +172,8 @@ fn svalbard_marks_are_found_and_no_gross_error_is_passed() {
     assert!(t.rmse_px() <= 0.3, "{t:?}");
 }
 
-/// The finder of the 2017 thesis beside the default one, on the same frames; once more without the agreement between marks, which
-/// the thesis does not ask for.
+/// The finder of the 2017 thesis beside the default one, on the same frames; once more without the agreement between
+/// marks, which the thesis does not ask for.
 #[test]
 fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
     let (pixel_um, frames) = if large() { (20.0, 300) } else { (27.0, 8) };

@@ -1,5 +1,5 @@
-//! What `fiducials` writes: the files for other programs read back by their formats, the contact sheet in a real browser, and
-//! the resampled frames against GDAL and against known truth.
+//! What `fiducials` writes: the files for other programs read back by their formats, the contact sheet in a real
+//! browser, and the resampled frames against GDAL and against known truth.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -132,8 +132,8 @@ fn measures(all: &[(usize, String, String)], depth: usize) -> (String, Vec<(Stri
     (all[1].2.clone(), points.collect())
 }
 
-/// Least squares affine from `from` to `to` by the normal equations, as MicMac's `ElAffin2D::L2Fit` on points paired by name;
-/// gives the function.
+/// Least squares affine from `from` to `to` by the normal equations, as MicMac's `ElAffin2D::L2Fit` on points paired by
+/// name; gives the function.
 fn affine(from: &[[f64; 2]], to: &[[f64; 2]]) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
     let design = nalgebra::DMatrix::from_fn(from.len(), 3, |i, k| if k < 2 { from[i][k] } else { 1.0 });
     let fit = |axis: usize| {
@@ -674,8 +674,8 @@ fn scene(spec: &FilmSpec, ground: &FilmGround) -> (FilmScene, InteriorOrientatio
     (scene, inner)
 }
 
-/// A landscape of noise; with `AUTOREF_LARGE=1` more of them, and photographs from above where they are there. None of these
-/// repeats within a frame of 2,000 px: what a small photograph repeats along whole rows is a band.
+/// A landscape of noise; with `AUTOREF_LARGE=1` more of them, and photographs from above where they are there. None of
+/// these repeats within a frame of 2,000 px: what a small photograph repeats along whole rows is a band.
 fn grounds(first: u64) -> Vec<(&'static str, FilmGround, Vec<u64>)> {
     let large = std::env::var_os("AUTOREF_LARGE").is_some();
     let mut all = vec![("noise", FilmGround::default(), (first..first + if large { 4 } else { 1 }).collect())];
@@ -789,7 +789,8 @@ fn known_bands_are_removed_and_the_ground_stays() {
     }
 }
 
-/// Bands in rows before, after removing `which`, what that does to a frame without bands, and what removing columns leaves.
+/// Bands in rows before, after removing `which`, what that does to a frame without bands, and what removing columns
+/// leaves.
 fn bands(ground: &FilmGround, seed: u64, which: Banding) -> [f64; 4] {
     let (mut clean, mut options) = grey16(seed);
     clean.rotation_deg = 0.4;
@@ -951,7 +952,8 @@ fn covariances_are_those_of_propagated_errors_and_leaving_out_needs_redundancy()
                 assert!(off < 0.01, "{model:?} {a} {b}: {} {}", inner.covariance[a][b], propagated[a][b]);
             }
         }
-        // One mark fewer than the model needs to be left out: the corners are enough for a similarity and an affine only.
+        // One mark fewer than the model needs to be left out: the corners are enough for a similarity and an affine
+        // only.
         let four = solve(&camera, &marks[..4], model, Handedness::AsIs).expect("solved");
         assert!(four.leave_one_out_um.iter().all(Option::is_some) && four.leave_one_out_rmse_um.is_some());
         assert_ne!(four.model, InteriorModel::Projective, "four marks leave a projective unchecked");

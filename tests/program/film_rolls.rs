@@ -49,8 +49,8 @@ fn examine_timed(roll: &Path, out: &Path, camera: &str) -> (Assert, f64) {
     (run, of_children.split_whitespace().map(seconds).sum())
 }
 
-/// Time and memory of frames as they come from a scanner. The full size only with `AUTOREF_LARGE=1`, the limit of time only in
-/// an optimised build.
+/// Time and memory of frames as they come from a scanner. The full size only with `AUTOREF_LARGE=1`, the limit of time
+/// only in an optimised build.
 #[test]
 fn memory_does_not_grow_with_the_roll_and_a_frame_takes_a_moment() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -86,7 +86,8 @@ fn memory_does_not_grow_with_the_roll_and_a_frame_takes_a_moment() {
     }
 }
 
-/// A resampled frame costs the same memory however its scan is laid out, also where it can only be read from the top down.
+/// A resampled frame costs the same memory however its scan is laid out, also where it can only be read from the top
+/// down.
 #[test]
 fn resampling_holds_no_frame_in_memory() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -139,8 +140,8 @@ fn worst_px(out: &Path, scans: &Path, name: &str) -> f64 {
     truth["marks"].as_array().expect("a list").iter().map(off).fold(0.0, f64::max)
 }
 
-/// One frame of another scanner, one mirrored and one turned among seven: each is doubtful and says why, the seven stay good,
-/// and by itself every one of them is good.
+/// One frame of another scanner, one mirrored and one turned among seven: each is doubtful and says why, the seven stay
+/// good, and by itself every one of them is good.
 #[test]
 fn a_frame_unlike_its_roll_is_doubtful_and_says_why() {
     let folder = tempfile::tempdir().expect("a folder");

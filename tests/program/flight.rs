@@ -1,5 +1,5 @@
-//! `flight …` through the program: drawn frames with known cameras, a stand-in for COLMAP that fails or is killed on demand, and
-//! COLMAP itself where it is installed.
+//! `flight …` through the program: drawn frames with known cameras, a stand-in for COLMAP that fails or is killed on
+//! demand, and COLMAP itself where it is installed.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -787,7 +787,8 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     place.flight.render(&place.at("frames"));
     place.flight.write_model(&place.at("model"));
     let (frame, dem, cameras) = (place.at("frames").join("f2.png"), place.at("dem.tif"), place.at("cameras.json"));
-    // A tower that the frame does not show stands in the model: it covers itself and its shadow, the rest stays as it was.
+    // A tower that the frame does not show stands in the model: it covers itself and its shadow, the rest stays as it
+    // was.
     let tower = |x: f64, y: f64| f64::from(u8::from((1290.0..1300.0).contains(&x) && (1990.0..2010.0).contains(&y)));
     write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
     let towered = place.at("towered.tif");

@@ -210,7 +210,8 @@ fn other_models_and_every_solver_answer() {
     assert_eq!(solve(folder.path(), &["--model", "projective"])["chosen_model"]["model"], "projective");
 }
 
-/// A model whose cells are half a metre up and down by turns: heights over an area forget it, those at the place do not.
+/// A model whose cells are half a metre up and down by turns: heights over an area forget it, those at the place do
+/// not.
 #[test]
 fn heights_over_an_area_are_means_of_its_cells() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -235,7 +236,8 @@ fn heights_over_an_area_are_means_of_its_cells() {
         let quadratic = fits.iter().find(|fit| fit["model"] == "quadratic").expect("determined");
         quadratic["rms_m"].as_f64().expect("a number")
     };
-    // At the place the heights between four cells vary by up to half a metre; the mean of 5 × 5 is off by at most a 25th of it.
+    // At the place the heights between four cells vary by up to half a metre; the mean of 5 × 5 is off by at most a
+    // 25th of it.
     let (at_place, over_area) = (rms("1"), rms("5"));
     assert!(at_place > 0.05 && over_area < 0.03, "{at_place} m at the place, {over_area} m over 5 × 5 cells");
 }

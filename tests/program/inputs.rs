@@ -64,8 +64,8 @@ fn no_output_of_any_command_is_an_input() {
 /// Commands that `make test` tries with two of their files.
 const TWO_FILES: usize = 24;
 
-/// Every file that a command writes is in turn a second name, hard or soft, of every file that it reads: it is refused, and what
-/// is read keeps its bytes. In part in `make test`: the first and the last file of each command.
+/// Every file that a command writes is in turn a second name, hard or soft, of every file that it reads: it is refused,
+/// and what is read keeps its bytes. In part in `make test`: the first and the last file of each command.
 #[test]
 fn no_file_that_a_command_writes_is_one_that_it_reads() {
     let folder = everything();

@@ -1,4 +1,5 @@
-//! `mask` from the command line, on frames that are drawn here: kinds of pixels, bad frames, teaching, mending, resuming.
+//! `mask` from the command line, on frames that are drawn here: kinds of pixels, bad frames, teaching, mending,
+//! resuming.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -115,7 +115,8 @@ fn endless_and_enormous_inputs_are_refused_at_once() {
     answers(&program(dir, &[&["a.tif", "--gcps", "many.csv"], &ZONE_32[..]].concat()), 2, &["many.csv", "--names"]);
 }
 
-/// Points on a line fit everywhere: the search counts what it does and ends, and a limit of time ends it sooner and says so.
+/// Points on a line fit everywhere: the search counts what it does and ends, and a limit of time ends it sooner and
+/// says so.
 #[test]
 fn a_line_of_points_ends_and_a_limit_of_time_is_told() {
     let (folder, _) = workplace();

@@ -160,8 +160,8 @@ fn every_output_that_carries_the_transform_says_the_same() {
     }
 }
 
-/// The value under every pixel of the copy is that of the image at the same place on the map: bilinear interpolation keeps
-/// a slope, so a shift of a hundredth of a pixel would show.
+/// The value under every pixel of the copy is that of the image at the same place on the map: bilinear interpolation
+/// keeps a slope, so a shift of a hundredth of a pixel would show.
 fn warped_copy_agrees(sample: &Sample) {
     let path = sample.path("e6.warp.tif");
     let transform = transform_of(&path);
@@ -210,7 +210,8 @@ fn is_valid_cog(path: &Path) {
     assert_eq!(dataset.metadata_item("LAYOUT", "IMAGE_STRUCTURE").as_deref(), Some("COG"));
     let file = Directories::read(path).expect("a TIFF");
     assert!(file.list.len() > 1, "it has overviews");
-    // Directories in order at the front; the image's first, then smaller and smaller ones; pixels in the opposite order.
+    // Directories in order at the front; the image's first, then smaller and smaller ones; pixels in the opposite
+    // order.
     let mut last = (0, u64::MAX, u64::MAX);
     for (index, directory) in file.list.iter().enumerate() {
         let numbers = |tag| file.numbers(index, tag).expect("readable").expect("tiled");
@@ -682,7 +683,8 @@ fn tiles_with_world_files_are_one_raster() {
     tiles_that_do_not_fit(&at("tiles"), &at("tiles.txt"));
 }
 
-/// GDAL's own tiler cuts the image into 40 tiles of a tile map: the folder and its XML give the candidates of the one file.
+/// GDAL's own tiler cuts the image into 40 tiles of a tile map: the folder and its XML give the candidates of the one
+/// file.
 #[test]
 fn forty_tiles_by_xml_are_the_image() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -1,5 +1,6 @@
-//! Marks planted into real photographs: all visible GCPs matched, none wrong, centres right. The ordinary run uses a part
-//! of Lerkendal's pattern; `make check-large` the full geometry (22,039 × 20,051 px), tiles and strips, in two budgets.
+//! Marks planted into real photographs: all visible GCPs matched, none wrong, centres right. The ordinary run uses a
+//! part of Lerkendal's pattern; `make check-large` the full geometry (22,039 × 20,051 px), tiles and strips, in two
+//! budgets.
 
 use std::path::Path;
 use std::process::Command;

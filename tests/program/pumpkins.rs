@@ -14,9 +14,9 @@ const SIDE_PX: f64 = 500.0;
 /// Upper left corner of the window of `pumpkin_field_13.jpg` that was counted.
 const CORNER: (f64, f64) = (500.0, 400.0);
 
-/// Every pumpkin that a person sees in that window, magnified four to six times: positions in the photograph, to about a
-/// pixel. Those that touch are counted one by one; those cut by the window's edge, and leaves and straw of a similar colour,
-/// are not.
+/// Every pumpkin that a person sees in that window, magnified four to six times: positions in the photograph, to about
+/// a pixel. Those that touch are counted one by one; those cut by the window's edge, and leaves and straw of a similar
+/// colour, are not.
 #[rustfmt::skip]
 const COUNTED: [(f64, f64); 316] = [
     (858.5, 405.0), (838.5, 405.5), (806.5, 415.5), (666.5, 426.5), (696.5, 426.5), (909.6, 425.9), (751.5, 429.5),
@@ -67,11 +67,13 @@ const COUNTED: [(f64, f64); 316] = [
     (761.0, 885.3),
 ];
 
-/// Upper left corner of the window of `pumpkin_field_14.jpg`, counted after everything was made and before it was tried there.
+/// Upper left corner of the window of `pumpkin_field_14.jpg`, counted after everything was made and before it was tried
+/// there.
 const HELD_OUT_CORNER: (f64, f64) = (300.0, 200.0);
 
-/// What a person counts as pumpkins in that window, magnified seven times, to about a pixel: round and orange, from peach to
-/// deep, one by one where they touch. Not counted: what the window's edge cuts, yellow or olive spots, faint stains.
+/// What a person counts as pumpkins in that window, magnified seven times, to about a pixel: round and orange, from
+/// peach to deep, one by one where they touch. Not counted: what the window's edge cuts, yellow or olive spots, faint
+/// stains.
 #[rustfmt::skip]
 const HELD_OUT: [(f64, f64); 308] = [
     (570.0, 205.5), (585.5, 206.0), (791.0, 206.5), (596.0, 207.5), (421.0, 209.0), (590.5, 209.5), (662.0, 209.5),
@@ -238,8 +240,8 @@ mod whole_program {
         result
     }
 
-    /// So near, pixels, that the place found lies on the mark, which is 7 or 10 px wide. A mark that touches a pumpkin of its own
-    /// colour is one shape with it, and seen towards it.
+    /// So near, pixels, that the place found lies on the mark, which is 7 or 10 px wide. A mark that touches a pumpkin
+    /// of its own colour is one shape with it, and seen towards it.
     const ON_MARK_PX: f64 = 3.5;
 
     /// How many marks are matched; each at its own place.

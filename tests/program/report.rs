@@ -1,5 +1,5 @@
-//! The report of a run, opened in a real browser where there is one: nothing fails, nothing is fetched, and what a reviewer
-//! does by keyboard is what the replay of the patch gives.
+//! The report of a run, opened in a real browser where there is one: nothing fails, nothing is fetched, and what a
+//! reviewer does by keyboard is what the replay of the patch gives.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -100,8 +100,8 @@ fn tab_to_cards(browser: &mut dyn Page) {
     panic!("the Tab key does not reach the marks");
 }
 
-/// A sample with clutter, a name that would be markup, and the name of a visible point whose survey is 0.05 m = 1.7 px off, found
-/// all the same: the wrong mark of the tests.
+/// A sample with clutter, a name that would be markup, and the name of a visible point whose survey is 0.05 m = 1.7 px
+/// off, found all the same: the wrong mark of the tests.
 fn with_a_wrong_mark() -> (Sample, String) {
     let sample = Sample::new(|spec| spec.clutter = 30, |list| list[0].name = EVIL.into());
     let wrong = sample.truth.visible().nth(4).expect("ten are visible").name.clone();
@@ -313,7 +313,8 @@ fn heights_and_a_chosen_model_are_on_the_page_and_the_replay_solves_the_model_ag
         assert!(close(number(&replayed["rmse_m"]), number(&patch["shown"]["rmse_m"])), "{}", replayed["rmse_m"]);
         for (i, coefficient) in patch["shown"]["geotransform"].as_array().expect("six").iter().enumerate() {
             let (a, b) = (number(&replayed["geotransform"][i]), number(coefficient));
-            // The page's least squares are not nalgebra's: where a northing of millions is known to 1e-9, that is its last digit.
+            // The page's least squares are not nalgebra's: where a northing of millions is known to 1e-9, that is its
+            // last digit.
             assert!((a - b).abs() <= 2e-9, "{i}: {a} against {b}");
         }
     }

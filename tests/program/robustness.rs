@@ -1,5 +1,5 @@
-//! What people really hand in: broken profiles, pictures of nothing, marks on the edge, marks without end. A clear line or
-//! the right answer, never a panic; all through the program.
+//! What people really hand in: broken profiles, pictures of nothing, marks on the edge, marks without end. A clear line
+//! or the right answer, never a panic; all through the program.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

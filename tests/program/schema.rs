@@ -20,7 +20,8 @@ fn document(folder: &Path, args: &[&str], exit: i32) -> Value {
     serde_json::from_slice(&output.stdout).expect("one document")
 }
 
-/// Results of every kind: solved, refused, with check points, with another transform, with heights, from candidates, replayed.
+/// Results of every kind: solved, refused, with check points, with another transform, with heights, from candidates,
+/// replayed.
 fn documents(folder: &Path) -> Vec<Value> {
     let spec = SynthSpec {
         gcps: synth::random_gcps(12, 33.0, 24.0, 3),

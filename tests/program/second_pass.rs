@@ -60,8 +60,8 @@ fn a_refusal_is_followed_by_a_second_pass() {
     assert!(report["marks"].as_u64().is_some_and(|n| n >= 3), "{report}");
 }
 
-/// Paint worn until more ground than paint is seen: the shipped profile finds too few marks for a pattern, they teach their
-/// colours, and the second scan finds the rest.
+/// Paint worn until more ground than paint is seen: the shipped profile finds too few marks for a pattern, they teach
+/// their colours, and the second scan finds the rest.
 #[test]
 fn a_worn_paint_is_refused_and_then_solved() {
     for (seed, fading) in [(1, 0.55), (3, 0.6)] {

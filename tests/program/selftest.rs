@@ -94,8 +94,8 @@ fn it_agrees_with_the_detection_benchmark_within_the_error_bars() {
         let (a, b) = (pooled(a), pooled(b));
         let (n, m) = (a.marks as f64, b.marks as f64);
         let p = (a.found() + b.found()) as f64 / (n + m);
-        // Three standard deviations of the difference of two shares; the share of one mark more keeps it from vanishing at
-        // 100 %.
+        // Three standard deviations of the difference of two shares; the share of one mark more keeps it from vanishing
+        // at 100 %.
         let bar = 3.0 * (design * (p * (1.0 - p) + 1.0 / (n + m)) * (1.0 / n + 1.0 / m)).sqrt();
         println!(
             "{side} px: recall {:.4} of {} against {:.4} of {} (±{bar:.4}, design effect {design:.2}); RMSE {:.3} against {:.3} px",
@@ -115,8 +115,8 @@ fn it_agrees_with_the_detection_benchmark_within_the_error_bars() {
     }
 }
 
-/// How much less these marks tell than independent ones: from how recall differs over the squares of each photograph, both
-/// ways of planting together.
+/// How much less these marks tell than independent ones: from how recall differs over the squares of each photograph,
+/// both ways of planting together.
 fn design_effect(ours: &[Tally], theirs: &[Tally]) -> f64 {
     let (mut clustered, mut independent) = (0.0, 0.0);
     for (a, b) in ours.iter().zip(theirs) {

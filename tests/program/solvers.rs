@@ -175,8 +175,8 @@ fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {
     assert_eq!(again["from"], "result");
 }
 
-/// The tables of docs/thesis-comparison.md from the points that the thesis prints; expected by an independent computation
-/// (numpy's singular values).
+/// The tables of docs/thesis-comparison.md from the points that the thesis prints; expected by an independent
+/// computation (numpy's singular values).
 #[test]
 fn tables_b12_to_b29_from_the_printed_points() {
     // Table, points, RMSE by the symmetric scale and by Umeyama's, height, least and largest residual.

@@ -40,7 +40,8 @@ fn bytes(folder: &Path) -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// Without errors in list and observations, space resection finds every camera where the truth has it, upright and oblique.
+/// Without errors in list and observations, space resection finds every camera where the truth has it, upright and
+/// oblique.
 #[test]
 fn resection_finds_the_cameras_of_the_truth() {
     for (pitch, seed) in [("-90", "4"), ("-25", "9")] {
@@ -220,8 +221,8 @@ fn correlation((w, a): &(usize, Vec<f64>), (v, b): &(usize, Vec<f64>), moved: (u
     (pq - p * q) / ((pp - p * p) * (qq - q * q)).sqrt()
 }
 
-/// Scans of film with marks: `fiducials` finds them and makes the frames that the list and the project are of; with AUTOREF_LARGE=1
-/// `flight solve` then finds where the cameras stood.
+/// Scans of film with marks: `fiducials` finds them and makes the frames that the list and the project are of; with
+/// AUTOREF_LARGE=1 `flight solve` then finds where the cameras stood.
 #[test]
 fn scans_of_film_become_the_frames_that_were_rendered() {
     let folder = tempfile::tempdir().expect("a temporary folder");

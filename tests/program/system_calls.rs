@@ -1,6 +1,6 @@
-//! What the system does to a run in the middle of it: a kill between the files that it puts in place, a disk that cannot be read any
-//! further, an input that became shorter while it was read. The faults are put in by `strace`, call by call. Every command of
-//! `commands::CASES` with AUTOREF_LARGE=1; in `make test` one in sixteen.
+//! What the system does to a run in the middle of it: a kill between the files that it puts in place, a disk that
+//! cannot be read any further, an input that became shorter while it was read. The faults are put in by `strace`, call
+//! by call. Every command of `commands::CASES` with AUTOREF_LARGE=1; in `make test` one in sixteen.
 
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Extended local minimum: the lowest points of a cell that a gap separates from the rest (Chen, Devereux, Gao & Amable,
-//! *Upward-fusion urban DTM generating method using airborne Lidar data*, 2012).
+//! Extended local minimum: the lowest points of a cell that a gap separates from the rest (Chen, Devereux, Gao &
+//! Amable, *Upward-fusion urban DTM generating method using airborne Lidar data*, 2012).
 
 use std::collections::HashMap;
 
@@ -30,8 +30,8 @@ impl Lowest {
     }
 }
 
-/// Classifies low points as noise: in square cells of `cell_m`, counted from the cloud's least x and y, a point that the
-/// next higher one of its cell exceeds by `gap_m` or more, and so on upwards until two lie closer.
+/// Classifies low points as noise: in square cells of `cell_m`, counted from the cloud's least x and y, a point that
+/// the next higher one of its cell exceeds by `gap_m` or more, and so on upwards until two lie closer.
 ///
 /// # Errors
 /// When there are too many cells for `budget_bytes`, and those of the scratch disk.

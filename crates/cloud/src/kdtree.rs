@@ -1,8 +1,8 @@
-//! A k-d tree without pointers: points in the order of the tree, and one split per inner node (Friedman, Bentley & Finkel,
-//! *An algorithm for finding best matches in logarithmic expected time*, 1977).
+//! A k-d tree without pointers: points in the order of the tree, and one split per inner node (Friedman, Bentley &
+//! Finkel, *An algorithm for finding best matches in logarithmic expected time*, 1977).
 //!
-//! Distances are compared as they are computed, and every bound is computed by the same operations in the same order, so
-//! that rounding never lets a bound exceed a distance: what is found does not depend on the shape of the tree.
+//! Distances are compared as they are computed, and every bound is computed by the same operations in the same order,
+//! so that rounding never lets a bound exceed a distance: what is found does not depend on the shape of the tree.
 
 use crate::tiles::Point;
 
@@ -155,8 +155,8 @@ impl Tree {
         &self.bounds
     }
 
-    /// Brings the squared distances of the points nearest to `point`, itself left out, into `nearest`: sorted, the largest
-    /// last, which is also the bound below which a distance must lie.
+    /// Brings the squared distances of the points nearest to `point`, itself left out, into `nearest`: sorted, the
+    /// largest last, which is also the bound below which a distance must lie.
     pub fn nearest(&self, point: &Point, nearest: &mut [f64]) {
         let last = nearest.len() - 1;
         if !self.points.is_empty() && self.bounds.distance2(point.xyz) < nearest[last] {
@@ -164,8 +164,8 @@ impl Tree {
         }
     }
 
-    /// Brings the points nearest to `point` in plan, itself left out, into `nearest`: squared distance, z, x, y; sorted by
-    /// these in turn, at most `most` of them, none farther than the root of `bound2`.
+    /// Brings the points nearest to `point` in plan, itself left out, into `nearest`: squared distance, z, x, y; sorted
+    /// by these in turn, at most `most` of them, none farther than the root of `bound2`.
     pub fn nearest_in_plan(&self, point: &Point, bound2: f64, most: usize, nearest: &mut Vec<[f64; 4]>) {
         let search = PlanSearch { point, bound2, most };
         self.nearest_from(0, 0, self.points.len(), &search, [0.0; 2], nearest);
@@ -201,8 +201,8 @@ impl Tree {
         }
     }
 
-    /// Parts of the points that lie close together, in their order and without gaps: leaves of at most `most` points, each
-    /// with the point before it that splits it from the last.
+    /// Parts of the points that lie close together, in their order and without gaps: leaves of at most `most` points,
+    /// each with the point before it that splits it from the last.
     pub fn groups(&self, most: usize) -> Vec<std::ops::Range<usize>> {
         fn part(begin: usize, end: usize, most: usize, groups: &mut Vec<std::ops::Range<usize>>) {
             if end - begin <= most.max(LEAF_POINTS) {
@@ -219,8 +219,8 @@ impl Tree {
         groups
     }
 
-    /// Adds the points whose x and y lie in the box to `found`, in the order of the tree; gives up when there are more than
-    /// `most` in it.
+    /// Adds the points whose x and y lie in the box to `found`, in the order of the tree; gives up when there are more
+    /// than `most` in it.
     pub fn within_in_plan(&self, area: &Bounds, most: usize, found: &mut Vec<Point>) {
         if !self.points.is_empty() && self.bounds.gap2_in_plan(area) <= 0.0 {
             self.search_in_plan((0, 0, self.points.len()), area, most, found);

@@ -1,5 +1,5 @@
-//! The true nearest neighbours of every point, whatever the tiles: a tile is searched first, then every other tile that may
-//! still hold a nearer point. Where points are sparse, the halo grows by itself.
+//! The true nearest neighbours of every point, whatever the tiles: a tile is searched first, then every other tile that
+//! may still hold a nearer point. Where points are sparse, the halo grows by itself.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -38,9 +38,9 @@ impl Trees<'_> {
     }
 }
 
-/// Finds the `count` nearest active neighbours of every active point that are nearer than the root of `bound2`, and hands
-/// the squared distances over, tile by tile: `count` sorted numbers a point, in the order of the tile's points; what was
-/// not found stays at `bound2`.
+/// Finds the `count` nearest active neighbours of every active point that are nearer than the root of `bound2`, and
+/// hands the squared distances over, tile by tile: `count` sorted numbers a point, in the order of the tile's points;
+/// what was not found stays at `bound2`.
 ///
 /// At most `kept_points` are held in trees beside the tile itself. [`Tiles::prepare`] must have run.
 ///
@@ -60,8 +60,8 @@ pub fn for_each_tile(
     for_each_tile_from(tiles, count, all, kept_points, each)
 }
 
-/// As [`for_each_tile`], each neighbour with a bound of its own that its squared distance must be below: `begin` has them
-/// for a tile, or `None` when nothing is to be found there.
+/// As [`for_each_tile`], each neighbour with a bound of its own that its squared distance must be below: `begin` has
+/// them for a tile, or `None` when nothing is to be found there.
 ///
 /// # Errors
 /// Those of `begin`, of `each` and of the scratch disk.

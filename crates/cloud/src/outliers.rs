@@ -24,11 +24,11 @@ pub struct OutlierStatistics {
 }
 
 /// Statistical outliers (Rusu, Marton, Blodow, Dolha & Beetz, *Towards 3D point cloud based object maps for household
-/// environments*, 2008): with μᵢ the mean distance of a point to its `neighbours` nearest, itself left out, μ and σ their
-/// mean and standard deviation (n − 1), a point is noise when μᵢ ≥ μ + mσ, `m` being `multiplier`.
+/// environments*, 2008): with μᵢ the mean distance of a point to its `neighbours` nearest, itself left out, μ and σ
+/// their mean and standard deviation (n − 1), a point is noise when μᵢ ≥ μ + mσ, `m` being `multiplier`.
 ///
-/// μ and σ come from exact sums: neither tiles nor the order of points change a bit. Unlike PDAL, nothing is noise where
-/// all μᵢ are the same. Points with fewer neighbours in the whole cloud use those that there are.
+/// μ and σ come from exact sums: neither tiles nor the order of points change a bit. Unlike PDAL, nothing is noise
+/// where all μᵢ are the same. Points with fewer neighbours in the whole cloud use those that there are.
 ///
 /// # Errors
 /// Those of the scratch disk.

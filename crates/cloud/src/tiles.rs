@@ -1,5 +1,6 @@
-//! Points outside memory: spooled in the order of the file, then sorted into tiles of neighbouring points in one scratch
-//! folder. A tile is a run of records in a file; how points are shared out never changes a result, only the time.
+//! Points outside memory: spooled in the order of the file, then sorted into tiles of neighbouring points in one
+//! scratch folder. A tile is a run of records in a file; how points are shared out never changes a result, only the
+//! time.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -456,7 +457,8 @@ impl Verdicts {
         Ok(Verdicts { part_points, points, parts, loaded: None })
     }
 
-    /// Class and step of a point; points are best asked for in their order. `None` when the point never was in the chain.
+    /// Class and step of a point; points are best asked for in their order. `None` when the point never was in the
+    /// chain.
     ///
     /// # Errors
     /// Those of the scratch disk.

@@ -98,7 +98,8 @@ fn outliers_are_those_of_brute_force() {
     }
 }
 
-/// How deep the origin lies below the envelope of places around it, in units of the spread: by Cramer's rule, all in memory.
+/// How deep the origin lies below the envelope of places around it, in units of the spread: by Cramer's rule, all in
+/// memory.
 fn depth_of_brute_force(around: &[[f64; 3]]) -> Option<f64> {
     let determinant = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])

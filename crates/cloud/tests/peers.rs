@@ -65,7 +65,8 @@ fn agreement(name: &str, options: Options) -> Option<(f64, f64, u64)> {
 
 #[test]
 fn ground_of_the_isprs_samples() {
-    // Slope, window, threshold, scaling; total error and kappa of the author's program, optimised and with one set for all.
+    // Slope, window, threshold, scaling; total error and kappa of the author's program, optimised and with one set for
+    // all.
     let samples = [
         ("samp11", [0.2, 16.0, 0.45, 1.2], (0.091897, 0.8123), (0.094949, 0.8065)),
         ("samp12", [0.18, 12.0, 0.30, 0.95], (0.030296, 0.9394), (0.031984, 0.9360)),

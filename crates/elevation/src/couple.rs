@@ -69,8 +69,8 @@ const SAME_HEIGHT_M: f64 = 1e-4;
 /// Opens two models and brings A into B's CRS, and its heights to B's vertical datum, where they differ.
 ///
 /// # Errors
-/// When one cannot be opened, one alone names its unit, its CRS or its vertical datum, or PROJ has no way between them that is good
-/// enough with the grids that are installed: the message names the grid.
+/// When one cannot be opened, one alone names its unit, its CRS or its vertical datum, or PROJ has no way between them
+/// that is good enough with the grids that are installed: the message names the grid.
 pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     let (ma, mb) = (Model::open(a)?, Model::open(b)?);
     check_units(&ma, &mb)?;

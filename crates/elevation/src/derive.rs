@@ -1,5 +1,5 @@
-//! Pictures and measures of one model, by GDAL's own functions, which keep a few rows in memory: hillshade, slope, aspect,
-//! roughness, TRI, TPI, colours, contours.
+//! Pictures and measures of one model, by GDAL's own functions, which keep a few rows in memory: hillshade, slope,
+//! aspect, roughness, TRI, TPI, colours, contours.
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, CString, c_char};
@@ -70,8 +70,8 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     let name = c_string(out, out.as_os_str().as_bytes())?;
     let kind = c_string(model, drawing.kind.as_bytes())?;
     let colours = drawing.colours.map(|path| c_string(path, path.as_os_str().as_bytes())).transpose()?;
-    // SAFETY: the list of options is ended by a null pointer; all strings and the dataset outlive the calls, the options are
-    // freed once, and the dataset that is made is closed once and not used again.
+    // SAFETY: the list of options is ended by a null pointer; all strings and the dataset outlive the calls, the
+    // options are freed once, and the dataset that is made is closed once and not used again.
     let failed = unsafe {
         gdal_sys::CPLErrorReset();
         let options = gdal_sys::GDALDEMProcessingOptionsNew(pointers.as_mut_ptr(), std::ptr::null_mut());
@@ -225,8 +225,8 @@ pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
     let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
     pointers.push(std::ptr::null_mut());
     let name = c_string(out, out.as_os_str().as_bytes())?;
-    // SAFETY: the list of options is ended by a null pointer; strings and the dataset outlive the calls, the options are freed
-    // once, and the dataset that is made is closed once and not used again.
+    // SAFETY: the list of options is ended by a null pointer; strings and the dataset outlive the calls, the options
+    // are freed once, and the dataset that is made is closed once and not used again.
     let failed = unsafe {
         gdal_sys::CPLErrorReset();
         let options = gdal_sys::GDALWarpAppOptionsNew(pointers.as_mut_ptr(), std::ptr::null_mut());

@@ -1,7 +1,8 @@
 //! Sums that do not depend on the order of their terms.
 //!
-//! Every term is kept to its last bit in a long fixed-point number, so that partial sums of any tiling and any number of
-//! threads join to the same bits (U. Kulisch, *Computer Arithmetic and Validity*, 2013, chapter 8: the long accumulator).
+//! Every term is kept to its last bit in a long fixed-point number, so that partial sums of any tiling and any number
+//! of threads join to the same bits (U. Kulisch, *Computer Arithmetic and Validity*, 2013, chapter 8: the long
+//! accumulator).
 
 /// Bits of a limb.
 const LIMB_BITS: usize = 32;

@@ -81,7 +81,8 @@ impl Resources {
     }
 }
 
-/// Reads polygons of a vector file into a CRS; the name of each is its attribute `name`, `id` or the like, or its number.
+/// Reads polygons of a vector file into a CRS; the name of each is its attribute `name`, `id` or the like, or its
+/// number.
 ///
 /// # Errors
 /// When the file cannot be read, or holds no polygon.

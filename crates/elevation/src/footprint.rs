@@ -1,7 +1,7 @@
 //! A fine model seen in coarser cells: means over each cell's own footprint, wherever it comes to lie.
 //!
-//! Means over whole blocks, interpolated between them, draw a shift towards the blocks' own lattice by some thousandths of a
-//! cell where the ground is rougher than the cells; footprints have no lattice.
+//! Means over whole blocks, interpolated between them, draw a shift towards the blocks' own lattice by some thousandths
+//! of a cell where the ground is rougher than the cells; footprints have no lattice.
 
 use crate::error::Result;
 use crate::grid::Grid;
@@ -71,8 +71,8 @@ pub struct Buffers {
 }
 
 impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
-    /// The cell at X of `target` gets the mean of `source` over the cell's area moved by (`shift_x`, `shift_y`), in units of
-    /// the CRS; NaN where less than half of it has heights.
+    /// The cell at X of `target` gets the mean of `source` over the cell's area moved by (`shift_x`, `shift_y`), in
+    /// units of the CRS; NaN where less than half of it has heights.
     pub fn new(source: &'a H, target: Grid, shift: (f64, f64)) -> Self {
         let s = source.grid();
         let x = Axis::new((target.x0, target.step_x), (s.x0, s.step_x), shift.0);

@@ -1,7 +1,8 @@
 //! Hillshade, slope and aspect where a cell's sides are not what the file's units say: degrees, whose length in metres
-//! changes from row to row, and feet beside metres. Formulas, borders and rounding are `gdaldem`'s (B. K. P. Horn, *Hill
-//! shading and the reflectance map*, 1981; L. W. Zevenbergen and C. R. Thorne, *Quantitative analysis of land surface
-//! topography*, 1987; R. K. Mark, *Multidirectional, oblique-weighted, shaded-relief image*, 1992); only the sides differ.
+//! changes from row to row, and feet beside metres. Formulas, borders and rounding are `gdaldem`'s (B. K. P. Horn,
+//! *Hill shading and the reflectance map*, 1981; L. W. Zevenbergen and C. R. Thorne, *Quantitative analysis of land
+//! surface topography*, 1987; R. K. Mark, *Multidirectional, oblique-weighted, shaded-relief image*, 1992); only the
+//! sides differ.
 
 use std::path::Path;
 
@@ -233,7 +234,8 @@ fn shade(east: f64, north: f64, azimuth_deg: f64, altitude_deg: f64) -> f64 {
     if cosine <= 0.0 { 1.0 } else { 1.0 + 254.0 * cosine }
 }
 
-/// Shades from 225°, 270°, 315° and 360°, each weighed by the square of the cosine between aspect and light, as GDAL does.
+/// Shades from 225°, 270°, 315° and 360°, each weighed by the square of the cosine between aspect and light, as GDAL
+/// does.
 fn four_sides(east: f64, north: f64, altitude_deg: f64) -> f64 {
     let altitude = altitude_deg.to_radians();
     let steepness = east * east + north * north;

@@ -76,7 +76,8 @@ impl GroundUnit {
 
     /// Metres in a unit of x and of y at this y (a latitude in degrees, where the CRS is geographic).
     ///
-    /// The radii of curvature across and along the meridian (Torge and Müller, *Geodesy*, 2012, equations 4.13 and 4.14).
+    /// The radii of curvature across and along the meridian (Torge and Müller, *Geodesy*, 2012, equations 4.13 and
+    /// 4.14).
     pub fn metres_per_unit(&self, y: f64) -> (f64, f64) {
         match *self {
             GroundUnit::Projected { metres_per_unit } => (metres_per_unit, metres_per_unit),

@@ -1,4 +1,5 @@
-//! Histograms whose buckets follow the floating-point numbers: fine where values are small, of equal relative width elsewhere.
+//! Histograms whose buckets follow the floating-point numbers: fine where values are small, of equal relative width
+//! elsewhere.
 
 /// An unsigned number that orders as the floating-point numbers do; NaN is not asked for.
 pub fn order_key(value: f32) -> u32 {
@@ -53,7 +54,8 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         (from_order_key(low), from_order_key(low | ((1u64 << (32 - BITS)) - 1) as u32))
     }
 
-    /// The bucket of the value of this rank (from 0), and how many values lie in buckets before it. `None` beyond the end.
+    /// The bucket of the value of this rank (from 0), and how many values lie in buckets before it. `None` beyond the
+    /// end.
     pub fn bucket_of_rank(&self, rank: u64) -> Option<(usize, u64)> {
         let mut before = 0;
         for (bucket, &count) in self.counts.iter().enumerate() {
@@ -79,7 +81,8 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         Some(if value.abs() > 1e-30 && value.is_finite() { value } else { 0.0 })
     }
 
-    /// The mean of the values at most `reach` from `centre`, to the resolution of the buckets; `None` where there are none.
+    /// The mean of the values at most `reach` from `centre`, to the resolution of the buckets; `None` where there are
+    /// none.
     pub fn mean_within(&self, centre: f64, reach: f64) -> Option<f64> {
         let (mut sum, mut count) = (0.0, 0u64);
         for (bucket, &here) in self.counts.iter().enumerate().filter(|(_, here)| **here > 0) {

@@ -1,6 +1,7 @@
 //! Copies of heights that are read in several passes: in memory, or decoded on disk.
 //!
-//! Decoding a compressed model takes several times as long as what is asked of it, and an alignment passes over it a dozen times.
+//! Decoding a compressed model takes several times as long as what is asked of it, and an alignment passes over it a
+//! dozen times.
 
 use std::fs::File;
 use std::io;
@@ -94,7 +95,8 @@ pub struct Held {
 }
 
 impl Held {
-    /// Reads the whole source; `None` when it has heights that are no 32-bit numbers: they would not come back as they were.
+    /// Reads the whole source; `None` when it has heights that are no 32-bit numbers: they would not come back as they
+    /// were.
     ///
     /// # Errors
     /// When the source cannot be read.

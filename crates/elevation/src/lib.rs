@@ -1,4 +1,5 @@
-//! Elevation models: aligned to each other, compared, drawn; rasters joined into mosaics. Streamed, whatever their size.
+//! Elevation models: aligned to each other, compared, drawn; rasters joined into mosaics. Streamed, whatever their
+//! size.
 //!
 //! The algorithms see heights through [`source::Heights`], in windows, and keep sums whose value does not depend on the
 //! order of their terms ([`exact`]): the size of the tiles and the number of threads never change a result by a bit.

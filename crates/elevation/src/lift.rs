@@ -4,8 +4,8 @@ use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use crate::error::Result;
 use crate::grid::Grid;
 
-/// Metres to add at every place of a model, on a lattice over its grid. Undulations of geoids are smooth beside the cells of
-/// a model: between the nodes the value is bilinear.
+/// Metres to add at every place of a model, on a lattice over its grid. Undulations of geoids are smooth beside the
+/// cells of a model: between the nodes the value is bilinear.
 #[derive(Clone, Debug)]
 pub struct Lift {
     /// Cells of the model between nodes.
@@ -28,8 +28,8 @@ impl Lift {
     /// Samples PROJ over a grid whose map coordinates are those of `to`. `from` and `to` must have heights.
     ///
     /// # Errors
-    /// When PROJ has no transformation with heights between them that is good enough with the grids that are installed, or
-    /// none that holds over the whole grid.
+    /// When PROJ has no transformation with heights between them that is good enough with the grids that are installed,
+    /// or none that holds over the whole grid.
     pub fn of(grid: &Grid, from: &Crs, to: &Crs) -> Result<Lift> {
         let mut nodes = FIRST_NODES;
         let probes: Vec<(f64, f64)> = (0..PROBES * PROBES)
@@ -95,8 +95,9 @@ impl Lift {
     }
 }
 
-/// What PROJ adds to heights of `from` to have them in `to`, metres, at places of a grid that lies in `to`: the heights in
-/// `from` of what has none in `to`, with the other sign. With the height itself they change by some millionths of it.
+/// What PROJ adds to heights of `from` to have them in `to`, metres, at places of a grid that lies in `to`: the heights
+/// in `from` of what has none in `to`, with the other sign. With the height itself they change by some millionths of
+/// it.
 fn sample(grid: &Grid, from: &Crs, to: &Crs, places: &[(f64, f64)]) -> Result<(Vec<f64>, Accuracy)> {
     let mut points: Vec<Coordinate> = places
         .iter()

@@ -1,5 +1,5 @@
-//! Where heights come from: memory, means over blocks of another source, files ([`crate::model`]), copies that are quick to read again
-//! ([`crate::kept`]).
+//! Where heights come from: memory, means over blocks of another source, files ([`crate::model`]), copies that are
+//! quick to read again ([`crate::kept`]).
 
 use crate::error::Result;
 use crate::grid::Grid;

@@ -8,8 +8,8 @@ struct Edge {
     zone: u32,
 }
 
-/// Numbered areas. A cell belongs to an area when its centre lies inside by the even-odd rule; where areas overlap, to the
-/// last of them.
+/// Numbered areas. A cell belongs to an area when its centre lies inside by the even-odd rule; where areas overlap, to
+/// the last of them.
 #[derive(Clone, Debug, Default)]
 pub struct Zones {
     edges: Vec<Edge>,

@@ -33,8 +33,8 @@ pub fn builtin_cameras() -> Vec<Camera> {
 /// A camera by its built-in name or from a TOML file.
 ///
 /// # Errors
-/// [`Error::Usage`] when neither a camera nor a file has this name; [`Error::Format`] when the file is no camera, with the
-/// line or the mark at fault.
+/// [`Error::Usage`] when neither a camera nor a file has this name; [`Error::Format`] when the file is no camera, with
+/// the line or the mark at fault.
 pub fn load_camera(name_or_file: &str) -> Result<Camera> {
     if let Some((name, text)) = BUILTIN.iter().find(|(name, _)| *name == name_or_file) {
         return parse(text, Path::new(name));
@@ -133,8 +133,8 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Coordinates from distances: Gauss–Newton from the rough positions. What distances do not determine (place and turn) stays
-/// as the rough positions have it, since steps are of least norm.
+/// Coordinates from distances: Gauss–Newton from the rough positions. What distances do not determine (place and turn)
+/// stays as the rough positions have it, since steps are of least norm.
 fn from_distances(camera: &mut Camera, path: &Path) -> Result<()> {
     let index = |name: &str| camera.marks.iter().position(|m| m.name == name).expect("checked before");
     let n = camera.marks.len();

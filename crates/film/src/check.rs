@@ -15,11 +15,12 @@ pub struct Agreement {
     pub reason: Option<String>,
 }
 
-/// Compares marks `(film mm, place)` with each other; `tolerance_px` is how far a mark may lie from where the others put it.
+/// Compares marks `(film mm, place)` with each other; `tolerance_px` is how far a mark may lie from where the others
+/// put it.
 ///
 /// With four or more, marks are left out one at a time, the worst first, until the rest agree; with three left nothing
-/// more can be left out, since two always agree. Where leaving out either of two marks would make the rest agree, nobody
-/// can tell which is wrong, and none is passed.
+/// more can be left out, since two always agree. Where leaving out either of two marks would make the rest agree,
+/// nobody can tell which is wrong, and none is passed.
 pub fn agreement(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, tolerance_px: f64) -> Vec<Agreement> {
     let all: Vec<usize> = (0..points.len()).collect();
     let mut kept = all.clone();
@@ -69,16 +70,16 @@ fn misfit(points: &[([f64; 2], PixelPoint)], kept: &[usize], mirrored: Handednes
         .fold(0.0, f64::max)
 }
 
-/// Where `others` put the film point `mm`. Three or more say it by an affine transform, since film and scanners shear and
-/// shrink by a tenth of a per cent (the public Wild frame: 0.13 mm at the corners, by hand as by this program), and the axes of
-/// scanners in archives differ by two per cent; two by a similarity.
+/// Where `others` put the film point `mm`. Three or more say it by an affine transform, since film and scanners shear
+/// and shrink by a tenth of a per cent (the public Wild frame: 0.13 mm at the corners, by hand as by this program), and
+/// the axes of scanners in archives differ by two per cent; two by a similarity.
 fn predict(others: &[([f64; 2], PixelPoint)], mm: [f64; 2], mirrored: Handedness) -> Option<PixelPoint> {
     let pose = fit_pose(others, mirrored)?;
     let similar = pose.apply(mm);
     let Some([x, y]) = affine(others) else { return Some(similar) };
     let at = PixelPoint { x: x[0] * mm[0] + x[1] * mm[1] + x[2], y: y[0] * mm[0] + y[1] * mm[1] + y[2] };
-    // What is neither stretch of an axis nor a small deformation is no film: the similarity's answer, which then contradicts
-    // somebody.
+    // What is neither stretch of an axis nor a small deformation is no film: the similarity's answer, which then
+    // contradicts somebody.
     let stretch = Stretch::of_rows([[x[0], x[1]], [y[0], y[1]]]);
     let stretched = fit_stretched(others, mirrored, stretch).filter(|_| stretch.0.abs() <= MOST_STRETCH);
     let size = others.iter().map(|o| (o.0[0] - mm[0]).hypot(o.0[1] - mm[1])).fold(0.0, f64::max);

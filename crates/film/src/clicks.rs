@@ -1,5 +1,6 @@
-//! Places that somebody pointed at, made exact: marks that look alike are laid on each other, and where what they have in common is
-//! its own image turned by half a turn, its centre is the reference point. What neither says stays as it was pointed at.
+//! Places that somebody pointed at, made exact: marks that look alike are laid on each other, and where what they have
+//! in common is its own image turned by half a turn, its centre is the reference point. What neither says stays as it
+//! was pointed at.
 
 use super::learn::Grid;
 
@@ -7,12 +8,13 @@ use super::learn::Grid;
 const DISC_MM: f64 = 1.6;
 /// Correlation from which two marks look alike, and from which one is its own image turned by half a turn.
 const ALIKE: f64 = 0.6;
-/// Correlation of edges from which a mark in front of terrain is seen, from which it shows the same as the others, and contrast, of theirs,
-/// below which it is faint.
+/// Correlation of edges from which a mark in front of terrain is seen, from which it shows the same as the others, and
+/// contrast, of theirs, below which it is faint.
 const SEEN: f64 = 0.45;
 const SAME: f64 = 0.8;
 const FAINT: f64 = 0.5;
-/// What changes over more than this is terrain or light, not an edge: half the side of the box whose mean is taken away, millimetres.
+/// What changes over more than this is terrain or light, not an edge: half the side of the box whose mean is taken
+/// away, millimetres.
 const EDGE_MM: f64 = 0.35;
 const SYMMETRIC: f64 = 0.85;
 /// How far clicks may be off: pixels of the scan, and millimetres.
@@ -147,8 +149,8 @@ impl Field {
         [self.width / 2, self.height / 2]
     }
 
-    /// All windows laid on that of a number, and then on what they have in common, which is clearer; shifts of mean 0, since nothing is
-    /// known of what clicks share.
+    /// All windows laid on that of a number, and then on what they have in common, which is clearer; shifts of mean 0,
+    /// since nothing is known of what clicks share.
     fn laid_on(&self, windows: &[&Values], first: usize) -> Vec<Option<[f64; 2]>> {
         let mut moved: Vec<Option<[f64; 2]>> = vec![None; windows.len()];
         let mut stack: Vec<f32> = windows[first].to_vec();
@@ -376,7 +378,8 @@ mod tests {
             .collect()
     }
 
-    /// Half discs are no images of themselves: nothing but the clicks' mean tells where their centre is, and they scatter by what is known.
+    /// Half discs are no images of themselves: nothing but the clicks' mean tells where their centre is, and they
+    /// scatter by what is known.
     #[test]
     fn clicks_on_marks_without_symmetry_say_how_good_they_are() {
         let grid = Grid { step_mm: 0.06, width: 80, height: 80 };

@@ -1,9 +1,11 @@
-//! Does a frame fit its roll? One camera and one scanner make the frames of a roll alike: size of a pixel, distances between
-//! marks, how the frame lies in the scan. What differs from the others' median by far more than they differ among themselves
-//! is another camera's frame, a frame laid down the wrong way, or a wrong find that agrees with itself.
+//! Does a frame fit its roll? One camera and one scanner make the frames of a roll alike: size of a pixel, distances
+//! between marks, how the frame lies in the scan. What differs from the others' median by far more than they differ
+//! among themselves is another camera's frame, a frame laid down the wrong way, or a wrong find that agrees with
+//! itself.
 //!
-//! Median and median absolute deviation after F. R. Hampel, "The influence curve and its role in robust estimation", Journal
-//! of the American Statistical Association, 1974. A frame only ever loses by this: nothing doubtful becomes good.
+//! Median and median absolute deviation after F. R. Hampel, "The influence curve and its role in robust estimation",
+//! Journal of the American Statistical Association, 1974. A frame only ever loses by this: nothing doubtful becomes
+//! good.
 
 use super::interior::distance;
 use super::remeasure::median;
@@ -74,8 +76,8 @@ fn usual(values: Vec<f64>, least: impl Fn(f64) -> f64) -> Option<(f64, f64)> {
     Some((middle, (FAR * 1.4826 * median(off)).max(least(middle))))
 }
 
-/// For every frame of a roll, in how far it is unlike the others: reasons in plain words, none for most. `None` for frames
-/// without interior orientation, which take no part.
+/// For every frame of a roll, in how far it is unlike the others: reasons in plain words, none for most. `None` for
+/// frames without interior orientation, which take no part.
 pub fn unlike(camera: &Camera, roll: &[Option<Facts>]) -> Vec<Vec<String>> {
     let known: Vec<&Facts> = roll.iter().flatten().collect();
     let mut reasons: Vec<Vec<String>> = vec![vec![]; roll.len()];
@@ -136,7 +138,8 @@ fn majority<T: PartialEq + Copy>(values: impl Iterator<Item = T>) -> Option<T> {
     all.iter().copied().find(|v| count(v) as f64 > MAJORITY * all.len() as f64)
 }
 
-/// The frame as its roll leaves it: good frames and marks become doubtful for `reasons`, doubtful and failed ones get them too.
+/// The frame as its roll leaves it: good frames and marks become doubtful for `reasons`, doubtful and failed ones get
+/// them too.
 pub fn lowered(frame: &FrameResult, reasons: &[String]) -> FrameResult {
     let mut frame = frame.clone();
     let said: Vec<String> = reasons.iter().map(|r| format!("unlike its roll: {r}")).collect();

@@ -1,8 +1,9 @@
 //! Which peak is which mark, and how the frame lies in the scan.
 //!
-//! A handful of marks with a few peaks each need no pattern index: every pair of peaks of two marks gives a pose, and the
-//! pose that most marks agree with, best scores first, is taken. The frame's turn is a matter of its own: side and corner marks
-//! lie nearly symmetrically, and only how far a camera's calibrated positions are from symmetric tells its turns apart.
+//! A handful of marks with a few peaks each need no pattern index: every pair of peaks of two marks gives a pose, and
+//! the pose that most marks agree with, best scores first, is taken. The frame's turn is a matter of its own: side and
+//! corner marks lie nearly symmetrically, and only how far a camera's calibrated positions are from symmetric tells its
+//! turns apart.
 
 use super::interior::{Pose, Stretch, distance, fit_own_stretch, fit_pose, fit_stretched, refit, rms_px};
 use super::search::Peak;
@@ -34,10 +35,11 @@ impl Assembly {
     }
 }
 
-/// Number of assemblies of as many marks that peaks as good as the chosen ones, strewn over their boxes, would make by chance: as
-/// many tries as the boxes have such peaks, and for each the share of its box in which the marks that do not determine the pose
-/// would be taken for right (D. Lowe, "Three-dimensional object recognition from single two-dimensional images", Artificial
-/// Intelligence, 1987, counts alike). `ways` is how many ways of lying were tried, `half_px` half the side of a box.
+/// Number of assemblies of as many marks that peaks as good as the chosen ones, strewn over their boxes, would make by
+/// chance: as many tries as the boxes have such peaks, and for each the share of its box in which the marks that do not
+/// determine the pose would be taken for right (D. Lowe, "Three-dimensional object recognition from single
+/// two-dimensional images", Artificial Intelligence, 1987, counts alike). `ways` is how many ways of lying were tried,
+/// `half_px` half the side of a box.
 pub fn chance(assembly: &Assembly, peaks: &[Vec<Peak>], half_px: f64, ways: usize) -> f64 {
     let tries: f64 = assembly
         .chosen
@@ -90,7 +92,8 @@ pub fn assemble(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Optio
     best
 }
 
-/// As [`assemble`] for scans whose axes differ in scale: three peaks give a pose with its stretch. At least four marks agree: three check nothing then.
+/// As [`assemble`] for scans whose axes differ in scale: three peaks give a pose with its stretch. At least four marks
+/// agree: three check nothing then.
 pub fn assemble_stretched(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Option<Assembly> {
     let mut triples = vec![];
     for a in 0..film.len() {
@@ -181,9 +184,9 @@ impl Naming {
     }
 }
 
-/// Every naming of `places` (found under the naming `now`, film index by film index) that turning the frame by quarters and
-/// mirroring it allows, best first, those that no mark contradicts before the others: in a wrong way round three of four fit easily. `same` says
-/// whether two marks look alike.
+/// Every naming of `places` (found under the naming `now`, film index by film index) that turning the frame by quarters
+/// and mirroring it allows, best first, those that no mark contradicts before the others: in a wrong way round three of
+/// four fit easily. `same` says whether two marks look alike.
 pub fn namings(
     film: &[[f64; 2]],
     centre: [f64; 2],
@@ -244,8 +247,8 @@ mod tests {
     use super::*;
     use crate::camera::load_camera;
 
-    /// Places of a made frame turned by 270°, as they were measured. Turned by 180° three of its marks fit nearly as well as all four
-    /// do in truth, and the fourth not at all.
+    /// Places of a made frame turned by 270°, as they were measured. Turned by 180° three of its marks fit nearly as
+    /// well as all four do in truth, and the fourth not at all.
     #[test]
     fn names_that_a_mark_contradicts_come_after_those_that_fit_all() {
         let camera = load_camera("svalbard-zeiss-1936").expect("built in");

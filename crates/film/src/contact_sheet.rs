@@ -19,8 +19,8 @@ const SIDE: usize = 160;
 /// What a chip shows of a mark that was not found, millimetres on the film.
 const SEARCHED_MM: f64 = 16.0;
 
-/// Writes the page to `path` and the pictures into a folder of its name without extension. A scan that cannot be read has no
-/// chips. `model` is what a replay of the patch would solve.
+/// Writes the page to `path` and the pictures into a folder of its name without extension. A scan that cannot be read
+/// has no chips. `model` is what a replay of the patch would solve.
 ///
 /// # Errors
 /// When the page or a picture cannot be written.
@@ -99,8 +99,8 @@ struct Chip {
     equal: Vec<u8>,
 }
 
-/// Where to look for a mark that has no place: where the others put it, or where it would be on a frame in the middle of the
-/// scan.
+/// Where to look for a mark that has no place: where the others put it, or where it would be on a frame in the middle
+/// of the scan.
 fn place(source: &dyn RasterSource, camera: &Camera, frame: &FrameResult, k: usize) -> (PixelPoint, bool) {
     let mark: &MarkFind = &frame.marks[k];
     if let Some(centre) = mark.centre {

@@ -1,12 +1,12 @@
 //! Normalised correlation of a mark at many places of a picture at once.
 //!
-//! After J. P. Lewis, "Fast template matching", Vision Interface, 1995, with weights: what the mark does not describe (the
-//! image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is brightened
-//! or stretched, so dark frames need no equalisation first.
+//! After J. P. Lewis, "Fast template matching", Vision Interface, 1995, with weights: what the mark does not describe
+//! (the image beyond the opaque frame, the scanner's glass) takes no part. Correlation does not change when a scan is
+//! brightened or stretched, so dark frames need no equalisation first.
 //!
-//! Drawn marks are flat nearly everywhere: a row of one is a few runs of one value. The sums that the correlation needs are
-//! differences of running sums there, two look-ups a run instead of a product for each of its values; what is left, edges
-//! and thin lines, is added value by value. A learned mark is edges all over and costs what its values cost.
+//! Drawn marks are flat nearly everywhere: a row of one is a few runs of one value. The sums that the correlation needs
+//! are differences of running sums there, two look-ups a run instead of a product for each of its values; what is left,
+//! edges and thin lines, is added value by value. A learned mark is edges all over and costs what its values cost.
 
 use super::template::Template;
 use super::window::Grey;
@@ -203,7 +203,8 @@ impl Matcher {
     }
 }
 
-/// How well a template fits: its correlation with the values under it, or the mean of its sectors' correlations by their shares.
+/// How well a template fits: its correlation with the values under it, or the mean of its sectors' correlations by
+/// their shares.
 pub struct Scores<'a> {
     matcher: &'a Matcher,
     picture: Picture,
@@ -212,7 +213,8 @@ pub struct Scores<'a> {
 }
 
 impl Scores<'_> {
-    /// With the template's reference value on the values from (x, y) on along a row; −1 where the template does not lie inside.
+    /// With the template's reference value on the values from (x, y) on along a row; −1 where the template does not lie
+    /// inside.
     pub fn row(&self, x: i64, y: i64, out: &mut [f32]) {
         out.fill(-1.0);
         let Matcher { width, height, reference, outlines } = self.matcher;

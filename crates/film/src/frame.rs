@@ -48,8 +48,9 @@ pub struct FindOptions {
 }
 
 impl Default for FindOptions {
-    /// The box is that of the 2017 thesis. The real Wild frame keeps its corners within 20 µm of an affine transform; 1.5 px leave room for that on
-    /// coarse scans, and one of four marks that is wrong by no more moves the orientation by a pixel at most.
+    /// The box is that of the 2017 thesis. The real Wild frame keeps its corners within 20 µm of an affine transform;
+    /// 1.5 px leave room for that on coarse scans, and one of four marks that is wrong by no more moves the orientation
+    /// by a pixel at most.
     fn default() -> Self {
         FindOptions {
             method: Method::Correlation,
@@ -155,7 +156,8 @@ impl Finder {
     /// The marks and the interior orientation of one scan. Finding nothing is no error: the status says so.
     ///
     /// # Errors
-    /// Those of reading the scan; [`Error::Usage`](autoref_raster::error::Error::Usage) when the method does not know the camera's marks.
+    /// Those of reading the scan; [`Error::Usage`](autoref_raster::error::Error::Usage) when the method does not know
+    /// the camera's marks.
     pub fn find(&self, source: &dyn RasterSource, options: &FindOptions) -> Result<FrameResult> {
         let started = Instant::now();
         let info = source.info();
@@ -366,7 +368,8 @@ impl Finder {
         if predicted.is_some_and(outside) { "lies outside the scan" } else { "not found" }
     }
 
-    /// Marks without a centre of symmetry lie where clicks taught them, by the same for all frames: nothing in a frame shows it.
+    /// Marks without a centre of symmetry lie where clicks taught them, by the same for all frames: nothing in a frame
+    /// shows it.
     fn doubt_references(&self, pose: &Pose, used: &[usize]) -> Option<String> {
         let squares: f64 = used.iter().map(|k| self.model(*k).reference_sigma_um().powi(2)).sum();
         let sigma_px = (squares / used.len().max(1) as f64).sqrt() / 1e3 * pose.px_per_mm();
@@ -399,7 +402,8 @@ impl Finder {
             })
             .collect();
         let mut reasons: Vec<String> = doubtful_names.into_iter().collect();
-        // Many marks that agree check each other without the one that is not seen, or hardly; one that contradicts them stays a reason.
+        // Many marks that agree check each other without the one that is not seen, or hardly; one that contradicts them
+        // stays a reason.
         let found = observations.len();
         let enough = found >= MANY && found as f64 >= MOST_SHARE * self.film.len() as f64;
         let tolerance_px = options.tolerance_px(pose);

@@ -1,5 +1,5 @@
-//! Film ↔ scan: the pose that the search uses, and the interior orientation with residuals and covariance. The least squares are
-//! those of [`autoref_solve`].
+//! Film ↔ scan: the pose that the search uses, and the interior orientation with residuals and covariance. The least
+//! squares are those of [`autoref_solve`].
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
@@ -19,7 +19,8 @@ pub struct Pose {
     pub stretch: Stretch,
 }
 
-/// How far a scan's axes differ in scale: natural logarithm of (pixels per millimetre along x / along y); 0 for most scanners.
+/// How far a scan's axes differ in scale: natural logarithm of (pixels per millimetre along x / along y); 0 for most
+/// scanners.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Stretch(pub f64);
 
@@ -86,13 +87,15 @@ fn pair(film: [f64; 2], pixel: PixelPoint, mirrored: Handedness) -> Pair {
     }
 }
 
-/// The pose through film points (y down) and their places in a scan whose axes are alike; `None` below two or when they coincide.
+/// The pose through film points (y down) and their places in a scan whose axes are alike; `None` below two or when they
+/// coincide.
 pub fn fit_pose(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<Pose> {
     fit_stretched(points, mirrored, Stretch::NONE)
 }
 
-/// The pose by an affine transform first: how its axes differ in scale is kept, the rest is a similarity. `None` where the points
-/// do not determine one, or it is further from a similarity than [`MOST_STRETCH`] and [`MOST_DEFORMED`] allow.
+/// The pose by an affine transform first: how its axes differ in scale is kept, the rest is a similarity. `None` where
+/// the points do not determine one, or it is further from a similarity than [`MOST_STRETCH`] and [`MOST_DEFORMED`]
+/// allow.
 pub fn fit_own_stretch(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) -> Option<Pose> {
     let [x, y] = affine(points)?;
     let stretch = Stretch::of_rows([[x[0], x[1]], [y[0], y[1]]]);
@@ -102,8 +105,8 @@ pub fn fit_own_stretch(points: &[([f64; 2], PixelPoint)], mirrored: Handedness) 
     (deformed <= MOST_DEFORMED).then_some(pose)
 }
 
-/// `pose` through other points of the same frame. A difference of scale between the axes is taken from four points or more, where
-/// it makes them fit so much better that it cannot be their errors; else the one of `pose` is kept.
+/// `pose` through other points of the same frame. A difference of scale between the axes is taken from four points or
+/// more, where it makes them fit so much better that it cannot be their errors; else the one of `pose` is kept.
 pub fn refit(points: &[([f64; 2], PixelPoint)], pose: &Pose) -> Option<Pose> {
     let kept = fit_stretched(points, pose.mirrored, pose.stretch);
     if points.len() < 4 {
@@ -117,7 +120,8 @@ pub fn refit(points: &[([f64; 2], PixelPoint)], pose: &Pose) -> Option<Pose> {
 
 /// Film shrinks by up to a tenth of a per cent without its scanner being wrong.
 const SURE_STRETCH: f64 = 0.003;
-/// Difference of scale between a scan's axes that is taken for a scanner's, as a logarithm: scans in archives reach 0.023.
+/// Difference of scale between a scan's axes that is taken for a scanner's, as a logarithm: scans in archives reach
+/// 0.023.
 pub const MOST_STRETCH: f64 = 0.035;
 /// Shear and shrinkage beside that, which film and scanners may have, of a frame's size.
 pub const MOST_DEFORMED: f64 = 0.004;

@@ -1,8 +1,8 @@
 //! Templates from a roll: the marks of many frames, aligned and averaged.
 //!
-//! Where a camera's shape is drawn, the frames are examined with that first; where nobody knows the shape, the marks of one
-//! frame are pointed at and cut out, found again in the other frames, and averaged. What differs from frame to frame (the image
-//! behind the mark, scratches) gets little weight, so that what is left is the mark.
+//! Where a camera's shape is drawn, the frames are examined with that first; where nobody knows the shape, the marks of
+//! one frame are pointed at and cut out, found again in the other frames, and averaged. What differs from frame to
+//! frame (the image behind the mark, scratches) gets little weight, so that what is left is the mark.
 
 use std::path::{Path, PathBuf};
 
@@ -19,8 +19,8 @@ use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 
-/// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg` and `mirrored`
-/// of `options` turn them.
+/// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg`
+/// and `mirrored` of `options` turn them.
 pub fn expected(camera: &Camera, size_px: [f64; 2], options: &FindOptions) -> Vec<PixelPoint> {
     let middle = PixelPoint { x: 0.5 * size_px[0], y: 0.5 * size_px[1] };
     let [w, h] = camera.film_size_mm;
@@ -38,11 +38,11 @@ const LEAST_SCORE: f64 = 0.5;
 /// Values along the longer side of a template, at most.
 const MOST_VALUES: f64 = 2048.0;
 
-/// One template per mark of the camera, in the camera's order; `None` where fewer than two frames show the mark (one, when
-/// only one frame is given).
+/// One template per mark of the camera, in the camera's order; `None` where fewer than two frames show the mark (one,
+/// when only one frame is given).
 ///
-/// `window_mm` is width and height of what is cut out, about the reference point. With `pointed` (at least two marks, in the first
-/// scan) marks that nobody pointed at are left out.
+/// `window_mm` is width and height of what is cut out, about the reference point. With `pointed` (at least two marks,
+/// in the first scan) marks that nobody pointed at are left out.
 ///
 /// # Errors
 /// Those of reading the scans; [`Error::Usage`] when nothing can be learned.
@@ -155,8 +155,9 @@ fn learn_visiting(
     Ok(templates)
 }
 
-/// As [`learn`] from files, opened one at a time, writing `NAME-learned.toml` and a template per mark into `folder`. Returns
-/// the camera's file and how many scans were learned from: those that cannot be read are left out with a warning.
+/// As [`learn`] from files, opened one at a time, writing `NAME-learned.toml` and a template per mark into `folder`.
+/// Returns the camera's file and how many scans were learned from: those that cannot be read are left out with a
+/// warning.
 ///
 /// # Errors
 /// Those of [`learn`] and of writing.
@@ -308,11 +309,12 @@ pub(super) fn cut(
     Ok(Some(values))
 }
 
-/// How many times the range of most values that of all may be before the mark is what few values show: a thin line, a dot.
+/// How many times the range of most values that of all may be before the mark is what few values show: a thin line, a
+/// dot.
 const THIN: f32 = 2.0;
 
-/// Dark 0, bright 1: by what a twentieth of the values lies beyond, or, where a mark covers less of the window than that, by what a
-/// five-hundredth does; else grain fills the range and a thin mark is cut off at its top.
+/// Dark 0, bright 1: by what a twentieth of the values lies beyond, or, where a mark covers less of the window than
+/// that, by what a five-hundredth does; else grain fills the range and a thin mark is cut off at its top.
 fn even(values: &mut [f32]) {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);

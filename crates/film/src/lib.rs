@@ -1,13 +1,14 @@
-//! Scanned film: finds the fiducial marks of a camera in a very large scan, tells which is which from their constellation,
-//! refines them to a fraction of a pixel, solves the interior orientation and says which frames a person must look at.
+//! Scanned film: finds the fiducial marks of a camera in a very large scan, tells which is which from their
+//! constellation, refines them to a fraction of a pixel, solves the interior orientation and says which frames a person
+//! must look at.
 //!
 //! ```text
 //! Camera → Template → search windows → peaks → constellation → refined marks → checks → InteriorOrientation
 //! ```
 //!
 //! Only windows that can hold marks are read ([`window`]); a frame costs the same memory however large its scan is.
-//! `docs/film.md` has the method, the measured table and the limits. [`drawn`] draws frames with known truth. This crate imports
-//! `autoref-raster`, `autoref-solve`, `autoref-review` and `autoref-synth`.
+//! `docs/film.md` has the method, the measured table and the limits. [`drawn`] draws frames with known truth. This
+//! crate imports `autoref-raster`, `autoref-solve`, `autoref-review` and `autoref-synth`.
 
 #![deny(unsafe_code)]
 

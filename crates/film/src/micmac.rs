@@ -1,7 +1,7 @@
-//! MicMac's interior orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` and `PackFromCplAPF` in MicMac's sources:
-//! both files are a `MesureAppuiFlottant1Im`, points are paired by name, image = affine(camera) by least squares). The
-//! camera's file is in millimetres, a frame's is in pixels inside a `SetOfMesureAppuisFlottants`, as MicMac's own
-//! `SaisieAppuisInit` writes it.
+//! MicMac's interior orientation: what `mm3d ReSampFid` reads (`cAppliOneReechMarqFid` and `PackFromCplAPF` in MicMac's
+//! sources: both files are a `MesureAppuiFlottant1Im`, points are paired by name, image = affine(camera) by least
+//! squares). The camera's file is in millimetres, a frame's is in pixels inside a `SetOfMesureAppuisFlottants`, as
+//! MicMac's own `SaisieAppuisInit` writes it.
 
 use quick_xml::escape::escape;
 
@@ -19,11 +19,11 @@ fn measures(image: &str, points: &[(String, [f64; 2])], indent: &str) -> String 
     text + indent + "</MesureAppuiFlottant1Im>\n"
 }
 
-/// Positions of the marks as MicMac and spymicmac want them: millimetres, x right, y **down**, from the upper left corner of
-/// the marks' bounding box.
+/// Positions of the marks as MicMac and spymicmac want them: millimetres, x right, y **down**, from the upper left
+/// corner of the marks' bounding box.
 ///
-/// ReSampFid takes them for the axes of the picture that it writes, and would mirror a film whose y runs up; Apero notes
-/// trouble with origins far from the corner; spymicmac's own resampling needs the corner at zero.
+/// ReSampFid takes them for the axes of the picture that it writes, and would mirror a film whose y runs up; Apero
+/// notes trouble with origins far from the corner; spymicmac's own resampling needs the corner at zero.
 pub fn camera_points(camera: &Camera) -> Vec<[f64; 2]> {
     let (points, (low, _)) = (camera.film_points(), camera.film_box());
     // Certificates state micrometres; the subtraction must not show more.
@@ -37,8 +37,8 @@ pub fn camera_xml(camera: &Camera) -> String {
     format!("<?xml version=\"1.0\" ?>\n{}", measures("Glob", &points, ""))
 }
 
-/// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its interior orientation, pixels counted from
-/// `origin`; `None` when it has none.
+/// `MeasuresIm-SCAN.xml` of one frame, SCAN with its extension: the marks of its interior orientation, pixels counted
+/// from `origin`; `None` when it has none.
 pub fn image_xml(frame: &FrameResult, origin: PixelOrigin) -> Option<String> {
     frame.interior.as_ref()?;
     let points: Vec<_> = used_marks(frame, origin).map(|(m, at)| (m.mark.clone(), at)).collect();

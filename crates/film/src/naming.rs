@@ -7,8 +7,8 @@ use super::remeasure::{Measured, located};
 use super::template::Model;
 use autoref_raster::coords::Handedness;
 
-/// Names whose calibrated positions fit worse than the best by no more than this fit as well: errors of certificate and film,
-/// micrometres, and of measuring, pixels.
+/// Names whose calibrated positions fit worse than the best by no more than this fit as well: errors of certificate and
+/// film, micrometres, and of measuring, pixels.
 const SAME_UM: f64 = 23.0;
 const SAME_PX: f64 = 0.4;
 
@@ -34,8 +34,9 @@ impl Named {
 }
 
 impl Finder {
-    /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best. Returns
-    /// what is doubtful about the names. `rivals` are the ways of lying that fit the scan as well as the best, best first.
+    /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best.
+    /// Returns what is doubtful about the names. `rivals` are the ways of lying that fit the scan as well as the best,
+    /// best first.
     pub(super) fn name_marks(
         &self,
         options: &FindOptions,

@@ -1,5 +1,5 @@
-//! Is what was found this camera's frame at all? Marks that agree with each other may be specks, or another camera's marks: they
-//! must not agree by chance, and the size of a pixel that they give must be one that the scan can have.
+//! Is what was found this camera's frame at all? Marks that agree with each other may be specks, or another camera's
+//! marks: they must not agree by chance, and the size of a pixel that they give must be one that the scan can have.
 
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
@@ -16,8 +16,9 @@ const ASTRAY: f64 = 0.04;
 const NONSENSE: f64 = 3.0;
 /// What a scan may show of the film's width and height at all, where nothing else tells its scale.
 const SHOWN: std::ops::Range<f64> = 0.85..1.25;
-/// What one of the two must be for the film to tell the scale: up to so many millimetres cut off or of the scanner's glass beside it.
-/// Marks of another size of camera that lie alike (113.0 and 108.6 mm are 4 % apart) then show 10 mm too much or too little.
+/// What one of the two must be for the film to tell the scale: up to so many millimetres cut off or of the scanner's
+/// glass beside it. Marks of another size of camera that lie alike (113.0 and 108.6 mm are 4 % apart) then show 10 mm
+/// too much or too little.
 const CUT_MM: f64 = 2.0;
 const GLASS_MM: f64 = 9.0;
 /// Differences of scale between the axes that are told: film alone shrinks unevenly by a tenth of a per cent.

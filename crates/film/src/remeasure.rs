@@ -1,5 +1,5 @@
-//! The re-measurement: every mark again under a pose that is known, to a fraction of a pixel, with what makes it doubtful by
-//! itself.
+//! The re-measurement: every mark again under a pose that is known, to a fraction of a pixel, with what makes it
+//! doubtful by itself.
 
 use super::check::agreement;
 use super::constellation::Assembly;
@@ -17,18 +17,18 @@ use autoref_raster::error::Result;
 
 /// A mark that correlates less is looked at by a person.
 pub(super) const GOOD_SCORE: f64 = 0.5;
-/// How far from its prediction a mark is taken, millimetres (and 4 pixels): by the pose of coarse peaks, and by that of marks
-/// which agree.
+/// How far from its prediction a mark is taken, millimetres (and 4 pixels): by the pose of coarse peaks, and by that of
+/// marks which agree.
 const REACH_MM: f64 = 0.6;
 const NEAR_MM: f64 = 0.1;
 /// Peaks looked at around a prediction.
 const NEAR_PEAKS: usize = 4;
 const LINE_PEAKS: usize = 12;
-/// What a place is worth less for lying as far from a sure prediction as marks may disagree, as a share of misfitting pixels: specks as
-/// large as a dot fit nearly as well as a dot that one of them covers in part.
+/// What a place is worth less for lying as far from a sure prediction as marks may disagree, as a share of misfitting
+/// pixels: specks as large as a dot fit nearly as well as a dot that one of them covers in part.
 const ASTRAY: f64 = 0.05;
-/// How far a reference point may lie from where the shape puts it when the frame's other marks tell how the shape was drawn,
-/// millimetres and pixels, added. In made frames shapes keep to half a pixel.
+/// How far a reference point may lie from where the shape puts it when the frame's other marks tell how the shape was
+/// drawn, millimetres and pixels, added. In made frames shapes keep to half a pixel.
 const POINT_MM: f64 = 0.015;
 const POINT_PX: f64 = 0.75;
 /// How far a reference point is found from where its shape puts it, millimetres: the shape's error in front of terrain.
@@ -105,8 +105,9 @@ impl Finder {
         Ok(())
     }
 
-    /// Holds the points of a frame's marks against their shapes. Drawn proportions may be off, but by the same for all marks
-    /// of a frame; a point that lies elsewhere is a speck or a scratch, and is looked for again where the shape puts it.
+    /// Holds the points of a frame's marks against their shapes. Drawn proportions may be off, but by the same for all
+    /// marks of a frame; a point that lies elsewhere is a speck or a scratch, and is looked for again where the shape
+    /// puts it.
     fn settle_points(&self, source: &dyn RasterSource, pose: &Pose, measured: &mut [Option<Measured>]) -> Result<()> {
         let unit = pose.px_per_mm();
         let linear = |k: usize| self.linear(pose, k);
@@ -232,8 +233,8 @@ impl Finder {
         Ok(Some(settle(source, peak.centre, picture, levels.rank, levels.fine)?.unwrap_or(*peak)))
     }
 
-    /// The best place for a mark of lines. A scratch beside a line can correlate better than the line itself, so that the places are
-    /// told apart by how many pixels do not fit the mark once it is refined there.
+    /// The best place for a mark of lines. A scratch beside a line can correlate better than the line itself, so that
+    /// the places are told apart by how many pixels do not fit the mark once it is refined there.
     fn lines(
         &self,
         source: &dyn RasterSource,

@@ -17,8 +17,8 @@ pub fn names(edit: &Edit) -> Option<(&str, &str)> {
     }
 }
 
-/// Applies the edits that name this frame and solves again with the marks that are then OK. Marks that nobody touched keep
-/// what the program said of them. `None` when no edit names the frame.
+/// Applies the edits that name this frame and solves again with the marks that are then OK. Marks that nobody touched
+/// keep what the program said of them. `None` when no edit names the frame.
 ///
 /// # Errors
 /// [`Error::Usage`] when an edit names a mark that the camera has not, accepts one that has no place, or picks.

@@ -1,5 +1,5 @@
-//! What a scan's file says of its resolution: a prior for the size of a pixel, never the truth, since programs that save pictures
-//! often write a resolution of their own.
+//! What a scan's file says of its resolution: a prior for the size of a pixel, never the truth, since programs that
+//! save pictures often write a resolution of their own.
 
 use std::io::Read;
 use std::path::Path;
@@ -13,8 +13,8 @@ const INCH_UM: f64 = 25_400.0;
 pub struct Resolution(pub [f64; 2]);
 
 impl Resolution {
-    /// Of a TIFF (`XResolution`, `YResolution`, `ResolutionUnit`), of a JPEG (JFIF density, or EXIF) or of a PNG (`pHYs`); `None`
-    /// where the file states none, or no unit.
+    /// Of a TIFF (`XResolution`, `YResolution`, `ResolutionUnit`), of a JPEG (JFIF density, or EXIF) or of a PNG
+    /// (`pHYs`); `None` where the file states none, or no unit.
     pub fn of_file(path: &Path) -> Option<Resolution> {
         let mut head = vec![0u8; 4096];
         let n = std::fs::File::open(path).ok()?.read(&mut head).ok()?;

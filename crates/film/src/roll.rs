@@ -108,14 +108,15 @@ impl Hasher for Fnv {
     }
 }
 
-/// Examines `scans` into `folder`: one JSON per frame as soon as it is done, then the roll's table `fiducials.csv`. Frames
-/// whose JSON is there and whose inputs are unchanged are taken over. A scan that cannot be read is a failed frame.
+/// Examines `scans` into `folder`: one JSON per frame as soon as it is done, then the roll's table `fiducials.csv`.
+/// Frames whose JSON is there and whose inputs are unchanged are taken over. A scan that cannot be read is a failed
+/// frame.
 ///
-/// Then every frame is held against the roll ([`super::consistency`]); one that is unlike it becomes doubtful, its own verdict is
-/// kept under `alone`.
+/// Then every frame is held against the roll ([`super::consistency`]); one that is unlike it becomes doubtful, its own
+/// verdict is kept under `alone`.
 ///
-/// `progress` is told after every frame: done, and the frame; and once more of frames that the roll made doubtful. At any time one
-/// frame per thread is in memory.
+/// `progress` is told after every frame: done, and the frame; and once more of frames that the roll made doubtful. At
+/// any time one frame per thread is in memory.
 ///
 /// # Errors
 /// [`Error::Usage`] for two scans of one name; [`Error::Io`] when the folder cannot be written.
@@ -183,7 +184,8 @@ fn refuse_same_names(scans: &[PathBuf], folder: &Path) -> Result<()> {
     }
 }
 
-/// The roll's table: a line per mark, in the order of `scans`, residuals in micrometres. Frames are read back one at a time.
+/// The roll's table: a line per mark, in the order of `scans`, residuals in micrometres. Frames are read back one at a
+/// time.
 fn write_table(scans: &[PathBuf], folder: &Path) -> Result<Summary> {
     let mut summary = Summary::default();
     atomic::with_temporary(&folder.join("fiducials.csv"), |path| {

@@ -18,7 +18,8 @@ pub struct Peak {
 
 /// Smallest side of a coarse template, in values.
 const COARSE_PX: f64 = 16.0;
-/// So many times as many places as are wanted are taken from the coarse picture; the next finer one tells which are kept.
+/// So many times as many places as are wanted are taken from the coarse picture; the next finer one tells which are
+/// kept.
 const MORE: usize = 3;
 /// Largest side of the template that ranks the places of a search box, in values: enough to tell marks from clutter.
 const RANK_PX: f64 = 110.0;
@@ -61,8 +62,8 @@ impl Levels {
     }
 }
 
-/// The best places for the mark in `window`, at most `most`, best first, placed at the level [`Levels::rank`]. What the reader
-/// keeps of the window is let go.
+/// The best places for the mark in `window`, at most `most`, best first, placed at the level [`Levels::rank`]. What the
+/// reader keeps of the window is let go.
 ///
 /// # Errors
 /// Those of reading the scan.
@@ -111,8 +112,9 @@ pub fn search(source: &dyn RasterSource, window: Window, picture: &Picture, most
     Ok(peaks)
 }
 
-/// Reads a window for comparing at decimations from `factor` to `coarsest`, with room beyond the scan's edge for marks of lines: what
-/// is beside them is opaque there as well. Marks that show the image keep to the scan, where they may end in the scanner's glass.
+/// Reads a window for comparing at decimations from `factor` to `coarsest`, with room beyond the scan's edge for marks
+/// of lines: what is beside them is opaque there as well. Marks that show the image keep to the scan, where they may
+/// end in the scanner's glass.
 fn read_around(source: &dyn RasterSource, window: Window, model: &Model, factor: u64, coarsest: u64) -> Result<Grey> {
     let grey = read_grey(source, window, factor)?;
     let room = (EDGE_VALUES * coarsest / factor) as usize;
@@ -218,8 +220,8 @@ fn parabola(before: Option<f64>, here: f64, after: Option<f64>) -> f64 {
     }
 }
 
-/// Local maxima within `reach_px` of a prediction at the decimation `level`, best first, at most `most`; better places beyond do
-/// not count, however near.
+/// Local maxima within `reach_px` of a prediction at the decimation `level`, best first, at most `most`; better places
+/// beyond do not count, however near.
 ///
 /// # Errors
 /// Those of reading the scan.
@@ -261,8 +263,8 @@ pub fn near(
     Ok(peaks)
 }
 
-/// The best place within `reach` values of `start`, to a fraction by the parabola through its neighbours. `doubt` is taken
-/// off the score of a place when places are compared.
+/// The best place within `reach` values of `start`, to a fraction by the parabola through its neighbours. `doubt` is
+/// taken off the score of a place when places are compared.
 pub fn climb(
     grey: &Grey,
     template: &Template,
@@ -292,10 +294,11 @@ pub fn climb(
     Some(Peak { centre: place(i, j, dx, dy), score })
 }
 
-/// The picture as each of the ways of cutting shows it. Values are cut above a level a little brighter than the opaque frame for marks
-/// whose transparent parts show the image: what lies behind them (snow beside rock) then hardly counts. The level is a share of the way
-/// from the dark peak of the histogram to the bright side: the soft form of the 2017 thesis's threshold in the valley after the dark
-/// peak. Unlike a threshold it keeps the edges' positions, and it needs no second attempt with equalisation where there is no valley.
+/// The picture as each of the ways of cutting shows it. Values are cut above a level a little brighter than the opaque
+/// frame for marks whose transparent parts show the image: what lies behind them (snow beside rock) then hardly counts.
+/// The level is a share of the way from the dark peak of the histogram to the bright side: the soft form of the 2017
+/// thesis's threshold in the valley after the dark peak. Unlike a threshold it keeps the edges' positions, and it needs
+/// no second attempt with equalisation where there is no valley.
 fn cut(grey: Grey, model: &Model) -> Vec<Grey> {
     if !(model.is_drawn() && model.shows_image()) || grey.data.is_empty() {
         return vec![grey];
@@ -313,8 +316,8 @@ fn cut(grey: Grey, model: &Model) -> Vec<Grey> {
     CUTS.map(below).into()
 }
 
-/// Where values are cut between dark and bright, each tried. The lower takes uneven ground away; the upper stays above the
-/// bands and the grain of very dark frames, which reach further into the opaque frame than a third of the way.
+/// Where values are cut between dark and bright, each tried. The lower takes uneven ground away; the upper stays above
+/// the bands and the grain of very dark frames, which reach further into the opaque frame than a third of the way.
 const CUTS: [f32; 2] = [0.35, 0.8];
 
 /// The highest local maxima, no two within `radius`, best first.

@@ -1,5 +1,5 @@
-//! The marks as geometry: what each kind shows at a place, in millimetres from its reference point. The shape's frame has u
-//! to the right and v inwards, as the mark stands at the lower edge of an upright frame.
+//! The marks as geometry: what each kind shows at a place, in millimetres from its reference point. The shape's frame
+//! has u to the right and v inwards, as the mark stands at the lower edge of an upright frame.
 
 use super::types::MarkKind;
 
@@ -96,8 +96,8 @@ pub fn detail_mm(kind: &MarkKind) -> f64 {
     }
 }
 
-/// Radius of the part that alone defines the reference point, where that is not the whole shape: the hole of a toothed mark
-/// and the opaque ring around it.
+/// Radius of the part that alone defines the reference point, where that is not the whole shape: the hole of a toothed
+/// mark and the opaque ring around it.
 pub fn point_radius_mm(kind: &MarkKind) -> Option<f64> {
     match kind {
         MarkKind::ThreeTooth { hole_diameter_mm, .. } => Some(1.1 * hole_diameter_mm),

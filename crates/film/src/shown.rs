@@ -167,7 +167,8 @@ impl Shown {
         self.windows.iter().filter(|m| self.common.is_some() && m.told.centre == Centre::AsPointed)
     }
 
-    /// How well the place of a mark is known, values of the grid; one that is not seen here but `elsewhere` lies as well as the others.
+    /// How well the place of a mark is known, values of the grid; one that is not seen here but `elsewhere` lies as
+    /// well as the others.
     pub fn sigma(&self, mark: &ShownMark, elsewhere: bool) -> f64 {
         let same = self.windows.iter().find(|m| matches!(m.told.centre, Centre::Same(_)));
         same.filter(|_| elsewhere && self.is_guessed(mark.k)).map_or(mark.told.sigma, |m| m.told.sigma)

@@ -1,5 +1,5 @@
-//! Marks drawn for one frame, each once. A cross, a ring or a dot looks the same turned by a quarter, so that all of a frame's crosses are one
-//! drawing, however each is turned.
+//! Marks drawn for one frame, each once. A cross, a ring or a dot looks the same turned by a quarter, so that all of a
+//! frame's crosses are one drawing, however each is turned.
 
 use std::cell::OnceCell;
 use std::rc::Rc;
@@ -54,8 +54,8 @@ pub(super) fn refined_mm(model: &Model) -> f64 {
     model.radius_mm() * if model.sectors_deg().is_some() { REFINED_ROUND } else { REFINED }
 }
 
-/// Of the ways a shape that looks the same under every quarter of a turn may be said to lie, the one whose right points most to the
-/// scan's right.
+/// Of the ways a shape that looks the same under every quarter of a turn may be said to lie, the one whose right points
+/// most to the scan's right.
 pub(super) fn upright([a, b, c, d]: Linear) -> Linear {
     let ways = [[a, b, c, d], [b, -a, d, -c], [-a, -b, -c, -d], [-b, a, -d, c]];
     ways.into_iter().max_by(|m, n| m[0].total_cmp(&n[0])).expect("four ways")

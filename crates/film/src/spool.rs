@@ -1,5 +1,5 @@
-//! Scans that can only be read from the top down (JPEG, PNG, one compressed strip), decoded once into a temporary file, so that
-//! windows of them cost no more memory than those of a tiled scan.
+//! Scans that can only be read from the top down (JPEG, PNG, one compressed strip), decoded once into a temporary file,
+//! so that windows of them cost no more memory than those of a tiled scan.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};

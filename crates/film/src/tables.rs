@@ -88,8 +88,8 @@ fn hipp_places(camera: &Camera) -> [Option<usize>; 8] {
     })
 }
 
-/// A row per frame as hipp keeps it: `fileName`, `_y` and `_x` of each place that the camera has a mark at, empty where the
-/// mark takes no part in the orientation, and the principal point: the mean of the midpoints of opposite marks.
+/// A row per frame as hipp keeps it: `fileName`, `_y` and `_x` of each place that the camera has a mark at, empty where
+/// the mark takes no part in the orientation, and the principal point: the mean of the midpoints of opposite marks.
 pub fn hipp_csv(camera: &Camera, frames: &[FrameResult], origin: PixelOrigin) -> String {
     let places = hipp_places(camera);
     let known: Vec<usize> = (0..8).filter(|&k| places[k].is_some()).collect();
@@ -121,9 +121,9 @@ fn digits(v: Option<f64>, digits: usize) -> String {
     v.map_or(String::new(), |v| format!("{v:.digits$}"))
 }
 
-/// A line per frame about its interior orientation. `scale_difference_ppm` and `shear_urad` say how far the film, as scanned, is
-/// from a similarity: (pixel size along x / along y − 1), and how far the angle between the axes is from a right one, both at
-/// the middle of the marks.
+/// A line per frame about its interior orientation. `scale_difference_ppm` and `shear_urad` say how far the film, as
+/// scanned, is from a similarity: (pixel size along x / along y − 1), and how far the angle between the axes is from a
+/// right one, both at the middle of the marks.
 pub fn orientations_csv(camera: &Camera, frames: &[FrameResult]) -> String {
     let mut out = csv::Writer::from_writer(vec![]);
     out.write_record([
@@ -198,9 +198,9 @@ fn deformation(camera: &Camera, interior: &InteriorOrientation) -> Option<[f64; 
     Some([lx / ly - 1.0, ((x[0] * y[0] + x[1] * y[1]) / (lx * ly)).asin()])
 }
 
-/// A line per mark of the camera over the roll: how often it is part of an orientation, and mean, standard deviation (divisor
-/// n − 1) and largest of its residuals. A mean that is far from zero against its deviation over √n says that the certificate,
-/// or what the finder calls the mark's centre, is off for this mark.
+/// A line per mark of the camera over the roll: how often it is part of an orientation, and mean, standard deviation
+/// (divisor n − 1) and largest of its residuals. A mean that is far from zero against its deviation over √n says that
+/// the certificate, or what the finder calls the mark's centre, is off for this mark.
 pub fn roll_marks_csv(camera: &Camera, frames: &[FrameResult]) -> String {
     let mut out = csv::Writer::from_writer(vec![]);
     out.write_record([
@@ -251,8 +251,8 @@ pub fn roll_marks_csv(camera: &Camera, frames: &[FrameResult]) -> String {
     text(out)
 }
 
-/// One point per mark that has a place. GIS programs show pixel space with y upwards, so y is **minus** the row; `x_px` and
-/// `y_px` have the pixels themselves.
+/// One point per mark that has a place. GIS programs show pixel space with y upwards, so y is **minus** the row; `x_px`
+/// and `y_px` have the pixels themselves.
 pub fn features(frame: &FrameResult) -> Vec<Value> {
     let one = |m: &MarkFind| {
         let c = m.centre?;

@@ -26,8 +26,8 @@ pub struct LearnedTemplate {
     pub weights: Vec<f32>,
     /// Number of marks that were averaged.
     pub marks: usize,
-    /// Standard deviation of the reference point along each axis, micrometres on the film: of marks without a centre of symmetry it is
-    /// only as good as what was pointed at.
+    /// Standard deviation of the reference point along each axis, micrometres on the film: of marks without a centre of
+    /// symmetry it is only as good as what was pointed at.
     #[serde(default)]
     pub reference_sigma_um: f64,
 }
@@ -67,8 +67,8 @@ impl LearnedTemplate {
     }
 }
 
-/// Keys' cubic convolution at `at`, in values from the centre of the first; the outermost values go on beyond the picture.
-/// After R. Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29, 1981.
+/// Keys' cubic convolution at `at`, in values from the centre of the first; the outermost values go on beyond the
+/// picture. After R. Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29, 1981.
 pub(super) fn cubic(size: [usize; 2], at: [f64; 2], value: impl Fn(usize, usize) -> f32) -> f32 {
     let weights = at.map(|v| {
         let t = (v - v.floor()) as f32;
@@ -225,8 +225,8 @@ pub struct Template {
     pub values: Vec<f32>,
     pub weights: Vec<f32>,
     pub weight_sum: f32,
-    /// Sectors about the reference point with the share of each in the mark's contrast; empty where the mark is compared as a
-    /// whole.
+    /// Sectors about the reference point with the share of each in the mark's contrast; empty where the mark is
+    /// compared as a whole.
     pub parts: Vec<(f32, Template)>,
 }
 
@@ -314,8 +314,9 @@ pub fn draw(model: &Model, linear: Linear, factor: f64, radius_mm: Option<f64>) 
     normalise(t)
 }
 
-/// Sectors of a mark with light of its own, each compared by itself: a scratch is as bright as a line of the mark, and where it
-/// runs along one the whole mark would correlate better beside its place. It spoils the sectors it crosses only.
+/// Sectors of a mark with light of its own, each compared by itself: a scratch is as bright as a line of the mark, and
+/// where it runs along one the whole mark would correlate better beside its place. It spoils the sectors it crosses
+/// only.
 const SECTORS: usize = 8;
 /// Sectors with less of the mark's contrast than this share of an even one say nothing.
 const LEAST_SHARE: f64 = 0.25;

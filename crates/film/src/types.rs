@@ -64,14 +64,14 @@ pub struct CameraMark {
     pub near_mm: Option<[f64; 2]>,
     /// What it looks like.
     pub kind: MarkKind,
-    /// Clockwise turn of the shape as seen on an upright frame, in degrees. Shapes are described as they stand at the lower
-    /// edge, pointing up into the image. `None`: to the side that the mark's position is nearest to.
+    /// Clockwise turn of the shape as seen on an upright frame, in degrees. Shapes are described as they stand at the
+    /// lower edge, pointing up into the image. `None`: to the side that the mark's position is nearest to.
     #[serde(default)]
     pub turn_deg: Option<f64>,
 }
 
-/// Kinds of mark; lengths in millimetres on the film. Lines, dots and rings are bright on dark, teeth and notches belong to
-/// the opaque frame that borders the image.
+/// Kinds of mark; lengths in millimetres on the film. Lines, dots and rings are bright on dark, teeth and notches
+/// belong to the opaque frame that borders the image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
 pub enum MarkKind {
@@ -185,21 +185,22 @@ pub enum InteriorModel {
 pub struct InteriorOrientation {
     pub model: InteriorModel,
     /// Row by row the 3 × 3 matrix H, H\[8\] = 1, with (x, y) a [`PixelPoint`] and (X, Y) the camera's millimetres:
-    /// `X = (h0·x + h1·y + h2) / w`, `Y = (h3·x + h4·y + h5) / w`, `w = h6·x + h7·y + h8`. For similarity and affine h6 and
-    /// h7 are zero.
+    /// `X = (h0·x + h1·y + h2) / w`, `Y = (h3·x + h4·y + h5) / w`, `w = h6·x + h7·y + h8`. For similarity and affine h6
+    /// and h7 are zero.
     pub pixel_to_mm: [f64; 9],
     /// √(mean(dX² + dY²)) of the marks used, divisor n, micrometres.
     pub rmse_um: f64,
-    /// Standard deviation of unit weight of one coordinate, micrometres: √(v'v / redundancy); `None` without redundancy.
+    /// Standard deviation of unit weight of one coordinate, micrometres: √(v'v / redundancy); `None` without
+    /// redundancy.
     pub sigma0_um: Option<f64>,
-    /// Covariance of the free coefficients, row by row: of a similarity (a, b, X₀, Y₀) with h0 = m·a, h1 = −b, h3 = s·m·b,
-    /// h4 = s·a, s = −1 for y up, m = −1 when mirrored; else h0 to h5 (affine) or h0 to h7. From the marks' covariances, scaled
-    /// by the variance of unit weight when that is above 1.
+    /// Covariance of the free coefficients, row by row: of a similarity (a, b, X₀, Y₀) with h0 = m·a, h1 = −b, h3 =
+    /// s·m·b, h4 = s·a, s = −1 for y up, m = −1 when mirrored; else h0 to h5 (affine) or h0 to h7. From the marks'
+    /// covariances, scaled by the variance of unit weight when that is above 1.
     pub covariance: Vec<Vec<f64>>,
     /// Names of the marks used.
     pub marks: Vec<String>,
-    /// Per mark used: measured − calibrated through the same model solved from the others alone, micrometres; `None` where
-    /// they do not determine it.
+    /// Per mark used: measured − calibrated through the same model solved from the others alone, micrometres; `None`
+    /// where they do not determine it.
     #[serde(default)]
     pub leave_one_out_um: Vec<Option<[f64; 2]>>,
     /// √(mean(dX² + dY²)) of these, `None` when one is missing.

@@ -16,14 +16,15 @@ use autoref_raster::{
 /// Rows read at a time: what is held of the file while a large window is decimated.
 const BAND_ROWS: u64 = 512;
 
-/// Grey values, 0 black to 1 white, row-major. Of colour scans each pixel's largest band: marks are exposed in one colour
-/// (red on Wild frames) and would be lost in a mean.
+/// Grey values, 0 black to 1 white, row-major. Of colour scans each pixel's largest band: marks are exposed in one
+/// colour (red on Wild frames) and would be lost in a mean.
 #[derive(Clone, Debug)]
 pub struct Grey {
     pub width: usize,
     pub height: usize,
     pub data: Vec<f32>,
-    /// Pixel of the scan at the outer corner of the first value; negative where values were added before the scan's edge.
+    /// Pixel of the scan at the outer corner of the first value; negative where values were added before the scan's
+    /// edge.
     pub origin: [i64; 2],
     /// Pixels of the scan along one value.
     pub factor: u64,
@@ -45,8 +46,9 @@ impl Grey {
         [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]
     }
 
-    /// With `by` more values along the sides that lie at the scan's edge, each as the one it follows. A mark that lies whole in the
-    /// scan but close to its edge then keeps room for its decimated picture, which reaches up to two values further.
+    /// With `by` more values along the sides that lie at the scan's edge, each as the one it follows. A mark that lies
+    /// whole in the scan but close to its edge then keeps room for its decimated picture, which reaches up to two
+    /// values further.
     pub fn beyond_edges(self, scan: &Window, by: usize) -> Grey {
         let step = self.factor as i64;
         let end = |k: usize, n: usize| self.origin[k] + (n as i64 + 1) * step;
@@ -98,11 +100,12 @@ fn add_means<const N: usize>(row: &[f32], scale: f32, out: &mut [f32]) {
 
 /// Decoded blocks kept of a scan while it is examined.
 const CACHE_BYTES: u64 = 24 << 20;
-/// Scans that can only be read from the top down are held in memory up to this size, decoded; larger ones go to a temporary
-/// file.
+/// Scans that can only be read from the top down are held in memory up to this size, decoded; larger ones go to a
+/// temporary file.
 const HELD_BYTES: u64 = 24 << 20;
 
-/// Opens a scan for reading in windows. JPEG, PNG and files of one compressed strip, which cannot be, are decoded once to grey.
+/// Opens a scan for reading in windows. JPEG, PNG and files of one compressed strip, which cannot be, are decoded once
+/// to grey.
 ///
 /// # Errors
 /// Those of [`open`] and, for such a file, of reading it and of [`SpooledSource::of`].
@@ -243,8 +246,8 @@ impl RasterSource for GreySource {
     }
 }
 
-/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value. What the reader keeps of
-/// the window stays: who reads a place for the last time calls [`RasterSource::release`].
+/// Reads `window` (clipped to the scan) and averages `factor` × `factor` pixels into one value. What the reader keeps
+/// of the window stays: who reads a place for the last time calls [`RasterSource::release`].
 ///
 /// # Errors
 /// Those of [`RasterSource::read`].

@@ -1,5 +1,5 @@
-//! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs as weighted
-//! observations, blunders named, check points compared.
+//! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
+//! as weighted observations, blunders named, check points compared.
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
 
@@ -230,7 +230,8 @@ struct Parts {
     notes: Vec<String>,
 }
 
-/// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the positions.
+/// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the
+/// positions.
 fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
     let pairs: Vec<(&Pose, &Pose)> =
         model.photographs.iter().zip(rough).filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose))).collect();
@@ -313,8 +314,8 @@ fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptio
     (problem, kept)
 }
 
-/// Where a GCP starts: at its survey, where its rays meet, or where a ray passes its survey, whichever fits survey and images best. A
-/// survey that the first datum puts behind a camera or far from its rays would pull from the wrong side.
+/// Where a GCP starts: at its survey, where its rays meet, or where a ray passes its survey, whichever fits survey and
+/// images best. A survey that the first datum puts behind a camera or far from its rays would pull from the wrong side.
 fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f64> {
     let along_rays = p.seen.iter().filter_map(|(i, pixel)| {
         let photograph = &world.photographs[*i];
@@ -345,7 +346,8 @@ fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f
 /// What an image point behind its camera counts as when a start is chosen, in σ.
 const FARTHEST_START: f64 = 1e4;
 
-/// σ of a tie's coordinate from the median of the squared lengths of its residuals and the share that the unknowns take up.
+/// σ of a tie's coordinate from the median of the squared lengths of its residuals and the share that the unknowns take
+/// up.
 fn estimate_sigma(problem: &Problem, ties: usize, observations: usize) -> Option<f64> {
     let mut squares: Vec<f64> = problem
         .observations
@@ -370,8 +372,8 @@ enum Worst {
     Image(usize),
 }
 
-/// The largest normalised residual among the GCPs' observations in images and on the ground (Baarda's data snooping, with
-/// groups of two and three).
+/// The largest normalised residual among the GCPs' observations in images and on the ground (Baarda's data snooping,
+/// with groups of two and three).
 fn worst(
     problem: &Problem,
     factored: &crate::bundle::Factored,

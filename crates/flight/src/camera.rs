@@ -1,7 +1,7 @@
 //! Cameras: how a direction becomes a pixel.
 //!
-//! Pixels count from the outer corner of the first pixel, x to the right, y down; its centre is (0.5, 0.5). The camera looks
-//! along +z, x to the right and y down in the image.
+//! Pixels count from the outer corner of the first pixel, x to the right, y down; its centre is (0.5, 0.5). The camera
+//! looks along +z, x to the right and y down in the image.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,8 +25,8 @@ pub enum Projection {
 /// x′ = x L + 2 p1 x y + p2 (r² + 2x²) + b1 x + b2 y; y′ = y L + p1 (r² + 2y²) + 2 p2 x y;
 /// u = cx + f x′, v = cy + f·aspect y′ (the centre of distortion added back).
 ///
-/// Radial and tangential terms: Brown, *Close-range camera calibration*, 1971, in OpenCV's order; affine terms: El-Hakim
-/// and Fraser, as MicMac's `ModPhgrStd`. The rational terms serve models of other programs.
+/// Radial and tangential terms: Brown, *Close-range camera calibration*, 1971, in OpenCV's order; affine terms:
+/// El-Hakim and Fraser, as MicMac's `ModPhgrStd`. The rational terms serve models of other programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[repr(usize)]
@@ -268,8 +268,8 @@ fn project<T: Real>(
 }
 
 impl PixelPolynomial {
-    /// MicMac's general polynomial (`cDistGen_Deg0_DegN`, "eModelePolyDeg2…7"): six terms of low degree without those that
-    /// turn, shift and scale, then x^(d−k) y^k of the degrees from 3 up, for x and then for y.
+    /// MicMac's general polynomial (`cDistGen_Deg0_DegN`, "eModelePolyDeg2…7"): six terms of low degree without those
+    /// that turn, shift and scale, then x^(d−k) y^k of the degrees from 3 up, for x and then for y.
     fn apply<T: Real>(&self, u: T, v: T) -> [T; 2] {
         let s = T::of(1.0 / self.scale_px);
         let x = (u - T::of(self.centre_px[0])) * s;

@@ -1,4 +1,5 @@
-//! Numbers that carry their derivatives (forward mode), so that the projection is written once and its Jacobian is exact.
+//! Numbers that carry their derivatives (forward mode), so that the projection is written once and its Jacobian is
+//! exact.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 

@@ -1,4 +1,5 @@
-//! What rays and GCPs say before anything is adjusted: the point that rays meet in, the similarity from a free datum to the ground.
+//! What rays and GCPs say before anything is adjusted: the point that rays meet in, the similarity from a free datum to
+//! the ground.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 

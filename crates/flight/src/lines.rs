@@ -1,5 +1,5 @@
-//! Flight lines, and which frames are worth comparing: those next to each other along a line, and those of other lines that see
-//! the same ground.
+//! Flight lines, and which frames are worth comparing: those next to each other along a line, and those of other lines
+//! that see the same ground.
 
 use std::f64::consts::{FRAC_PI_6, SQRT_2, TAU};
 
@@ -32,8 +32,9 @@ const SAME_DIRECTION_RAD: f64 = FRAC_PI_6;
 const LONG_STEP: f64 = 3.0;
 const SIGMAS: f64 = 3.0;
 
-/// The lines of a flight whose frames are in its order. A stated name has the last word; else a line ends where the direction of
-/// view, or the way from frame to frame, turns by 30°, or a step is three times as long as usual. `sigma_m`: of a place, per axis.
+/// The lines of a flight whose frames are in its order. A stated name has the last word; else a line ends where the
+/// direction of view, or the way from frame to frame, turns by 30°, or a step is three times as long as usual.
+/// `sigma_m`: of a place, per axis.
 pub fn lines(stations: &[Station], sigma_m: f64) -> Vec<Line> {
     let noise_m = SIGMAS * SQRT_2 * sigma_m;
     let mut steps: Vec<f64> = stations.windows(2).filter_map(|w| Some(length(between(&w[0], &w[1])?))).collect();
@@ -105,7 +106,8 @@ fn length(v: [f64; 2]) -> f64 {
     v[0].hypot(v[1])
 }
 
-/// The direction that tells lines apart: of the view, or, straight down, of the frame's upper side. Clockwise from north.
+/// The direction that tells lines apart: of the view, or, straight down, of the frame's upper side. Clockwise from
+/// north.
 pub fn azimuth_rad(pose: &Pose) -> f64 {
     let axis = |row: usize| Vector3::new(pose.rotation[(row, 0)], pose.rotation[(row, 1)], pose.rotation[(row, 2)]);
     let view = axis(2);
@@ -113,9 +115,9 @@ pub fn azimuth_rad(pose: &Pose) -> f64 {
     level.x.atan2(level.y)
 }
 
-/// Pairs of frames to compare, smaller number first, sorted: `along` frames to each side on a line, and for each frame the
-/// `across` frames of other lines that see most of the same ground. `poses` are those of all frames in a metric frame with the
-/// height upwards, where they are known; without them the nearest places stand for the ground.
+/// Pairs of frames to compare, smaller number first, sorted: `along` frames to each side on a line, and for each frame
+/// the `across` frames of other lines that see most of the same ground. `poses` are those of all frames in a metric
+/// frame with the height upwards, where they are known; without them the nearest places stand for the ground.
 pub fn pairs(
     stations: &[Station],
     lines: &[Line],

@@ -1,12 +1,13 @@
-//! What MicMac (`mm3d`, and MMVII) reads to orient a flight: the camera, pairs of images, GCPs on the ground and in the images, and the
-//! command lines of the 2017 thesis.
+//! What MicMac (`mm3d`, and MMVII) reads to orient a flight: the camera, pairs of images, GCPs on the ground and in the
+//! images, and the command lines of the 2017 thesis.
 //!
-//! Source: `include/XML_GEN/ParamChantierPhotogram.xml` of MicMac and files that MicMac and MMVII wrote; [`crate::read::micmac`] reads the
-//! points back. Pixels as everywhere here, as MicMac counts them.
+//! Source: `include/XML_GEN/ParamChantierPhotogram.xml` of MicMac and files that MicMac and MMVII wrote;
+//! [`crate::read::micmac`] reads the points back. Pixels as everywhere here, as MicMac counts them.
 
 use quick_xml::escape::escape;
 
-/// The camera of all frames. MicMac derives the focal length in pixels from millimetres: only their ratio to the pixel's size counts.
+/// The camera of all frames. MicMac derives the focal length in pixels from millimetres: only their ratio to the
+/// pixel's size counts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilmCamera {
     pub name: String,
@@ -59,7 +60,8 @@ pub fn image_pairs(pairs: &[(String, String)]) -> TextFile {
     ("NameCpleVisib.xml".into(), text + "</SauvegardeNamedRel>\n")
 }
 
-/// `NAME-S3D.xml` (`DicoAppuisFlottant`) and `NAME-S2D.xml` (`SetOfMesureAppuisFlottants`), as `SaisieAppuisPredic` writes them.
+/// `NAME-S3D.xml` (`DicoAppuisFlottant`) and `NAME-S2D.xml` (`SetOfMesureAppuisFlottants`), as `SaisieAppuisPredic`
+/// writes them.
 pub fn points_v1(name: &str, points: &[SurveyedPoint]) -> [TextFile; 2] {
     let mut ground = String::from("<?xml version=\"1.0\" ?>\n<DicoAppuisFlottant>\n");
     for p in points {
@@ -125,8 +127,8 @@ pub fn points_mmvii(name: &str, points: &[SurveyedPoint], sigma_px: f64) -> Vec<
     files
 }
 
-/// `commands.sh`: the thesis's chain in `mm3d`. `images` is a regular expression, `points` the name given to [`points_v1`], `masks` whether
-/// every image has a `_Masq.tif` beside it.
+/// `commands.sh`: the thesis's chain in `mm3d`. `images` is a regular expression, `points` the name given to
+/// [`points_v1`], `masks` whether every image has a `_Masq.tif` beside it.
 pub fn commands(images: &str, points: &str, masks: Masks, sigma_m: f64, sigma_px: f64) -> TextFile {
     // Between single quotes a shell takes everything but the quote itself.
     let quoted = format!("'{}'", images.replace('\'', "'\\''"));

@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use crate::camera::Camera;
 use crate::pose::Pose;
 
-/// Heights at the centres of the cells of a north-up grid in map coordinates, NaN where there are none. Between centres the
-/// surface is bilinear.
+/// Heights at the centres of the cells of a north-up grid in map coordinates, NaN where there are none. Between centres
+/// the surface is bilinear.
 #[derive(Clone, Debug)]
 pub struct Surface {
     heights: Vec<f32>,
@@ -24,7 +24,8 @@ pub struct Surface {
 const BLOCK: usize = 16;
 
 impl Surface {
-    /// From rows of heights; `corner` is the outer corner of the first cell. `None` without a height, or when sizes disagree.
+    /// From rows of heights; `corner` is the outer corner of the first cell. `None` without a height, or when sizes
+    /// disagree.
     pub fn new(heights: Vec<f32>, columns: usize, corner: [f64; 2], step: [f64; 2]) -> Option<Self> {
         let rows = heights.len() / columns.max(1);
         if columns == 0 || rows * columns != heights.len() || step.contains(&0.0) {
@@ -113,8 +114,8 @@ impl Surface {
         Some(f64::from(self.near[j / BLOCK * self.blocks + i / BLOCK]))
     }
 
-    /// Whether ground rises above the straight line from `from` (a place on the surface) to `eye`. `sag` is 1/(2R) of the
-    /// Earth's radius in map units, or 0: a straight line sinks towards a curved datum between its ends.
+    /// Whether ground rises above the straight line from `from` (a place on the surface) to `eye`. `sag` is 1/(2R) of
+    /// the Earth's radius in map units, or 0: a straight line sinks towards a curved datum between its ends.
     pub fn hides(&self, from: [f64; 3], eye: [f64; 3], sag: f64) -> bool {
         let d = [eye[0] - from[0], eye[1] - from[1]];
         let (start, end) = (self.place(from[0], from[1]), self.place(eye[0], eye[1]));
@@ -268,7 +269,8 @@ mod tests {
     #[test]
     fn a_wall_hides_what_lies_behind_it() {
         let surface = wall();
-        // From (0, 100, 100) the line over the wall's far edge at (110, 50) comes down at x = 220: nothing on the grid is seen.
+        // From (0, 100, 100) the line over the wall's far edge at (110, 50) comes down at x = 220: nothing on the grid
+        // is seen.
         let eye = [0.0, 100.0, 100.0];
         assert!(!surface.hides([60.0, 100.0, 0.0], eye, 0.0) && surface.hides([150.0, 100.0, 0.0], eye, 0.0));
         // From 300 m the shadow ends 22 m behind the wall.

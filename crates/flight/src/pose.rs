@@ -10,8 +10,8 @@ pub struct Pose {
     pub centre: Vector3<f64>,
 }
 
-/// Yaw, pitch and roll in degrees: the azimuth of the view clockwise from north (the world's y), its elevation above the
-/// horizon (−20 looks 20° down), and the turn about the view (positive: the image's right side hangs down).
+/// Yaw, pitch and roll in degrees: the azimuth of the view clockwise from north (the world's y), its elevation above
+/// the horizon (−20 looks 20° down), and the turn about the view (positive: the image's right side hangs down).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawPitchRoll {
     pub yaw_deg: f64,
@@ -37,13 +37,14 @@ impl Pose {
         Pose { rotation: Matrix3::from_rows(&[x.transpose(), y.transpose(), forward.transpose()]), centre }
     }
 
-    /// The angles of [`Pose::looking`]. Straight down or up, the yaw is that of the image's top (bottom) and the roll is 0.
+    /// The angles of [`Pose::looking`]. Straight down or up, the yaw is that of the image's top (bottom) and the roll
+    /// is 0.
     pub fn yaw_pitch_roll(&self) -> YawPitchRoll {
         angles(&self.rotation)
     }
 
-    /// ω, φ, κ in degrees: R = diag(1, −1, −1) · R_z(κ)ᵀ R_y(φ)ᵀ R_x(ω)ᵀ as photogrammetry writes it (camera x right, y up,
-    /// z backward; Kraus, *Photogrammetry* I, 2007).
+    /// ω, φ, κ in degrees: R = diag(1, −1, −1) · R_z(κ)ᵀ R_y(φ)ᵀ R_x(ω)ᵀ as photogrammetry writes it (camera x right, y
+    /// up, z backward; Kraus, *Photogrammetry* I, 2007).
     pub fn omega_phi_kappa(&self) -> [f64; 3] {
         // Camera axes → world, in the photogrammetric camera.
         let m = (Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)) * self.rotation).transpose();
@@ -125,8 +126,8 @@ impl Similarity {
         self.rotation * x * self.scale + self.shift
     }
 
-    /// The least-squares similarity from `from` to `to` with weights (Umeyama 1991, eq. 34–43); `None` when the points are
-    /// fewer than three or lie on a line.
+    /// The least-squares similarity from `from` to `to` with weights (Umeyama 1991, eq. 34–43); `None` when the points
+    /// are fewer than three or lie on a line.
     pub fn fit(from: &[Vector3<f64>], to: &[Vector3<f64>], weights: &[f64]) -> Option<Self> {
         let sum: f64 = weights.iter().sum();
         if from.len() < 3 || !sum.is_finite() || sum <= 0.0 {

@@ -1,7 +1,8 @@
 //! Space resection: the pose of one photograph from points of known place.
 //!
-//! Three points give up to four poses (Grunert 1841, as in Haralick et al. 1994, *Review and Analysis of Solutions of the Three
-//! Point Perspective Pose Estimation Problem*, eq. 9); the pose that most points agree with is refined by least squares.
+//! Three points give up to four poses (Grunert 1841, as in Haralick et al. 1994, *Review and Analysis of Solutions of
+//! the Three Point Perspective Pose Estimation Problem*, eq. 9); the pose that most points agree with is refined by
+//! least squares.
 
 use nalgebra::{Matrix2, Matrix4, SMatrix, Vector2, Vector3};
 
@@ -225,8 +226,8 @@ fn starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Vec<Pose> 
     poses
 }
 
-/// Mean of the better part of the distances (all but a third, at least three and one more where there is one), and how far a
-/// known position is missed.
+/// Mean of the better part of the distances (all but a third, at least three and one more where there is one), and how
+/// far a known position is missed.
 fn disagreement(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
     let mut d: Vec<f64> = seen
         .iter()
@@ -295,8 +296,8 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         let redundancy = known.saturating_sub(unknowns);
         let sigma0 = (redundancy > 0).then(|| (2.0 * summary.cost / redundancy as f64).sqrt());
         let factored = factor(&at, Loss::Squared);
-        // The worst normalised residual, as long as the rest still fixes the pose with something to spare, and only where the
-        // points are judged: later on, a wrong position would make some of them look wrong.
+        // The worst normalised residual, as long as the rest still fixes the pose with something to spare, and only
+        // where the points are judged: later on, a wrong position would make some of them look wrong.
         let judged = options.position.is_none() || !position_counts || 2 * seen.len() < unknowns + 4;
         let spare = known >= unknowns + 3 && kept.len() > 4 && judged;
         let left = (2.0 * summary.cost, redundancy);
@@ -331,11 +332,11 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
     }
 }
 
-/// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated may be
-/// too small for the whole net: then a point is wrong when it is beyond the critical value in units of the others' spread (by
-/// their median: several may be wrong), or when the others fit so much better without it as chance would have it for the worst
-/// of them once in twenty sets (Fisher's test on the sum of squares that it accounts for, with Bonferroni's bound). `left` is
-/// the sum of squares of all and the redundancy.
+/// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated
+/// may be too small for the whole net: then a point is wrong when it is beyond the critical value in units of the
+/// others' spread (by their median: several may be wrong), or when the others fit so much better without it as chance
+/// would have it for the worst of them once in twenty sets (Fisher's test on the sum of squares that it accounts for,
+/// with Bonferroni's bound). `left` is the sum of squares of all and the redundancy.
 fn worst_point(
     at: &Problem,
     factored: &crate::bundle::Factored,

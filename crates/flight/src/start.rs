@@ -1,4 +1,5 @@
-//! A block from a rough table: ties, GCPs and the table's poses adjusted together from far off, wrong ties let go of step by step.
+//! A block from a rough table: ties, GCPs and the table's poses adjusted together from far off, wrong ties let go of
+//! step by step.
 //!
 //! It stands where a reconstruction that grows frame by frame cannot: with few points in three frames or more.
 
@@ -15,14 +16,15 @@ use crate::read::{Photograph, Reconstruction, TiePoint};
 /// A point of the ground in several frames: frame and pixel.
 pub type Track = Vec<(usize, [f64; 2])>;
 
-/// Residuals are weighed by the first number (pixels) and ties beyond the second are let go of, step by step: rough poses are wrong by
-/// tens of pixels, ties by one.
+/// Residuals are weighed by the first number (pixels) and ties beyond the second are let go of, step by step: rough
+/// poses are wrong by tens of pixels, ties by one.
 const STEPS_PX: [(f64, f64); 5] = [(20.0, 120.0), (6.0, 30.0), (2.0, 10.0), (1.0, 5.0), (0.7, 3.0)];
 /// A frame with fewer ties is not joined to the block.
 const LEAST_TIES: usize = 12;
 
-/// The block that ties, GCPs and rough poses agree on, in the world's frame, sought from `start`. `names`, `start` and `rough` go by
-/// frame; all are of `camera`, whose interior is held. Frames that too few ties join are left out; `notes` names them.
+/// The block that ties, GCPs and rough poses agree on, in the world's frame, sought from `start`. `names`, `start` and
+/// `rough` go by frame; all are of `camera`, whose interior is held. Frames that too few ties join are left out;
+/// `notes` names them.
 ///
 /// # Errors
 /// When fewer than two frames are joined, or a number is not finite.

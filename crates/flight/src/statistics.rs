@@ -1,5 +1,5 @@
-//! Residuals as the thesis prints them (Table 9.1): maximum, minimum, mean and standard deviation (divisor n) of x, y, z and of
-//! the distance d.
+//! Residuals as the thesis prints them (Table 9.1): maximum, minimum, mean and standard deviation (divisor n) of x, y,
+//! z and of the distance d.
 
 use serde::Serialize;
 

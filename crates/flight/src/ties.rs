@@ -1,8 +1,9 @@
 //! Features of two views matched where each other is expected, and what of the matches holds together.
 //!
-//! Descriptors are SIFT's (Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, 2004): nearest neighbours that are
-//! mutual and clearly nearer than the second (his ratio). Where the views are roughly registered, only features near the expected place
-//! are compared; matches that move otherwise than those around them are wrong; a second search goes by what moved together.
+//! Descriptors are SIFT's (Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, 2004): nearest neighbours
+//! that are mutual and clearly nearer than the second (his ratio). Where the views are roughly registered, only
+//! features near the expected place are compared; matches that move otherwise than those around them are wrong; a
+//! second search goes by what moved together.
 
 use rayon::prelude::*;
 
@@ -188,8 +189,8 @@ fn together(pairs: &[(usize, usize)], a: &Features, b: &Features) -> Vec<(usize,
     if kept.len() < LEAST_MATCHES { Vec::new() } else { kept }
 }
 
-/// Pairs of features of two views that show the same ground. The views are registered to within `half_px` (x, y): a feature of
-/// `a` at p is sought in `b` within that window around p. Empty when fewer than twelve hold together.
+/// Pairs of features of two views that show the same ground. The views are registered to within `half_px` (x, y): a
+/// feature of `a` at p is sought in `b` within that window around p. Empty when fewer than twelve hold together.
 pub fn matched(a: &Features, b: &Features, half_px: [f64; 2]) -> Vec<(usize, usize)> {
     let wide = nearest(a, b, &|i: usize| Some(a.at[i]), half_px, RATIO_WIDE);
     let sure = together(&wide, a, b);

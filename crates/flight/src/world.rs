@@ -1,8 +1,8 @@
 //! From map coordinates to a Cartesian frame and back.
 //!
-//! A CRS that is `local` is metric and flat. On the Earth the adjustment works in the tangent frame of the project's centre (east,
-//! north, up on WGS84's ellipsoid), so that curvature and the map's scale are right. Heights are taken as if above the ellipsoid:
-//! a geoid that tilts within the project shows in the residuals.
+//! A CRS that is `local` is metric and flat. On the Earth the adjustment works in the tangent frame of the project's
+//! centre (east, north, up on WGS84's ellipsoid), so that curvature and the map's scale are right. Heights are taken as
+//! if above the ellipsoid: a geoid that tilts within the project shows in the residuals.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -66,7 +66,8 @@ fn both_forms_of_one_camera_agree() {
     }
 }
 
-/// Kronebreen 2014 as published with PyTrx: point 4 lies some 150 px from where its ground point is seen, and nobody said so.
+/// Kronebreen 2014 as published with PyTrx: point 4 lies some 150 px from where its ground point is seen, and nobody
+/// said so.
 #[test]
 fn the_wrong_point_of_a_real_list_is_named() {
     let Some(list) = data("oblique_svalbard/KR1_2014.txt") else { return };

@@ -24,7 +24,8 @@ impl Line {
     }
 }
 
-/// Five frames 3,600 m apart, 20° below the horizon; points in two frames each, of which `wrong` in a hundred are false by up to 200 px.
+/// Five frames 3,600 m apart, 20° below the horizon; points in two frames each, of which `wrong` in a hundred are false
+/// by up to 200 px.
 fn line(seed: u64, wrong: f64) -> Line {
     let mut draw = SplitMix64(seed);
     let camera = Camera::pinhole("c", [SIDE_PX; 2], 2107.0, [900.0, 900.0]);

@@ -1,5 +1,5 @@
-//! Standard output and standard error, which may be closed or full: a reader that has seen enough ends nothing, a full device
-//! is an error in the end, and neither is a panic. The macros stand before those of the standard library.
+//! Standard output and standard error, which may be closed or full: a reader that has seen enough ends nothing, a full
+//! device is an error in the end, and neither is a panic. The macros stand before those of the standard library.
 
 use std::io::{ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};

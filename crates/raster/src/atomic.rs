@@ -23,8 +23,8 @@ pub fn completed() -> Vec<PathBuf> {
     COMPLETED.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
 
-/// Writes `content` under a temporary name beside `path`, brings it to disk, and renames it. A device, FIFO or socket is
-/// written into: a rename would replace it.
+/// Writes `content` under a temporary name beside `path`, brings it to disk, and renames it. A device, FIFO or socket
+/// is written into: a rename would replace it.
 ///
 /// # Errors
 /// When the system says no, or `path` is an input; nothing is left behind then.
@@ -39,8 +39,8 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     })
 }
 
-/// Lets `produce` make a file under a temporary name in the same folder, then renames it to `path`. The extension is kept,
-/// since GDAL's drivers look at it.
+/// Lets `produce` make a file under a temporary name in the same folder, then renames it to `path`. The extension is
+/// kept, since GDAL's drivers look at it.
 ///
 /// # Errors
 /// Those of `produce` and of the renaming; the temporary file is removed then.

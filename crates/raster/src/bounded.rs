@@ -43,7 +43,8 @@ pub fn read_to_string(path: &Path, what: &str, most_bytes: u64) -> Result<String
         .map_err(|e| Error::io(path, "read", std::io::Error::new(std::io::ErrorKind::InvalidData, e.utf8_error())))
 }
 
-/// Refuses what can be read for ever or makes a reader wait: pipes, sockets, devices. What is not there is left to the caller.
+/// Refuses what can be read for ever or makes a reader wait: pipes, sockets, devices. What is not there is left to the
+/// caller.
 ///
 /// # Errors
 /// [`Error::Unsupported`].

@@ -7,8 +7,8 @@ fn is_formula(text: &str) -> bool {
     text.starts_with(['=', '+', '-', '@', '\t', '\r'])
 }
 
-/// A text as a cell of a table that a spreadsheet may open: what begins like a formula gets an apostrophe in front, which
-/// spreadsheets hide and [`without_apostrophe`] takes off again.
+/// A text as a cell of a table that a spreadsheet may open: what begins like a formula gets an apostrophe in front,
+/// which spreadsheets hide and [`without_apostrophe`] takes off again.
 pub fn no_formula(text: &str) -> Cow<'_, str> {
     if is_formula(text) { Cow::Owned(format!("'{text}")) } else { Cow::Borrowed(text) }
 }

@@ -127,8 +127,8 @@ impl<D: ChunkDecoder> RasterSource for ChunkedSource<D> {
     }
 }
 
-/// Chunk size in file blocks, across and down: as many blocks as fill [`CHUNK_BYTES`]. Blocks of more than half of that stay
-/// alone: a block on its own is handed out as it was decoded, in a group it is copied.
+/// Chunk size in file blocks, across and down: as many blocks as fill [`CHUNK_BYTES`]. Blocks of more than half of that
+/// stay alone: a block on its own is handed out as it was decoded, in a group it is copied.
 pub fn group_blocks(block: (u64, u64), raster: (u64, u64), bytes_per_pixel: u64) -> (u64, u64) {
     let block_bytes = (block.0 * block.1).saturating_mul(bytes_per_pixel).max(1);
     let wanted = (CHUNK_BYTES / block_bytes).max(1);

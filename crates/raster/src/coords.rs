@@ -12,8 +12,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A position in the image, in pixels: x to the right, y down, `(0, 0)` the outer corner of the first pixel, whose centre
-/// is `(0.5, 0.5)`.
+/// A position in the image, in pixels: x to the right, y down, `(0, 0)` the outer corner of the first pixel, whose
+/// centre is `(0.5, 0.5)`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PixelPoint {
     pub x: f64,

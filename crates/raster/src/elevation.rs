@@ -86,8 +86,8 @@ impl ElevationModel {
         Ok(heights)
     }
 
-    /// The height at a position of the model's own pixels, bilinear between pixel centres. Within the outer half pixel the
-    /// nearest centres count; `None` outside the raster and where one of the pixels used has no height.
+    /// The height at a position of the model's own pixels, bilinear between pixel centres. Within the outer half pixel
+    /// the nearest centres count; `None` outside the raster and where one of the pixels used has no height.
     ///
     /// # Errors
     /// When it cannot be read.

@@ -1,7 +1,8 @@
 //! Everything that GDAL opens, as a [`super::RasterSource`].
 //!
-//! GDAL's datasets may move between threads but not be shared by them, so each read takes one from a pool, and a new one
-//! is opened when the pool is empty. Formats that can only be read from the top down have one dataset behind a lock.
+//! GDAL's datasets may move between threads but not be shared by them, so each read takes one from a pool, and a new
+//! one is opened when the pool is empty. Formats that can only be read from the top down have one dataset behind a
+//! lock.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once, PoisonError};
@@ -36,14 +37,14 @@ pub fn hear_gdal() {
     });
 }
 
-/// Prepares GDAL once for the whole process: messages go to the log ([`hear_gdal`]), and GDAL's own block cache is bounded by
-/// `cache_bytes`. Later calls change nothing.
+/// Prepares GDAL once for the whole process: messages go to the log ([`hear_gdal`]), and GDAL's own block cache is
+/// bounded by `cache_bytes`. Later calls change nothing.
 pub fn initialise_gdal(cache_bytes: u64) {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         hear_gdal();
-        // Below 100000 GDAL would read the number as megabytes. Blocks are cached by us: GDAL needs only what one read of
-        // several bands meets again.
+        // Below 100000 GDAL would read the number as megabytes. Blocks are cached by us: GDAL needs only what one read
+        // of several bands meets again.
         let bytes = (cache_bytes / 4).clamp(4 << 20, 64 << 20);
         if std::env::var_os("GDAL_CACHEMAX").is_none() {
             gdal::config::set_config_option("GDAL_CACHEMAX", &bytes.to_string())

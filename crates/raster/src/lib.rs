@@ -1,9 +1,9 @@
-//! Opening rasters and reading windows of them, with what every crate above needs to speak of pixels and places: windows
-//! and tiles ([`window`]), coordinates ([`coords`]), coordinate reference systems ([`crs`]), errors ([`error`]), memory plans
-//! ([`memory_plan`]) and files that appear whole or not at all ([`atomic`]).
+//! Opening rasters and reading windows of them, with what every crate above needs to speak of pixels and places:
+//! windows and tiles ([`window`]), coordinates ([`coords`]), coordinate reference systems ([`crs`]), errors
+//! ([`error`]), memory plans ([`memory_plan`]) and files that appear whole or not at all ([`atomic`]).
 //!
-//! This crate imports none of the others. Here and in the writers at the other end of the flow, and nowhere else, raster
-//! files are touched.
+//! This crate imports none of the others. Here and in the writers at the other end of the flow, and nowhere else,
+//! raster files are touched.
 //!
 //! A [`RasterSource`] hands out [`Block`]s: the pixels of a window as a list of [`Piece`]s, one for each file block (or
 //! group of strips) that the window meets. A piece is either decoded into a pooled buffer or a view of the mapped file,
@@ -69,8 +69,8 @@ pub enum ReaderChoice {
     #[default]
     Auto,
     Native,
-    /// Native, with uncompressed blocks of bytes as views of the file instead of copies: several programs that read one file
-    /// share its pages. A file that another program cuts off meanwhile ends the process with a signal.
+    /// Native, with uncompressed blocks of bytes as views of the file instead of copies: several programs that read one
+    /// file share its pages. A file that another program cuts off meanwhile ends the process with a signal.
     Mapped,
     Gdal,
 }
@@ -171,8 +171,8 @@ impl RasterInfo {
         self.nodata.filter(|value| value.fract() == 0.0 && (0.0..=largest).contains(value)).map(|value| value as u16)
     }
 
-    /// What pixels read as where the file holds no block: the nodata value, clamped to the sample type, or zero. This is
-    /// what GDAL gives.
+    /// What pixels read as where the file holds no block: the nodata value, clamped to the sample type, or zero. This
+    /// is what GDAL gives.
     pub fn fill_value(&self) -> u16 {
         let largest = match self.sample {
             SampleType::U8 => 255.0,
@@ -323,7 +323,8 @@ pub trait RasterSource: Send + Sync {
     /// When the file cannot be read or a block in it is broken; the message names the block.
     fn read(&self, window: Window) -> Result<Block>;
 
-    /// Like [`RasterSource::read`], and shows each piece to `see` as soon as it is there, where that can be before the others.
+    /// Like [`RasterSource::read`], and shows each piece to `see` as soon as it is there, where that can be before the
+    /// others.
     ///
     /// # Errors
     /// Those of [`RasterSource::read`]; `see` may have seen some pieces.

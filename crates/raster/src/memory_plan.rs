@@ -2,8 +2,8 @@
 //!
 //! `--memory` bounds the peak resident size of the whole process, libraries and mapped pages included. What the process
 //! already takes when the plan is made (GDAL, PROJ, the colour table) is measured, not guessed; the rest is shared out
-//! among the workers. When the wished tiles do not fit they are shrunk, then workers are dropped; when not even one worker
-//! with the smallest tile fits, the plan is refused with the numbers.
+//! among the workers. When the wished tiles do not fit they are shrunk, then workers are dropped; when not even one
+//! worker with the smallest tile fits, the plan is refused with the numbers.
 
 use std::sync::Arc;
 
@@ -22,7 +22,8 @@ pub const DEFAULT_BUDGET_BYTES: u64 = 512 << 20;
 const RESERVE_BYTES: u64 = 10 << 20;
 /// Stack, channel entries and codec state of one worker.
 const WORKER_OVERHEAD_BYTES: u64 = 1 << 20;
-/// The faces of tiles get what the plan leaves over up to this: enough along a row of tiles of an image 100,000 pixels wide.
+/// The faces of tiles get what the plan leaves over up to this: enough along a row of tiles of an image 100,000 pixels
+/// wide.
 const ENOUGH_SEAM_BYTES: u64 = 44 << 20;
 /// Pixels of a default tile: enough that few marks straddle edges, little enough to stay near the cache.
 const DEFAULT_TILE_PIXELS: u64 = 1024 * 1024;
@@ -162,7 +163,8 @@ pub fn plan(info: &RasterInfo, halo_px: u64, options: &PlanOptions) -> Result<Sc
     let grid = TileGrid::new(info.width, info.height, tile_width, tile_height, halo_px);
     workers = workers.min(grid.len().max(1) as usize);
     let bytes_per_worker = worker_bytes(info, grid.tile_width(), grid.tile_height(), halo_px);
-    // Sizes of tiles are halved until they fit, which leaves something over; what the seams cannot hold is decoded again.
+    // Sizes of tiles are halved until they fit, which leaves something over; what the seams cannot hold is decoded
+    // again.
     let left_bytes = available.saturating_sub(bytes_per_worker * workers as u64);
     let spare_bytes = left_bytes.min(ENOUGH_SEAM_BYTES.saturating_sub(least_seam_bytes));
     Ok(ScanPlan {

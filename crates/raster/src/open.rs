@@ -9,8 +9,8 @@ use crate::error::{Error, Result};
 
 /// Opens `path` with the reader that fits.
 ///
-/// `cache_bytes` bounds what the source may keep of decoded blocks between reads; `page` is the image to read, counted over
-/// the full-resolution images of the file (masks and overviews do not count; 0 is the first).
+/// `cache_bytes` bounds what the source may keep of decoded blocks between reads; `page` is the image to read, counted
+/// over the full-resolution images of the file (masks and overviews do not count; 0 is the first).
 ///
 /// Paths that begin with `/vsi` are GDAL's and are given to it as they are.
 ///
@@ -123,8 +123,8 @@ fn check_file(path: &Path) -> Result<()> {
 }
 
 /// The value of full white: all bits that NBITS (or BitsPerSample) names; else, of 16-bit samples, MaxSampleValue when
-/// it is one less than a power of two above 8 bits, as for 12-bit cameras (any other value is a statistic of the image, which
-/// the TIFF specification forbids to use for display).
+/// it is one less than a power of two above 8 bits, as for 12-bit cameras (any other value is a statistic of the image,
+/// which the TIFF specification forbids to use for display).
 pub(super) fn white_of(sample: SampleType, bits: Option<u32>, max_sample_value: Option<u64>) -> u16 {
     let width = 8 * sample.bytes() as u32;
     if let Some(bits) = bits.filter(|bits| (1..width).contains(bits)) {

@@ -12,8 +12,8 @@ pub fn read_patch(source: &dyn RasterSource, window: Window) -> Result<Patch> {
     Ok(source.read(window)?.to_patch(source.info()))
 }
 
-/// Pixels of a window that are copied together only as far as they are asked for: most regions are no marks, which their
-/// nearest surroundings show.
+/// Pixels of a window that are copied together only as far as they are asked for: most regions are no marks, which
+/// their nearest surroundings show.
 pub trait Pixels {
     /// All there are.
     fn window(&self) -> Window;

@@ -1,8 +1,8 @@
 //! The files that a run reads, which no output of it may replace.
 //!
 //! The program names its inputs once, before it does anything ([`protect`]); every writer of [`crate::atomic`] asks
-//! [`refuse_input`] for the file that it is about to put in place. Files are told apart by device and inode, links followed, so
-//! that no second name hides one.
+//! [`refuse_input`] for the file that it is about to put in place. Files are told apart by device and inode, links
+//! followed, so that no second name hides one.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,8 @@ struct Input {
 
 static INPUTS: Mutex<Vec<Input>> = Mutex::new(Vec::new());
 
-/// From now on no output replaces the regular file at `path`. What is no regular file, or not there, needs no protection.
+/// From now on no output replaces the regular file at `path`. What is no regular file, or not there, needs no
+/// protection.
 pub fn protect(path: &Path) {
     let Ok(found) = std::fs::metadata(path) else { return };
     if found.is_file() {

@@ -15,8 +15,8 @@ pub enum Kernels {
 }
 
 impl Kernels {
-    /// [`Kernels::Scalar`] where the environment variable `AUTOREF_KERNELS` is `scalar`: so that the scalar twins can be tested
-    /// and timed as the program's own path. Read once.
+    /// [`Kernels::Scalar`] where the environment variable `AUTOREF_KERNELS` is `scalar`: so that the scalar twins can
+    /// be tested and timed as the program's own path. Read once.
     pub fn wanted() -> Kernels {
         static WANTED: LazyLock<Kernels> = LazyLock::new(|| match std::env::var("AUTOREF_KERNELS") {
             Ok(word) if word == "scalar" => Kernels::Scalar,
@@ -26,9 +26,9 @@ impl Kernels {
     }
 }
 
-/// A loop with what it works on, compiled twice: once for any processor, once for those with AVX2. `run` and what it calls in
-/// its loops must be `#[inline(always)]`: only then are they compiled anew. Products and sums are not contracted, so that both
-/// give the same bits.
+/// A loop with what it works on, compiled twice: once for any processor, once for those with AVX2. `run` and what it
+/// calls in its loops must be `#[inline(always)]`: only then are they compiled anew. Products and sums are not
+/// contracted, so that both give the same bits.
 pub trait Kernel {
     type Output;
 

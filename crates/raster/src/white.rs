@@ -12,8 +12,8 @@ struct Rescaled {
     info: RasterInfo,
 }
 
-/// The same pixels with another value of full white; `None` leaves what the file says. Samples are never changed: everything
-/// that scales them does so by [`RasterInfo::white`].
+/// The same pixels with another value of full white; `None` leaves what the file says. Samples are never changed:
+/// everything that scales them does so by [`RasterInfo::white`].
 ///
 /// # Errors
 /// [`Error::Usage`] when no sample of the image can reach that value, or it is 0.

@@ -1,7 +1,7 @@
 //! Datasets that GDAL writes: nothing counts as written before it lies on the disk.
 //!
-//! GDAL keeps blocks back until a dataset is closed, and before its version 3.7 closing says nothing of what went wrong. What
-//! it tells its error handler meanwhile is counted per thread; a dataset is written when nothing was told.
+//! GDAL keeps blocks back until a dataset is closed, and before its version 3.7 closing says nothing of what went
+//! wrong. What it tells its error handler meanwhile is counted per thread; a dataset is written when nothing was told.
 
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};

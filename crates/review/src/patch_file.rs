@@ -1,5 +1,5 @@
-//! The patch file: what a reviewer changed, in order. Shared by the report of a run (marks of GCPs) and the contact sheet
-//! of scanned film (fiducial marks of frames). `docs/report.md` documents the format.
+//! The patch file: what a reviewer changed, in order. Shared by the report of a run (marks of GCPs) and the contact
+//! sheet of scanned film (fiducial marks of frames). `docs/report.md` documents the format.
 
 use std::path::Path;
 
@@ -99,8 +99,8 @@ impl PatchFile {
     /// Reads and checks a patch file.
     ///
     /// # Errors
-    /// When the file cannot be read, is no patch of this version, is for something else than `subject`, or has an edit that
-    /// lacks what its action needs; the message names the edit.
+    /// When the file cannot be read, is no patch of this version, is for something else than `subject`, or has an edit
+    /// that lacks what its action needs; the message names the edit.
     pub fn read(path: &Path, subject: Subject) -> Result<PatchFile> {
         let bytes = bounded::read(path, "a patch", bounded::TEXT_BYTES)?;
         let format = |place: String, what: String| Error::format(path, place, what);

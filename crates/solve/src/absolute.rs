@@ -1,9 +1,9 @@
 //! Absolute orientation in space: rotation, one scale and translation from model to target, in closed form.
 //!
-//! Four methods of the same model target = scale · rotation · model + translation. They give the same rotation on the same
-//! points; what differs is the scale. [`Method::Umeyama`] minimises the residuals at the target and so has the smallest
-//! RMSE of the four on any points; the symmetric scale of Horn treats both sides alike, so that the inverse problem has the
-//! inverse solution.
+//! Four methods of the same model target = scale · rotation · model + translation. They give the same rotation on the
+//! same points; what differs is the scale. [`Method::Umeyama`] minimises the residuals at the target and so has the
+//! smallest RMSE of the four on any points; the symmetric scale of Horn treats both sides alike, so that the inverse
+//! problem has the inverse solution.
 //!
 //! The axes of both sides must be right-handed: image points go in as (x, −y, elevation) when the target is (easting,
 //! northing, height).
@@ -24,7 +24,8 @@ pub enum Method {
     /// eigenvector of the largest eigenvalue of a symmetric 4 × 4 matrix; symmetric scale.
     Horn,
     /// B. K. P. Horn, H. M. Hilden, S. Negahdaripour, "Closed-form solution of absolute orientation using orthonormal
-    /// matrices", 1988: R = M (MᵀM)^(−1/2), completed by the missing axis when the points lie in a plane; symmetric scale.
+    /// matrices", 1988: R = M (MᵀM)^(−1/2), completed by the missing axis when the points lie in a plane; symmetric
+    /// scale.
     HornHilden,
     /// S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991, eq. 39–43:
     /// rotation from a singular value decomposition; the scale that minimises the residuals at the target.
@@ -63,8 +64,8 @@ impl AbsoluteOrientation {
 pub enum Undetermined {
     /// Three points are needed.
     TooFewPoints,
-    /// The points of one side lie in one place or on one line, so that a rotation about it is unknown; or a coordinate is
-    /// not finite.
+    /// The points of one side lie in one place or on one line, so that a rotation about it is unknown; or a coordinate
+    /// is not finite.
     Degenerate,
     /// The iteration did not settle; closed forms never say this.
     NotConverged,
@@ -248,11 +249,11 @@ fn singular(cross: &Matrix3<f64>) -> Result<Singular, Undetermined> {
 }
 
 /// Horn, Hilden, Negahdaripour 1988: R = M S⁻¹ with S = (MᵀM)^(1/2). Two of its axes are kept and the third is their
-/// normal where S has no inverse (the points lie in a plane) and where M S⁻¹ would be a reflection (so noisy in the third
-/// direction that its sign flips).
+/// normal where S has no inverse (the points lie in a plane) and where M S⁻¹ would be a reflection (so noisy in the
+/// third direction that its sign flips).
 fn orthonormal_rotation(cross: &Matrix3<f64>) -> Result<Matrix3<f64>, Undetermined> {
-    // S has the right singular vectors of M as eigenvectors and its singular values as eigenvalues. Taking them from MᵀM
-    // would halve the digits, and GCPs of flat country have few to spare.
+    // S has the right singular vectors of M as eigenvectors and its singular values as eigenvalues. Taking them from
+    // MᵀM would halve the digits, and GCPs of flat country have few to spare.
     let (_, values, axes) = singular(cross)?;
     if values[2] > PLANAR * values[0] && cross.determinant() > 0.0 {
         let inverse_root = axes * Matrix3::from_diagonal(&values.map(f64::recip)) * axes.transpose();

@@ -1,11 +1,11 @@
 //! Heights apart from planimetry: what the surveyed heights exceed the elevation model by, as a function of position.
 //!
 //! Three surfaces are fitted by least squares with equal weights: a shift, a tilted plane, and a quadratic surface, the
-//! "doming" that self-calibrated photogrammetry leaves (M. R. James, S. Robson, "Mitigating systematic error in topographic
-//! models derived from UAV and ground-based image networks", 2014). The one chosen has the smallest leave-one-out error,
-//! so that more parameters win only when they predict points they have not seen. With e the residual and h the leverage,
-//! leaving the point out gives e / (1 − h) (D. M. Allen, "The relationship between variable selection and data augmentation
-//! and a method for prediction", 1974); nothing is fitted again.
+//! "doming" that self-calibrated photogrammetry leaves (M. R. James, S. Robson, "Mitigating systematic error in
+//! topographic models derived from UAV and ground-based image networks", 2014). The one chosen has the smallest
+//! leave-one-out error, so that more parameters win only when they predict points they have not seen. With e the
+//! residual and h the leverage, leaving the point out gives e / (1 − h) (D. M. Allen, "The relationship between
+//! variable selection and data augmentation and a method for prediction", 1974); nothing is fitted again.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -117,7 +117,8 @@ pub enum NoHeights {
     NotFinite,
 }
 
-/// A surface counts as undetermined when the smallest singular value of its equations is below this part of the largest.
+/// A surface counts as undetermined when the smallest singular value of its equations is below this part of the
+/// largest.
 const RANK: f64 = 1e-6;
 
 /// Fits every surface that the points determine and chooses by leave-one-out error. A surface of k parameters needs k

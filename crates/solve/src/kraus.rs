@@ -1,12 +1,14 @@
 //! The 7-parameter adjustment by iteration: least squares of scale, rotation and translation, with covariances.
 //!
 //! After K. Kraus, "Photogrammetry: Geometry from Images and Laser Scans", vol. 1, 2nd edition, 2007: the observation
-//! equations are linearised about approximate values and solved again until nothing changes. Kraus takes the approximate
-//! values from the affine transform through four points. Those of an orthophoto nearly lie in a plane, where that transform
-//! does not exist; so they are taken here from the triangle of the three most widely spread points, by the method of
-//! B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987, section 2.A.
+//! equations are linearised about approximate values and solved again until nothing changes. Kraus takes the
+//! approximate values from the affine transform through four points. Those of an orthophoto nearly lie in a plane,
+//! where that transform does not exist; so they are taken here from the triangle of the three most widely spread
+//! points, by the method of B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987,
+//! section 2.A.
 //!
-//! It ends at the least-squares solution, which is [`super::absolute::Method::Umeyama`]; what it adds is the covariance.
+//! It ends at the least-squares solution, which is [`super::absolute::Method::Umeyama`]; what it adds is the
+//! covariance.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
@@ -26,8 +28,8 @@ pub struct Adjustment {
     pub iterations: usize,
     /// Standard deviation of a coordinate, target units: √(Σ residual² / (3n − 7)); `None` without redundancy.
     pub sigma0: Option<f64>,
-    /// Covariance of (translation of the centroid x, y, z; scale; rotations about the target's x, y, z in radians), from
-    /// `sigma0`; zero without redundancy.
+    /// Covariance of (translation of the centroid x, y, z; scale; rotations about the target's x, y, z in radians),
+    /// from `sigma0`; zero without redundancy.
     pub covariance: SMatrix<f64, 7, 7>,
 }
 

@@ -1,8 +1,8 @@
 //! Seven parameters from points that are known in full, only in plan or only in height.
 //!
-//! After K. Kraus, "Photogrammetry: Geometry from Images and Laser Scans", vol. 1, 2nd edition, 2007: each known coordinate
-//! of a point is one observation equation. The iteration starts from the similarity in the plane, without roll and pitch, so
-//! the model must stand upright within some degrees, as orthophotos and elevation models do.
+//! After K. Kraus, "Photogrammetry: Geometry from Images and Laser Scans", vol. 1, 2nd edition, 2007: each known
+//! coordinate of a point is one observation equation. The iteration starts from the similarity in the plane, without
+//! roll and pitch, so the model must stand upright within some degrees, as orthophotos and elevation models do.
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
@@ -59,8 +59,8 @@ pub struct PartialAdjustment {
 ///
 /// # Errors
 /// [`Undetermined::TooFewPoints`] with fewer than two points in plan, three heights or seven observations;
-/// [`Undetermined::Degenerate`] when they leave a parameter open (heights along a line) or a weight is no positive number;
-/// [`Undetermined::NotConverged`] when the steps do not die down.
+/// [`Undetermined::Degenerate`] when they leave a parameter open (heights along a line) or a weight is no positive
+/// number; [`Undetermined::NotConverged`] when the steps do not die down.
 pub fn adjust(points: &[ControlPoint]) -> Result<PartialAdjustment, Undetermined> {
     let plan: Vec<&ControlPoint> = points.iter().filter(|p| p.known != Known::Height).collect();
     let heights: Vec<&ControlPoint> = points.iter().filter(|p| p.known != Known::Plan).collect();

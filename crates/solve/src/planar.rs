@@ -4,9 +4,9 @@
 //! images that are no orthophotos, and say so when the points do not support them: few points, points near a line, or a
 //! leave-one-out error that is no better than the similarity's.
 //!
-//! Least squares of the residuals on the map, every point alike. The affine transform is linear; the projective one starts
-//! from the linear solution on normalised coordinates (R. Hartley, A. Zisserman, "Multiple View Geometry in Computer
-//! Vision", 2nd edition, 2003, section 4.4) and is refined by Gauss–Newton steps.
+//! Least squares of the residuals on the map, every point alike. The affine transform is linear; the projective one
+//! starts from the linear solution on normalised coordinates (R. Hartley, A. Zisserman, "Multiple View Geometry in
+//! Computer Vision", 2nd edition, 2003, section 4.4) and is refined by Gauss–Newton steps.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -104,8 +104,9 @@ impl Transform {
 /// Fits `kind` to `pairs` with equal weights.
 ///
 /// # Errors
-/// [`Unsolvable::TooFewPoints`] below [`Kind::fewest_points`]; [`Unsolvable::Degenerate`] when the points do not determine
-/// it (on one line; for the projective also three of four on a line) or put one of themselves beyond its horizon.
+/// [`Unsolvable::TooFewPoints`] below [`Kind::fewest_points`]; [`Unsolvable::Degenerate`] when the points do not
+/// determine it (on one line; for the projective also three of four on a line) or put one of themselves beyond its
+/// horizon.
 pub fn fit(pairs: &[Pair], kind: Kind) -> Result<PlanarFit, Unsolvable> {
     let transform = solve(pairs, kind)?;
     let residuals_m = pairs

@@ -1,12 +1,13 @@
 //! The 2-D similarity image → map in closed form, with everything a surveyor asks of a fit.
 //!
 //! In complex numbers, with z = x − i·y (the image turned so that y runs up) and w = easting + i·northing, the model is
-//! w = a·z + b; |a| is the ground size of a pixel and arg a the rotation, anticlockwise from east. Weighted least squares
-//! gives a = Σ p·conj(z−z̄)·(w−w̄) / Σ p·|z−z̄|². This is the 2-D case of B. K. P. Horn, "Closed-form solution of absolute
-//! orientation using unit quaternions", 1987, and of S. Umeyama, "Least-squares estimation of transformation parameters
-//! between two point patterns", 1991 (eq. 34–43): in the plane, and with the scale that minimises the residuals on the map,
-//! they are the same. A mirrored image is turned over first: z = −x − i·y. Redundancy numbers and smallest detectable
-//! blunders follow W. Baarda, "A testing procedure for use in geodetic networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %).
+//! w = a·z + b; |a| is the ground size of a pixel and arg a the rotation, anticlockwise from east. Weighted least
+//! squares gives a = Σ p·conj(z−z̄)·(w−w̄) / Σ p·|z−z̄|². This is the 2-D case of B. K. P. Horn, "Closed-form solution
+//! of absolute orientation using unit quaternions", 1987, and of S. Umeyama, "Least-squares estimation of
+//! transformation parameters between two point patterns", 1991 (eq. 34–43): in the plane, and with the scale that
+//! minimises the residuals on the map, they are the same. A mirrored image is turned over first: z = −x − i·y.
+//! Redundancy numbers and smallest detectable blunders follow W. Baarda, "A testing procedure for use in geodetic
+//! networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %).
 
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use serde::{Deserialize, Serialize};
@@ -16,8 +17,8 @@ use autoref_raster::coords::{GeoTransform, Handedness, MapPoint, PixelPoint};
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
 const BAARDA_SQRT_LAMBDA: f64 = 4.13;
 
-/// Image → map: `easting = scale·(cos·x + sin·y) + e0`, and so on, as the complex pair `a`, `b` of w = a·(±x − i·y) + b, with
-/// −x for a mirrored image.
+/// Image → map: `easting = scale·(cos·x + sin·y) + e0`, and so on, as the complex pair `a`, `b` of w = a·(±x − i·y) +
+/// b, with −x for a mirrored image.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Similarity {
     pub a_re: f64,
@@ -71,8 +72,8 @@ impl Similarity {
         GeoTransform([self.easting_0, sign * self.a_re, self.a_im, self.northing_0, sign * self.a_im, -self.a_re])
     }
 
-    /// The same ground seen through a mirror: of an image that was turned over left to right, `width_px` wide, the transform
-    /// of the image as it was.
+    /// The same ground seen through a mirror: of an image that was turned over left to right, `width_px` wide, the
+    /// transform of the image as it was.
     pub fn mirrored(&self, width_px: f64) -> Similarity {
         let sign = self.mirrored.sign();
         Similarity {
@@ -96,8 +97,8 @@ impl Similarity {
     }
 }
 
-/// √(x² + y²) in operations that IEEE 754 rounds alike everywhere, which `hypot` is not: the report's page repeats this fit
-/// (`src/report/page/solve.js`) and must get the same bits.
+/// √(x² + y²) in operations that IEEE 754 rounds alike everywhere, which `hypot` is not: the report's page repeats this
+/// fit (`src/report/page/solve.js`) and must get the same bits.
 fn length(x: f64, y: f64) -> f64 {
     (x * x + y * y).sqrt()
 }
@@ -161,8 +162,8 @@ pub struct Solution {
     pub rmse_px: f64,
     /// Standard deviation of a coordinate of unit weight, metres; from the residuals, `None` without redundancy.
     pub sigma0_m: Option<f64>,
-    /// Covariance of (a_re, a_im, easting and northing at the weighted centre), scaled by `sigma0_m`²; without it by the mean
-    /// variance that is stated of marks and survey, zero when nothing is.
+    /// Covariance of (a_re, a_im, easting and northing at the weighted centre), scaled by `sigma0_m`²; without it by
+    /// the mean variance that is stated of marks and survey, zero when nothing is.
     pub covariance: [[f64; 4]; 4],
     /// The point the covariance's translation refers to: weighted centre of the marks, pixels.
     pub centre: PixelPoint,
@@ -198,8 +199,8 @@ fn jacobian(p: PixelPoint, centre: PixelPoint, mirrored: Handedness) -> SMatrix<
 /// Weighted least squares of the 2-D similarity.
 ///
 /// A pair's weight is 1/σ², with σ² from the mark's centre covariance (brought to metres), the survey's σ and a common
-/// part that the residuals show (deformation of the orthophoto), relative to the average; without any of these all weights
-/// are equal. Pairs with a residual longer than 4.5 robust standard deviations are down-weighted (Huber) and
+/// part that the residuals show (deformation of the orthophoto), relative to the average; without any of these all
+/// weights are equal. Pairs with a residual longer than 4.5 robust standard deviations are down-weighted (Huber) and
 /// marked `outlier`; none is dropped.
 ///
 /// # Errors
@@ -296,9 +297,10 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     }
     let squares: f64 = pairs.iter().map(|pair| residual(first, pair)).map(|(e, n)| e * e + n * n).sum();
     let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
-    // Above its estimate, the more so the fewer the residuals: what few say of the common part is coarse, and too small a
-    // value gives single points more weight than they deserve, and the expected errors too much trust. With 1 + 4/ν the
-    // radii of 95 % hold 93 to 96 % over all that tests/program/accuracy.rs draws; with the estimate itself 92.7 % of four points.
+    // Above its estimate, the more so the fewer the residuals: what few say of the common part is coarse, and too small
+    // a value gives single points more weight than they deserve, and the expected errors too much trust. With 1 + 4/ν
+    // the radii of 95 % hold 93 to 96 % over all that tests/program/accuracy.rs draws; with the estimate itself 92.7 %
+    // of four points.
     let coarse = 1.0 + 4.0 / freedom as f64;
     let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
     let floor = (0.02 * first.scale_m_per_px()).powi(2);
@@ -307,8 +309,8 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     weights.into_iter().map(|w| w / mean).collect()
 }
 
-/// Robust standard deviation of a coordinate of unit weight: the median of the weighted residual lengths, by the Rayleigh
-/// distribution's 1.1774.
+/// Robust standard deviation of a coordinate of unit weight: the median of the weighted residual lengths, by the
+/// Rayleigh distribution's 1.1774.
 fn robust_sigma(lengths: &[f64], points: usize) -> f64 {
     let mut sorted = lengths.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -328,8 +330,8 @@ fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f
         })
         .collect();
     let sigma = robust_sigma(&lengths, pairs.len());
-    // 3.72 σ is the length that a two-dimensional normal residual exceeds once in a thousand; the σ itself comes from the
-    // median of few residuals, hence the margin.
+    // 3.72 σ is the length that a two-dimensional normal residual exceeds once in a thousand; the σ itself comes from
+    // the median of few residuals, hence the margin.
     let limit = 4.5 * sigma;
     lengths
         .iter()

@@ -37,9 +37,9 @@ impl PhotoStore {
     /// percentile of a decimated look becomes 250.
     ///
     /// # Errors
-    /// [`Error::Unsupported`] for a file that is no image to GDAL and for other sample types, [`Error::Gdal`] when reading
-    /// fails, [`Error::Io`] for a file that is not there or a scratch file that cannot be written, [`Error::Usage`] for an
-    /// empty list.
+    /// [`Error::Unsupported`] for a file that is no image to GDAL and for other sample types, [`Error::Gdal`] when
+    /// reading fails, [`Error::Io`] for a file that is not there or a scratch file that cannot be written,
+    /// [`Error::Usage`] for an empty list.
     pub fn open(paths: &[PathBuf]) -> Result<PhotoStore> {
         if paths.is_empty() {
             return Err(Error::usage("no photograph is given", "name at least one"));

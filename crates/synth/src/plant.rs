@@ -36,8 +36,8 @@ impl Picture {
         Picture { rgb, ..*self }
     }
 
-    /// Through a JPEG of that quality, chroma halved both ways by averaging, as cameras and libjpeg do. (An encoder that
-    /// takes every second chroma sample instead moves all colour by half a pixel, and every centre with it.)
+    /// Through a JPEG of that quality, chroma halved both ways by averaging, as cameras and libjpeg do. (An encoder
+    /// that takes every second chroma sample instead moves all colour by half a pixel, and every centre with it.)
     ///
     /// # Panics
     /// When GDAL lacks its JPEG driver, or a side is above 65,500 pixels.
@@ -153,8 +153,8 @@ fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f
     let edge = half - cell.cover * cell.side_px;
     blurred(size, cell.blur_px, |x, y| {
         let (u, v) = (cos * (x - cx) + sin * (y - cy), cos * (y - cy) - sin * (x - cx));
-        // Cells on an edge are covered by their share: all or nothing would move edges along the grid to whole cells, and
-        // with them the centre by up to a tenth of a pixel.
+        // Cells on an edge are covered by their share: all or nothing would move edges along the grid to whole cells,
+        // and with them the centre by up to a tenth of a pixel.
         let within = |depth: f64| (depth * FINE as f64 + 0.5).clamp(0.0, 1.0);
         let inside =
             if cell.disc { within(half - u.hypot(v)) } else { within(half - u.abs()) * within(half - v.abs()) };
@@ -163,8 +163,8 @@ fn shares(cell: &Cell, size: usize, cx: f64, cy: f64, angle: f64, cover_angle: f
     })
 }
 
-/// Share of each pixel of a window that a shape covers: at five times the resolution, each cell by its share, blurred with a
-/// Gaussian.
+/// Share of each pixel of a window that a shape covers: at five times the resolution, each cell by its share, blurred
+/// with a Gaussian.
 pub fn blurred(size: usize, blur_px: f64, covered: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     let n = size * FINE;
     let mut fine: Vec<f32> = (0..n * n)
@@ -202,7 +202,8 @@ pub fn blurred(size: usize, blur_px: f64, covered: impl Fn(f64, f64) -> f64) -> 
         .collect()
 }
 
-/// Plants one mark in each square of a grid (none where nothing was photographed) and returns the true centres (pixel corners at whole numbers).
+/// Plants one mark in each square of a grid (none where nothing was photographed) and returns the true centres (pixel
+/// corners at whole numbers).
 pub fn plant(ground: &Picture, cell: &Cell, random: &mut Random) -> (Picture, Vec<(f64, f64)>) {
     let pitch = cell.window_px() + 28;
     let mut out = ground.clone();

@@ -103,8 +103,8 @@ pub fn flip_small(mask: &mut BitMask, value: bool, share: f64) {
     areas.smaller_than(least, |y, start, end| mask.fill_run(y, start, end, !value));
 }
 
-/// Turns the masked areas over to keep whose mean of `votes` (0 mask … 255 keep) is above `limit`. Pixels outside `valid`
-/// take no part; an area of such pixels alone stays.
+/// Turns the masked areas over to keep whose mean of `votes` (0 mask … 255 keep) is above `limit`. Pixels outside
+/// `valid` take no part; an area of such pixels alone stays.
 ///
 /// # Errors
 /// When the plane cannot be read.

@@ -37,12 +37,13 @@ pub enum Cleaner {
     Thesis(Cleaning),
     /// None: the classes as they are.
     Nothing,
-    /// Masked areas whose mean vote is above [`DOUBT_LIMIT`] are kept, then areas under this share of the image change class,
-    /// background first.
+    /// Masked areas whose mean vote is above [`DOUBT_LIMIT`] are kept, then areas under this share of the image change
+    /// class, background first.
     Areas(f64),
 }
 
-/// A pixel with more of 255 votes is ground at first: 0.55, so that what is half sure makes areas that are then judged whole.
+/// A pixel with more of 255 votes is ground at first: 0.55, so that what is half sure makes areas that are then judged
+/// whole.
 const KEEP_ABOVE: u8 = 140;
 
 /// A masked area with a greater mean vote, of 255, is ground: 0.4.
@@ -127,7 +128,8 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     Ok(Classes { keep, unsure, probability, unlike })
 }
 
-/// Probability of keep, 0…255, of the pixels of `core`, and how many of those that were looked at are far from what was taught.
+/// Probability of keep, 0…255, of the pixels of `core`, and how many of those that were looked at are far from what was
+/// taught.
 fn votes(
     reduced: &Reduced,
     classifier: &Classifier,

@@ -1,8 +1,8 @@
 //! Entropy of the grey levels in a disc about every pixel.
 //!
-//! H = −Σ pᵢ log₂ pᵢ over the histogram of the disc, which is clipped at the image's border: with n pixels and counts c,
-//! H = log₂ n − Σ c·log₂ c / n. A histogram slides along each row; the sum is kept as an integer of 2⁻⁴⁰ bit, so that it
-//! does not depend on the path and no error builds up. The values are those of
+//! H = −Σ pᵢ log₂ pᵢ over the histogram of the disc, which is clipped at the image's border: with n pixels and counts
+//! c, H = log₂ n − Σ c·log₂ c / n. A histogram slides along each row; the sum is kept as an integer of 2⁻⁴⁰ bit, so
+//! that it does not depend on the path and no error builds up. The values are those of
 //! `skimage.filters.rank.entropy(image, disk(7))` within 1e-9 bit.
 
 use rayon::prelude::*;

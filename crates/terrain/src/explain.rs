@@ -12,8 +12,9 @@ use crate::plane::Plane;
 use crate::reduce::Reduced;
 use crate::write;
 
-/// Stages `NAME_Class.tif` (probability of keep, 0…255; 0 and 255 where the method has none), `NAME_Entropy.tif` (⅟₃₂ bit
-/// a step), `NAME_Scatter.svg` (entropy against intensity by class) and, for nearest neighbours, `NAME_Distance.tif` (distance to the nearest sample, ⅟₁₀₀ a step).
+/// Stages `NAME_Class.tif` (probability of keep, 0…255; 0 and 255 where the method has none), `NAME_Entropy.tif` (⅟₃₂
+/// bit a step), `NAME_Scatter.svg` (entropy against intensity by class) and, for nearest neighbours,
+/// `NAME_Distance.tif` (distance to the nearest sample, ⅟₁₀₀ a step).
 pub fn stage(
     transaction: &mut Transaction,
     names: &Names,

@@ -1,14 +1,14 @@
 //! What `--method auto` looks at: texture and brightness about every pixel, measured against the rest of its frame.
 //!
 //! Logarithms of the local standard deviation, of the mean gradient and of the mean Laplacian over windows of 5, 15 and
-//! 33 px; entropy of discs of 15 and 7 px and its mean; least value, opening and closing of the finest of them, which keep
-//! the edges of textured ground sharp; and mean brightness. One byte each, ⅟₂₈ octave or ⅟₂₈ bit a step.
+//! 33 px; entropy of discs of 15 and 7 px and its mean; least value, opening and closing of the finest of them, which
+//! keep the edges of textured ground sharp; and mean brightness. One byte each, ⅟₂₈ octave or ⅟₂₈ bit a step.
 //!
-//! A frame that was scanned with another contrast shifts the logarithms by a constant. So what texture measures is taken
-//! relative to the frame's own 90th percentile, and brightness as its rank in the frame ([`FrameScale`]).
+//! A frame that was scanned with another contrast shifts the logarithms by a constant. So what texture measures is
+//! taken relative to the frame's own 90th percentile, and brightness as its rank in the frame ([`FrameScale`]).
 //!
-//! All sums are of integers, and the image is mirrored at its border before anything is computed: the values do not depend
-//! on the window they are computed in.
+//! All sums are of integers, and the image is mirrored at its border before anything is computed: the values do not
+//! depend on the window they are computed in.
 
 use crate::entropy::entropy;
 
@@ -39,7 +39,8 @@ const ENTROPY: usize = 12;
 const SHAPED: usize = 15;
 const RATIO: usize = 24;
 
-/// An image with its mirrored surroundings: `width` × `height` pixels, of which the outer [`HALO_PX`] are not asked for.
+/// An image with its mirrored surroundings: `width` × `height` pixels, of which the outer [`HALO_PX`] are not asked
+/// for.
 pub struct Surroundings {
     pub pixels: Vec<u8>,
     pub width: usize,
@@ -225,8 +226,8 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// Adds the pixels of `measured` whose surroundings are neither flat nor black nor white. `grey` are the pixels' own
-    /// values.
+    /// Adds the pixels of `measured` whose surroundings are neither flat nor black nor white. `grey` are the pixels'
+    /// own values.
     pub fn add(&mut self, measured: &Measured, grey: &[u8]) {
         for (i, &level) in grey.iter().enumerate() {
             if measured.planes[DEVIATION + 1][i] > LEAST_DEVIATION && (3..=252).contains(&level) {

@@ -1,8 +1,8 @@
 //! A random forest of small trees on features of one byte.
 //!
-//! Source: L. Breiman, Random Forests, 2001, with the split chosen among a few features by Gini impurity. Where we differ:
-//! samples carry whole-number weights, and all draws come from one fixed generator, so that a forest taught twice with
-//! the same samples is the same. Counts are integers; nothing depends on the number of threads.
+//! Source: L. Breiman, Random Forests, 2001, with the split chosen among a few features by Gini impurity. Where we
+//! differ: samples carry whole-number weights, and all draws come from one fixed generator, so that a forest taught
+//! twice with the same samples is the same. Counts are integers; nothing depends on the number of threads.
 
 use autoref_raster::random::SplitMix64;
 use rayon::prelude::*;

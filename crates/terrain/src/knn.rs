@@ -1,8 +1,8 @@
 //! Nearest neighbours on entropy and intensity.
 //!
-//! Exact, and fast on images: the plane of entropy and intensity is cut into cells, and each cell holds the samples that can
-//! be among the nearest of any point in it. Where they all belong to one class the cell is decided; elsewhere the few are
-//! compared. Distances are Euclidean in `f64`; equal distances go to the sample that was given first.
+//! Exact, and fast on images: the plane of entropy and intensity is cut into cells, and each cell holds the samples
+//! that can be among the nearest of any point in it. Where they all belong to one class the cell is decided; elsewhere
+//! the few are compared. Distances are Euclidean in `f64`; equal distances go to the sample that was given first.
 
 /// One taught point.
 #[derive(Clone, Copy, Debug, PartialEq)]

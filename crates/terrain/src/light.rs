@@ -2,9 +2,9 @@
 //!
 //! Source: the 2017 thesis, equations 10.1–10.3: g = f ∗ box(w/4), then g ∗ box(w/(4·2ⁿ)) until the box is smaller than
 //! w/500, w the image's width. As printed the result is added to the image, which doubles the fall of the light; its
-//! complement is meant: f + (mean(g) − g). Where we settle: boxes are clipped at the border, empty pixels take no part, and
-//! g is computed on cells of whole pixels, at most 512 along a side, and interpolated between their centres, so that a
-//! large orthophoto needs no plane of floating-point numbers.
+//! complement is meant: f + (mean(g) − g). Where we settle: boxes are clipped at the border, empty pixels take no part,
+//! and g is computed on cells of whole pixels, at most 512 along a side, and interpolated between their centres, so
+//! that a large orthophoto needs no plane of floating-point numbers.
 
 use std::fmt;
 use std::sync::Arc;

@@ -1,10 +1,10 @@
 //! Dilation, erosion and closing of masks with OpenCV's ellipses.
 //!
-//! A kernel row is one run of pixels; a mask's row is smeared along such a run by shifts of whole words, doubling, and the
-//! smeared rows are united. What lies outside the mask takes no part (OpenCV's default border). Results equal
+//! A kernel row is one run of pixels; a mask's row is smeared along such a run by shifts of whole words, doubling, and
+//! the smeared rows are united. What lies outside the mask takes no part (OpenCV's default border). Results equal
 //! `cv2.dilate`, `cv2.erode` and `cv2.morphologyEx(…, MORPH_CLOSE)` with
-//! `cv2.getStructuringElement(MORPH_ELLIPSE, (k, k))` bit for bit, even k included: their anchor is k/2, and the kernel is
-//! not turned between the two halves of a closing, so that an even closing shifts as OpenCV's does.
+//! `cv2.getStructuringElement(MORPH_ELLIPSE, (k, k))` bit for bit, even k included: their anchor is k/2, and the kernel
+//! is not turned between the two halves of a closing, so that an even closing shifts as OpenCV's does.
 
 use rayon::prelude::*;
 

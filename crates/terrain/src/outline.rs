@@ -1,5 +1,5 @@
-//! The outlines of what is kept, as GeoJSON polygons in pixels of the frame: x to the right, y down, (0, 0) at the outer
-//! corner of the first pixel. `--samples`, `--global` and `--mend` read them.
+//! The outlines of what is kept, as GeoJSON polygons in pixels of the frame: x to the right, y down, (0, 0) at the
+//! outer corner of the first pixel. `--samples`, `--global` and `--mend` read them.
 
 use serde_json::{Value, json};
 
@@ -14,8 +14,8 @@ const STEPS: [[i64; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 const AHEAD: [([i64; 2], [i64; 2]); 4] =
     [([0, 0], [0, -1]), ([-1, 0], [0, 0]), ([-1, -1], [-1, 0]), ([0, -1], [-1, -1])];
 
-/// The ring that runs along the upper edge of a kept pixel, with what is kept on its right. Areas that touch in a corner
-/// only are two.
+/// The ring that runs along the upper edge of a kept pixel, with what is kept on its right. Areas that touch in a
+/// corner only are two.
 fn trace(mask: &BitMask, start: [i64; 2], seen: &mut BitMask) -> Ring {
     let kept = |at: [i64; 2]| {
         (0..mask.width() as i64).contains(&at[0])

@@ -62,8 +62,8 @@ impl Plane {
         Ok(())
     }
 
-    /// The pixels of the window that begins at `x`, `y`, row-major; where it leaves the plane they are mirrored about the
-    /// outer pixels' centres.
+    /// The pixels of the window that begins at `x`, `y`, row-major; where it leaves the plane they are mirrored about
+    /// the outer pixels' centres.
     ///
     /// # Errors
     /// When the scratch file cannot be read.

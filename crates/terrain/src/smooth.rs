@@ -59,8 +59,8 @@ fn mirror(position: i64, length: usize) -> usize {
     folded.min(period - folded) as usize
 }
 
-/// Means of `factor` × `factor` pixels, rounded half up; blocks at the right and lower edge average what there is of them.
-/// The result has ⌈width/factor⌉ × ⌈height/factor⌉ pixels.
+/// Means of `factor` × `factor` pixels, rounded half up; blocks at the right and lower edge average what there is of
+/// them. The result has ⌈width/factor⌉ × ⌈height/factor⌉ pixels.
 ///
 /// # Panics
 /// When `image` is not `width · height` long, or `factor` is 0 or above 64.

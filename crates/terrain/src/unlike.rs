@@ -7,7 +7,8 @@ use crate::forest::Example;
 
 /// Farther than this from every taught pixel is far, sum over the features.
 ///
-/// Source: nine tenths of the shipped pixels lie nearer to the rest, when an eleventh of their list is left out at a time.
+/// Source: nine tenths of the shipped pixels lie nearer to the rest, when an eleventh of their list is left out at a
+/// time.
 pub const FAR: u32 = 250;
 
 /// A frame with more far pixels than this is unlike what was taught.

@@ -46,7 +46,8 @@ fn write_rows(
     dataset.close().map_err(failed)
 }
 
-/// Writes `mask`, whose pixels stand for `factor` × `factor` of the frame's, at the frame's size: 1 bit a pixel, 1 = keep.
+/// Writes `mask`, whose pixels stand for `factor` × `factor` of the frame's, at the frame's size: 1 bit a pixel, 1 =
+/// keep.
 ///
 /// # Errors
 /// When the file cannot be written.

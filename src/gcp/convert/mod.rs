@@ -1,7 +1,7 @@
 //! One list of GCPs into another format, with every loss named.
 //!
-//! Coordinates stay in the CRS of the list, digit by digit where the format allows it; only KML and GPX, which know nothing
-//! but longitude and latitude, change them. What the other format cannot hold is left out and listed in
+//! Coordinates stay in the CRS of the list, digit by digit where the format allows it; only KML and GPX, which know
+//! nothing but longitude and latitude, change them. What the other format cannot hold is left out and listed in
 //! [`Converted::lost`]; nothing is put in its place.
 
 mod losses;

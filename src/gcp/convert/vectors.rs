@@ -14,7 +14,8 @@ use autoref_raster::error::{Error, Result};
 
 const WGS84: u32 = 4326;
 
-/// Writes the list beside the output, in as many files as the format has, and stages them; says what was lost on the way.
+/// Writes the list beside the output, in as many files as the format has, and stages them; says what was lost on the
+/// way.
 pub(super) fn write(
     survey: &Survey,
     format: ListFormat,

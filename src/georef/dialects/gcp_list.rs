@@ -1,8 +1,8 @@
 //! OpenDroneMap's `gcp_list.txt`: the CRS, then `geo_x geo_y geo_z im_x im_y image label`, cut by tabs.
 //!
 //! Its pixels count from the **centre** of the first pixel: OpenSfM, which reads them, adds 0.5 before anything else
-//! (`normalized_image_coordinates`), so that 0.5 is taken off here. A height that is not known is `NaN`, as OpenDroneMap's
-//! manual has it. Labels of check points begin with `CHK-`.
+//! (`normalized_image_coordinates`), so that 0.5 is taken off here. A height that is not known is `NaN`, as
+//! OpenDroneMap's manual has it. Labels of check points begin with `CHK-`.
 
 use std::path::Path;
 

@@ -1,6 +1,7 @@
 //! Marks, surveyed points and residual vectors as one GeoJSON, told apart by the property `layer`.
 //!
-//! The coordinates are in the CRS of the result, which the `crs` member of the 2008 format names (GDAL and QGIS follow it).
+//! The coordinates are in the CRS of the result, which the `crs` member of the 2008 format names (GDAL and QGIS follow
+//! it).
 
 use std::path::Path;
 
@@ -9,8 +10,8 @@ use serde_json::{Map, Value, json};
 use super::{TiePoint, TiePoints, write_file};
 use autoref_raster::error::Result;
 
-/// Writes the collection: features of `layer` "gcp" (where it was surveyed), "mark" (where the transform puts the mark) and
-/// "residual" (the line from the mark to the surveyed point).
+/// Writes the collection: features of `layer` "gcp" (where it was surveyed), "mark" (where the transform puts the mark)
+/// and "residual" (the line from the mark to the surveyed point).
 ///
 /// # Errors
 /// When the file cannot be written.

@@ -1,6 +1,6 @@
-//! Agisoft Metashape's pair of files: the reference list of markers (CSV), and markers with their projections (XML, "Import
-//! Markers"). The centre of the first pixel is (0.5, 0.5) there too. Check points are switched off, which is what makes a
-//! marker a check point in Metashape.
+//! Agisoft Metashape's pair of files: the reference list of markers (CSV), and markers with their projections (XML,
+//! "Import Markers"). The centre of the first pixel is (0.5, 0.5) there too. Check points are switched off, which is
+//! what makes a marker a check point in Metashape.
 
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Tie points as other programs read them.
 //!
-//! A dialect that carries tie points returns exactly the pairs of pixel and surveyed point that were matched; numbers are
-//! written in the shortest form that reads back to the same double wherever the format allows it.
+//! A dialect that carries tie points returns exactly the pairs of pixel and surveyed point that were matched; numbers
+//! are written in the shortest form that reads back to the same double wherever the format allows it.
 
 pub mod csv;
 pub mod gcp_list;
@@ -123,8 +123,8 @@ pub fn write(output: Output, paths: &[PathBuf], tie_points: &TiePoints) -> Resul
 /// Refuses, before any work, what a dialect cannot hold.
 ///
 /// # Errors
-/// When OpenDroneMap's list would lack a CRS or have an image name with blanks, at which it is cut; when a point without a
-/// height is to go where heights are demanded.
+/// When OpenDroneMap's list would lack a CRS or have an image name with blanks, at which it is cut; when a point
+/// without a height is to go where heights are demanded.
 pub fn check(outputs: &[Output], image: &Path, crs: Option<&Crs>, gcps: &[Gcp]) -> Result<()> {
     for output in outputs {
         match output {

@@ -1,6 +1,6 @@
-//! The `.points` file of QGIS's Georeferencer, as `QgsGCPList::saveGcps` writes it: source coordinates count from the outer
-//! corner of the first pixel, y upwards, so that they are (x, −y). Check points are switched off (`enable` 0). A last
-//! column, which QGIS passes over, keeps the names.
+//! The `.points` file of QGIS's Georeferencer, as `QgsGCPList::saveGcps` writes it: source coordinates count from the
+//! outer corner of the first pixel, y upwards, so that they are (x, −y). Check points are switched off (`enable` 0). A
+//! last column, which QGIS passes over, keeps the names.
 
 use std::path::Path;
 

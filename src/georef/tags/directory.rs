@@ -39,11 +39,11 @@ impl Shape {
     }
 }
 
-/// Copies directory `index` behind the end of the file, with `tags` instead of its geographic ones. What the other entries
-/// point to stays where it is, and so does the next directory.
+/// Copies directory `index` behind the end of the file, with `tags` instead of its geographic ones. What the other
+/// entries point to stays where it is, and so does the next directory.
 ///
-/// The pointer that is switched must lie in one disk sector. When that of a later page does not, the directory that holds
-/// it is copied as well, and so on back to the header, whose pointer is aligned.
+/// The pointer that is switched must lie in one disk sector. When that of a later page does not, the directory that
+/// holds it is copied as well, and so on back to the header, whose pointer is aligned.
 ///
 /// # Errors
 /// [`Error::Limit`] when a classic TIFF would grow beyond 4 GiB; [`Error::Io`].

@@ -73,8 +73,8 @@ impl Store for Remembering {
     }
 }
 
-/// Every state in which a crash may leave the file: after each step, after each byte of a longer write, and, as long as no
-/// sync has come between, with sectors of a longer write that never arrived.
+/// Every state in which a crash may leave the file: after each step, after each byte of a longer write, and, as long as
+/// no sync has come between, with sectors of a longer write that never arrived.
 fn states(before: &[u8], steps: &[Step]) -> Vec<Vec<u8>> {
     let mut now = before.to_vec();
     let mut states = vec![now.clone()];

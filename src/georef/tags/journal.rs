@@ -1,9 +1,10 @@
 //! The undo record at the end of an edited file, and what is done with it.
 //!
-//! An edit appends (new directory, then the record), waits until that is on disk, and only then switches what points to the
-//! directory: at most eight bytes inside one disk sector, by one write. A crash before the switch leaves the old image with
-//! unused bytes after it; after it, the new image. The record is plain JSON, so that a person can undo by hand what a later
-//! program no longer understands; a footer of 32 bytes finds it from the file's end. `docs/formats.md` has the layout.
+//! An edit appends (new directory, then the record), waits until that is on disk, and only then switches what points to
+//! the directory: at most eight bytes inside one disk sector, by one write. A crash before the switch leaves the old
+//! image with unused bytes after it; after it, the new image. The record is plain JSON, so that a person can undo by
+//! hand what a later program no longer understands; a footer of 32 bytes finds it from the file's end.
+//! `docs/formats.md` has the layout.
 
 use std::io;
 use std::path::Path;
@@ -36,8 +37,9 @@ pub struct Patch {
 }
 
 impl Patch {
-    /// Whether the file's bytes may be there without another program: the new ones; the old ones, when a crash came between
-    /// the steps of an earlier undo; or a mixture of both, when it came in the middle of more bytes than are written whole.
+    /// Whether the file's bytes may be there without another program: the new ones; the old ones, when a crash came
+    /// between the steps of an earlier undo; or a mixture of both, when it came in the middle of more bytes than are
+    /// written whole.
     fn may_be(&self, now: &[u8]) -> bool {
         let mixed = || now.iter().zip(self.old.iter().zip(&self.new)).all(|(now, (old, new))| now == old || now == new);
         now == self.new || now == self.old || (now.len() > 8 && mixed())
@@ -121,7 +123,8 @@ impl Plan {
     /// Makes the edit.
     ///
     /// # Errors
-    /// When the system says no (a full disk, most likely); the file is as it was before then, as far as the system lets us.
+    /// When the system says no (a full disk, most likely); the file is as it was before then, as far as the system lets
+    /// us.
     pub fn apply(&self, store: &mut dyn Store) -> io::Result<()> {
         if store.length()? != self.old_length {
             return Err(io::Error::other("another program has changed it meanwhile"));

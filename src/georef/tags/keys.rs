@@ -1,7 +1,7 @@
 //! The GeoTIFF tags of a georeference (OGC 19-008r4, GeoTIFF 1.1).
 //!
-//! The transform is written here, to the last bit. The keys of the CRS come from GDAL, which knows every projection method
-//! and compound systems: it makes a file of one pixel in memory, and its three tags are taken over.
+//! The transform is written here, to the last bit. The keys of the CRS come from GDAL, which knows every projection
+//! method and compound systems: it makes a file of one pixel in memory, and its three tags are taken over.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -76,8 +76,8 @@ impl RasterType {
     }
 }
 
-/// All tags of a georeference, in order of their numbers; and what is lost of the CRS, in words, when GeoTIFF keys cannot
-/// hold all of it.
+/// All tags of a georeference, in order of their numbers; and what is lost of the CRS, in words, when GeoTIFF keys
+/// cannot hold all of it.
 ///
 /// # Errors
 /// When GDAL cannot put the CRS into GeoTIFF keys at all.

@@ -1,8 +1,8 @@
 //! GeoTIFF tags in the image itself, with undo.
 //!
-//! `docs/decisions/tags-in-place.md` tells why it is done by appending. Nothing but the pointer to the image's directory is
-//! changed (and one word in the header of a COG that is allowed to be one no longer): pixels, overviews and masks stay where
-//! they are.
+//! `docs/decisions/tags-in-place.md` tells why it is done by appending. Nothing but the pointer to the image's
+//! directory is changed (and one word in the header of a COG that is allowed to be one no longer): pixels, overviews
+//! and masks stay where they are.
 
 mod cog;
 pub(super) mod directory;
@@ -60,8 +60,8 @@ pub struct Undone {
 /// Refuses, before any work, files that cannot take tags.
 ///
 /// # Errors
-/// [`Error::Unsupported`] for what is no TIFF, and for a Cloud Optimized GeoTIFF unless it may be broken; [`Error::Io`] when
-/// the file must not be written to; [`Error::Limit`] when a classic TIFF is nearly 4 GiB long.
+/// [`Error::Unsupported`] for what is no TIFF, and for a Cloud Optimized GeoTIFF unless it may be broken; [`Error::Io`]
+/// when the file must not be written to; [`Error::Limit`] when a classic TIFF is nearly 4 GiB long.
 pub fn check(image: &Path, page: usize, options: &TagOptions) -> Result<()> {
     let (_file, directories, index) = open(image, page)?;
     cog::check(&directories, options)?;
@@ -70,8 +70,8 @@ pub fn check(image: &Path, page: usize, options: &TagOptions) -> Result<()> {
 
 /// Works out the edit. Nothing is written before [`Edit::apply`].
 ///
-/// `transform` speaks of pixel corners, as everywhere; in a file that is PixelIsPoint the tags will speak of centres. The
-/// second value says, in words, what GeoTIFF keys lose of the CRS.
+/// `transform` speaks of pixel corners, as everywhere; in a file that is PixelIsPoint the tags will speak of centres.
+/// The second value says, in words, what GeoTIFF keys lose of the CRS.
 ///
 /// # Errors
 /// Those of [`check`]; [`Error::Gdal`] when GDAL has no GeoTIFF keys for the CRS.
@@ -141,7 +141,8 @@ pub fn is_tagged(image: &Path) -> bool {
     })
 }
 
-/// What others may stumble over once `image` has tags with `transform`, in words. `renewed`: its `.aux.xml` is written too.
+/// What others may stumble over once `image` has tags with `transform`, in words. `renewed`: its `.aux.xml` is written
+/// too.
 pub fn warning(image: &Path, renewed: bool, transform: &GeoTransform) -> Option<String> {
     let aux = sidecar::aux_path(image);
     let text = bounded::read_to_string(&aux, "an .aux.xml", bounded::TEXT_BYTES).unwrap_or_default();

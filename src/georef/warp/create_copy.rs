@@ -1,5 +1,5 @@
-//! GDAL's CreateCopy with a progress report, which the safe binding does not offer, and the size of GDAL's cache, which it
-//! lets nobody change after the first use.
+//! GDAL's CreateCopy with a progress report, which the safe binding does not offer, and the size of GDAL's cache, which
+//! it lets nobody change after the first use.
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
@@ -25,8 +25,8 @@ pub fn create_copy(
     let argument = std::ptr::from_ref(&progress).cast_mut().cast::<c_void>();
     // SAFETY: takes nothing and only clears this thread's last error.
     unsafe { gdal_sys::CPLErrorReset() };
-    // SAFETY: driver, source, name, options and the progress argument all outlive the call; the callback casts the argument
-    // back to what it is.
+    // SAFETY: driver, source, name, options and the progress argument all outlive the call; the callback casts the
+    // argument back to what it is.
     let copy = unsafe {
         gdal_sys::GDALCreateCopy(
             driver.c_driver(),

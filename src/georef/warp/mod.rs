@@ -359,8 +359,8 @@ impl WarpOptions {
 /// `progress` gets numbers from 0 to 1 and answers whether to go on.
 ///
 /// # Errors
-/// Those of [`WarpOptions::check`] but for the memory; [`Error::Gdal`] when GDAL cannot read the image or write the copy (a full disk). Nothing
-/// is left behind but what is at `out` itself.
+/// Those of [`WarpOptions::check`] but for the memory; [`Error::Gdal`] when GDAL cannot read the image or write the
+/// copy (a full disk). Nothing is left behind but what is at `out` itself.
 pub fn write(
     image: &Path,
     page: usize,
@@ -385,8 +385,8 @@ pub fn write(
     made
 }
 
-/// First a plain tiled copy, then the COG of it: the COG driver reads every pixel several times, for overviews band by band,
-/// and each time the image would be warped again.
+/// First a plain tiled copy, then the COG of it: the COG driver reads every pixel several times, for overviews band by
+/// band, and each time the image would be warped again.
 fn copy(xml: &str, image: &Path, out: &Path, options: &WarpOptions, progress: &dyn Fn(f64) -> bool) -> Result<()> {
     let failed = |what: String| failed_to_write(out, &what);
     let mut plain = out.as_os_str().to_owned();

@@ -152,8 +152,8 @@ pub fn xml(
     Ok(out)
 }
 
-/// Pixels of the copy for each of the image, across and down. Left alone, GDAL takes the ratio of a block to the box around
-/// its rotated counterpart: a kernel that is too wide, by another factor in every block.
+/// Pixels of the copy for each of the image, across and down. Left alone, GDAL takes the ratio of a block to the box
+/// around its rotated counterpart: a kernel that is too wide, by another factor in every block.
 fn scale_factors(transform: &GeoTransform, grid: &Grid) -> (f64, f64) {
     let (g, to) = (transform.0, grid.transform.0);
     let (across, down) = match g[2] == 0.0 && g[4] == 0.0 {

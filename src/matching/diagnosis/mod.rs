@@ -1,8 +1,9 @@
-//! The gross-error diagnosis: classic mistakes in a list of GCPs, tried when a pattern does not fit or leaves points unexplained.
+//! The gross-error diagnosis: classic mistakes in a list of GCPs, tried when a pattern does not fit or leaves points
+//! unexplained.
 //!
-//! A mistake is claimed only on the evidence that is asked of a match: the expected number of chance explanations as good,
-//! over everything the diagnosis tries, must not exceed the matcher's limit. Weaker evidence, down to [`POSSIBLE_LOG10`], is
-//! told as a possibility with its figure. Nothing is ever corrected.
+//! A mistake is claimed only on the evidence that is asked of a match: the expected number of chance explanations as
+//! good, over everything the diagnosis tries, must not exceed the matcher's limit. Weaker evidence, down to
+//! [`POSSIBLE_LOG10`], is told as a possibility with its figure. Nothing is ever corrected.
 //!
 //! What shows which mistake (a similarity absorbs shift, rotation and, without a known ground sample distance, scale):
 //!
@@ -74,8 +75,8 @@ pub struct Diagnosis {
     pub gcps: Vec<String>,
     /// One line: the mistake, what fits without it, what to do.
     pub message: String,
-    /// log₁₀ of the expected number of explanations as good by chance; `None` where the evidence is a comparison with what
-    /// the image says of itself, not a pattern.
+    /// log₁₀ of the expected number of explanations as good by chance; `None` where the evidence is a comparison with
+    /// what the image says of itself, not a pattern.
     pub log10_false_alarms: Option<f64>,
 }
 
@@ -294,7 +295,8 @@ fn neighbours(crs: &Crs) -> Vec<Crs> {
 
 /// Marks that carry names against the pattern: labels of two marks exchanged, or one that names another GCP.
 ///
-/// `labels`: index of a candidate and its name, for those that have one. A name that is in no GCP of the list is no label.
+/// `labels`: index of a candidate and its name, for those that have one. A name that is in no GCP of the list is no
+/// label.
 pub fn exchanged_labels(labels: &[(usize, String)], pattern: &Pattern, gcps: &[Gcp]) -> Vec<Diagnosis> {
     let is_gcp = |name: &str| gcps.iter().any(|g| g.name == name);
     let odd: Vec<(&str, &str)> = labels

@@ -104,7 +104,8 @@ fn ground_factor(known: MapPoint, solved: MapPoint, found_m: f64) -> Option<(f64
     let square = known.easting.powi(2) + known.northing.powi(2);
     let factor = (solved.easting * known.easting + solved.northing * known.northing) / square;
     let rest_m = (solved.easting - factor * known.easting).hypot(solved.northing - factor * known.northing);
-    // The shift must be along the position vector to a fiftieth: any shift has a factor, few point away from the origin.
+    // The shift must be along the position vector to a fiftieth: any shift has a factor, few point away from the
+    // origin.
     let plausible = GROUND_FACTOR.contains(&(factor - 1.0).abs()) && found_m > 20.0 && rest_m < found_m / 50.0;
     plausible.then_some((factor, rest_m))
 }

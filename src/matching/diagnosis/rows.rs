@@ -189,8 +189,8 @@ impl<'a> Rest<'a> {
                 let (a, b) = (gcps[i].position(), gcps[j].position());
                 let mixed =
                     |east: MapPoint, north: MapPoint| MapPoint { easting: east.easting, northing: north.northing };
-                // Both exchanges put the marks at the same two places; what differs is which row is at which. Names cannot be
-                // seen, so they are one hypothesis.
+                // Both exchanges put the marks at the same two places; what differs is which row is at which. Names
+                // cannot be seen, so they are one hypothesis.
                 if let (Some(one), Some(other)) = (self.mark_at(mixed(b, a)), self.mark_at(mixed(a, b)))
                     && one.candidate != other.candidate
                 {

@@ -1,19 +1,19 @@
 //! Topological point patterns, the matcher of the 2016 thesis, kept for comparison.
 //!
-//! After Y. Li and R. Briggs, "Automated georeferencing based on topological point pattern matching", 2006: seen from an
-//! anchor point, all others have a radius in units of the distance to the anchor's nearest neighbour, and a direction from
-//! that neighbour's. Patterns of the same anchor in image and list agree whatever shift, rotation and scale. Both lists are
-//! sorted and walked together; points whose radius and angle agree within thresholds are matched.
+//! After Y. Li and R. Briggs, "Automated georeferencing based on topological point pattern matching", 2006: seen from
+//! an anchor point, all others have a radius in units of the distance to the anchor's nearest neighbour, and a
+//! direction from that neighbour's. Patterns of the same anchor in image and list agree whatever shift, rotation and
+//! scale. Both lists are sorted and walked together; points whose radius and angle agree within thresholds are matched.
 //!
 //! Repairs against the thesis's program: angles are taken over the full circle (its remainder by π folds opposite
 //! directions together), sorting is by radius and then by the absolute angle from the axis (its eq. 2.8), and every
 //! difference of angles, the look-ahead's too, wraps at 2π. The thesis then took the match of the smallest RMSE, which
-//! favours few points; here a proposal is settled and weighed like any other hypothesis, and believed only when an accident
-//! is unlikely enough. Names of coded targets are not heeded.
+//! favours few points; here a proposal is settled and weighed like any other hypothesis, and believed only when an
+//! accident is unlikely enough. Names of coded targets are not heeded.
 //!
-//! In three dimensions ([`Space::Solid`], the wish of its section 5.6) radii are lengths in space and directions have an
-//! elevation angle. The vertical is the same in image and list, as it is in an orthophoto with its elevation model, so that one
-//! neighbour is enough for an axis.
+//! In three dimensions ([`Space::Solid`], the wish of its section 5.6) radii are lengths in space and directions have
+//! an elevation angle. The vertical is the same in image and list, as it is in an orthophoto with its elevation model,
+//! so that one neighbour is enough for an axis.
 
 mod pattern;
 
@@ -49,8 +49,8 @@ pub enum Space {
     /// Places on the map.
     #[default]
     Plane,
-    /// Places and heights; elevations of candidates, metres, count this many metres to a pixel. Points without a height take no
-    /// part in the patterns.
+    /// Places and heights; elevations of candidates, metres, count this many metres to a pixel. Points without a height
+    /// take no part in the patterns.
     Solid { gsd_m: f64 },
 }
 
@@ -246,8 +246,8 @@ impl TppMatcher {
         pattern::matched(image, gcps, self.near)
     }
 
-    /// The two patterns that agree in most points: of the anchors among `believed` pairs (candidate, GCP), or of all when
-    /// there are none. `None` when no two patterns have a point in common.
+    /// The two patterns that agree in most points: of the anchors among `believed` pairs (candidate, GCP), or of all
+    /// when there are none. `None` when no two patterns have a point in common.
     pub fn overlay(&self, candidates: &[Candidate], gcps: &[Gcp], believed: &[(usize, usize)]) -> Option<Overlay> {
         let (control, _) = control_points(gcps);
         let (image, list) = self.points(candidates, gcps, &control);

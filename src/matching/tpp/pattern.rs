@@ -29,9 +29,9 @@ pub struct Thresholds {
     pub angle: f64,
 }
 
-/// All other points as `anchor` sees them, up to `max_distance` (in units of the pattern), sorted by radius, then by the angle
-/// from the axis. Points are east, north, up; patterns in the plane have all heights 0. Empty when all points lie in one place, or the
-/// nearest neighbour straight above or below.
+/// All other points as `anchor` sees them, up to `max_distance` (in units of the pattern), sorted by radius, then by
+/// the angle from the axis. Points are east, north, up; patterns in the plane have all heights 0. Empty when all points
+/// lie in one place, or the nearest neighbour straight above or below.
 pub fn pattern(points: &[Vector3<f64>], anchor: usize, max_distance: f64) -> Vec<Seen> {
     let away = |i: usize| points[i] - points[anchor];
     let others = || (0..points.len()).filter(|&i| away(i) != Vector3::zeros());

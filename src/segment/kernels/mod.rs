@@ -1,13 +1,13 @@
-//! The colour prefilter: which pixels of a row may be paint, at memory speed. [`scalar`] is the reference, [`x86_64`] its
-//! AVX2 twin; both answer the same bits, and tests compare them at every length and offset.
+//! The colour prefilter: which pixels of a row may be paint, at memory speed. [`scalar`] is the reference, [`x86_64`]
+//! its AVX2 twin; both answer the same bits, and tests compare them at every length and offset.
 #![allow(unsafe_code)]
 
 pub mod scalar;
 #[cfg(target_arch = "x86_64")]
 pub mod x86_64;
 
-/// Bounds on one pixel's samples and on their differences. A pixel passes when every sample lies in `low..=high` and each
-/// saturating difference in its own range. Everything the exact table accepts passes (see `Classifier`).
+/// Bounds on one pixel's samples and on their differences. A pixel passes when every sample lies in `low..=high` and
+/// each saturating difference in its own range. Everything the exact table accepts passes (see `Classifier`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
     pub low: [u8; 3],
@@ -91,8 +91,9 @@ pub struct Prefilter {
     glance: Option<Glance>,
 }
 
-/// A test that most pixels fail, on pixels of three samples as they lie: the differences of the first sample from the second
-/// and of the second from the third, halved. `avg(a, !b)` is `(256 + a − b) / 2`, so that one byte holds both signs.
+/// A test that most pixels fail, on pixels of three samples as they lie: the differences of the first sample from the
+/// second and of the second from the third, halved. `avg(a, !b)` is `(256 + a − b) / 2`, so that one byte holds both
+/// signs.
 ///
 /// By how far into a pixel 32 bytes begin: the least halved difference, and how much more there may be.
 #[derive(Clone, Debug)]
@@ -132,7 +133,8 @@ impl Prefilter {
 
     /// Writes one bit a pixel: does it pass? Every word of `bits` is overwritten, unused high bits are zero.
     ///
-    /// Uses AVX2 where the machine has it, the pixels are 3 or 4 samples wide and [`autoref_raster::simd::Kernels`] asks for the widest.
+    /// Uses AVX2 where the machine has it, the pixels are 3 or 4 samples wide and [`autoref_raster::simd::Kernels`]
+    /// asks for the widest.
     pub fn row(&self, samples: &[u8], stride: usize, len: usize, bits: &mut [u64]) {
         #[cfg(target_arch = "x86_64")]
         if autoref_raster::simd::Kernels::wanted() == autoref_raster::simd::Kernels::Widest

@@ -1,5 +1,5 @@
-//! AVX2: 64 pixels of three samples are passed over at a glance or taken apart into planes of 32, pixels of four stay as they
-//! are, eight at a time.
+//! AVX2: 64 pixels of three samples are passed over at a glance or taken apart into planes of 32, pixels of four stay
+//! as they are, eight at a time.
 
 use std::arch::x86_64::*;
 
@@ -114,14 +114,16 @@ fn exactly(test: &Prefilter, pixels: &[u8; 192]) -> u64 {
 }
 
 /// How 16 pixels of three interleaved samples become three planes: sample `c` of pixel `p` is byte `(3p + c) mod 16` of
-/// the 16-byte piece `(3p + c) / 16`, and no two pixels share that byte, so two blends gather a plane and a shuffle sorts it.
+/// the 16-byte piece `(3p + c) / 16`, and no two pixels share that byte, so two blends gather a plane and a shuffle
+/// sorts it.
 struct Planes {
     from_second: [__m256i; 3],
     from_third: [__m256i; 3],
     order: [__m256i; 3],
 }
 
-/// Rows are short: the masks are made by the compiler. By sample: bytes from the second piece, from the third, the order.
+/// Rows are short: the masks are made by the compiler. By sample: bytes from the second piece, from the third, the
+/// order.
 const MASKS: [[[i8; 32]; 3]; 3] = masks();
 
 const fn masks() -> [[[i8; 32]; 3]; 3] {

@@ -1,9 +1,9 @@
 //! Grids of what points carry: every cell takes the points nearer to its centre than a radius, as PDAL's `writers.gdal`
-//! does; holes are filled by inverse distance (Shepard, *A two-dimensional interpolation function for irregularly-spaced
-//! data*, 1968).
+//! does; holes are filled by inverse distance (Shepard, *A two-dimensional interpolation function for
+//! irregularly-spaced data*, 1968).
 //!
-//! Sums are whole numbers of fixed steps, so that the order of points changes nothing. Rows are worked on in strips that fit
-//! the memory; points near the border of strips go to both.
+//! Sums are whole numbers of fixed steps, so that the order of points changes nothing. Rows are worked on in strips
+//! that fit the memory; points near the border of strips go to both.
 
 mod accumulate;
 mod plane;

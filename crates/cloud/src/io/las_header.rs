@@ -151,7 +151,8 @@ impl LasHeader {
         Ok(())
     }
 
-    /// Takes the coordinate reference system from the extended records behind the points; what cannot be read is passed over.
+    /// Takes the coordinate reference system from the extended records behind the points; what cannot be read is passed
+    /// over.
     fn read_projection_behind(&mut self, file: &mut (impl Read + Seek), file_bytes: u64) {
         let (mut at, count) = (u64_at(&self.raw, 235), u32_at(&self.raw, 243));
         for _ in 0..count.min(1000) {

@@ -116,7 +116,8 @@ struct Plan {
     recipe: Option<Recipe>,
 }
 
-/// The plan for a LAS source: everything as it came, but for what belongs to packing, indices and waveforms in the file.
+/// The plan for a LAS source: everything as it came, but for what belongs to packing, indices and waveforms in the
+/// file.
 fn keep(las: &LasHeader, target: &Target<'_>) -> Plan {
     let mut head = las.raw.clone();
     // Version 1.0 has a mark before its points that later versions do not.

@@ -39,8 +39,8 @@ impl Offsets {
         lanes::run(Nearest(self))
     }
 
-    /// How deep below the envelope of its surroundings the origin lies, in units of the spread about it; `None` when it does
-    /// not, or the surroundings lie on a line.
+    /// How deep below the envelope of its surroundings the origin lies, in units of the spread about it; `None` when it
+    /// does not, or the surroundings lie on a line.
     pub fn depth(&self) -> Option<f64> {
         lanes::run(Depth(self))
     }

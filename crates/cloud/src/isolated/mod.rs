@@ -1,10 +1,11 @@
-//! Points that statistics of distance do not tell: low points close beneath the ground or the canopy, and small clusters
-//! far from everything.
+//! Points that statistics of distance do not tell: low points close beneath the ground or the canopy, and small
+//! clusters far from everything.
 //!
 //! A point is noise
-//! - when it lies below the lower envelope of its surroundings by `share` times the envelope's spread: the surroundings are
-//!   the at most 128 points nearest in plan within a radius, the envelope is the plane of asymmetric least squares (Eilers
-//!   & Boelens, *Baseline correction with asymmetric least squares smoothing*, 2005) to which points above it weigh 0.02; or
+//! - when it lies below the lower envelope of its surroundings by `share` times the envelope's spread: the surroundings
+//!   are the at most 128 points nearest in plan within a radius, the envelope is the plane of asymmetric least squares
+//!   (Eilers & Boelens, *Baseline correction with asymmetric least squares smoothing*, 2005) to which points above it
+//!   weigh 0.02; or
 //! - when the `least`-th neighbour is four times as far as for the median point: a cluster of at most `least` points.
 //!
 //! Both are taken over the true neighbours, so that tiles change nothing.
@@ -134,8 +135,8 @@ fn examine(
     Ok(groups.concat())
 }
 
-/// Points whose `least`-th neighbour is too far, by their place in the tiles. `distances` holds its squared distance for
-/// every point, NaN where it has to be searched.
+/// Points whose `least`-th neighbour is too far, by their place in the tiles. `distances` holds its squared distance
+/// for every point, NaN where it has to be searched.
 fn clusters(tiles: &Tiles, least: usize, kept_points: usize, distances: &File) -> Result<Vec<Vec<u32>>> {
     let known = |number: usize| {
         let tile = &tiles.tiles[number];

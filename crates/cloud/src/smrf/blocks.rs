@@ -1,5 +1,6 @@
-//! Surfaces outside memory: square blocks of cells on the scratch disk, kept only where points are and one block around.
-//! Blocks lie on multiples of their side in map coordinates, so that nothing depends on how points were shared out.
+//! Surfaces outside memory: square blocks of cells on the scratch disk, kept only where points are and one block
+//! around. Blocks lie on multiples of their side in map coordinates, so that nothing depends on how points were shared
+//! out.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -138,8 +139,8 @@ impl Blocks {
         groups
     }
 
-    /// Calls `each` with every piece of a row of `rect` that lies in one block: first column, row, length, and the place
-    /// in a plane's file, if the block is there.
+    /// Calls `each` with every piece of a row of `rect` that lies in one block: first column, row, length, and the
+    /// place in a plane's file, if the block is there.
     fn pieces(&self, rect: Rect, mut each: impl FnMut(usize, usize, usize, Option<u64>) -> Result<()>) -> Result<()> {
         let side = self.lattice.block as i64;
         for row in rect.y.0..rect.y.1 {
@@ -218,7 +219,8 @@ pub struct Coarse {
 }
 
 impl Coarse {
-    /// The means of the known cells of `plane`, holes filled. Cells are joined 16 × 16, or more where that is not enough.
+    /// The means of the known cells of `plane`, holes filled. Cells are joined 16 × 16, or more where that is not
+    /// enough.
     pub fn new(blocks: &Blocks, plane: &Plane, scratch: &Scratch) -> Result<Coarse> {
         let (frame, origin) = (&blocks.frame, blocks.origin);
         let extent = |factor: i64| {
@@ -252,7 +254,8 @@ impl Coarse {
         Ok(Coarse { factor, origin, first, surface })
     }
 
-    /// The height at a cell of the frame, linear between the centres of the wide cells. NaN when nothing is known at all.
+    /// The height at a cell of the frame, linear between the centres of the wide cells. NaN when nothing is known at
+    /// all.
     pub fn value(&self, column: usize, row: usize) -> f64 {
         let along = |axis: usize, cell: usize, count: usize| {
             let at =

@@ -1,10 +1,10 @@
-//! Holes in surfaces, filled as if springs joined neighbouring cells (D'Errico, *inpaint_nans*, 2004, method 4, as Pingel
-//! et al. use it): the heights with the least sum of squared differences between the four neighbours.
+//! Holes in surfaces, filled as if springs joined neighbouring cells (D'Errico, *inpaint_nans*, 2004, method 4, as
+//! Pingel et al. use it): the heights with the least sum of squared differences between the four neighbours.
 //!
 //! The normal equations are solved by conjugate gradients (Hestenes & Stiefel 1952), preconditioned by one V-cycle over
-//! ever coarser surfaces (Braess, *Towards algebraic multigrid for elliptic problems of second order*, 1995: cells joined
-//! in fours, the coarse springs half as stiff as Galerkin's). All sums run in a fixed order, so that threads change
-//! nothing.
+//! ever coarser surfaces (Braess, *Towards algebraic multigrid for elliptic problems of second order*, 1995: cells
+//! joined in fours, the coarse springs half as stiff as Galerkin's). All sums run in a fixed order, so that threads
+//! change nothing.
 
 use std::ops::AddAssign;
 

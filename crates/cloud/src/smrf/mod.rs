@@ -1,9 +1,10 @@
-//! Ground by the simple morphological filter (Pingel, Clarke & McBride, *An improved simple morphological filter for the
-//! terrain classification of airborne LIDAR data*, 2013), complete: the lowest surface with its holes filled, low
+//! Ground by the simple morphological filter (Pingel, Clarke & McBride, *An improved simple morphological filter for
+//! the terrain classification of airborne LIDAR data*, 2013), complete: the lowest surface with its holes filled, low
 //! outliers, cut nets, growing openings, the provisional terrain, and the points near it.
 //!
-//! The surface is that of the author's Python: cell centres on multiples of the cell. Two things differ: the springs that
-//! fill holes are solved to the end instead of to LSQR's default tolerance, and a cloud may be narrower than four cells.
+//! The surface is that of the author's Python: cell centres on multiples of the cell. Two things differ: the springs
+//! that fill holes are solved to the end instead of to LSQR's default tolerance, and a cloud may be narrower than four
+//! cells.
 
 mod blocks;
 mod inpaint;

@@ -14,8 +14,8 @@ pub enum Extremum {
     Greatest,
 }
 
-/// The least or greatest value in a disc of `radius` cells about every cell (dx² + dy² ≤ radius²); beyond the border there
-/// is nothing. The surface must hold no NaN.
+/// The least or greatest value in a disc of `radius` cells about every cell (dx² + dy² ≤ radius²); beyond the border
+/// there is nothing. The surface must hold no NaN.
 ///
 /// Rows of growing half-width are made one from the other: a window of half-width w + 1 is the union of those of
 /// half-width w one cell to the left and to the right.

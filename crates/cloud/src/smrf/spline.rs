@@ -1,5 +1,5 @@
-//! Bicubic splines through the centres of cells, without a knot at the second and the last but one (de Boor, *A Practical
-//! Guide to Splines*, 1978): what FITPACK's `regrid` gives without smoothing.
+//! Bicubic splines through the centres of cells, without a knot at the second and the last but one (de Boor, *A
+//! Practical Guide to Splines*, 1978): what FITPACK's `regrid` gives without smoothing.
 
 use rayon::prelude::*;
 
@@ -30,8 +30,8 @@ fn basis(at: f64, count: usize) -> (usize, [f64; 4]) {
     (span - 3, values)
 }
 
-/// The matrix of the basis functions at whole places, factored into triangles; it is totally positive, so that no pivots
-/// are needed (de Boor & Pinkus 1977). Row i holds columns i − 3 … i + 3.
+/// The matrix of the basis functions at whole places, factored into triangles; it is totally positive, so that no
+/// pivots are needed (de Boor & Pinkus 1977). Row i holds columns i − 3 … i + 3.
 fn factored(count: usize) -> Vec<[f64; 7]> {
     let mut band = vec![[0.0; 7]; count];
     for (row, band) in band.iter_mut().enumerate() {

@@ -1,10 +1,10 @@
 //! The filter over surfaces that do not fit into memory, block by block.
 //!
-//! Openings reach as far as their discs, so that a halo makes them those of the whole surface to the last bit. Filled holes
-//! and splines couple all cells: a hole is filled within its block and a halo of 128 cells, and where it goes on beyond, it
-//! is held there at a surface of cells sixteen times as wide. A hole narrower than the halo is filled as if all were in
-//! memory; in a wider one the difference dies out towards the known cells, which is where the points are. A spline forgets
-//! a cell at a distance of 40 cells to the last bit.
+//! Openings reach as far as their discs, so that a halo makes them those of the whole surface to the last bit. Filled
+//! holes and splines couple all cells: a hole is filled within its block and a halo of 128 cells, and where it goes on
+//! beyond, it is held there at a surface of cells sixteen times as wide. A hole narrower than the halo is filled as if
+//! all were in memory; in a wider one the difference dies out towards the known cells, which is where the points are. A
+//! spline forgets a cell at a distance of 40 cells to the last bit.
 
 use rayon::prelude::*;
 

@@ -1,10 +1,11 @@
 //! One streamed pass over both models: the normal equations of shift and surface, robustly weighted.
 //!
 //! The linearised model is that of the least-squares z-difference (K. Rosenholm and K. Torlegård, *Three-dimensional
-//! absolute orientation of stereo models using digital elevation models*, 1988), of whose seven parameters the shift and
-//! the two tilts are kept, and a surface of the second or third degree on request. Where it differs: the estimating equations take the gradient of the template, which no
-//! interpolation has touched and whose noise has nothing in common with that of the other model, so that noise does not
-//! draw the shift; and the matrix is the mixed product of both models' gradients, which noise does not enlarge.
+//! absolute orientation of stereo models using digital elevation models*, 1988), of whose seven parameters the shift
+//! and the two tilts are kept, and a surface of the second or third degree on request. Where it differs: the estimating
+//! equations take the gradient of the template, which no interpolation has touched and whose noise has nothing in
+//! common with that of the other model, so that noise does not draw the shift; and the matrix is the mixed product of
+//! both models' gradients, which noise does not enlarge.
 
 use crate::error::Result;
 use crate::exact::ExactSum;

@@ -1,8 +1,8 @@
 //! One elevation model brought onto another: shift, height, tilt, and a surface of low degree.
 //!
-//! `auto` searches for the shift from coarse to fine and then fits shift and surface together, robustly
-//! (module `fit`); `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets
-//! for quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
+//! `auto` searches for the shift from coarse to fine and then fits shift and surface together, robustly (module `fit`);
+//! `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets for
+//! quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
 
 mod fit;
 mod nuth_kaab;
@@ -95,7 +95,8 @@ pub struct Options<'a> {
     pub means: Means,
     /// Cells of each model that may be held at a time for the search.
     pub memory_cells: u64,
-    /// Copies of the two models for all passes but the first; the cells are those of both together. The result is the same without.
+    /// Copies of the two models for all passes but the first; the cells are those of both together. The result is the
+    /// same without.
     pub room: Room<'a>,
 }
 
@@ -122,7 +123,8 @@ pub struct Alignment {
     pub shift_m: [f64; 3],
     /// Of `shift_m`, square metres: east, north, height.
     pub covariance_m2: Matrix3<f64>,
-    /// Rise of the correction towards east and north at [`Alignment::centre`], metres per metre, when a tilt was taken out.
+    /// Rise of the correction towards east and north at [`Alignment::centre`], metres per metre, when a tilt was taken
+    /// out.
     pub tilt: Option<Tilt>,
     /// What the correction has above the tilt, when such a surface was taken out.
     pub bend: Option<Bend>,
@@ -147,7 +149,8 @@ pub struct Tilt {
     pub north_se: f64,
 }
 
-/// A surface above the tilt: Σ metres · u^east · v^north, where u and v count from [`Alignment::centre`] to east and north in `half_m`.
+/// A surface above the tilt: Σ metres · u^east · v^north, where u and v count from [`Alignment::centre`] to east and
+/// north in `half_m`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bend {
     pub degree: Degree,
@@ -243,8 +246,8 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let before = spread::of(&full, &State::default(), options.means)?;
     let after = spread::of(&full, &fitted.state, options.means)?;
     if finer > 1 && after.mean.is_finite() {
-        // Ground that coarse cells smooth out leaves differences that lean to one side: a robust height is drawn from the
-        // mean, which averaging keeps, by something that the scatter of blocks does not show.
+        // Ground that coarse cells smooth out leaves differences that lean to one side: a robust height is drawn from
+        // the mean, which averaging keeps, by something that the scatter of blocks does not show.
         fitted.covariance[(2, 2)] += after.mean * after.mean;
     }
     // The other model is read at X + shift: where it is A, A itself moves the other way.

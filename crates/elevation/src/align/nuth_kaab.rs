@@ -23,13 +23,14 @@ const MOST_PASSES: u32 = 20;
 const STILL_PX: f64 = 1e-3;
 /// Fewest cells of a class of aspect.
 const FEWEST: u64 = 20;
-/// Cells that say where the shift lies roughly. Of larger models every n-th row is looked at, n at most [`MOST_APART`], until a
-/// step is below [`ROUGH_PX`]; then all of them.
+/// Cells that say where the shift lies roughly. Of larger models every n-th row is looked at, n at most [`MOST_APART`],
+/// until a step is below [`ROUGH_PX`]; then all of them.
 const ENOUGH_CELLS: u64 = 1_000_000;
 const MOST_APART: u64 = 16;
 const ROUGH_PX: f64 = 0.02;
 
-/// Iterates from `start` until the shift stands still. The height of every step is the median difference of the one before.
+/// Iterates from `start` until the shift stands still. The height of every step is the median difference of the one
+/// before.
 ///
 /// # Errors
 /// When a model cannot be read.
@@ -65,7 +66,8 @@ pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u3
 
 /// What a pass over both models says.
 struct Step {
-    /// Metres towards east and north by which the other model is to be read further on; `None` where too few aspects are there.
+    /// Metres towards east and north by which the other model is to be read further on; `None` where too few aspects
+    /// are there.
     shift_m: Option<(f64, f64)>,
     /// Median of the differences left.
     height_m: f64,

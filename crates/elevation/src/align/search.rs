@@ -309,8 +309,8 @@ struct Fitter<'a> {
 }
 
 impl Fitter<'_> {
-    /// Through all levels, several candidates side by side. Those that meet go on as one; below the coarsest level only the
-    /// first start, which is where the files say the models are, and the best of the others are followed.
+    /// Through all levels, several candidates side by side. Those that meet go on as one; below the coarsest level only
+    /// the first start, which is where the files say the models are, and the best of the others are followed.
     fn descend(&self, levels: &[Level], starts: Vec<State>, free: Free) -> Result<Option<State>> {
         let mut candidates: Vec<(State, f64)> = starts.into_iter().map(|state| (state, f64::INFINITY)).collect();
         for (index, level) in levels.iter().enumerate().rev() {
@@ -416,8 +416,8 @@ impl Fitter<'_> {
     }
 }
 
-/// Whether the terms of the surface's own degree are there beyond chance (one in a thousand), and are worth a tenth of the
-/// residuals' own scatter.
+/// Whether the terms of the surface's own degree are there beyond chance (one in a thousand), and are worth a tenth of
+/// the residuals' own scatter.
 fn degree_matters(end: &End, scales: &[f64; SLOPES], residuals: &Sums) -> bool {
     let surface = &end.state.surface;
     let (degree, first) = (surface.degree, surface.degree.lower().terms());
@@ -459,7 +459,8 @@ fn solve(sums: &Sums, free: Free) -> Option<Vec<f64>> {
     step.iter().all(|v| v.is_finite()).then_some(step)
 }
 
-/// Takes a step; returns how far it went, in cells. Steps of more than two cells are shortened: the gradient reaches no further.
+/// Takes a step; returns how far it went, in cells. Steps of more than two cells are shortened: the gradient reaches no
+/// further.
 fn apply(state: &mut State, step: &[f64], grid: &Grid) -> f64 {
     const LONGEST_PX: f64 = 2.0;
     let length = step[0].hypot(step[1]);
@@ -485,8 +486,8 @@ fn score_block_px(grid: &Grid) -> u64 {
 }
 
 /// The covariance of the parameters from the scatter of the blocks' scores about zero (the sandwich of P. Huber, *The
-/// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals that
-/// hang together within a block count as what they are. Blocks are doubled while that shows more than chance does.
+/// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals
+/// that hang together within a block count as what they are. Blocks are doubled while that shows more than chance does.
 fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
     const FEWEST: usize = 40;
     let (first, n, parameters) = (free.first(), free.count(), sums.parameters());

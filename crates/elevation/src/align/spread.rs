@@ -11,8 +11,8 @@ use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Spread {
     pub median: f64,
-    /// 1.4826 times the median distance from the median (J. Höhle and M. Höhle, *Accuracy assessment of digital elevation
-    /// models by means of robust statistical methods*, 2009).
+    /// 1.4826 times the median distance from the median (J. Höhle and M. Höhle, *Accuracy assessment of digital
+    /// elevation models by means of robust statistical methods*, 2009).
     pub nmad: f64,
     /// Of the differences within five NMAD of the median.
     pub mean: f64,

@@ -85,8 +85,8 @@ impl Scan<'_> {
 /// Tangent of half of an eighth of a turn.
 const HALF_EIGHTH: f64 = std::f64::consts::SQRT_2 - 1.0;
 
-/// Which of eight directions, clockwise from north, a slope that rises so much eastwards and northwards looks to; 8 where
-/// there is none, `None` where it is not known.
+/// Which of eight directions, clockwise from north, a slope that rises so much eastwards and northwards looks to; 8
+/// where there is none, `None` where it is not known.
 fn aspect(east: f64, north: f64) -> Option<usize> {
     // Downhill.
     let (e, n) = (-east, -north);

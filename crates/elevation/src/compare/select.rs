@@ -24,9 +24,9 @@ pub enum Pass {
     Second,
 }
 
-/// The quantiles `shares` of each group, by linear interpolation between the neighbouring values (type 7 of R. Hyndman and
-/// Y. Fan, *Sample quantiles in statistical packages*, 1996), NaN for an empty group; and the workers' states after the
-/// first pass. `visit` shows all values of a window.
+/// The quantiles `shares` of each group, by linear interpolation between the neighbouring values (type 7 of R. Hyndman
+/// and Y. Fan, *Sample quantiles in statistical packages*, 1996), NaN for an empty group; and the workers' states after
+/// the first pass. `visit` shows all values of a window.
 ///
 /// Exact up to six million different values in the buckets that matter, else good to 2⁻¹⁵ of the value.
 pub fn quantiles<S: Send>(

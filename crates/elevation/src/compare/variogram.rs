@@ -2,9 +2,9 @@
 //!
 //! The empirical variogram is G. Matheron's, 1963, over pairs of differences on stable ground within three NMAD of the
 //! median. Two spherical models are fitted to it. The variance of a mean is the mean covariance over all pairs of its
-//! cells (T. Rolstad, T. Haug and B. Denby, *Spatially integrated geodetic glacier mass balance and its uncertainty based on
-//! geostatistical analysis*, 2009; R. Hugonnet and others, *Uncertainty analysis of digital elevation models by spatial
-//! inference from stable terrain*, 2022), here over a sample of the cells, not over a circle of equal area.
+//! cells (T. Rolstad, T. Haug and B. Denby, *Spatially integrated geodetic glacier mass balance and its uncertainty
+//! based on geostatistical analysis*, 2009; R. Hugonnet and others, *Uncertainty analysis of digital elevation models
+//! by spatial inference from stable terrain*, 2022), here over a sample of the cells, not over a circle of equal area.
 
 use serde::Serialize;
 

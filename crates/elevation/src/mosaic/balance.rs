@@ -1,12 +1,12 @@
-//! Brightness evened out between sources: a gain, an offset and a smooth surface for each band of each source, from their
-//! overlaps.
+//! Brightness evened out between sources: a gain, an offset and a smooth surface for each band of each source, from
+//! their overlaps.
 //!
 //! Each pair of overlapping sources gives, from means over blocks, the ratio of their spreads by robust geometric mean
-//! regression, which does not shrink what is noisy and does not care which one comes first. Gains are then least squares
-//! in their logarithms over the graph of overlaps; offsets and surfaces follow together from the blocks that fit. All are
-//! held to no change by a weak pull, surfaces by a stronger one, or to a source that is left as it is: nothing drifts
-//! (L. Chandelier and G. Martinoty, *A radiometric aerial triangulation for the equalization of digital aerial images and
-//! orthoimages*, 2009, adjust the same graph).
+//! regression, which does not shrink what is noisy and does not care which one comes first. Gains are then least
+//! squares in their logarithms over the graph of overlaps; offsets and surfaces follow together from the blocks that
+//! fit. All are held to no change by a weak pull, surfaces by a stronger one, or to a source that is left as it is:
+//! nothing drifts (L. Chandelier and G. Martinoty, *A radiometric aerial triangulation for the equalization of digital
+//! aerial images and orthoimages*, 2009, adjust the same graph).
 
 use serde::Serialize;
 

@@ -1,7 +1,7 @@
 //! Seams that run into each other: near a seam, a cell is the mean of the sources that win around it.
 //!
-//! A source's weight is the share of cells around that it wins, under a tent; it fades towards the source's own edge and
-//! holes, so that nothing jumps there either. The shares are counts of cells, exact whatever the tiling.
+//! A source's weight is the share of cells around that it wins, under a tent; it fades towards the source's own edge
+//! and holes, so that nothing jumps there either. The shares are counts of cells, exact whatever the tiling.
 
 use crate::error::Result;
 use crate::window::Window;

@@ -1,7 +1,7 @@
 //! Least squares over the graph of overlaps: every source has the same few unknowns, every overlap ties two sources.
 
-/// Normal equations of `size` unknowns for each source, as blocks of `size` × `size` numbers (row by row): memory and time
-/// of a step are linear in sources and overlaps.
+/// Normal equations of `size` unknowns for each source, as blocks of `size` × `size` numbers (row by row): memory and
+/// time of a step are linear in sources and overlaps.
 pub struct Normal {
     size: usize,
     own: Vec<Vec<f64>>,
@@ -27,7 +27,8 @@ impl Normal {
         self.ties.push((first, second, vec![0.0; self.size * self.size]));
     }
 
-    /// An observation of the latest overlap: `first` · unknowns of the first − `second` · unknowns of the second = `gap`.
+    /// An observation of the latest overlap: `first` · unknowns of the first − `second` · unknowns of the second =
+    /// `gap`.
     pub fn observe(&mut self, first: &[f64], second: &[f64], gap: f64, weight: f64) {
         let n = self.size;
         let Some((i, j, tie)) = self.ties.last_mut() else { return };

@@ -1,7 +1,7 @@
 //! Scanned film with known truth: frames of a camera with marks at known places, and everything that makes them hard.
 //!
-//! A [`FilmSpec`] says what to draw, [`FilmScene`] draws any window of it on demand and is a [`RasterSource`], so that a frame of
-//! 13,000² pixels costs only the windows that are looked at; [`write_film`] streams it into a TIFF.
+//! A [`FilmSpec`] says what to draw, [`FilmScene`] draws any window of it on demand and is a [`RasterSource`], so that
+//! a frame of 13,000² pixels costs only the windows that are looked at; [`write_film`] streams it into a TIFF.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -208,8 +208,8 @@ pub struct FilmMark {
     pub complete: bool,
     /// A scratch, speck or text box touches what defines its centre.
     pub damaged: bool,
-    /// Brightness of the ground at a transparent hole above the opaque frame, of white after exposure; `None` for marks with
-    /// light of their own.
+    /// Brightness of the ground at a transparent hole above the opaque frame, of white after exposure; `None` for marks
+    /// with light of their own.
     pub hole_contrast: Option<f64>,
 }
 

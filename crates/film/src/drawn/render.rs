@@ -149,8 +149,8 @@ pub(super) struct Painter {
     places: Vec<PixelPoint>,
     /// Scan → shape of every mark.
     to_shape: Vec<[f64; 4]>,
-    /// Around every mark, pixels: how far its drawing, and the opaque tongue it stands on, are looked for. Beyond `bound_mm` along both axes of the
-    /// shape there is neither.
+    /// Around every mark, pixels: how far its drawing, and the opaque tongue it stands on, are looked for. Beyond
+    /// `bound_mm` along both axes of the shape there is neither.
     reach_px: Vec<f64>,
     bound_mm: Vec<f64>,
     tongue_mm: Vec<f64>,

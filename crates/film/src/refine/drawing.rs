@@ -14,8 +14,9 @@ pub(super) type Ink = (f32, bool);
 pub(super) const LATTICE: usize = 4;
 /// What is so many steps of the lattice thick covers a place of it wherever it lies, dots as well.
 pub(super) const THICK: f64 = 1.5;
-/// How many steps of the lattice around a square must be alike before it is taken for alike: edges that meet at right angles or, as a
-/// notch's, a little sharper reach no square between without covering a place of the lattice so far around.
+/// How many steps of the lattice around a square must be alike before it is taken for alike: edges that meet at right
+/// angles or, as a notch's, a little sharper reach no square between without covering a place of the lattice so far
+/// around.
 const AROUND: usize = 2;
 
 /// A picture of a mark.
@@ -84,8 +85,8 @@ impl Drawing {
             let mut from = 0;
             while let Some(span) = next_span(&near[j / LATTICE * squares..][..squares], from, width) {
                 from = span.end.div_ceil(LATTICE);
-                // The span with what is around it, which blurring does not change: it is even as far as weights reach. Beyond an edge
-                // its last value goes on.
+                // The span with what is around it, which blurring does not change: it is even as far as weights reach.
+                // Beyond an edge its last value goes on.
                 let line = &mut line[..span.len() + 2 * reach];
                 let (first, end) = (span.start.saturating_sub(reach), (span.end + reach).min(width));
                 let before = reach - (span.start - first);
@@ -122,8 +123,8 @@ impl Drawing {
     }
 }
 
-/// Whether any of the flags from `before` strides before each to `after` strides behind it is set. Along rows that runs on from the
-/// end of one into the next: their first and last squares are all uneven.
+/// Whether any of the flags from `before` strides before each to `after` strides behind it is set. Along rows that runs
+/// on from the end of one into the next: their first and last squares are all uneven.
 fn any_around(flags: &[bool], before: usize, after: usize, stride: usize) -> Vec<bool> {
     let mut out = flags.to_vec();
     for k in 1..=before {

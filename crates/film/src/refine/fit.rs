@@ -1,5 +1,5 @@
-//! The sums of one round of least squares. Most pixels lie on the opaque frame, where the mark says 0 and moving it changes nothing:
-//! of these only the grey value is kept.
+//! The sums of one round of least squares. Most pixels lie on the opaque frame, where the mark says 0 and moving it
+//! changes nothing: of these only the grey value is kept.
 //!
 //! Single precision carries grey values and sums of a thousand pixels; what is solved is summed in double precision.
 
@@ -174,8 +174,8 @@ impl<const N: usize> Equations<N> {
     }
 }
 
-/// The least squares of one mark with `N` unknowns, kept from round to round. `M` of them are levels: of the opaque frame, of the mark
-/// above it, and with slopes how that changes across.
+/// The least squares of one mark with `N` unknowns, kept from round to round. `M` of them are levels: of the opaque
+/// frame, of the mark above it, and with slopes how that changes across.
 pub(super) struct Fit<const N: usize, const M: usize> {
     opaque: Vec<f32>,
     shaped: Shaped,
@@ -208,7 +208,8 @@ impl<const N: usize, const M: usize> Fit<N, M> {
         f64::from(self.sigma)
     }
 
-    /// The pixels around `c` that the mark says something about, one in `sparse`: a lattice that no line of the mark slips through.
+    /// The pixels around `c` that the mark says something about, one in `sparse`: a lattice that no line of the mark
+    /// slips through.
     #[inline(always)]
     pub fn gather(&mut self, grey: &Grey, surface: &Surface, c: [f64; 2], sparse: usize) {
         let range = |axis: usize, n: usize| {
@@ -251,9 +252,9 @@ impl<const N: usize, const M: usize> Fit<N, M> {
         }
     }
 
-    /// One round on the pixels gathered: levels under the weights of the last round's, then residuals, their spread and new weights.
-    /// Returns the inverse of the normal equations and the step of all unknowns, the centre's last; `None` where nothing determines
-    /// them.
+    /// One round on the pixels gathered: levels under the weights of the last round's, then residuals, their spread and
+    /// new weights. Returns the inverse of the normal equations and the step of all unknowns, the centre's last; `None`
+    /// where nothing determines them.
     #[inline(always)]
     pub fn round(&mut self) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (_, levels) = self.level_sums().solved()?;
@@ -321,8 +322,9 @@ impl<const N: usize, const M: usize> Fit<N, M> {
         all
     }
 
-    /// Share of the mark's pixels that do not fit the last round plus share of those around it. A pixel of the mark must also stand
-    /// out from the frame: a faint mark would fit anywhere. With the number of the mark's pixels, which are the fewer.
+    /// Share of the mark's pixels that do not fit the last round plus share of those around it. A pixel of the mark
+    /// must also stand out from the frame: a faint mark would fit anywhere. With the number of the mark's pixels, which
+    /// are the fewer.
     pub fn misfit(&self) -> (f64, f64) {
         let limit = (FIT * self.levels[1].abs()).max(FIT_SIGMA * self.sigma);
         let fits = |r: f32| r.abs() <= limit;

@@ -1,9 +1,9 @@
 //! The centre of a mark to a fraction of a pixel: least squares between the scan and the drawn mark.
 //!
-//! The model of a pixel is `d + T(x − c) · (g + gx·dx + gy·dy)`: d the level of the opaque frame, T the drawn mark blurred
-//! as by a scanner, g its brightness, and gx, gy how that changes across it, which only marks that show the image have. After
-//! A. Gruen, "Adaptive least squares correlation", South African Journal of Photogrammetry, 1985, with Tukey's biweight, so
-//! that scratches and dust take no part.
+//! The model of a pixel is `d + T(x − c) · (g + gx·dx + gy·dy)`: d the level of the opaque frame, T the drawn mark
+//! blurred as by a scanner, g its brightness, and gx, gy how that changes across it, which only marks that show the
+//! image have. After A. Gruen, "Adaptive least squares correlation", South African Journal of Photogrammetry, 1985,
+//! with Tukey's biweight, so that scratches and dust take no part.
 
 mod drawing;
 mod fit;
@@ -27,8 +27,8 @@ pub struct Refined {
     pub contrast: f64,
     /// Robust standard deviation of a pixel about the model, of white.
     pub sigma: f64,
-    /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more room beside
-    /// the mark, so that what is missing of it weighs more.
+    /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more
+    /// room beside the mark, so that what is missing of it weighs more.
     pub misfit: f64,
 }
 
@@ -41,19 +41,21 @@ const STEP_PX: f64 = 2e-3;
 const LARGE_PX: f64 = 25.0;
 const SPARSE: usize = 5;
 const SPARSE_STEP_PX: f64 = 0.05;
-/// Steps that shrink by a factor between these, one after the other in the same direction, are taken to go on shrinking so.
+/// Steps that shrink by a factor between these, one after the other in the same direction, are taken to go on shrinking
+/// so.
 const SHRINKING: std::ops::Range<f64> = 0.3..0.8;
 
-/// Marks of lines that fit worse are looked at from around, how far around, pixels, and by how much another place must fit better: a
-/// scratch along a line holds the centre where only that line fits.
+/// Marks of lines that fit worse are looked at from around, how far around, pixels, and by how much another place must
+/// fit better: a scratch along a line holds the centre where only that line fits.
 const DAMAGED: f64 = 0.03;
 const AROUND_PX: f64 = 2.0;
 const CLEARLY: f64 = 0.01;
 /// So many standard deviations the misfit of some of the pixels may be above that of all.
 const ROUGHLY_SIGMAS: f64 = 2.0;
 
-/// How far a pixel of a learned mark is off although mark and place are right, of the mark's contrast: frames differ in sharpness, and
-/// a mark lies otherwise between their pixels. Its edges, which alone tell where it is, must not count as damage for that.
+/// How far a pixel of a learned mark is off although mark and place are right, of the mark's contrast: frames differ in
+/// sharpness, and a mark lies otherwise between their pixels. Its edges, which alone tell where it is, must not count
+/// as damage for that.
 const UNLIKE: f32 = 0.06;
 
 /// A mark drawn for one frame, to be refined from one or several starts.
@@ -77,8 +79,8 @@ impl Refiner {
         })
     }
 
-    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre walks away. Of
-    /// several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
+    /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre
+    /// walks away. Of several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
     pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
         let Some(step) = self.around_px else { return self.settle(grey, start, &|_, _| true) };
         let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
@@ -88,8 +90,8 @@ impl Refiner {
         Some(self.best_of(grey, &around, doubt)?.1)
     }
 
-    /// Of several starts the one whose mark fits best, with its index; of those that fit equally well the first, and the first that is
-    /// undamaged ends the search. `doubt` is added to the misfit of a place.
+    /// Of several starts the one whose mark fits best, with its index; of those that fit equally well the first, and
+    /// the first that is undamaged ends the search. `doubt` is added to the misfit of a place.
     pub fn best_of(
         &self,
         grey: &Grey,
@@ -189,8 +191,8 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
     }
 }
 
-/// How far each step goes: no further than a pixel along either axis, but to the end where steps shrink alike. Weights that follow the
-/// residuals make the descent as slow as a geometric series, of which two steps tell the sum.
+/// How far each step goes: no further than a pixel along either axis, but to the end where steps shrink alike. Weights
+/// that follow the residuals make the descent as slow as a geometric series, of which two steps tell the sum.
 #[derive(Default)]
 struct Stride {
     last: Option<[f64; 2]>,
@@ -274,7 +276,8 @@ mod tests {
         values.iter().enumerate().map(|(n, v)| 0.05 + 0.8 * v + 0.04 * grain(n)).collect()
     }
 
-    /// A mark that is not its own image, learned from one scan, lies in others where it is, not where its softest edges pull it.
+    /// A mark that is not its own image, learned from one scan, lies in others where it is, not where its softest edges
+    /// pull it.
     #[test]
     fn a_learned_mark_without_symmetry_lies_where_it_is() {
         const SIDE: usize = 81;
@@ -302,7 +305,8 @@ mod tests {
         }
     }
 
-    /// Steps until one is small, from so far off, where each takes a share of the way that is left; and how far the furthest went.
+    /// Steps until one is small, from so far off, where each takes a share of the way that is left; and how far the
+    /// furthest went.
     fn rounds(start: f64, share: f64) -> (usize, f64) {
         let (mut stride, mut at, mut furthest) = (Stride::default(), -start, -start);
         for round in 1..100 {

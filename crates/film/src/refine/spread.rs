@@ -9,7 +9,8 @@ const HIGHEST: u32 = (128 << PARTS_BITS) - 1;
 const LOWEST: u32 = HIGHEST + 1 - (POWERS << PARTS_BITS);
 const BINS: usize = (POWERS << PARTS_BITS) as usize;
 
-/// Magnitudes of residuals, counted into bins of a hundredth of their size. Within its bin the median is placed by its rank.
+/// Magnitudes of residuals, counted into bins of a hundredth of their size. Within its bin the median is placed by its
+/// rank.
 #[derive(Default)]
 pub(super) struct Magnitudes {
     counts: Vec<u32>,

@@ -32,8 +32,9 @@ struct Run {
     say: Say,
 }
 
-/// The mark drawn finely and blurred, looked up between its values. Pixels lie [`FINE`] values apart, so that all of one row fall alike
-/// between values [`FINE`] apart: these are kept side by side, and a row of pixels is a row of each of four neighbours.
+/// The mark drawn finely and blurred, looked up between its values. Pixels lie [`FINE`] values apart, so that all of
+/// one row fall alike between values [`FINE`] apart: these are kept side by side, and a row of pixels is a row of each
+/// of four neighbours.
 pub(super) struct Surface {
     /// Fine values along both axes.
     size: [usize; 2],
@@ -43,7 +44,8 @@ pub(super) struct Surface {
     columns: usize,
     rows: usize,
     values: Vec<f32>,
-    /// What is said between a value, the next, and those below, of every row of every plane; what nothing is said of is left away.
+    /// What is said between a value, the next, and those below, of every row of every plane; what nothing is said of is
+    /// left away.
     runs: Vec<Run>,
     runs_of: Vec<Range<u32>>,
 }
@@ -59,7 +61,8 @@ pub(super) struct Under<'a> {
     fraction: [f64; 2],
 }
 
-/// Where pixels fall between the drawn values: the value before the first pixel and the fraction of the way to the next.
+/// Where pixels fall between the drawn values: the value before the first pixel and the fraction of the way to the
+/// next.
 #[derive(Clone, Copy)]
 pub(super) struct Phase {
     first: i64,
@@ -162,8 +165,8 @@ impl Surface {
         Phase { first: at.floor() as i64, fraction: at - at.floor() }
     }
 
-    /// The `count` pixels of the `n`-th row, both counted from the first of the phases. `None` beyond the surface; of a row that
-    /// begins or ends beyond it, pixels there say nothing.
+    /// The `count` pixels of the `n`-th row, both counted from the first of the phases. `None` beyond the surface; of a
+    /// row that begins or ends beyond it, pixels there say nothing.
     pub fn under(&self, x: Phase, y: Phase, n: usize, count: usize) -> Option<(usize, Under<'_>)> {
         let j = usize::try_from(y.first + (n * FINE) as i64).ok().filter(|j| j + 1 < self.size[1])?;
         // Pixels before the surface.

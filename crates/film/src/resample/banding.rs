@@ -1,14 +1,15 @@
 //! Bands that a scanner leaves along its rows or columns, removed in the frequency domain.
 //!
-//! After section 10.1.1 of the 2017 Svalbard thesis: in the Fourier transform of the image, bands that run along whole rows (or
-//! columns) lie on one axis, and the lines beside that axis say what the ground would have there. The axis and its
-//! neighbours are all that is needed, so the image is not transformed: while it streams by, every row is summed against the
-//! few slowest waves along it, which gives lines v = 0 to `NEIGHBOURS` of the transform.
-//! Where we differ: the thesis puts the median across the axis in the place of every coefficient, which takes ground away
-//! where there are no bands. Here a stretch of the axis must stand out against the ground's power beside it before anything is
-//! subtracted, and then only the share that the bands have in it (N. Wiener, Extrapolation, interpolation, and smoothing of
-//! stationary time series, 1949). Waves longer than an eighth of the image are left alone: they are light, not bands; and so that
-//! light has no ends where it stops, whose waves are short, a polynomial of the fourth degree is taken from the profile first.
+//! After section 10.1.1 of the 2017 Svalbard thesis: in the Fourier transform of the image, bands that run along whole
+//! rows (or columns) lie on one axis, and the lines beside that axis say what the ground would have there. The axis and
+//! its neighbours are all that is needed, so the image is not transformed: while it streams by, every row is summed
+//! against the few slowest waves along it, which gives lines v = 0 to `NEIGHBOURS` of the transform. Where we differ:
+//! the thesis puts the median across the axis in the place of every coefficient, which takes ground away where there
+//! are no bands. Here a stretch of the axis must stand out against the ground's power beside it before anything is
+//! subtracted, and then only the share that the bands have in it (N. Wiener, Extrapolation, interpolation, and
+//! smoothing of stationary time series, 1949). Waves longer than an eighth of the image are left alone: they are light,
+//! not bands; and so that light has no ends where it stops, whose waves are short, a polynomial of the fourth degree is
+//! taken from the profile first.
 
 use nalgebra::{Matrix5, Vector5};
 
@@ -46,11 +47,11 @@ const NEIGHBOURS: usize = 6;
 const SLOWEST: usize = 16;
 /// How many times the ground's expected size one coefficient must be to count as a band.
 const STANDS_OUT: f64 = 6.0;
-/// Lengths of the stretches of the axis that may stand out as a whole: one period has one coefficient, rows that are off
-/// each in its own way have all of them.
+/// Lengths of the stretches of the axis that may stand out as a whole: one period has one coefficient, rows that are
+/// off each in its own way have all of them.
 const STRETCHES: [usize; 5] = [1, 3, 9, 27, 81];
-/// One coefficient counts for so much of a stretch, or a single strong one would stand out for all around it: no stretch stands
-/// out by fewer than two.
+/// One coefficient counts for so much of a stretch, or a single strong one would stand out for all around it: no
+/// stretch stands out by fewer than two.
 const ONE_COUNTS: f64 = 60.0;
 /// The ground's power is a mean over this many coefficients along the axis.
 const SMOOTH: usize = 17;
@@ -194,8 +195,8 @@ fn around(values: &[f64], count: usize) -> impl Iterator<Item = (f64, usize)> {
     })
 }
 
-/// How much of every coefficient on the axis is bands: 0 where no stretch stands out. `ratios` are their squares over the
-/// ground's power, 1 on average without bands.
+/// How much of every coefficient on the axis is bands: 0 where no stretch stands out. `ratios` are their squares over
+/// the ground's power, 1 on average without bands.
 fn shares(mut ratios: Vec<f64>) -> Vec<f64> {
     ratios.iter_mut().take(SLOWEST).for_each(|r| *r = 0.0);
     let capped: Vec<f64> = ratios.iter().map(|r| r.min(ONE_COUNTS)).collect();
@@ -220,8 +221,8 @@ fn shares(mut ratios: Vec<f64>) -> Vec<f64> {
     shares
 }
 
-/// Finds the bands in the part `region` of the scan, which must show ground only; they are known there and nowhere else.
-/// Memory: 128 rows of the region, and 112 bytes per row and column.
+/// Finds the bands in the part `region` of the scan, which must show ground only; they are known there and nowhere
+/// else. Memory: 128 rows of the region, and 112 bytes per row and column.
 ///
 /// # Errors
 /// Those of reading.
@@ -283,7 +284,8 @@ mod tests {
 
     const ROWS: usize = 2000;
 
-    /// Ground of power falling with the frequency, `beside` times as strong on all lines near half waves 300, and bands.
+    /// Ground of power falling with the frequency, `beside` times as strong on all lines near half waves 300, and
+    /// bands.
     fn banded(seed: u64, beside: f64, bands: &[f64]) -> Waves {
         let mut random = Rng::new(seed, 1, 0);
         let mut waves = Waves::new(ROWS, 1500);

@@ -7,8 +7,8 @@ fn plan(length: usize) -> Arc<dyn TransformType2And3<f64>> {
     DctPlanner::new().plan_dct2(length)
 }
 
-/// D(u) = Σ f(x) · cos(π u (x + ½) / n): the Fourier transform of the profile continued as in a mirror, so that its ends make
-/// no step.
+/// D(u) = Σ f(x) · cos(π u (x + ½) / n): the Fourier transform of the profile continued as in a mirror, so that its
+/// ends make no step.
 pub fn cosine(f: &[f64]) -> Vec<f64> {
     let mut all = f.to_vec();
     plan(f.len()).process_dct2(&mut all);

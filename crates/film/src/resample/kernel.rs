@@ -1,4 +1,5 @@
-//! Interpolation between pixels, with the kernels and the widening that GDAL's warper uses, so that both can be compared.
+//! Interpolation between pixels, with the kernels and the widening that GDAL's warper uses, so that both can be
+//! compared.
 
 use crate::window::Grey;
 
@@ -6,7 +7,8 @@ use crate::window::Grey;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
     Bilinear,
-    /// Cubic convolution with a = −1/2 (R. G. Keys, Cubic convolution interpolation for digital image processing, 1981).
+    /// Cubic convolution with a = −1/2 (R. G. Keys, Cubic convolution interpolation for digital image processing,
+    /// 1981).
     Cubic,
     /// sinc(t) · sinc(t/3) (C. E. Duchon, Lanczos filtering in one and two dimensions, 1979).
     Lanczos,
@@ -93,8 +95,8 @@ impl Sampler {
         first.max(0) as usize
     }
 
-    /// The value at a place in units of values (0 the outer corner of the first); weights add up to one, also at the rim. `None`
-    /// outside. `scratch` spares allocations.
+    /// The value at a place in units of values (0 the outer corner of the first); weights add up to one, also at the
+    /// rim. `None` outside. `scratch` spares allocations.
     pub fn at(&self, grey: &Grey, [x, y]: [f64; 2], scratch: &mut [Vec<f32>; 2]) -> Option<f32> {
         if !(x >= 0.0 && y >= 0.0 && x < grey.width as f64 && y < grey.height as f64) {
             return None;

@@ -1,13 +1,14 @@
 //! Light that falls off towards the corners: a smooth surface, fitted robustly, by which the values are divided.
 //!
-//! The 2017 Svalbard thesis (10.1.1) blurs the image with ever smaller boxes and adds the result's complement; borders and
-//! text show in that mask, and broad dark ground is brightened like shadow. Here the image is reduced to cells of the film,
-//! marks and boxes left out, and a surface with few coefficients is fitted to the differences between the logarithms of cells
-//! near each other with Tukey's weights (A. E. Beaton, J. W. Tukey, The fitting of power series, 1974). Neighbouring ground is
-//! alike, ground far apart is not, so differences say more of light than the cells themselves, and a shore is one
-//! difference among many (after the gradients of Y. Zheng, J. Yu, S. B. Kang, S. Lin, C. Kambhamettu, Single-image vignetting
-//! correction using radial gradient symmetry, 2008). Of one frame only what grows with the square of the distance from the
-//! middle is fitted, since a slope may be ground; over a roll the ground averages out, and the surface may lean.
+//! The 2017 Svalbard thesis (10.1.1) blurs the image with ever smaller boxes and adds the result's complement; borders
+//! and text show in that mask, and broad dark ground is brightened like shadow. Here the image is reduced to cells of
+//! the film, marks and boxes left out, and a surface with few coefficients is fitted to the differences between the
+//! logarithms of cells near each other with Tukey's weights (A. E. Beaton, J. W. Tukey, The fitting of power series,
+//! 1974). Neighbouring ground is alike, ground far apart is not, so differences say more of light than the cells
+//! themselves, and a shore is one difference among many (after the gradients of Y. Zheng, J. Yu, S. B. Kang, S. Lin, C.
+//! Kambhamettu, Single-image vignetting correction using radial gradient symmetry, 2008). Of one frame only what grows
+//! with the square of the distance from the middle is fitted, since a slope may be ground; over a roll the ground
+//! averages out, and the surface may lean.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -27,7 +28,8 @@ const APART: usize = 2;
 /// Light is never divided by less than this: what is darker has no grey steps left to stretch.
 const LEAST: f64 = 0.15;
 
-/// Medians of cells of the film, row by row; `None` where a cell is masked, outside the scan, black or white throughout.
+/// Medians of cells of the film, row by row; `None` where a cell is masked, outside the scan, black or white
+/// throughout.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cells {
     /// What no light gives, of white.
@@ -49,15 +51,15 @@ pub struct Lighting {
 const OF_FRAME: usize = 1;
 const OF_ROLL: usize = 6;
 
-/// r², then r⁴, x, y, x², xy, with (x, y) from −1 to 1 over the bounding box of the marks and r² ½ at the middle of a side.
-/// (y² is r² less x².)
+/// r², then r⁴, x, y, x², xy, with (x, y) from −1 to 1 over the bounding box of the marks and r² ½ at the middle of a
+/// side. (y² is r² less x².)
 fn terms([x, y]: [f64; 2]) -> [f64; OF_ROLL] {
     let r2 = 0.5 * (x * x + y * y);
     [r2, r2 * r2, x, y, x * x, x * y]
 }
 
-/// Reads the scan once, decimated, into cells. `unit` maps film millimetres (y down) to −1 to 1; `masked` says what to leave
-/// out.
+/// Reads the scan once, decimated, into cells. `unit` maps film millimetres (y down) to −1 to 1; `masked` says what to
+/// leave out.
 ///
 /// # Errors
 /// Those of reading.
@@ -105,8 +107,8 @@ pub fn of_frame(cells: &Cells) -> Option<Lighting> {
     fit(std::slice::from_ref(cells), OF_FRAME, cells.black)
 }
 
-/// The light of a roll: of the median of every difference over the frames. Differences that fewer than a third of the frames show are
-/// left out; `None` below three frames, and with too few cells.
+/// The light of a roll: of the median of every difference over the frames. Differences that fewer than a third of the
+/// frames show are left out; `None` below three frames, and with too few cells.
 pub fn of_roll(frames: &[Cells]) -> Option<Lighting> {
     if frames.len() < 3 { None } else { fit(frames, OF_ROLL, 0.0) }
 }

@@ -1,6 +1,7 @@
-//! A frame in the film's own geometry: every frame of a roll gets the same grid of millimetres, as by MicMac's ReSampFid
-//! (the bounding box of the camera's marks, x right, y down). Written tile by tile; the scan is read in the windows that tiles
-//! need. Bands are taken out of what was read ([`banding`]), light is evened in what is written ([`lighting`]).
+//! A frame in the film's own geometry: every frame of a roll gets the same grid of millimetres, as by MicMac's
+//! ReSampFid (the bounding box of the camera's marks, x right, y down). Written tile by tile; the scan is read in the
+//! windows that tiles need. Bands are taken out of what was read ([`banding`]), light is evened in what is written
+//! ([`lighting`]).
 
 pub mod banding;
 mod cosine;
@@ -262,7 +263,8 @@ impl<'a> Grid<'a> {
         Ok(Some(grey))
     }
 
-    /// Upper left corners of the tiles, in the order that follows the scan's rows: each strip is decoded for one line of tiles.
+    /// Upper left corners of the tiles, in the order that follows the scan's rows: each strip is decoded for one line
+    /// of tiles.
     fn tiles(&self) -> Vec<(usize, usize)> {
         let [width, height] = self.size;
         let across = self.to_scan[0].abs() >= self.to_scan[3].abs();

@@ -4,10 +4,12 @@ use super::super::template::Linear;
 use super::super::types::MarkKind;
 use super::to_scan;
 
-/// Weight of the squared trace in the corner's strength, and blur of the gradients' products, pixels of the scans of 2017.
+/// Weight of the squared trace in the corner's strength, and blur of the gradients' products, pixels of the scans
+/// of 2017.
 const TRACE: f32 = 0.05;
 const WINDOW_PX: f64 = 2.0;
-/// Corners weaker than this share of the strongest are none, no two are nearer than this, and there are at most so many.
+/// Corners weaker than this share of the strongest are none, no two are nearer than this, and there are at most so
+/// many.
 const LEAST: f32 = 0.05;
 const APART_PX: f64 = 10.0;
 const MOST: usize = 100;
@@ -16,8 +18,8 @@ const BASE: f64 = 0.12;
 
 /// Places of corners in an image of 0 and 1 that was blurred, in values from the outer corner of the first.
 ///
-/// C. Harris and M. Stephens, "A combined corner and edge detector", Alvey Vision Conference, 1988: the determinant of the
-/// gradients' second moments less a share of their squared trace. `unit` is pixels per pixel of the scans of 2017.
+/// C. Harris and M. Stephens, "A combined corner and edge detector", Alvey Vision Conference, 1988: the determinant of
+/// the gradients' second moments less a share of their squared trace. `unit` is pixels per pixel of the scans of 2017.
 pub(super) fn corners(image: &[f32], width: usize, unit: f64) -> Vec<[f64; 2]> {
     let height = image.len() / width.max(1);
     if width < 3 || height < 3 {
@@ -76,17 +78,19 @@ fn ratio(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> Ratio {
     [re / square, im / square]
 }
 
-/// Table 8.1: the jaws of one side and the reference point, by angle and scale against the line between the outermost jaws.
+/// Table 8.1: the jaws of one side and the reference point, by angle and scale against the line between the outermost
+/// jaws.
 pub(super) struct Constellation {
-    /// Seen from the left outermost jaw towards the right one, and from the right towards the left: two jaws and the reference
-    /// point each.
+    /// Seen from the left outermost jaw towards the right one, and from the right towards the left: two jaws and the
+    /// reference point each.
     sides: [[Ratio; 3]; 2],
     base_px: f64,
 }
 
 impl Constellation {
-    /// Of a drawn mark under `linear`: on each side the outer corner of the outer tooth, the corner at the bottom of the gap beside it, and
-    /// that of the middle tooth: corners all at the teeth's tops would lie on a line, as those at their bottoms do.
+    /// Of a drawn mark under `linear`: on each side the outer corner of the outer tooth, the corner at the bottom of
+    /// the gap beside it, and that of the middle tooth: corners all at the teeth's tops would lie on a line, as those
+    /// at their bottoms do.
     ///
     /// # Panics
     /// For a mark that is not three-toothed, which the caller has refused.
@@ -116,8 +120,8 @@ impl Constellation {
         Constellation { sides: [side(0), side(1)], base_px }
     }
 
-    /// Equations 8.10 to 8.14: of all pairs of points the one whose jaws lie nearest to other points says where the reference
-    /// point is. `None` when no pair is as far apart as the outermost jaws.
+    /// Equations 8.10 to 8.14: of all pairs of points the one whose jaws lie nearest to other points says where the
+    /// reference point is. `None` when no pair is as far apart as the outermost jaws.
     pub(super) fn find(&self, points: &[[f64; 2]]) -> Option<[f64; 2]> {
         let mut best: Option<(f64, [f64; 2])> = None;
         for left in points {

@@ -7,9 +7,9 @@ use autoref_raster::coords::PixelPoint;
 const LEAST_PX: f64 = 3.0;
 const MOST_PX: f64 = 10.0;
 
-/// Section 8.4: within `half_px` of `near`, blurred, what is at least as bright as the mean; of its features those that are
-/// larger than a hole are left out while others remain, and the place furthest from the dark is the reference point. `None` when
-/// nothing is large enough. `unit` is pixels per pixel of the scans of 2017.
+/// Section 8.4: within `half_px` of `near`, blurred, what is at least as bright as the mean; of its features those that
+/// are larger than a hole are left out while others remain, and the place furthest from the dark is the reference
+/// point. `None` when nothing is large enough. `unit` is pixels per pixel of the scans of 2017.
 pub(super) fn hole(grey: &Grey, near: PixelPoint, half_px: f64, unit: f64) -> Option<PixelPoint> {
     let [x, y] = grey.from_scan(near);
     let clip = |v: f64, n: usize| v.clamp(0.0, n as f64) as usize;
@@ -67,8 +67,8 @@ fn features(set: &[bool], width: usize) -> Vec<Vec<usize>> {
 
 /// Euclidean distance from every set pixel to the nearest that is not, in pixels; where there is none, the area's size.
 ///
-/// P. F. Felzenszwalb and D. P. Huttenlocher, "Distance transforms of sampled functions", Theory of Computing 8, 2012: the lower
-/// envelope of parabolas, along rows and then along columns.
+/// P. F. Felzenszwalb and D. P. Huttenlocher, "Distance transforms of sampled functions", Theory of Computing 8, 2012:
+/// the lower envelope of parabolas, along rows and then along columns.
 fn distances(set: &[bool], width: usize) -> Vec<f64> {
     let height = set.len() / width;
     let far = ((width + height) as f64).powi(2);

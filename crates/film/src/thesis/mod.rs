@@ -1,10 +1,10 @@
 //! The finder of 2017, step by step: threshold, corners, constellation of the jaws, hole by distance.
 //!
-//! After chapter 8 of a master's thesis on the aerial photographs of Svalbard of 1936 (2017; equations 8.2 to 8.15). Lengths
-//! that it gives in pixels of its scans are held as lengths on the film, so that scans of other sizes work. Its detector of
-//! oriented gradients had to be trained by hand; where it asks that detector, the correlation of the drawn mark is asked
-//! here. The constellation is taken from the camera's geometry instead of an annotated picture. What follows (names,
-//! agreement between marks, interior orientation) is that of the default finder.
+//! After chapter 8 of a master's thesis on the aerial photographs of Svalbard of 1936 (2017; equations 8.2 to 8.15).
+//! Lengths that it gives in pixels of its scans are held as lengths on the film, so that scans of other sizes work. Its
+//! detector of oriented gradients had to be trained by hand; where it asks that detector, the correlation of the drawn
+//! mark is asked here. The constellation is taken from the camera's geometry instead of an annotated picture. What
+//! follows (names, agreement between marks, interior orientation) is that of the default finder.
 
 mod corners;
 mod hole;
@@ -38,7 +38,8 @@ const CLOSING_PX: f64 = 2.0;
 const PATCH_PX: f64 = 30.0;
 /// Mean level of a very dark box, of 255.
 const DARK: f32 = 10.0;
-/// Half the side of the area in which the hole is looked for, pixels: around a constellation, and around the detector's place.
+/// Half the side of the area in which the hole is looked for, pixels: around a constellation, and around the detector's
+/// place.
 const HOLE_PX: f64 = 20.0;
 const FAR_HOLE_PX: f64 = 50.0;
 
@@ -114,8 +115,8 @@ impl Finder {
     }
 }
 
-/// The reference point from the constellation of the jaws, with the tests of 8.3.5: what fails one is equalised and tried again;
-/// what fails then too is where the detector says.
+/// The reference point from the constellation of the jaws, with the tests of 8.3.5: what fails one is equalised and
+/// tried again; what fails then too is where the detector says.
 fn predict(
     grey: &Grey,
     px_per_mm: f64,

@@ -38,8 +38,8 @@ pub(super) fn peaks(h: &[f64; 256]) -> usize {
     turns(&slopes(h), 1.0).count()
 }
 
-/// N. Otsu, "A threshold selection method from gray-level histograms", IEEE Transactions on Systems, Man, and Cybernetics,
-/// 1979: the level at which the variance between the two classes is largest.
+/// N. Otsu, "A threshold selection method from gray-level histograms", IEEE Transactions on Systems, Man, and
+/// Cybernetics, 1979: the level at which the variance between the two classes is largest.
 pub(super) fn otsu(h: &[f64; 256]) -> usize {
     let mean: f64 = h.iter().enumerate().map(|(i, v)| i as f64 * v).sum();
     let (mut weight, mut sum, mut best) = (0.0, 0.0, (0, -1.0));
@@ -59,8 +59,8 @@ fn highest(h: &[f64]) -> usize {
     (0..h.len()).max_by(|a, b| h[*a].total_cmp(&h[*b]).then(b.cmp(a))).unwrap_or(0)
 }
 
-/// Equations 8.4 to 8.6: the first valley below half of the mark's peak, which is the highest below Otsu's threshold, and that
-/// threshold at most. `bounded`: the peak lies at level 20 at most.
+/// Equations 8.4 to 8.6: the first valley below half of the mark's peak, which is the highest below Otsu's threshold,
+/// and that threshold at most. `bounded`: the peak lies at level 20 at most.
 pub(super) fn valley(h: &[f64; 256], bounded: bool) -> u8 {
     let most = otsu(h);
     let mut peak = highest(&h[..=most]);
@@ -71,8 +71,9 @@ pub(super) fn valley(h: &[f64; 256], bounded: bool) -> u8 {
     valley.unwrap_or(most).min(most) as u8
 }
 
-/// Equation 8.8: the level after the first step that is flat, from the highest peak on, so that the peak itself is always below it.
-/// Made for the spike at zero of very dark frames: a peak with a rounded top is flat at its top already.
+/// Equation 8.8: the level after the first step that is flat, from the highest peak on, so that the peak itself is
+/// always below it. Made for the spike at zero of very dark frames: a peak with a rounded top is flat at its top
+/// already.
 pub(super) fn flat_after_peak(h: &[f64; 256]) -> u8 {
     let range = h.iter().copied().fold(0.0, f64::max) - h.iter().copied().fold(f64::MAX, f64::min);
     let peak = highest(h);
@@ -112,7 +113,8 @@ mod tests {
         assert!(otsu(&h) > 80, "two classes alone would take the dark ground for the mark");
     }
 
-    /// A spike at zero whose tail falls by two fifths from level to level, on even ground: 0.4 · 0.6ⁱ is below 0.05 from 5 on.
+    /// A spike at zero whose tail falls by two fifths from level to level, on even ground: 0.4 · 0.6ⁱ is below 0.05
+    /// from 5 on.
     #[test]
     fn a_dark_box_is_cut_where_its_peak_ends() {
         let h: [f64; 256] = std::array::from_fn(|i| 0.3 * 0.6f64.powi(i as i32) + 0.001);

@@ -1,9 +1,9 @@
 //! Bundle adjustment: cameras, poses and points that fit all that was measured best.
 //!
-//! Minimised is ½ Σ ρ(‖(u − û)/σ‖²) over the image observations plus the squares of all priors (GCPs on the ground, positions,
-//! directions, interior parameters). The normal equations are reduced to cameras by the Schur complement, stored as a
-//! skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern Synthesis*, 2000, section 4.3
-//! for the curvature of a robust loss; damping after Nielsen 1999).
+//! Minimised is ½ Σ ρ(‖(u − û)/σ‖²) over the image observations plus the squares of all priors (GCPs on the ground,
+//! positions, directions, interior parameters). The normal equations are reduced to cameras by the Schur complement,
+//! stored as a skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern
+//! Synthesis*, 2000, section 4.3 for the curvature of a robust loss; damping after Nielsen 1999).
 
 mod normal;
 pub mod skyline;

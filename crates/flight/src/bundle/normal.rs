@@ -143,7 +143,8 @@ pub(super) fn linear(
     Some(Linear { pose, interior, point: by_x, residual: residual * (weight / radial) })
 }
 
-/// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for each column.
+/// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for
+/// each column.
 #[inline(always)]
 fn across<const R: usize, const C: usize>(a: &SMatrix<f64, 2, R>, b: &SMatrix<f64, 2, C>) -> SMatrix<f64, R, C> {
     let mut out = SMatrix::zeros();

@@ -1,6 +1,6 @@
-//! A symmetric positive definite matrix stored row by row from the first entry that is not zero (the "skyline" or envelope),
-//! and its Cholesky factor, which has the same shape (George and Liu, *Computer Solution of Large Sparse Positive Definite
-//! Systems*, 1981, ch. 4). Flight lines make narrow bands.
+//! A symmetric positive definite matrix stored row by row from the first entry that is not zero (the "skyline" or
+//! envelope), and its Cholesky factor, which has the same shape (George and Liu, *Computer Solution of Large Sparse
+//! Positive Definite Systems*, 1981, ch. 4). Flight lines make narrow bands.
 
 /// The lower triangle, row by row.
 #[derive(Clone, Debug)]

@@ -84,7 +84,8 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
             if next_cost.is_finite() && next_cost < cost {
                 let fall = cost - next_cost;
                 *problem = next;
-                // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not hold.
+                // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not
+                // hold.
                 let least = if ratio > FORETOLD { 0.05 } else { 1.0 / 3.0 };
                 damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(least)).max(1e-14);
                 grow = 2.0;
@@ -115,7 +116,8 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
     Ok(Summary { first_cost, cost, iterations: options.most_iterations, ended: Ended::OutOfIterations })
 }
 
-/// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was measured.
+/// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was
+/// measured.
 pub fn factor(problem: &Problem, loss: Loss) -> Option<Factored> {
     let layout = Layout::new(problem);
     Reduced::new(problem, &layout, loss, Curvature::Weights, 0.0).factored(layout)
@@ -125,8 +127,8 @@ fn part(step: &Step, at: usize) -> Vector3<f64> {
     Vector3::new(step.reduced[at], step.reduced[at + 1], step.reduced[at + 2])
 }
 
-/// The problem after a step. What is `common` to the step (a turn, a scale, a shift of all) is done exactly, so that the images stay as
-/// they are: only what is left follows the straight line of the linear model.
+/// The problem after a step. What is `common` to the step (a turn, a scale, a shift of all) is done exactly, so that
+/// the images stay as they are: only what is left follows the straight line of the linear model.
 fn moved(problem: &Problem, layout: &Layout, step: &Step, common: &Common) -> Problem {
     let mut next = problem.clone();
     for (frame, at) in next.frames.iter_mut().zip(&layout.frame_at) {

@@ -1,8 +1,8 @@
-//! COLMAP's models: `cameras`, `images`, `points3D` as text or binary, of COLMAP 3 and 4 (there with `rigs` and `frames`,
-//! whose poses the images repeat).
+//! COLMAP's models: `cameras`, `images`, `points3D` as text or binary, of COLMAP 3 and 4 (there with `rigs` and
+//! `frames`, whose poses the images repeat).
 //!
-//! Source: COLMAP's documentation, "Output Format", and its camera models. COLMAP's pixels are ours: the centre of the first
-//! pixel is (0.5, 0.5).
+//! Source: COLMAP's documentation, "Output Format", and its camera models. COLMAP's pixels are ours: the centre of the
+//! first pixel is (0.5, 0.5).
 
 use std::collections::HashMap;
 use std::io::Write as _;

@@ -1,6 +1,7 @@
 //! MicMac's cameras, orientations and measurements, of v1 (`mm3d`) and of MMVII.
 //!
-//! Source: `include/XML_GEN/ParamChantierPhotogram.xml` and the sources of MicMac; pixels are taken as MicMac counts them.
+//! Source: `include/XML_GEN/ParamChantierPhotogram.xml` and the sources of MicMac; pixels are taken as MicMac counts
+//! them.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

@@ -72,8 +72,8 @@ pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) 
     })
 }
 
-/// Reads a reconstruction, whatever program made it: a folder with COLMAP's model (text or binary), a folder with MicMac's
-/// orientations (`Ori-…`, v1 or MMVII), OpenSfM's `reconstruction.json`, or a `cameras.json` of this program.
+/// Reads a reconstruction, whatever program made it: a folder with COLMAP's model (text or binary), a folder with
+/// MicMac's orientations (`Ori-…`, v1 or MMVII), OpenSfM's `reconstruction.json`, or a `cameras.json` of this program.
 ///
 /// # Errors
 /// When nothing that is known lies there, or it is broken.

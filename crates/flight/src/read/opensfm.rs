@@ -1,7 +1,7 @@
 //! OpenSfM's `reconstruction.json` with its tracks and ground control points, and this program's `cameras.json`.
 //!
-//! Source: OpenSfM's documentation, "Geometric Models" and "Dataset Structure". Its image coordinates are divided by the larger
-//! side and count from the image's centre.
+//! Source: OpenSfM's documentation, "Geometric Models" and "Dataset Structure". Its image coordinates are divided by
+//! the larger side and count from the image's centre.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -146,7 +146,8 @@ pub fn to_pixel(camera: &Camera, at: [f64; 2]) -> [f64; 2] {
     [at[0] * s + camera.size_px[0] / 2.0, at[1] * s + camera.size_px[1] / 2.0]
 }
 
-/// A ground control point of OpenSfM's: name, longitude, latitude, height when surveyed, and where it was seen (pixels).
+/// A ground control point of OpenSfM's: name, longitude, latitude, height when surveyed, and where it was seen
+/// (pixels).
 #[derive(Clone, Debug)]
 pub struct GroundControl {
     pub name: String,

@@ -21,7 +21,8 @@ pub struct CameraRow {
 }
 
 impl CameraRow {
-    /// The pose that the row states; `None` when it has no direction. `pitch_deg` stands in for a pitch that is not there.
+    /// The pose that the row states; `None` when it has no direction. `pitch_deg` stands in for a pitch that is not
+    /// there.
     pub fn pose(&self, pitch_deg: Option<f64>) -> Option<Pose> {
         let centre = Vector3::from(self.xyz);
         if let Some(opk) = self.omega_phi_kappa_deg {
@@ -80,8 +81,8 @@ const COLUMNS: [(&str, &[&str]); 10] = [
     ("line", &["line", "strip", "flight_line", "run"]),
 ];
 
-/// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or without one
-/// rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
+/// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or
+/// without one rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
 ///
 /// # Errors
 /// When a row has no name or a coordinate is no number.
@@ -155,9 +156,9 @@ pub struct ImagePoint {
     pub pixel: [f64; 2],
 }
 
-/// Reads points measured in images from text: OpenDroneMap's `gcp_list.txt` (a CRS, then `x y z px py image [name]`), rows of
-/// `x y z px py` for one image with or without a heading, or a table with the columns `name`, `image`, `px`, `py`
-/// (`u`, `v`). Returns the CRS line when there is one.
+/// Reads points measured in images from text: OpenDroneMap's `gcp_list.txt` (a CRS, then `x y z px py image [name]`),
+/// rows of `x y z px py` for one image with or without a heading, or a table with the columns `name`, `image`, `px`,
+/// `py` (`u`, `v`). Returns the CRS line when there is one.
 ///
 /// # Errors
 /// When a row is no point; the message names it.

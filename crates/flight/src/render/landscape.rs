@@ -66,8 +66,8 @@ impl Cover {
 #[derive(Clone, Debug)]
 pub struct Landscape {
     pub surface: Surface,
-    /// Without one, or outside it, the cover is drawn: meadow, scree, rock and snow by height and slope, with detail at all
-    /// scales.
+    /// Without one, or outside it, the cover is drawn: meadow, scree, rock and snow by height and slope, with detail at
+    /// all scales.
     pub cover: Option<Cover>,
     pub seed: u64,
     /// At and below this height there is water.

@@ -1,8 +1,8 @@
 //! Frames of a landscape that is known: what a chain from film to cameras is tried on.
 //!
-//! Every pixel follows its ray through the lens to the first ground (bilinear between the cells of the elevation model), and
-//! sees the cover there in the light of a sun; then haze, clouds, vignetting and grain. A row depends on nothing but its frame:
-//! any threads give the same bytes. The world is flat and metric.
+//! Every pixel follows its ray through the lens to the first ground (bilinear between the cells of the elevation
+//! model), and sees the cover there in the light of a sun; then haze, clouds, vignetting and grain. A row depends on
+//! nothing but its frame: any threads give the same bytes. The world is flat and metric.
 
 mod landscape;
 

@@ -11,8 +11,8 @@ use clap::Args;
 /// Survey errors and the statement.
 #[derive(Args, Debug, Clone, Default)]
 pub struct AccuracyArgs {
-    /// Survey errors (1σ, metres) point by point: CSV with `name` and `sigma`, or `sigma_e`, `sigma_n`, `sigma_h`. Weights of
-    /// the fit and part of the accuracy statement.
+    /// Survey errors (1σ, metres) point by point: CSV with `name` and `sigma`, or `sigma_e`, `sigma_n`, `sigma_h`.
+    /// Weights of the fit and part of the accuracy statement.
     #[arg(long, value_name = "FILE", help_heading = "Accuracy")]
     pub accuracy: Option<PathBuf>,
     /// The ASPRS accuracy class that the result is to meet, RMSE in metres. Default: the smallest that it does meet.

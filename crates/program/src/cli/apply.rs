@@ -86,8 +86,8 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where the image of a result is: a relative name counts from the folder of the result, not from the working directory; an image
-/// that was moved together with its result lies beside it.
+/// Where the image of a result is: a relative name counts from the folder of the result, not from the working
+/// directory; an image that was moved together with its result lies beside it.
 fn recorded_image(result: &Path, image: &Path) -> PathBuf {
     let folder = result.parent().unwrap_or(Path::new(""));
     let beside = [Some(folder.join(image)), image.file_name().map(|name| folder.join(name))];

@@ -34,8 +34,8 @@ pub struct CleanArgs {
     /// Keep heights from MIN to MAX.
     #[arg(long, value_name = "MIN,MAX", allow_hyphen_values = true, help_heading = "Steps")]
     z: Vec<String>,
-    /// Keep points nearer to the camera than its height over z = 0 divided by the sine of the elevation angle. A place in
-    /// map coordinates, a table with the columns cloud,E,N,H, or a MicMac orientation.
+    /// Keep points nearer to the camera than its height over z = 0 divided by the sine of the elevation angle. A place
+    /// in map coordinates, a table with the columns cloud,E,N,H, or a MicMac orientation.
     #[arg(long, value_name = "E,N,H|FILE", allow_hyphen_values = true, help_heading = "Steps")]
     range_from: Vec<String>,
     /// Smallest angle under which the camera may see a point at z = 0, degrees.
@@ -53,8 +53,8 @@ pub struct CleanArgs {
     /// Low points by the extended local minimum: `elm`, or cell=10,threshold=1 (metres).
     #[arg(long, value_name = "elm|cell=10,threshold=1", num_args = 0..=1, default_missing_value = "elm", help_heading = "Steps")]
     low: Vec<String>,
-    /// Points below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0: from the
-    /// density), share of the spread, fewest points of a cluster.
+    /// Points below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0: from
+    /// the density), share of the spread, fewest points of a cluster.
     #[arg(long, value_name = "r=0,m=0.55,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
     isolated: Vec<String>,
     /// Ground by SMRF; lengths in metres, slopes as rise over run.
@@ -67,8 +67,8 @@ pub struct CleanArgs {
     )]
     ground: Vec<String>,
 
-    /// Leave classes out of the output: noise (what the steps before --ground found), object (what --ground found not to
-    /// be ground).
+    /// Leave classes out of the output: noise (what the steps before --ground found), object (what --ground found not
+    /// to be ground).
     #[arg(long, value_name = "noise,object", value_delimiter = ',', help_heading = "Writing")]
     drop: Vec<String>,
     /// Leave points out whose coordinates are not finite, instead of refusing the cloud.

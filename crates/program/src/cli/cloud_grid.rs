@@ -13,8 +13,8 @@ use super::cloud::{Cameras, MeansArgs};
 
 /// Grid clouds: one Cloud Optimized GeoTIFF for each dimension and statistic, and one with its holes filled.
 ///
-/// Files are named STEM_DIMENSION_STAT.tif and STEM_DIMENSION_filled.tif; the latter has the filled statistic, a flag (0
-/// measured, 1 filled, 2 empty), the count, and further filled statistics.
+/// Files are named STEM_DIMENSION_STAT.tif and STEM_DIMENSION_filled.tif; the latter has the filled statistic, a flag
+/// (0 measured, 1 filled, 2 empty), the count, and further filled statistics.
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example, as in the thesis of 2017:\n  autoref-stream cloud grid clean/*.laz -o grids --cell 2 --stat mean,count --dimension intensity,z,range --radius z=2.828,range=1.414"
@@ -35,8 +35,8 @@ pub struct GridArgs {
     /// What is gridded: x, y, z, range, intensity, red, or any dimension of the clouds.
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', default_value = "z")]
     dimension: Vec<String>,
-    /// Points count that are nearer to a cell's centre: metres, or by dimension as z=2.828,range=1.414. Default: √2 cells
-    /// for z, √½ cells for everything else; with --like-pdal √2 cells for all.
+    /// Points count that are nearer to a cell's centre: metres, or by dimension as z=2.828,range=1.414. Default: √2
+    /// cells for z, √½ cells for everything else; with --like-pdal √2 cells for all.
     #[arg(long, value_name = "R|NAME=R,…")]
     radius: Option<String>,
     /// Window that fills holes: its width in cells when odd (5 is 5 × 5), cells to each side when even (2 is 5 × 5, as

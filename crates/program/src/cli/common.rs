@@ -30,7 +30,8 @@ pub struct ReadArgs {
     /// Number of working threads. Default: one for each core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
     pub threads: Option<u64>,
-    /// Bound on the peak resident memory of the whole program, libraries included: bytes, or with K, M or G. At least 112M.
+    /// Bound on the peak resident memory of the whole program, libraries included: bytes, or with K, M or G. At least
+    /// 112M.
     #[arg(long, value_name = "SIZE", default_value = "512M", value_parser = memory_budget, help_heading = "Resources")]
     pub memory: Bytes,
     /// Which decoder: the native one takes most TIFFs, GDAL everything else.
@@ -39,8 +40,9 @@ pub struct ReadArgs {
     /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = "Reading")]
     pub page: usize,
-    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
-    /// NBITS, else the largest value of the samples' type. Never taken from the image's own brightness.
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default:
+    /// MaxSampleValue or NBITS, else the largest value of the samples' type. Never taken from the image's own
+    /// brightness.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
     pub white: Option<u16>,
 }
@@ -48,8 +50,8 @@ pub struct ReadArgs {
 /// How the image is read by the commands that look at a few places of it.
 #[derive(Args, Debug)]
 pub struct SampleArgs {
-    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default: MaxSampleValue or
-    /// NBITS, else the largest value of the samples' type.
+    /// Sample value of full white, for images whose file does not say it: 4095 for 12 bits in 16. Default:
+    /// MaxSampleValue or NBITS, else the largest value of the samples' type.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "Reading")]
     white: Option<u16>,
     /// Image of a multi-page file, counted from 0. Default: the first of full resolution.
@@ -67,20 +69,22 @@ impl SampleArgs {
 /// What the marks look like.
 #[derive(Args, Clone, Debug)]
 pub struct MarkArgs {
-    /// Mark profile: a built-in name, a RAL number (`ral-2007`), or a TOML file. `orange` takes safety orange from saturated to faded, 5 to 60 px wide;
-    /// `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with `--features coded`.
+    /// Mark profile: a built-in name, a RAL number (`ral-2007`), or a TOML file. `orange` takes safety orange from
+    /// saturated to faded, 5 to 60 px wide; `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with
+    /// `--features coded`.
     #[arg(long, value_name = "NAME|FILE", default_value = "orange", help_heading = "Marks")]
     pub profile: String,
-    /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the profile says.
+    /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the
+    /// profile says.
     #[arg(long, value_name = "SIZE", help_heading = "Marks")]
     pub mark_size: Option<MarkSize>,
-    /// Drop candidates that do not satisfy this rule: `area in [20, 400) and eccentricity <= 0.9`. Properties: area, perimeter,
-    /// width, height, extent, eccentricity, solidity, compactness, mean_distance, min_distance, max_distance. Repeat for more;
-    /// docs/detection-options.md has the grammar.
+    /// Drop candidates that do not satisfy this rule: `area in [20, 400) and eccentricity <= 0.9`. Properties: area,
+    /// perimeter, width, height, extent, eccentricity, solidity, compactness, mean_distance, min_distance,
+    /// max_distance. Repeat for more; docs/detection-options.md has the grammar.
     #[arg(long, value_name = "RULE", help_heading = "Marks")]
     pub gate: Vec<Rule>,
-    /// Close gaps of the mask of paint with this structuring element, in place of the profile's: a small image whose pixels
-    /// that are not 0 belong to it; its middle pixel is the origin and must be one of them.
+    /// Close gaps of the mask of paint with this structuring element, in place of the profile's: a small image whose
+    /// pixels that are not 0 belong to it; its middle pixel is the origin and must be one of them.
     #[arg(long, value_name = "FILE", help_heading = "Marks")]
     pub closing: Option<PathBuf>,
     /// Open the mask of paint (remove specks and bridges) with this structuring element.
@@ -115,8 +119,8 @@ fn paint(text: &str) -> Result<String, String> {
 /// What is known before matching.
 #[derive(Args, Debug)]
 pub struct MatchArgs {
-    /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. Default: from the image's georeference or
-    /// resolution, else unknown.
+    /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. Default: from the image's georeference
+    /// or resolution, else unknown.
     #[arg(long, value_name = "M", help_heading = "Matching")]
     pub gsd: Option<Gsd>,
     /// The image's top points north within DEG degrees.
@@ -125,8 +129,8 @@ pub struct MatchArgs {
     /// Whether a georeference or resolution that the image already has may narrow the search.
     #[arg(long, value_enum, default_value = "auto", help_heading = "Matching")]
     pub prior: PriorArg,
-    /// The image may be mirrored, as film scanned from its back is: try both ways. A list that is its own mirror image is
-    /// refused then.
+    /// The image may be mirrored, as film scanned from its back is: try both ways. A list that is its own mirror image
+    /// is refused then.
     #[arg(long, help_heading = "Matching")]
     pub allow_mirrored: bool,
     /// How the pattern is found: `robust` from pairs; `tpp`, the topological point patterns of the 2016 thesis.
@@ -137,8 +141,8 @@ pub struct MatchArgs {
     /// Nothing is written when chance alone would produce more patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
-    /// End the search for the pattern after so many seconds, found or not; without it the search counts its steps, so that the
-    /// answer does not depend on the machine.
+    /// End the search for the pattern after so many seconds, found or not; without it the search counts its steps, so
+    /// that the answer does not depend on the machine.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, help_heading = "Matching")]
     pub time_limit: Option<f64>,
 }
@@ -158,7 +162,8 @@ impl MatchArgs {
 /// How the list of GCPs is read.
 #[derive(Args, Debug)]
 pub struct GcpArgs {
-    /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML, GPX.
+    /// Surveyed points: GeoJSON, CSV, KOF, OpenDroneMap, Pix4D, Metashape and QGIS lists, GeoPackage, Shapefile, KML,
+    /// GPX.
     #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
     // Asked for by `path`: a replay takes the points of the result.
     pub gcps: Option<PathBuf>,
@@ -378,7 +383,8 @@ pub fn prepare(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>
     let cache_bytes = autoref_raster::memory_plan::cache_share_bytes(read.memory.0);
     let choice = read.reader.choice();
     let profile = profile(marks)?;
-    // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for more.
+    // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for
+    // more.
     let (source, colours) = std::thread::scope(|scope| {
         let colours = scope.spawn(|| MarkDetector::colours(&profile));
         let source = raster::open(image, choice, read.page, cache_bytes);
@@ -469,7 +475,8 @@ fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
     }
 }
 
-/// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's part.
+/// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's
+/// part.
 pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
     let size = Some((info.width as f64, info.height as f64));
     let asked = Priors {

@@ -20,15 +20,16 @@ use crate::cli::solving::{SolverArg, flat};
 
 /// Solve the same points by all solvers and print the comparison.
 ///
-/// IMAGE needs --gcps, and --dem for the solvers in space. Instead of an image: the result of a run (NAME.autoref.json), or a
-/// table of matched points (NAME.csv) with the columns name, x, y, elevation, easting, northing, height; a point without
-/// elevation or height counts in plan only, one without easting and northing in height only.
+/// IMAGE needs --gcps, and --dem for the solvers in space. Instead of an image: the result of a run
+/// (NAME.autoref.json), or a table of matched points (NAME.csv) with the columns name, x, y, elevation, easting,
+/// northing, height; a point without elevation or height counts in plan only, one without easting and northing in
+/// height only.
 #[derive(Args, Debug)]
 pub struct CompareArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Leave out this share of the smallest and of the largest residuals in histograms, tests of normality and correlations of
-    /// magnitudes; 0.1 as in the 2016 thesis.
+    /// Leave out this share of the smallest and of the largest residuals in histograms, tests of normality and
+    /// correlations of magnitudes; 0.1 as in the 2016 thesis.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, help_heading = "Analysis")]
     tail_cut: f64,
 }

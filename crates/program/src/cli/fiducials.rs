@@ -14,8 +14,8 @@ use super::fiducials_page::{self, At};
 
 /// Find the fiducial marks of scanned film frames and solve their interior orientation.
 ///
-/// Writes one JSON per frame and the roll's table, fiducials.csv, into the output folder. A run that was stopped goes on
-/// where it was. Exit codes: 0 every frame is OK, 1 a frame needs a person, 2 error.
+/// Writes one JSON per frame and the roll's table, fiducials.csv, into the output folder. A run that was stopped goes
+/// on where it was. Exit codes: 0 every frame is OK, 1 a frame needs a person, 2 error.
 #[derive(Args, Debug)]
 pub struct FiducialsArgs {
     /// The scans: files, or folders of them.
@@ -55,14 +55,16 @@ pub struct FiducialsArgs {
     /// How far a mark may lie from where the other marks put it, micrometres on the film; never below 1.5 pixels.
     #[arg(long, value_name = "UM", default_value_t = 40.0, help_heading = "Checking")]
     agreement_um: f64,
-    /// Learn templates of the marks from these scans instead of examining them: writes a camera file with them into the output folder.
+    /// Learn templates of the marks from these scans instead of examining them: writes a camera file with them into the
+    /// output folder.
     #[arg(long, help_heading = "Learning")]
     learn: bool,
-    /// Where a mark lies in the first scan, pixels, or the file that the page of --page saved; repeat for two or more. Default: the
-    /// camera's own shapes find them.
+    /// Where a mark lies in the first scan, pixels, or the file that the page of --page saved; repeat for two or more.
+    /// Default: the camera's own shapes find them.
     #[arg(long = "at", value_name = "MARK=X,Y|FILE", value_parser = At::parse, requires = "learn", help_heading = "Learning")]
     at: Vec<At>,
-    /// Write a page, click.html, in which the marks of the first scan are clicked, into the output folder, and learn nothing yet.
+    /// Write a page, click.html, in which the marks of the first scan are clicked, into the output folder, and learn
+    /// nothing yet.
     #[arg(long, requires = "learn", conflicts_with = "at", help_heading = "Learning")]
     page: bool,
     /// Width and height of the templates, millimetres on the film.

@@ -14,7 +14,8 @@ pub struct FilmOutputArgs {
     /// Write MicMac's Ori-InterneScan, a CSV and a GeoJSON per frame, and the contact sheet.
     #[arg(long, help_heading = "Outputs")]
     pub exports: bool,
-    /// From where pixels count in the XML and CSV of --exports: the first pixel's outer corner (GDAL) or its centre (numpy, OpenCV).
+    /// From where pixels count in the XML and CSV of --exports: the first pixel's outer corner (GDAL) or its centre
+    /// (numpy, OpenCV).
     #[arg(long, value_enum, default_value_t = PixelsFrom::Corner, requires = "exports", help_heading = "Outputs")]
     pub pixels_from: PixelsFrom,
     /// Replay what a contact sheet saved; writes NAME.reviewed.json.

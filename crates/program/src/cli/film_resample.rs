@@ -16,7 +16,8 @@ const LIGHT_FRAMES: usize = 60;
 
 #[derive(clap::Args, Debug)]
 pub struct ResampleArgs {
-    /// Write every frame with an orientation on the film's own grid, with a mask of marks, boxes and what the scan does not show.
+    /// Write every frame with an orientation on the film's own grid, with a mask of marks, boxes and what the scan does
+    /// not show.
     #[arg(long, help_heading = "Resampling")]
     pub resample: bool,
     /// Pixel size of --resample, millimetres.
@@ -28,12 +29,12 @@ pub struct ResampleArgs {
     /// Mask this much around every mark, millimetres.
     #[arg(long, value_name = "MM", default_value_t = 3.0, help_heading = "Resampling")]
     pub mask_marks_mm: f64,
-    /// Mask a box (text, clock, counter): two opposite corners in the camera's millimetres; repeat for more. The camera's file can
-    /// name them too (masked_mm).
+    /// Mask a box (text, clock, counter): two opposite corners in the camera's millimetres; repeat for more. The
+    /// camera's file can name them too (masked_mm).
     #[arg(long, value_name = "X,Y,X,Y", value_parser = parse_box, allow_hyphen_values = true, help_heading = "Resampling")]
     pub mask_box: Vec<Box4>,
-    /// Even out the light: of every frame by itself, or of the roll (three frames or more), which does not mistake ground for
-    /// shadow.
+    /// Even out the light: of every frame by itself, or of the roll (three frames or more), which does not mistake
+    /// ground for shadow.
     #[arg(long, value_enum, default_value_t = LightingName::Off, help_heading = "Resampling")]
     pub lighting: LightingName,
     /// Remove bands that the scanner left along its rows or columns.
@@ -97,8 +98,8 @@ impl ResampleArgs {
     }
 }
 
-/// Writes `NAME.resampled.tif` and `NAME.mask.tif` for every frame with an orientation. Outputs that are there and differ stop
-/// it before any work; frames that fail are told when the others are done.
+/// Writes `NAME.resampled.tif` and `NAME.mask.tif` for every frame with an orientation. Outputs that are there and
+/// differ stop it before any work; frames that fail are told when the others are done.
 pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: &ResampleArgs) -> anyhow::Result<()> {
     let options = args.options()?;
     let solved: Vec<&FrameResult> = frames.iter().filter(|f| f.interior.is_some()).collect();

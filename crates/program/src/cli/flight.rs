@@ -53,7 +53,8 @@ struct AdjustArgs {
     reconstruction: PathBuf,
     #[command(flatten)]
     points: lists::PointArgs,
-    /// Interior parameters that are adjusted: f, cx, cy, k1 … p1, p2, b1, b2; `f=20` within 20 px of what is given; `none`.
+    /// Interior parameters that are adjusted: f, cx, cy, k1 … p1, p2, b1, b2; `f=20` within 20 px of what is given;
+    /// `none`.
     #[arg(long, value_delimiter = ',', default_value = "f,k1", value_name = "LIST")]
     free: Vec<String>,
     /// 1σ of ties in the image. Default: from their residuals.

@@ -27,14 +27,15 @@ pub struct ConvertArgs {
     /// Where to write; the name's end says the format, unless --to does.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Format of the input: geojson, csv, kof, odm, qgis, metashape-csv, metashape-xml, pix4d, micmac, gpkg, shp, fgb, gml,
-    /// kml, gpx. Default: recognised by its content and name.
+    /// Format of the input: geojson, csv, kof, odm, qgis, metashape-csv, metashape-xml, pix4d, micmac, gpkg, shp, fgb,
+    /// gml, kml, gpx. Default: recognised by its content and name.
     #[arg(long, value_name = "FORMAT")]
     from: Option<ListFormat>,
     /// Format of the output, of the same ones. Default: by its name.
     #[arg(long, value_name = "FORMAT")]
     to: Option<ListFormat>,
-    /// CRS of the coordinates (EPSG code, WKT, PROJ string or a file with one), over what the list says. Nothing is projected.
+    /// CRS of the coordinates (EPSG code, WKT, PROJ string or a file with one), over what the list says. Nothing is
+    /// projected.
     #[arg(long, value_name = "CRS")]
     crs: Option<String>,
     /// Layer of a file with several.

@@ -1,8 +1,8 @@
 //! Which arguments name files that are read, and which name files that are written: no output is ever an input.
 //!
-//! Every argument that takes a path is in one of two lists (a test holds the command line to that). Before a command does
-//! anything, what its inputs name is protected ([`autoref_raster::protected`]) and what its outputs name is checked: against
-//! the inputs, against the files that lie beside an input and belong to it, and against each other.
+//! Every argument that takes a path is in one of two lists (a test holds the command line to that). Before a command
+//! does anything, what its inputs name is protected ([`autoref_raster::protected`]) and what its outputs name is
+//! checked: against the inputs, against the files that lie beside an input and belong to it, and against each other.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

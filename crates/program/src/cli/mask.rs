@@ -21,8 +21,8 @@ use super::mask_light::{BandingArg, LightingArg, corrections};
 
 /// Mask the ground that image matching can use: without water, clouds, sky, featureless snow, film borders and text.
 ///
-/// Writes NAME_Masq.tif (1 bit, 1 = use) and NAME_Masq.xml as MicMac reads them, NAME_Masq.json, and masks.html with all
-/// frames. Exit codes: 0 every frame has a mask, 2 a frame could not be read (the others have theirs).
+/// Writes NAME_Masq.tif (1 bit, 1 = use) and NAME_Masq.xml as MicMac reads them, NAME_Masq.json, and masks.html with
+/// all frames. Exit codes: 0 every frame has a mask, 2 a frame could not be read (the others have theirs).
 #[derive(Args, Debug)]
 pub struct MaskArgs {
     /// The frames: files, or folders of them.
@@ -44,7 +44,8 @@ pub struct MaskArgs {
     #[arg(long)]
     overwrite: bool,
 
-    /// A rectangle of a class (keep: ground, glacier, foreground, background …; mask: water, clouds, sky, snow …), pixels.
+    /// A rectangle of a class (keep: ground, glacier, foreground, background …; mask: water, clouds, sky, snow …),
+    /// pixels.
     #[arg(long, value_name = "CLASS=X,Y,W,H@FRAME", value_parser = shapes::parse_sample, help_heading = "Teaching")]
     sample: Vec<Shape>,
     /// Rectangles and polygons of classes in a TOML or GeoJSON file.
@@ -70,7 +71,8 @@ pub struct MaskArgs {
     #[arg(long, value_enum, default_value_t = BandingArg::Off, help_heading = "Method")]
     banding: BandingArg,
 
-    /// Pixels that one pixel of the analysis stands for, along a side. Default: 4; auto takes 1 below 1500 px, 2 below 3000 px.
+    /// Pixels that one pixel of the analysis stands for, along a side. Default: 4; auto takes 1 below 1500 px, 2 below
+    /// 3000 px.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16), help_heading = "Method")]
     reduce: Option<u8>,
     /// Nearest neighbours that vote (thesis-2017); odd.

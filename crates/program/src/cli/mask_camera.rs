@@ -1,4 +1,5 @@
-//! What no frame of a camera shows of the ground: its marks, text boxes and the film's border, as polygons joined to masks.
+//! What no frame of a camera shows of the ground: its marks, text boxes and the film's border, as polygons joined to
+//! masks.
 
 use std::path::{Path, PathBuf};
 
@@ -11,20 +12,23 @@ use autoref_terrain::shapes::{Meaning, Shape};
 
 use super::film_resample::{Box4, parse_box};
 
-/// The two text boxes of `svalbard-zeiss-1936`, millimetres from the upper left corner of the film. The 2017 thesis says that
-/// there are two in the upper corners and not how large: these are a fifth of the width and a twelfth of the height.
+/// The two text boxes of `svalbard-zeiss-1936`, millimetres from the upper left corner of the film. The 2017 thesis
+/// says that there are two in the upper corners and not how large: these are a fifth of the width and a twelfth of the
+/// height.
 const SVALBARD_BOXES_MM: [[f64; 4]; 2] = [[0.0, 0.0, 36.0, 15.0], [142.0, 0.0, 179.0, 15.0]];
 
 #[derive(clap::Args, Debug)]
 pub struct CameraArgs {
-    /// Mask what every frame of this camera shows: marks, text boxes, border. A name of `fiducials --list-cameras` or a TOML file. Without
-    /// --fiducials the frames must be resampled ones, cut to the marks' bounding box.
+    /// Mask what every frame of this camera shows: marks, text boxes, border. A name of `fiducials --list-cameras` or a
+    /// TOML file. Without --fiducials the frames must be resampled ones, cut to the marks' bounding box.
     #[arg(long, value_name = "NAME", help_heading = "By hand")]
     camera: Option<String>,
-    /// Results of `fiducials` (NAME.fiducials.json, or a folder of them), which say where marks and border lie in each scan.
+    /// Results of `fiducials` (NAME.fiducials.json, or a folder of them), which say where marks and border lie in each
+    /// scan.
     #[arg(long, value_name = "RESULT.json", requires = "camera", help_heading = "By hand")]
     fiducials: Vec<PathBuf>,
-    /// A text box in the camera's millimetres, two opposite corners; repeat for more. Instead of those known of the camera.
+    /// A text box in the camera's millimetres, two opposite corners; repeat for more. Instead of those known of the
+    /// camera.
     #[arg(long, value_name = "X,Y,X,Y", value_parser = parse_box, allow_hyphen_values = true, requires = "camera", help_heading = "By hand")]
     mask_box: Vec<Box4>,
     /// Mask this much around every mark, millimetres.
@@ -92,8 +96,8 @@ impl CameraMask {
     /// Polygons of one frame.
     ///
     /// # Errors
-    /// When the frame cannot be opened, has no result where results are given, no orientation, or another shape than the
-    /// camera's resampled frames.
+    /// When the frame cannot be opened, has no result where results are given, no orientation, or another shape than
+    /// the camera's resampled frames.
     pub fn of(&self, frame: &Path) -> Result<Vec<Shape>> {
         let Some(results) = &self.results else { return self.of_resampled(frame) };
         let named = |result: &&FrameResult| frame.file_stem().is_some_and(|stem| stem == result.name.as_str());

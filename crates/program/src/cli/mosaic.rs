@@ -18,8 +18,8 @@ pub struct MosaicArgs {
     /// The mosaic.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Which source a cell is taken from: min:PATTERN (smallest value of a companion raster; {stem} is the source's name),
-    /// first, last, newest, nearest, median or feather.
+    /// Which source a cell is taken from: min:PATTERN (smallest value of a companion raster; {stem} is the source's
+    /// name), first, last, newest, nearest, median or feather.
     #[arg(long, value_name = "RULE", default_value = "first")]
     choose: Choice,
     /// Write which source won: its number from 1 on, 0 where none.

@@ -16,7 +16,8 @@ use serde_json::{Value, json};
 
 use crate::cli::common::{Gsd, write_text};
 
-/// What `--thresholds` tries, for radii and for angles; 0.21 was the preset of the thesis's program, 0.05 what it then used.
+/// What `--thresholds` tries, for radii and for angles; 0.21 was the preset of the thesis's program, 0.05 what it then
+/// used.
 const TRIED: [f64; 6] = [0.01, 0.02, 0.05, 0.1, 0.15, 0.21];
 
 /// The matcher of the 2016 thesis.
@@ -103,8 +104,8 @@ impl PatternArgs {
     }
 }
 
-/// Match two lists by topological point patterns, the way of the 2016 thesis, and show how: which anchors, which points, with which
-/// thresholds.
+/// Match two lists by topological point patterns, the way of the 2016 thesis, and show how: which anchors, which
+/// points, with which thresholds.
 ///
 /// Exit codes: 0 a pattern is believed, 1 none is, 2 error.
 #[derive(clap::Args, Debug)]

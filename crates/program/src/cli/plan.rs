@@ -14,8 +14,8 @@ use clap::Args;
 use crate::cli::common::{Gsd, MarkSize};
 use crate::cli::progress::Busy;
 
-/// Before the flight: is the pattern of the marks unique, how well will it hold the image, how large must a mark be, and
-/// which paint stands out?
+/// Before the flight: is the pattern of the marks unique, how well will it hold the image, how large must a mark be,
+/// and which paint stands out?
 ///
 /// Exit codes: 0 all is well, 1 a change is advised, 2 error.
 #[derive(Args, Debug)]
@@ -26,7 +26,8 @@ pub struct PlanArgs {
     /// How many marks may be lost (hidden, driven over, outside the image).
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(0..=20))]
     pub lose: u64,
-    /// Ground size of a pixel of the flight, metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. With it the scale counts as known.
+    /// Ground size of a pixel of the flight, metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. With it the scale counts as
+    /// known.
     #[arg(long, value_name = "M")]
     pub gsd: Option<Gsd>,
     /// Side or diameter of the marks that are planned, in metres (0.3m) or pixels.
@@ -35,7 +36,8 @@ pub struct PlanArgs {
     /// The image's top will point north within DEG degrees.
     #[arg(long, value_name = "DEG", num_args = 0..=1, default_missing_value = "15")]
     pub north_up: Option<f64>,
-    /// How near to a point another must come to pass for it, metres. Default: 12 pixels, or 0.25 % of the area's diagonal.
+    /// How near to a point another must come to pass for it, metres. Default: 12 pixels, or 0.25 % of the area's
+    /// diagonal.
     #[arg(long, value_name = "M")]
     pub tolerance: Option<f64>,
     /// 1σ of a coordinate of one mark in the finished orthophoto, metres. Default: 1.5 pixels.

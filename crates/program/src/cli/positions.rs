@@ -1,5 +1,5 @@
-//! Where marks are, for the commands that look at marks somebody points at: by pixels, by the result of an earlier run, or
-//! by a list of points through the georeference that the image already has.
+//! Where marks are, for the commands that look at marks somebody points at: by pixels, by the result of an earlier run,
+//! or by a list of points through the georeference that the image already has.
 
 use std::path::{Path, PathBuf};
 
@@ -54,8 +54,8 @@ pub struct Positions {
 
 impl PositionArgs {
     /// # Errors
-    /// When nothing is pointed at, a file cannot be read, the image has no georeference for --gcps, or no point of the list
-    /// lies in the image.
+    /// When nothing is pointed at, a file cannot be read, the image has no georeference for --gcps, or no point of the
+    /// list lies in the image.
     pub fn positions(&self, info: &RasterInfo) -> Result<Positions> {
         let seen = |(i, at): (usize, &PixelPoint)| Mark { name: format!("{:03}", i + 1), at: *at, listed: false };
         let mut marks: Vec<Mark> = self.at.iter().enumerate().map(seen).collect();

@@ -1,4 +1,5 @@
-//! `autoref-stream solve NAME.autoref.json --patch FILE`: what a review changed, applied to the result it was made from.
+//! `autoref-stream solve NAME.autoref.json --patch FILE`: what a review changed, applied to the result it was made
+//! from.
 
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,9 +1,10 @@
 //! What the residuals of a fit say of its model: are they normal, do they favour a direction, do they grow outwards.
 //!
-//! Normality by A² of T. W. Anderson and D. A. Darling, "A test of goodness of fit", 1954, with mean and variance from the sample
-//! and the p-value of R. B. D'Agostino and M. A. Stephens, "Goodness-of-fit techniques", 1986, table 4.9: it sees the tails,
-//! which the test of Kolmogorov and Smirnov hardly does. Directions by Lord Rayleigh's test for a favoured direction, with the
-//! p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of correlations by R. A. Fisher's z, 95 %.
+//! Normality by A² of T. W. Anderson and D. A. Darling, "A test of goodness of fit", 1954, with mean and variance from
+//! the sample and the p-value of R. B. D'Agostino and M. A. Stephens, "Goodness-of-fit techniques", 1986, table 4.9: it
+//! sees the tails, which the test of Kolmogorov and Smirnov hardly does. Directions by Lord Rayleigh's test for a
+//! favoured direction, with the p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of
+//! correlations by R. A. Fisher's z, 95 %.
 
 use serde_json::{Value, json};
 
@@ -21,8 +22,8 @@ const SECTORS: usize = 8;
 /// Below it neither a test nor an interval says anything.
 const FEWEST: usize = 5;
 
-/// The analysis as JSON; what too few points leave open is null. `tail_cut` is the share of the smallest and of the largest
-/// values that histograms, tests and magnitudes leave out, 0 to below 0.5.
+/// The analysis as JSON; what too few points leave open is null. `tail_cut` is the share of the smallest and of the
+/// largest values that histograms, tests and magnitudes leave out, 0 to below 0.5.
 pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Value {
     let values = |of: &dyn Fn(&Residual) -> Option<f64>| -> Vec<f64> { residuals.iter().filter_map(of).collect() };
     let n = residuals.len().max(1) as f64;

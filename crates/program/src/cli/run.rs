@@ -62,13 +62,13 @@ pub struct RunArgs {
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
-    /// Learn the marks from what was found and look again: never; when points stay unmatched or nothing is solved; or always, by
-    /// a second scan. Without a word it is `always`.
+    /// Learn the marks from what was found and look again: never; when points stay unmatched or nothing is solved; or
+    /// always, by a second scan. Without a word it is `always`.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
         require_equals = true, help_heading = "Marks")]
     pub second_pass: SecondPassArg,
-    /// Look again, in a window of its own, where every point must be: always; or never, so that the first match stands as it
-    /// is (the tables of the 2016 thesis). `never` looks no second time in any other way either.
+    /// Look again, in a window of its own, where every point must be: always; or never, so that the first match stands
+    /// as it is (the tables of the 2016 thesis). `never` looks no second time in any other way either.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "always", help_heading = "Matching")]
     pub refine: RefineArg,
     /// No progress bar, no summary.
@@ -153,8 +153,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
-    // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident. The first
-    // look has half of what is allowed, the second a quarter, all clusters of colour together the last.
+    // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
+    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;

@@ -30,8 +30,8 @@ pub struct Args {
     /// The marks are the groups of pixels that are not 0 in this raster of the image's size.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "polygons", "colours"])]
     mask: Option<PathBuf>,
-    /// The marks are the polygons of this file (GeoJSON, GeoPackage, Shapefile): on the map where the image is georeferenced,
-    /// else in pixels.
+    /// The marks are the polygons of this file (GeoJSON, GeoPackage, Shapefile): on the map where the image is
+    /// georeferenced, else in pixels.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "colours"])]
     polygons: Option<PathBuf>,
     /// Learn from this table of colours instead of an image: red, green, blue of 0 to 1 or 0 to 255, a row each.
@@ -46,8 +46,8 @@ pub struct Args {
     /// Name of the new profile.
     #[arg(long, default_value = "taught")]
     name: String,
-    /// Also learn a box in RGB that paint must be in first: the middle share of the marks' values in each band (0.75; 1 is
-    /// smallest to largest), or so many standard deviations about their mean (1.5sd).
+    /// Also learn a box in RGB that paint must be in first: the middle share of the marks' values in each band (0.75; 1
+    /// is smallest to largest), or so many standard deviations about their mean (1.5sd).
     #[arg(long, value_name = "SHARE|Ksd", value_parser = parse_rough)]
     rough_box: Option<RoughRule>,
     /// Also learn kernel densities of L*, a*, b*, and drop candidates that are improbable by them.
@@ -193,16 +193,16 @@ impl Args {
     }
 }
 
-/// Largest distance in a\*b\* of a listed mark's colour from the median of all marks. Paint in shade and sun, fresh and worn, is
-/// within it; a car or a bush over the point is not.
+/// Largest distance in a\*b\* of a listed mark's colour from the median of all marks. Paint in shade and sun, fresh and
+/// worn, is within it; a car or a bush over the point is not.
 const LIKE_THE_OTHERS: f64 = 30.0;
 
-/// Largest ratio of a listed mark's side and the median of all marks: of what runs on into a roof of its colour, the roof is no
-/// paint.
+/// Largest ratio of a listed mark's side and the median of all marks: of what runs on into a roof of its colour, the
+/// roof is no paint.
 const SIZE_LIKE_THE_OTHERS: f64 = 2.0;
 
-/// Leaves out listed marks that do not stand out, or have another colour or size than most: nobody saw them. What was pointed
-/// at stays, and fails loudly.
+/// Leaves out listed marks that do not stand out, or have another colour or size than most: nobody saw them. What was
+/// pointed at stays, and fails loudly.
 fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
     let mut left_out = Vec::new();
     let mut kept = Vec::new();

@@ -22,8 +22,8 @@ use crate::cli::working_crs;
 /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
 #[derive(Args, Debug)]
 pub struct SolveArgs {
-    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size and
-    /// elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
+    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size
+    /// and elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
     pub candidates: PathBuf,
     /// Replay what a review changed: the patch file that the page of --report saved. Needs no --gcps.
     #[arg(long, value_name = "FILE")]

@@ -18,23 +18,23 @@ use clap::{Args, ValueEnum};
 
 #[derive(Args, Debug)]
 pub struct SolvingArgs {
-    /// Elevation model, any raster: in the image's grid, or with a georeference of its own. Its heights at the marks are
-    /// compared with the survey; shift, tilt or a quadratic surface is chosen by leave-one-out error.
+    /// Elevation model, any raster: in the image's grid, or with a georeference of its own. Its heights at the marks
+    /// are compared with the survey; shift, tilt or a quadratic surface is chosen by leave-one-out error.
     #[arg(long, value_name = "MODEL", help_heading = "Solving")]
     pub dem: Option<PathBuf>,
     /// Write a copy of the elevation model with the height correction applied (GeoTIFF, 32-bit floats).
     #[arg(long, value_name = "FILE", requires = "dem", help_heading = "Solving")]
     pub write_dem: Option<PathBuf>,
-    /// The transform: `similarity`; `affine`, which is written instead; `projective` and `7-parameter` (in space, with the
-    /// heights of the survey and the model), which no world file can hold: they are reported beside it.
+    /// The transform: `similarity`; `affine`, which is written instead; `projective` and `7-parameter` (in space, with
+    /// the heights of the survey and the model), which no world file can hold: they are reported beside it.
     #[arg(long, value_enum, default_value = "similarity", help_heading = "Solving")]
     pub model: ModelArg,
     /// With --dem: heights are means over CELLS × CELLS cells around the mark, instead of the height at its very place.
     #[arg(long, value_name = "CELLS", default_value_t = 1, requires = "dem", value_parser = clap::value_parser!(u32).range(1..=99),
         help_heading = "Solving")]
     pub dem_area: u32,
-    /// How similarity and 7-parameter transform are solved. All have one rotation on the same points; those of Horn take the
-    /// symmetric scale. Without it the similarity is the weighted one that expected errors follow from.
+    /// How similarity and 7-parameter transform are solved. All have one rotation on the same points; those of Horn
+    /// take the symmetric scale. Without it the similarity is the weighted one that expected errors follow from.
     #[arg(long, value_enum, value_name = "NAME", help_heading = "Solving")]
     pub solver: Option<SolverArg>,
 }

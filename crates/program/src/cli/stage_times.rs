@@ -1,4 +1,5 @@
-//! Where the time of a command went: the spans of its stages, added up. `--profile-json FILE` writes them, `--verbose` prints them.
+//! Where the time of a command went: the spans of its stages, added up. `--profile-json FILE` writes them, `--verbose`
+//! prints them.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};

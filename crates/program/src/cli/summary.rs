@@ -1,4 +1,5 @@
-//! What a surveyor reads at the end of a run: six to eight lines. With `--verbose` everything that was said, one thing a line.
+//! What a surveyor reads at the end of a run: six to eight lines. With `--verbose` everything that was said, one thing
+//! a line.
 
 use std::fmt::Write;
 

@@ -13,8 +13,8 @@ use autoref_flight::{Camera, Parameter};
 use super::flight::ortho::Dem;
 use super::synth::Pair;
 
-/// Render the frames of a flight over a known landscape, with a rough camera table, GCPs and the truth beside them; ready for
-/// `flight solve`.
+/// Render the frames of a flight over a known landscape, with a rough camera table, GCPs and the truth beside them;
+/// ready for `flight solve`.
 ///
 /// The world is flat and metric: `crs = "local"`, whatever the CRS of a model.
 #[derive(clap::Args, Debug)]
@@ -66,8 +66,9 @@ pub struct Args {
     /// Width and height of a frame, pixels.
     #[arg(long, value_name = "W,H", default_value = "1800,1800", help_heading = "Camera")]
     size: Pair,
-    /// Scans of film instead, turned and shifted, with the fiducial marks of a camera: a name of `fiducials --list-cameras` or a TOML
-    /// file. `fiducials --resample` makes the frames of them; size and focal length are the camera's.
+    /// Scans of film instead, turned and shifted, with the fiducial marks of a camera: a name of
+    /// `fiducials --list-cameras` or a TOML file. `fiducials --resample` makes the frames of them; size and focal
+    /// length are the camera's.
     #[arg(long, value_name = "CAMERA", conflicts_with = "size", help_heading = "Camera")]
     film: Option<String>,
     /// Size of a scanned pixel on the film, micrometres.

@@ -46,8 +46,8 @@ pub struct WarpArgs {
     /// Side of a pixel of the copy, in map units. Default: that of the image.
     #[arg(long, value_name = "M", help_heading = "Output: warp")]
     pub resolution: Option<f64>,
-    /// What is where no image is: alpha (one more band), or a nodata value. Default: the image's nodata value if it has one,
-    /// -9999 for elevation models without, else alpha.
+    /// What is where no image is: alpha (one more band), or a nodata value. Default: the image's nodata value if it has
+    /// one, -9999 for elevation models without, else alpha.
     #[arg(
         long,
         value_name = "alpha|VALUE",

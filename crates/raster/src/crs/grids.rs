@@ -74,12 +74,12 @@ mod proj {
 /// `PJ_LOG_NONE`: what fails is told by the caller.
 const SILENT: c_int = 0;
 
-/// Names of the grids that the best operation from one system to another would use and that are not installed, in order.
-/// `around`: west, south, east, north, degrees. Empty when none is missing or PROJ does not say.
+/// Names of the grids that the best operation from one system to another would use and that are not installed, in
+/// order. `around`: west, south, east, north, degrees. Empty when none is missing or PROJ does not say.
 pub(super) fn missing(from: &Crs, to: &Crs, around: Option<[f64; 4]>) -> Vec<String> {
     let (Ok(from), Ok(to)) = (CString::new(from.wkt()), CString::new(to.wkt())) else { return Vec::new() };
-    // SAFETY: PROJ's context, systems, factory and list are made here, given to PROJ's own functions only, not shared with
-    // another thread, checked for null where PROJ does not, and destroyed once, the context last.
+    // SAFETY: PROJ's context, systems, factory and list are made here, given to PROJ's own functions only, not shared
+    // with another thread, checked for null where PROJ does not, and destroyed once, the context last.
     unsafe {
         let context = proj::proj_context_create();
         proj::proj_log_level(context, SILENT);
@@ -98,7 +98,8 @@ pub(super) fn missing(from: &Crs, to: &Crs, around: Option<[f64; 4]>) -> Vec<Str
             );
             let list = proj::proj_create_operations(context, from, to, factory);
             if !list.is_null() {
-                // Sorted by the authority's accuracy and area: the first that misses something is the best that cannot be had.
+                // Sorted by the authority's accuracy and area: the first that misses something is the best that cannot
+                // be had.
                 names = (0..proj::proj_list_get_count(list))
                     .map(|index| missing_of(context, list, index))
                     .find(|names| !names.is_empty())

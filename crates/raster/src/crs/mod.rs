@@ -67,11 +67,12 @@ impl Area {
 const REMEDY: &str = "give an EPSG code (EPSG:25832), WKT, a PROJ string, or a file with one of them";
 
 impl Crs {
-    /// Reads an EPSG code ("EPSG:25832", "25832", "EPSG:25832+5941"), WKT, a PROJ string, an OGC URN, the short names of
-    /// drone software ("WGS84 UTM 32N"), or the name of a file with one of them or of a raster that has one.
+    /// Reads an EPSG code ("EPSG:25832", "25832", "EPSG:25832+5941"), WKT, a PROJ string, an OGC URN, the short names
+    /// of drone software ("WGS84 UTM 32N"), or the name of a file with one of them or of a raster that has one.
     ///
     /// # Errors
-    /// When nothing of the kind is understood; for systems without horizontal axes, or that count from the Earth's centre.
+    /// When nothing of the kind is understood; for systems without horizontal axes, or that count from the Earth's
+    /// centre.
     pub fn parse(text: &str) -> Result<Crs> {
         crate::initialise_gdal(0);
         let text = text.trim();
@@ -96,7 +97,8 @@ impl Crs {
             other => bad(&other),
         })?;
         if reference.auth_code().is_err() {
-            // A .prj of ArcGIS names no code; where the content is one of EPSG's, so is the label. It may be none of them.
+            // A .prj of ArcGIS names no code; where the content is one of EPSG's, so is the label. It may be none of
+            // them.
             let _ = reference.auto_identify_epsg();
         }
         let kind = match () {
@@ -173,8 +175,8 @@ impl Crs {
         Some(text.trim().to_string()).filter(|text| !text.is_empty())
     }
 
-    /// Length on the grid over length on the ellipsoid (GRS 80) at a point, along the y axis; the same in all directions for
-    /// the conformal projections of surveying. `None` outside the projection and for other systems.
+    /// Length on the grid over length on the ellipsoid (GRS 80) at a point, along the y axis; the same in all
+    /// directions for the conformal projections of surveying. `None` outside the projection and for other systems.
     pub fn point_scale(&self, x: f64, y: f64) -> Option<f64> {
         const SEMI_MAJOR_M: f64 = 6_378_137.0;
         const ECCENTRICITY2: f64 = 0.006_694_380_022_9;
@@ -226,7 +228,8 @@ impl Crs {
         self.height_metres_per_unit
     }
 
-    /// Whether a point lies where the system is meant to be used, give or take two degrees. `None` when that is not known.
+    /// Whether a point lies where the system is meant to be used, give or take two degrees. `None` when that is not
+    /// known.
     pub fn covers(&self, x: f64, y: f64) -> Option<bool> {
         let area = self.area?;
         let Some((longitude, latitude)) = self.longitude_latitude(x, y) else { return Some(false) };
@@ -240,8 +243,8 @@ impl Crs {
         Ok(reference)
     }
 
-    /// The UTM zone of a geographic point, on the datum of this system, so that nothing but a projection is between them.
-    /// The zones are those of the UTM grid, with its exceptions for western Norway and Svalbard.
+    /// The UTM zone of a geographic point, on the datum of this system, so that nothing but a projection is between
+    /// them. The zones are those of the UTM grid, with its exceptions for western Norway and Svalbard.
     ///
     /// # Errors
     /// When this is no geographic system, or the point lies outside UTM (beyond 84° north or 80° south).

@@ -1,9 +1,9 @@
 //! Coordinates from one system into another, with what the authority says of its accuracy.
 //!
-//! PROJ knows several operations between two systems, some of which need grids that may not be installed. Left to itself
-//! it falls back on a "ballpark" operation that ignores the change of datum, or the height of the geoid, in silence. Here
-//! ballpark operations are never taken, and the best operation that can be carried out must be as accurate as the caller
-//! demands; otherwise it is an error.
+//! PROJ knows several operations between two systems, some of which need grids that may not be installed. Left to
+//! itself it falls back on a "ballpark" operation that ignores the change of datum, or the height of the geoid, in
+//! silence. Here ballpark operations are never taken, and the best operation that can be carried out must be as
+//! accurate as the caller demands; otherwise it is an error.
 
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex};
@@ -13,8 +13,8 @@ use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, CoordTransformOptio
 use super::Crs;
 use crate::error::{Error, Result};
 
-/// Worst accuracy of a change of datum that is taken without being asked for, metres. Changes between the satellite datums
-/// (WGS 84 to ETRS89, NZGD2000, SIRGAS 2000, …) are stated as 1 m; a grid for heights adds some centimetres.
+/// Worst accuracy of a change of datum that is taken without being asked for, metres. Changes between the satellite
+/// datums (WGS 84 to ETRS89, NZGD2000, SIRGAS 2000, …) are stated as 1 m; a grid for heights adds some centimetres.
 pub const DEFAULT_DATUM_ACCURACY_M: f64 = 1.5;
 
 /// A point on the map, in the units of its system: easting or longitude first.
@@ -46,12 +46,14 @@ const LADDER_M: [f64; 18] =
 /// Two definitions and the bounds of what lies between them, degrees as bits.
 type Question = (String, String, Option<[u64; 4]>);
 
-/// Which bound of [`LADDER_M`] is the narrowest that works, of what was asked before: a job asks the same several times.
+/// Which bound of [`LADDER_M`] is the narrowest that works, of what was asked before: a job asks the same several
+/// times.
 static NARROWEST: LazyLock<Mutex<HashMap<Question, usize>>> = LazyLock::new(Mutex::default);
 const MOST_KNOWN: usize = 256;
 
 impl Crs {
-    /// Brings points into another system, in place. Heights are changed when both systems have a vertical axis, else left.
+    /// Brings points into another system, in place. Heights are changed when both systems have a vertical axis, else
+    /// left.
     ///
     /// `worst_accuracy_m`: what is demanded of a change of datum, see [`DEFAULT_DATUM_ACCURACY_M`].
     ///
@@ -128,7 +130,8 @@ impl Crs {
             let mut z = if with_heights { vec![probe.height.unwrap_or(0.0)] } else { Vec::new() };
             transform.transform_coords(&mut x, &mut y, &mut z).is_ok() && x[0].is_finite() && y[0].is_finite()
         };
-        // A wider bound lets in more operations, so the narrowest that works is found by halving. Every search reads PROJ's database.
+        // A wider bound lets in more operations, so the narrowest that works is found by halving. Every search reads
+        // PROJ's database.
         let rung = |k: usize| create(Some(LADDER_M[k])).ok().filter(works);
         let accuracy = |k: usize| if k == 0 { Accuracy::Exact } else { Accuracy::Metres(LADDER_M[k]) };
         let question = (self.wkt.clone(), to.wkt.clone(), around.map(|degrees| degrees.map(f64::to_bits)));

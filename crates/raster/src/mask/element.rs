@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 /// Longest side of an element, pixels.
 pub const LONGEST_SIDE_PX: usize = 129;
 
-/// Which neighbours of a pixel count. The origin is the middle, column `width / 2`, row `height / 2`, and belongs to it: without
-/// the pixel itself, the border of a picture would close onto itself.
+/// Which neighbours of a pixel count. The origin is the middle, column `width / 2`, row `height / 2`, and belongs to
+/// it: without the pixel itself, the border of a picture would close onto itself.
 ///
 /// In files it is its rows, `#` for what belongs to it and `.` for what does not: `[".#.", "###", ".#."]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

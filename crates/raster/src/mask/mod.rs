@@ -81,8 +81,8 @@ impl Mask {
         }
     }
 
-    /// Sets `len` bits of image row `y` from column `x` on to the first `len` bits of `bits`, whose further bits must be
-    /// zero. The row must be background there.
+    /// Sets `len` bits of image row `y` from column `x` on to the first `len` bits of `bits`, whose further bits must
+    /// be zero. The row must be background there.
     pub fn put_bits(&mut self, x: u64, y: u64, len: u64, bits: &[u64]) {
         let column = (x - self.window.x) as usize;
         let (first, shift) = (column / 64, (column % 64) as u32);

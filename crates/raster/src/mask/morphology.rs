@@ -145,8 +145,8 @@ pub fn fill_holes(mask: &mut Mask, max_side_px: u64) {
     }
 }
 
-/// The set of equal pixels connected to `start` (8-connected foreground, 4-connected background); `None` when it is larger
-/// than `max_side_px` on a side, or background that touches the window's edge.
+/// The set of equal pixels connected to `start` (8-connected foreground, 4-connected background); `None` when it is
+/// larger than `max_side_px` on a side, or background that touches the window's edge.
 fn bounded_set(mask: &Mask, start: (u64, u64), foreground: bool, max_side_px: u64) -> Option<Vec<(u64, u64)>> {
     let window = mask.window();
     let mut set = std::collections::BTreeSet::from([start]);

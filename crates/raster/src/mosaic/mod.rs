@@ -1,8 +1,9 @@
 //! A raster delivered as many tiles, each with its own georeference: one raster to us.
 //!
-//! A folder, a text file that names one tile a line, or the XML file of a tile map ([`tile_map`]). The tiles must have the same bands, CRS and pixels, and lie a whole
-//! number of pixels from each other; their common transform may be rotated, so that tiles that were georeferenced by
-//! this program still fit together. Where tiles overlap, the later name wins.
+//! A folder, a text file that names one tile a line, or the XML file of a tile map ([`tile_map`]). The tiles must have
+//! the same bands, CRS and pixels, and lie a whole number of pixels from each other; their common transform may be
+//! rotated, so that tiles that were georeferenced by this program still fit together. Where tiles overlap, the later
+//! name wins.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -77,8 +78,8 @@ impl Mosaic {
     /// Opens all tiles of a folder or list and lays them on one grid.
     ///
     /// # Errors
-    /// When there are none, or one of them cannot be opened, has no georeference, or does not fit the first; the message
-    /// names it.
+    /// When there are none, or one of them cannot be opened, has no georeference, or does not fit the first; the
+    /// message names it.
     pub fn open(path: &Path) -> Result<Mosaic> {
         Mosaic::open_tiles(path).map_err(|error| match path.is_dir() {
             // Somebody may have meant a file in it.

@@ -1,8 +1,8 @@
-//! Tiles whose place an XML file tells: `tilemapresource.xml` of the Tile Map Service specification (OSGeo, version 1.0.0), as
-//! Metashape, Pix4D and gdal2tiles write it.
+//! Tiles whose place an XML file tells: `tilemapresource.xml` of the Tile Map Service specification (OSGeo, version
+//! 1.0.0), as Metashape, Pix4D and gdal2tiles write it.
 //!
-//! Tiles are `SET/COLUMN/ROW.EXT`, rows counted upwards. The set with the smallest pixels is the raster; the others are its
-//! overviews. Tiles that are absent hold nothing.
+//! Tiles are `SET/COLUMN/ROW.EXT`, rows counted upwards. The set with the smallest pixels is the raster; the others are
+//! its overviews. Tiles that are absent hold nothing.
 
 use std::path::{Path, PathBuf};
 

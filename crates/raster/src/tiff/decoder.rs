@@ -435,7 +435,8 @@ impl TiffDecoder {
         Ok(stored)
     }
 
-    /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as possible.
+    /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as
+    /// possible.
     fn runs(&self, window: Window, whole_chunks: bool, mut tell: impl FnMut((u64, u64))) {
         let planes: Vec<usize> = if self.layout.planar { self.planes.clone() } else { vec![0] };
         for plane in planes {

@@ -1,5 +1,5 @@
-//! One block from its bytes in the file to its samples. The decompressors keep their tables from block to block, one set
-//! for each thread.
+//! One block from its bytes in the file to its samples. The decompressors keep their tables from block to block, one
+//! set for each thread.
 
 use std::cell::RefCell;
 
@@ -141,7 +141,8 @@ fn fill_from(mut stream: impl std::io::Read, out: &mut [u8], name: &str) -> Resu
     Ok(())
 }
 
-/// A JPEG block of whatever kind: an abbreviated stream that needs the tables of tag 347, or a whole one (TIFF Technical Note 2, 1995).
+/// A JPEG block of whatever kind: an abbreviated stream that needs the tables of tag 347, or a whole one (TIFF
+/// Technical Note 2, 1995).
 fn any_jpeg(layout: &Layout, joined: &mut Vec<u8>, data: &[u8], rows: u64, out: &mut [u8]) -> Result<(), String> {
     let say =
         |e: zune_jpeg::errors::DecodeErrors| format!("JPEG: {e:?}").split_whitespace().collect::<Vec<_>>().join(" ");

@@ -1,8 +1,8 @@
 //! File blocks that hold nothing, known by their bytes.
 //!
-//! A mosaic's corners are blocks whose every pixel is nodata or transparent. One encoder writes all of them alike and short, so
-//! the first that is decoded tells the others: a block with the very same bytes in the file has the same pixels, and need not be
-//! decoded.
+//! A mosaic's corners are blocks whose every pixel is nodata or transparent. One encoder writes all of them alike and
+//! short, so the first that is decoded tells the others: a block with the very same bytes in the file has the same
+//! pixels, and need not be decoded.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

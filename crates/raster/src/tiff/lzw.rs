@@ -1,13 +1,14 @@
 //! LZW as TIFF has it (TIFF 6.0, section 13): most significant bit first, codes of 9 to 12 bits, one code early.
 //!
 //! Strings of up to seven bytes, which are most of a photograph's, stand in the table themselves and are written as one
-//! word. Every longer string is a piece of what was written before, so the table holds where it begins and how long it is, and
-//! the code is one copy within the output (the scheme of Welch, "A technique for high-performance data compression", IEEE
-//! Computer 17(6), 1984, without its prefix links). Words may be written beyond the string; the next string overwrites that.
+//! word. Every longer string is a piece of what was written before, so the table holds where it begins and how long it
+//! is, and the code is one copy within the output (the scheme of Welch, "A technique for high-performance data
+//! compression", IEEE Computer 17(6), 1984, without its prefix links). Words may be written beyond the string; the next
+//! string overwrites that.
 //!
-//! Nine of ten codes of a photograph are short strings after short strings, and are taken in groups of four with one test a code
-//! ([`Decoder::run`]); all that is rarer, [`Decoder::step`] takes code by code. `weezl` is the slower twin that the tests
-//! compare with.
+//! Nine of ten codes of a photograph are short strings after short strings, and are taken in groups of four with one
+//! test a code ([`Decoder::run`]); all that is rarer, [`Decoder::step`] takes code by code. `weezl` is the slower twin
+//! that the tests compare with.
 #![allow(unsafe_code)]
 
 const CLEAR: usize = 256;
@@ -31,8 +32,8 @@ struct Place {
 
 /// A decoder with its tables, used from block to block.
 pub struct Decoder {
-    /// The first seven bytes of each string, the first in the lowest place and zeros behind the last, and its length on top:
-    /// more than [`SHORT`] where it is in `long`, and 0 for codes that have no string, or none yet.
+    /// The first seven bytes of each string, the first in the lowest place and zeros behind the last, and its length on
+    /// top: more than [`SHORT`] where it is in `long`, and 0 for codes that have no string, or none yet.
     short: Box<[u64; CODES]>,
     long: Box<[Place; CODES]>,
 }
@@ -87,8 +88,8 @@ impl Decoder {
         Ok(state.at)
     }
 
-    /// Takes whole groups of codes of `WIDTH` bits while each is a string of the table that is shorter than [`SHORT`], as the
-    /// last one was: the string that each makes then stands in the table too.
+    /// Takes whole groups of codes of `WIDTH` bits while each is a string of the table that is shorter than [`SHORT`],
+    /// as the last one was: the string that each makes then stands in the table too.
     fn run<const WIDTH: usize>(&mut self, state: &mut State, out: &mut [u8]) {
         let Some((mut last, _)) = state.last.filter(|(last, _)| length_of(*last) < SHORT) else { return };
         let (mut bit, mut next, mut at) = (state.bit, state.next, state.at);
@@ -164,8 +165,8 @@ impl Decoder {
         Ok(true)
     }
 
-    /// The string `last` and one byte more becomes entry `code`. It lies in the output where `last` does: the byte is the
-    /// one behind it.
+    /// The string `last` and one byte more becomes entry `code`. It lies in the output where `last` does: the byte is
+    /// the one behind it.
     fn add(&mut self, code: usize, (short, Place { position, length }): (u64, Place), byte: u8) {
         if (length as usize) < SHORT {
             let bytes = short & BYTES | u64::from(byte) << (8 * length);
@@ -201,8 +202,9 @@ fn copy(out: &mut [u8], from: usize, to: usize, length: usize) -> usize {
         return copy_at_the_end(out, from, to, length);
     }
     debug_assert!(from < to && from + length <= to + 1);
-    // SAFETY: the last word begins below `to + length`, so that it ends below `to + length + WORD`, which lies in `out`;
-    // `from < to`, so the words read do too. Both come from one unique borrow, and each word is read before it is written.
+    // SAFETY: the last word begins below `to + length`, so that it ends below `to + length + WORD`, which lies in
+    // `out`; `from < to`, so the words read do too. Both come from one unique borrow, and each word is read before it
+    // is written.
     unsafe {
         let base = out.as_mut_ptr();
         let mut done = 0;

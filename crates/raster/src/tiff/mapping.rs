@@ -12,9 +12,9 @@ use memmap2::{Mmap, MmapOptions};
 /// # Errors
 /// When the system refuses.
 pub fn map(file: &File, start: u64, length: u64) -> io::Result<Arc<Mmap>> {
-    // SAFETY: a map is only undefined when the file changes beneath it. The samples are plain bytes, of which any value is
-    // valid, and nothing is concluded from reading one twice; a file that another program cuts off meanwhile ends this one
-    // with a signal, which docs/decisions/native-tiff.md says, and is why reading into buffers is the default.
+    // SAFETY: a map is only undefined when the file changes beneath it. The samples are plain bytes, of which any value
+    // is valid, and nothing is concluded from reading one twice; a file that another program cuts off meanwhile ends
+    // this one with a signal, which docs/decisions/native-tiff.md says, and is why reading into buffers is the default.
     let map = unsafe { MmapOptions::new().offset(start).len(length as usize).map(file)? };
     Ok(Arc::new(map))
 }
@@ -26,8 +26,8 @@ pub fn advise(file: &File, (offset, length): (u64, u64), advice: rustix::fs::Adv
     }
 }
 
-/// Asks the system to read a part of the file ahead, unless it is there already: then the mere asking would cost the time of
-/// a look at every page.
+/// Asks the system to read a part of the file ahead, unless it is there already: then the mere asking would cost the
+/// time of a look at every page.
 pub fn read_ahead(file: &File, (offset, length): (u64, u64)) {
     let present = |at: u64| {
         let mut byte = [0u8];

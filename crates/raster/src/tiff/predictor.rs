@@ -1,8 +1,8 @@
 //! Undoing horizontal differencing (predictor 2: TIFF 6.0, section 14) and byte order.
 //!
-//! The sum along a row is a prefix sum of step `stride`. The vector kernel adds a register to itself shifted by one, two,
-//! four… pixels, then adds the last pixel of the register before (Hillis and Steele, "Data parallel algorithms", CACM
-//! 29(12), 1986).
+//! The sum along a row is a prefix sum of step `stride`. The vector kernel adds a register to itself shifted by one,
+//! two, four… pixels, then adds the last pixel of the register before (Hillis and Steele, "Data parallel algorithms",
+//! CACM 29(12), 1986).
 #![allow(unsafe_code)]
 
 use super::container::ByteOrder;
@@ -91,8 +91,8 @@ mod x86 {
         }};
     }
 
-    /// Runs over a row in steps of `$step` bytes (the whole pixels of a register) and returns how many samples are done.
-    /// The register after is loaded before this one is stored, because a step of 15 or 12 bytes stores into it.
+    /// Runs over a row in steps of `$step` bytes (the whole pixels of a register) and returns how many samples are
+    /// done. The register after is loaded before this one is stored, because a step of 15 or 12 bytes stores into it.
     macro_rules! run {
         ($row:ident, $sample:ty, $add:ident, $pixel:literal, $step:literal, [$($shift:literal)*]) => {{
             let bytes = size_of_val($row);

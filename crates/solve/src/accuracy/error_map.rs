@@ -1,15 +1,16 @@
 //! How far off a place in the image may be: radii that hold the true position in 95 of 100 cases.
 //!
 //! For a 2-D similarity with isotropic noise the error of the transform at a pixel is isotropic too, with the variance
-//! σ²·q per coordinate, q = 1/Σp + d²/Σp·d² (d the distance from the weighted centre; K. R. Koch, "Parameter Estimation and
-//! Hypothesis Testing in Linear Models", 2nd ed., 1999, section 3.2). σ² is not known but estimated from ν = 2n − 4
-//! redundant measurements, so the squared length of the error over 2·σ̂²·q is distributed as Fisher's F with (2, ν) degrees
-//! of freedom. F(2, ν) has its quantiles in closed form, P(F > f) = (1 + 2f/ν)^(−ν/2), and the radius is
+//! σ²·q per coordinate, q = 1/Σp + d²/Σp·d² (d the distance from the weighted centre; K. R. Koch, "Parameter Estimation
+//! and Hypothesis Testing in Linear Models", 2nd ed., 1999, section 3.2). σ² is not known but estimated from ν = 2n − 4
+//! redundant measurements, so the squared length of the error over 2·σ̂²·q is distributed as Fisher's F with (2, ν)
+//! degrees of freedom. F(2, ν) has its quantiles in closed form, P(F > f) = (1 + 2f/ν)^(−ν/2), and the radius is
 //!
 //! r₉₅ = σ̂ · √(q · ν · (0.05^(−2/ν) − 1)),
 //!
-//! which tends to the Rayleigh quantile 2.4477·σ·√q for many points and is 2.5 times that for three. With two points nothing
-//! is redundant: the radius rests on the stated precision of marks and survey, and is absent when neither is stated.
+//! which tends to the Rayleigh quantile 2.4477·σ·√q for many points and is 2.5 times that for three. With two points
+//! nothing is redundant: the radius rests on the stated precision of marks and survey, and is absent when neither is
+//! stated.
 
 use serde::{Deserialize, Serialize};
 
@@ -101,8 +102,8 @@ pub enum Corner {
 }
 
 impl ErrorMap {
-    /// The map of an image of the given size, the longer side in `steps` steps (at least 1) and the other in steps about
-    /// as long. `None` when the solution says nothing of its noise.
+    /// The map of an image of the given size, the longer side in `steps` steps (at least 1) and the other in steps
+    /// about as long. `None` when the solution says nothing of its noise.
     pub fn new(solution: &Solution, (width_px, height_px): (f64, f64), steps: usize) -> Option<Self> {
         let model = ErrorModel::new(solution)?;
         let longer = width_px.max(height_px).max(1.0);
@@ -135,8 +136,8 @@ fn place(column: usize, row: usize, columns: usize, rows: usize, width_px: f64, 
     PixelPoint { x: width_px * column as f64 / (columns - 1) as f64, y: height_px * row as f64 / (rows - 1) as f64 }
 }
 
-/// The expected errors in the four corners of an image, clockwise from the upper left; empty when the solution says nothing
-/// of its noise.
+/// The expected errors in the four corners of an image, clockwise from the upper left; empty when the solution says
+/// nothing of its noise.
 pub fn corners(solution: &Solution, (width_px, height_px): (f64, f64)) -> Vec<CornerError> {
     let Some(model) = ErrorModel::new(solution) else { return Vec::new() };
     let middle = solution.similarity.apply(PixelPoint { x: width_px / 2.0, y: height_px / 2.0 });
@@ -184,7 +185,8 @@ mod tests {
 
     #[test]
     fn radii_by_hand() {
-        // Residuals ±0.01 m that neither shift nor turn nor scale the square: e = +,−,+,− leaves all four parameters alone.
+        // Residuals ±0.01 m that neither shift nor turn nor scale the square: e = +,−,+,− leaves all four parameters
+        // alone.
         let s = solution(&[(0.01, 0.0), (-0.01, 0.0), (0.01, 0.0), (-0.01, 0.0)], None);
         // ν = 4, σ̂² = 4·10⁻⁴/4 = 10⁻⁴; 0.05^(−1/2) = 4.472136, √(4·3.472136) = 3.726734.
         let model = ErrorModel::new(&s).expect("four points");

@@ -1,5 +1,5 @@
-//! What may be believed of a solved orientation: the error to expect at every place ([`error_map`]) and the statement that
-//! surveying standards ask for ([`mod@statement`]).
+//! What may be believed of a solved orientation: the error to expect at every place ([`error_map`]) and the statement
+//! that surveying standards ask for ([`mod@statement`]).
 
 pub mod error_map;
 pub mod statement;

@@ -1,14 +1,15 @@
 //! The accuracy statement, as standards word it.
 //!
-//! ASPRS, "Positional Accuracy Standards for Digital Geospatial Data", Edition 2, 2023: the horizontal accuracy is the radial
-//! root mean square error at independent check points, RMSE_H1 = √(RMSE_x² + RMSE_y²), with the error of their own survey
-//! folded in, RMSE_H = √(RMSE_H1² + RMSE_H2²); heights likewise, RMSE_V = √(RMSE_V1² + RMSE_V2²); together RMSE_3D = √(RMSE_H² +
-//! RMSE_V²). At least 30 check points are asked for; with fewer the statement must say so, and without any it may only
-//! say what the data were produced to meet. The sentences are those that the standard prescribes.
+//! ASPRS, "Positional Accuracy Standards for Digital Geospatial Data", Edition 2, 2023: the horizontal accuracy is the
+//! radial root mean square error at independent check points, RMSE_H1 = √(RMSE_x² + RMSE_y²), with the error of their
+//! own survey folded in, RMSE_H = √(RMSE_H1² + RMSE_H2²); heights likewise, RMSE_V = √(RMSE_V1² + RMSE_V2²); together
+//! RMSE_3D = √(RMSE_H² + RMSE_V²). At least 30 check points are asked for; with fewer the statement must say so, and
+//! without any it may only say what the data were produced to meet. The sentences are those that the standard
+//! prescribes.
 //!
-//! FGDC-STD-007.3-1998, "National Standard for Spatial Data Accuracy" (NSSDA), on request: Accuracy_r = 2.4477 · (RMSE_x +
-//! RMSE_y) / 2 where the smaller is at least 0.6 of the larger (1.7308 · RMSE_r when they are equal), Accuracy_z = 1.9600 ·
-//! RMSE_z; at least 20 check points.
+//! FGDC-STD-007.3-1998, "National Standard for Spatial Data Accuracy" (NSSDA), on request: Accuracy_r = 2.4477 ·
+//! (RMSE_x + RMSE_y) / 2 where the smaller is at least 0.6 of the larger (1.7308 · RMSE_r when they are equal),
+//! Accuracy_z = 1.9600 · RMSE_z; at least 20 check points.
 
 use serde::{Deserialize, Serialize};
 
@@ -111,8 +112,8 @@ pub struct AccuracyStatement {
     pub reservations: Vec<String>,
 }
 
-/// The statement from check points and, for want of any, from the leave-one-out errors (easting, northing, metres) of the
-/// control points.
+/// The statement from check points and, for want of any, from the leave-one-out errors (easting, northing, metres) of
+/// the control points.
 pub fn statement(
     checks: &[CheckError],
     leave_one_out_m: &[(f64, f64)],

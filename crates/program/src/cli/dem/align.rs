@@ -26,8 +26,8 @@ pub struct AlignArgs {
     /// auto, nuth-kaab, lzd, bias or tilt.
     #[arg(long, value_name = "METHOD", default_value = "auto")]
     method: Method,
-    /// Highest degree of the surface that is taken out beside the shift: linear (a tilt), quadratic or cubic. `auto` takes what is there
-    /// beyond chance, `tilt` all of it.
+    /// Highest degree of the surface that is taken out beside the shift: linear (a tilt), quadratic or cubic. `auto`
+    /// takes what is there beyond chance, `tilt` all of it.
     #[arg(long, value_name = "DEGREE", default_value = "linear")]
     surface: Degree,
     /// Polygons of ground that has not changed. Default: found by robust weights.

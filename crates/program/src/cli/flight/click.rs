@@ -72,9 +72,9 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page: `frames` (`name`, `src`, `width`, `height` in pixels of the file), `points` (`name`) and `marks` (`p`, `f`,
-/// `predicted`, `at`). With `zoom`, pixels of the screen for one of the frame, points are clicked in turn: a click in the detail
-/// first enlarges, then places and goes on. `saved` is the file's name, `then` what to do with it.
+/// Writes the page: `frames` (`name`, `src`, `width`, `height` in pixels of the file), `points` (`name`) and `marks`
+/// (`p`, `f`, `predicted`, `at`). With `zoom`, pixels of the screen for one of the frame, points are clicked in turn: a
+/// click in the detail first enlarges, then places and goes on. `saved` is the file's name, `then` what to do with it.
 pub fn write_page(page: &Path, title: &str, data: &Value) -> Result<()> {
     // Nothing in the data ends the script that holds it.
     let data = data.to_string().replace('<', "\\u003c");

@@ -42,7 +42,8 @@ fn interior(camera: &Camera) -> Map<String, Value> {
     m
 }
 
-/// A camera in the map: position, angles, their standard deviations, the full covariance (turn in radians, then position).
+/// A camera in the map: position, angles, their standard deviations, the full covariance (turn in radians, then
+/// position).
 fn camera(
     name: &str,
     camera: &Camera,

@@ -15,7 +15,8 @@ use super::{check_output, image_size, lists, views};
 /// Size of a pixel on the film where none is stated: any will do, MicMac's focal length is in the same millimetres.
 pub const PIXEL_MM: f64 = 0.01;
 
-/// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its commands.
+/// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its
+/// commands.
 #[derive(Debug, clap::Args)]
 pub struct ExportArgs {
     /// The project file.
@@ -50,7 +51,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What MicMac reads of a flight; `file` is the project's, for messages, and `pixel_mm` the size of a pixel on the film.
+/// What MicMac reads of a flight; `file` is the project's, for messages, and `pixel_mm` the size of a pixel on the
+/// film.
 ///
 /// # Errors
 /// When the project has no focal length, or its GCPs cannot be read.

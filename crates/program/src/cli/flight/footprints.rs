@@ -1,4 +1,5 @@
-//! What a solved flight shows besides its cameras: how far each stands from the rough table, and which ground its frame sees.
+//! What a solved flight shows besides its cameras: how far each stands from the rough table, and which ground its frame
+//! sees.
 
 use autoref_flight::adjust::Adjustment;
 use autoref_flight::read::tables::CameraRow;
@@ -15,8 +16,8 @@ const SIDE: usize = 12;
 /// Ground farther than this many heights is not drawn: beyond it lies the horizon.
 const FARTHEST_HEIGHTS: f64 = 15.0;
 
-/// Camera − table, by frame and together: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017, equation 9.2, which
-/// prints the sizes alone).
+/// Camera − table, by frame and together: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017,
+/// equation 9.2, which prints the sizes alone).
 pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[CameraRow], world: &World) -> Value {
     let mut all = Vec::new();
     let mut frames = Vec::new();
@@ -32,7 +33,8 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
     json!({"frames": frames, "statistics": Residuals::of(&all)})
 }
 
-/// A frame's ground on the plane of height `ground_m`, map coordinates, as a ring that is not closed. Empty when the frame sees none.
+/// A frame's ground on the plane of height `ground_m`, map coordinates, as a ring that is not closed. Empty when the
+/// frame sees none.
 fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
     let [w, h] = camera.size_px;
     let along = |k: usize| k as f64 / SIDE as f64;
@@ -58,8 +60,8 @@ fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
     if sees { ring } else { Vec::new() }
 }
 
-/// The frames' ground as GeoJSON polygons: longitude and latitude, or local coordinates without a CRS. The plane lies at the median height of
-/// the ties.
+/// The frames' ground as GeoJSON polygons: longitude and latitude, or local coordinates without a CRS. The plane lies
+/// at the median height of the ties.
 pub fn footprints(found: &Adjustment, model: &Reconstruction, world: &World, crs: Option<&Crs>) -> Value {
     let mut heights: Vec<f64> = found.model.ties.iter().filter_map(|t| Some(world.to_map(&t.xyz)?[2])).collect();
     heights.sort_by(f64::total_cmp);

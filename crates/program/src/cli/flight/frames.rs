@@ -39,8 +39,9 @@ pub fn usable(folder: &Path, names: &[String]) -> (Vec<String>, Vec<String>) {
     (kept, left_out)
 }
 
-/// Focal length and principal point, in pixels, of a frame that `fiducials --resample` made. `camera`: the film camera, a name
-/// or a file; without it the one that the frame names. `None` when the frame is none of these and no camera is asked for.
+/// Focal length and principal point, in pixels, of a frame that `fiducials --resample` made. `camera`: the film camera,
+/// a name or a file; without it the one that the frame names. `None` when the frame is none of these and no camera is
+/// asked for.
 ///
 /// # Errors
 /// When the camera is unknown or has no focal length, or one is named and the frame was not resampled.
@@ -70,8 +71,8 @@ pub fn film_interior(frame: &Path, camera: Option<&str>) -> Result<Option<(f64, 
     Ok(Some((f_mm / pixel_mm, [(middle[0] - left_mm) / pixel_mm, (middle[1] - top_mm) / pixel_mm])))
 }
 
-/// The principal point in the film's millimetres, y down: the origin where the axes run through the middle, as a certificate has them,
-/// else the mean of the marks, which is that of the midpoints of opposite ones.
+/// The principal point in the film's millimetres, y down: the origin where the axes run through the middle, as a
+/// certificate has them, else the mean of the marks, which is that of the midpoints of opposite ones.
 fn principal_mm(film: &autoref_film::Camera) -> [f64; 2] {
     let (low, high) = film.film_box();
     let quarter = [0, 1].map(|k| 0.25 * (high[k] - low[k]));

@@ -19,7 +19,8 @@ use super::{check_output, frames, lists};
 pub struct InitArgs {
     /// The folder of the frames.
     folder: PathBuf,
-    /// Rough camera table: name, x, y, z and yaw (or omega, phi, kappa). Default: a table written from EXIF's GPS, where there is one.
+    /// Rough camera table: name, x, y, z and yaw (or omega, phi, kappa). Default: a table written from EXIF's GPS,
+    /// where there is one.
     #[arg(long, value_name = "TABLE")]
     cameras: Option<PathBuf>,
     /// GCPs.
@@ -37,8 +38,8 @@ pub struct InitArgs {
     /// Principal point. Default: the image's centre.
     #[arg(long, value_name = "X,Y", value_delimiter = ',')]
     pp_px: Option<Vec<f64>>,
-    /// The film camera of frames that `fiducials --resample` wrote: a name of its --list-cameras or a TOML file. Default: the one
-    /// that the frames name.
+    /// The film camera of frames that `fiducials --resample` wrote: a name of its --list-cameras or a TOML file.
+    /// Default: the one that the frames name.
     #[arg(long, value_name = "CAMERA")]
     film: Option<String>,
     /// Points that are kept out of the fit and compared afterwards.
@@ -147,7 +148,8 @@ fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<C
     Ok(CameraPart { f_px, pp_px, focal: if f_px.is_some() { Focal::Rough } else { Focal::Held } })
 }
 
-/// The table that the command line names, or one written from the frames' GPS beside the project; and the CRS of the project.
+/// The table that the command line names, or one written from the frames' GPS beside the project; and the CRS of the
+/// project.
 fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Result<(Option<String>, Option<Rough>)> {
     let rough = |table: PathBuf, sigma_m: f64| Rough { table, sigma_m, pitch_deg: None, ground_m: None };
     if let Some(table) = &args.cameras {

@@ -14,11 +14,12 @@ use nalgebra::Vector3;
 /// GCPs on the ground and in the images.
 #[derive(Debug, clap::Args)]
 pub struct PointArgs {
-    /// GCPs: OpenDroneMap's gcp_list.txt, rows of `x y z px py`, MicMac's XML, OpenSfM's ground_control_points.json, or any list
-    /// of points, with --observations.
+    /// GCPs: OpenDroneMap's gcp_list.txt, rows of `x y z px py`, MicMac's XML, OpenSfM's ground_control_points.json, or
+    /// any list of points, with --observations.
     #[arg(long, value_name = "LIST")]
     pub gcps: PathBuf,
-    /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, or MicMac's measurements.
+    /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, or MicMac's
+    /// measurements.
     #[arg(long, value_name = "FILE")]
     pub observations: Option<PathBuf>,
     /// CRS of the list; `local` for metric coordinates on a plane.

@@ -31,8 +31,8 @@ pub struct OrthorectifyArgs {
     /// Elevation model, north up; the orthophoto takes its CRS.
     #[arg(long, value_name = "DEM")]
     dem: PathBuf,
-    /// Where the frame was taken from: the result of `solve`, `adjust` or `resect`, any reconstruction in map coordinates, or a
-    /// camera table. Default: cameras.json beside the frame.
+    /// Where the frame was taken from: the result of `solve`, `adjust` or `resect`, any reconstruction in map
+    /// coordinates, or a camera table. Default: cameras.json beside the frame.
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     /// With a camera table: the interior, as for `resect`.
@@ -596,8 +596,9 @@ impl Job<'_> {
     }
 }
 
-/// Keys' cubic convolution (1981, a = −1/2) at a place that counts from the outer corner; the nearest pixel beside nodata.
-/// Beyond the window's border its last pixels go on: windows reach further than the kernel except at the frame's own border.
+/// Keys' cubic convolution (1981, a = −1/2) at a place that counts from the outer corner; the nearest pixel beside
+/// nodata. Beyond the window's border its last pixels go on: windows reach further than the kernel except at the
+/// frame's own border.
 fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2], nodata: Option<f32>) -> Option<f32> {
     let valid = |v: f32| !v.is_nan() && Some(v) != nodata;
     let (u, v) = (at[0] - 0.5, at[1] - 0.5);

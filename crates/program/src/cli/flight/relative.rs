@@ -1,4 +1,5 @@
-//! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where they end.
+//! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where
+//! they end.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -26,7 +27,8 @@ pub struct Flight<'a> {
     pub near: Vec<(usize, usize)>,
 }
 
-/// Where the frames are thought to stand, in the order of the flight, and the height of the ground below them, in the world's frame.
+/// Where the frames are thought to stand, in the order of the flight, and the height of the ground below them, in the
+/// world's frame.
 pub struct GroundPlane {
     pub views: Vec<View>,
     /// What the rough table says.
@@ -111,8 +113,8 @@ impl<'a> Flight<'a> {
         Stages { folder: self.out, anew: self.anew }
     }
 
-    /// The ties between neighbours warped onto each other where the rough table has them, and again where that block has them. `None`
-    /// when there are none.
+    /// The ties between neighbours warped onto each other where the rough table has them, and again where that block
+    /// has them. `None` when there are none.
     pub fn tied(&self, table: &GroundPlane, ground: &[GroundPoint]) -> Result<Option<Tied>> {
         let Some(first) = self.tied_once(table, ground, "rough_")? else { return Ok(None) };
         let Ok(block) = &first.placed else { return Ok(Some(first)) };
@@ -222,8 +224,8 @@ impl<'a> Flight<'a> {
         Ok((matches, hash))
     }
 
-    /// The relative orientation: the block that ties and rough table agree on when it has all frames, else that of COLMAP's mapper
-    /// unless it has fewer.
+    /// The relative orientation: the block that ties and rough table agree on when it has all frames, else that of
+    /// COLMAP's mapper unless it has fewer.
     ///
     /// # Errors
     /// When COLMAP is missing or fails; [`no_pair`]'s when no two frames fit together.

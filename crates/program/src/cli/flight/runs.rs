@@ -22,8 +22,8 @@ pub fn rows_of<'a>(names: &[&str], rows: &'a [CameraRow]) -> Vec<Option<&'a Came
     of
 }
 
-/// Poses for the frames that the table lacks: between those before and after, or on beyond the two nearest, less sure by half a
-/// base. `None` when fewer than half of the frames have one.
+/// Poses for the frames that the table lacks: between those before and after, or on beyond the two nearest, less sure
+/// by half a base. `None` when fewer than half of the frames have one.
 pub fn filled(stated: &[Option<RoughPose>]) -> Option<Vec<RoughPose>> {
     let known: Vec<usize> = (0..stated.len()).filter(|i| stated[*i].is_some()).collect();
     if known.len() < 2 || 2 * known.len() < stated.len() {
@@ -49,8 +49,8 @@ pub fn filled(stated: &[Option<RoughPose>]) -> Option<Vec<RoughPose>> {
     (0..stated.len()).map(between).collect()
 }
 
-/// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand; without it the
-/// nearest places of other lines are taken.
+/// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand;
+/// without it the nearest places of other lines are taken.
 pub fn lines_and_pairs(
     project: &Project,
     names: &[&str],
@@ -85,7 +85,8 @@ pub fn lines_and_pairs(
     (found, pairs)
 }
 
-/// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis of 2017 has them.
+/// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis
+/// of 2017 has them.
 pub fn document(lines: &[Line], names: &[&str], solved: &Value) -> Value {
     let residuals = |key: &str, frames: &[&str]| {
         let points = solved[key].as_array().map_or(&[][..], Vec::as_slice);

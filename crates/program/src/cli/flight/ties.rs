@@ -1,5 +1,5 @@
-//! Ties between frames that look at the ground aslant: the neighbour is warped by the homography of the ground plane before features
-//! are sought in it; they go back to pixels of the frame as it is.
+//! Ties between frames that look at the ground aslant: the neighbour is warped by the homography of the ground plane
+//! before features are sought in it; they go back to pixels of the frame as it is.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -170,15 +170,16 @@ impl Database {
     }
 }
 
-/// COLMAP looks for features at twice the pixels too, at four times the price, where frames are smaller than this. Grain is
-/// smoothed out of larger ones, and nothing finer than a pixel is left: on a rendered flight 15,693 ties instead of 15,834.
+/// COLMAP looks for features at twice the pixels too, at four times the price, where frames are smaller than this.
+/// Grain is smoothed out of larger ones, and nothing finer than a pixel is left: on a rendered flight 15,693 ties
+/// instead of 15,834.
 const SMALL_PX: usize = 1200;
 
 /// Runs a command of COLMAP with arguments.
 pub type Colmap<'a> = &'a dyn Fn(&[(&str, String)], &str) -> Result<()>;
 
-/// Makes the ties of all pairs in `folder`: `ties.json`, and for COLMAP's importers `features/NAME.txt` and `matches.txt`. `colmap`
-/// runs one of its commands.
+/// Makes the ties of all pairs in `folder`: `ties.json`, and for COLMAP's importers `features/NAME.txt` and
+/// `matches.txt`. `colmap` runs one of its commands.
 ///
 /// # Errors
 /// When a frame cannot be read or COLMAP fails.
@@ -309,7 +310,8 @@ impl Ties {
         self.pairs.iter().map(|p| p.ties.len()).sum()
     }
 
-    /// The ties that COLMAP found to agree with the relative orientation of their two frames, `names` in the order of the views.
+    /// The ties that COLMAP found to agree with the relative orientation of their two frames, `names` in the order of
+    /// the views.
     pub fn verified(&self, database: &Path, names: &[&str]) -> Result<Ties> {
         let index = |name: &str| names.iter().position(|n| *n == name);
         let mut pairs = Vec::new();

@@ -1,5 +1,5 @@
-//! Frames in grey as features are sought in them: their film grain smoothed, their contrast even, and neighbours warped onto each other
-//! by the homography of the ground plane, as the rough camera table has it.
+//! Frames in grey as features are sought in them: their film grain smoothed, their contrast even, and neighbours warped
+//! onto each other by the homography of the ground plane, as the rough camera table has it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,8 @@ use nalgebra::{Matrix3, Vector3};
 pub const LARGEST_PX: usize = 3200;
 /// Contrast is made even over squares of this size to each side.
 const CONTRAST_PX: usize = 40;
-/// The standard deviation of grey values that it is made even to, and what is added to the one found: noise stays small.
+/// The standard deviation of grey values that it is made even to, and what is added to the one found: noise stays
+/// small.
 const CONTRAST: f32 = 45.0;
 const LEAST_CONTRAST: f32 = 2.0;
 
@@ -55,7 +56,8 @@ impl Masks {
         Masks { folder, global, left_out: BTreeSet::new() }
     }
 
-    /// Leaves out the masks of single frames that cannot be read or are of another size than their frame; a line about each.
+    /// Leaves out the masks of single frames that cannot be read or are of another size than their frame; a line about
+    /// each.
     ///
     /// # Errors
     /// When there are several and none fits: then they are of other frames.
@@ -126,7 +128,8 @@ impl Masks {
         Ok(together)
     }
 
-    /// Writes the masks of frames as COLMAP reads them, `NAME.png` of the frame's size, 255 where it may be used; whether there are any.
+    /// Writes the masks of frames as COLMAP reads them, `NAME.png` of the frame's size, 255 where it may be used;
+    /// whether there are any.
     ///
     /// # Errors
     /// As for reading a mask; when one cannot be written.
@@ -254,8 +257,8 @@ impl Grey {
         Some((p(i, j) * (1.0 - a) + p(i + 1, j) * a) * (1.0 - b) + (p(i, j + 1) * (1.0 - a) + p(i + 1, j + 1) * a) * b)
     }
 
-    /// This frame as the one that `to` lays out would show the ground, `to_this` taking its pixels here; and the share of it that
-    /// is seen.
+    /// This frame as the one that `to` lays out would show the ground, `to_this` taking its pixels here; and the share
+    /// of it that is seen.
     pub fn warped(&self, to: Layout, to_this: &Matrix3<f64>) -> (Grey, f64) {
         let mut pixels = vec![0u8; to.width * to.height];
         let mut seen = 0usize;
@@ -343,7 +346,8 @@ impl Shelf {
     }
 }
 
-/// Pixels of `to` from pixels of `from`, over the plane of height `ground_m`. The third coordinate is positive where both see it.
+/// Pixels of `to` from pixels of `from`, over the plane of height `ground_m`. The third coordinate is positive where
+/// both see it.
 pub fn homography(from: &Pose, to: &Pose, inside: Interior, ground_m: f64) -> Option<Matrix3<f64>> {
     let k = Matrix3::new(inside.f_px, 0.0, inside.pp_px[0], 0.0, inside.f_px, inside.pp_px[1], 0.0, 0.0, 1.0);
     let on_plane = |pose: &Pose| {

@@ -14,8 +14,8 @@ const MARGIN: f64 = 60.0;
 const CANDIDATE: &str = "#0072b2";
 const GCP: &str = "#d55e00";
 
-/// Circles are candidates, crosses GCPs; a line joins what was matched and stands out. The anchors lie in the middle, their nearest
-/// neighbours at 1 on the right. Candidates beyond the farthest GCP are left out and counted.
+/// Circles are candidates, crosses GCPs; a line joins what was matched and stands out. The anchors lie in the middle,
+/// their nearest neighbours at 1 on the right. Candidates beyond the farthest GCP are left out and counted.
 pub fn draw(overlay: &Overlay, candidates: &[Candidate], gcps: &[Gcp]) -> String {
     let farthest = |seen: &[Seen]| seen.iter().map(|s| s.radius).fold(1.0, f64::max);
     let reach = 1.05 * farthest(&overlay.gcps);

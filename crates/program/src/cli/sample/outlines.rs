@@ -154,8 +154,8 @@ struct Polygon {
 
 /// Marks of the polygons of a vector file: the pixels whose centres lie inside by the even-odd rule.
 ///
-/// Coordinates are on the map when the image is georeferenced and the polygons lie in it so; else pixels, y downwards or, as
-/// viewers without a georeference count, upwards below zero.
+/// Coordinates are on the map when the image is georeferenced and the polygons lie in it so; else pixels, y downwards
+/// or, as viewers without a georeference count, upwards below zero.
 ///
 /// # Errors
 /// When the file cannot be read, or its polygons lie outside the image.

@@ -1,4 +1,5 @@
-//! The colours of a lesson on one page: the tables 4.2 and 4.3 and the figures 4.4 and 4.5 of the 2016 thesis, for any sample.
+//! The colours of a lesson on one page: the tables 4.2 and 4.3 and the figures 4.4 and 4.5 of the 2016 thesis, for any
+//! sample.
 
 use std::fmt::Write;
 

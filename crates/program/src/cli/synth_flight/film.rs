@@ -51,8 +51,8 @@ impl Film {
         [0, 1].map(|k| centre[k] - 0.5 * size[k] * self.pixel_mm)
     }
 
-    /// What is added to a pixel of the picture for that of the frame that `fiducials --resample` makes with pixels of this size: it
-    /// begins at the outermost marks.
+    /// What is added to a pixel of the picture for that of the frame that `fiducials --resample` makes with pixels of
+    /// this size: it begins at the outermost marks.
     pub fn resampled_px(&self) -> [f64; 2] {
         let ((low, _), corner) = (self.camera.film_box(), self.corner_mm());
         [0, 1].map(|k| (corner[k] - low[k]) / self.pixel_mm)

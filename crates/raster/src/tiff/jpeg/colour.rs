@@ -1,5 +1,5 @@
-//! From planes to pixels as libjpeg does it: chroma interpolated by triangles ("fancy upsampling"), YCbCr to RGB in fixed point
-//! (ITU-R BT.601 over the full range, as in JFIF 1.02), to the last bit.
+//! From planes to pixels as libjpeg does it: chroma interpolated by triangles ("fancy upsampling"), YCbCr to RGB in
+//! fixed point (ITU-R BT.601 over the full range, as in JFIF 1.02), to the last bit.
 #![allow(unsafe_code)]
 
 use super::Kernel;
@@ -20,8 +20,8 @@ pub fn widened(kernel: Kernel, row: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Twice as many samples across and down: the row nearer to `far` of the two that `near` becomes. `sums` is room for as many
-/// numbers as the row has samples, and two.
+/// Twice as many samples across and down: the row nearer to `far` of the two that `near` becomes. `sums` is room for as
+/// many numbers as the row has samples, and two.
 pub fn widened_between(kernel: Kernel, near: &[u8], far: &[u8], sums: &mut [i16], out: &mut [u8]) {
     match kernel {
         Kernel::Scalar => widen_between(near, far, sums, out),

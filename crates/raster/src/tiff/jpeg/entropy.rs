@@ -1,4 +1,5 @@
-//! Huffman codes of a baseline scan: bits from the stream, tables, and one block's coefficients (ITU-T T.81, 1992, annex F.2).
+//! Huffman codes of a baseline scan: bits from the stream, tables, and one block's coefficients (ITU-T T.81, 1992,
+//! annex F.2).
 
 /// Bits answered by one look into a table.
 const LOOK: u32 = 10;
@@ -20,8 +21,8 @@ pub struct NotDecoded;
 pub struct Table {
     /// Counts of the codes of 1 to 16 bits and the symbols, as in the stream: says whether another is the same.
     spec: Vec<u8>,
-    /// By the next [`LOOK`] bits: length in bits 0 to 5 (0: a longer code), [`WHOLE`], run in 8 to 11, size in 12 to 15, value in 16
-    /// to 31.
+    /// By the next [`LOOK`] bits: length in bits 0 to 5 (0: a longer code), [`WHOLE`], run in 8 to 11, size in 12 to
+    /// 15, value in 16 to 31.
     fast: Box<[u32; 1 << LOOK]>,
     /// First code of each length beyond the codes of that length, aligned to 16 bits; of 17 above all.
     beyond: [u32; 18],
@@ -216,8 +217,8 @@ pub fn places(steps: &[u16; 64]) -> [Place; 64] {
     std::array::from_fn(|k| Place { step: steps[k] as i16, index: ZIGZAG[k] })
 }
 
-/// Decodes one block into `coefficients`, which must be zero, each multiplied by its step (wrapping, as all decoders in sixteen bits
-/// do). Answers the index along the diagonals of the last one that is not zero.
+/// Decodes one block into `coefficients`, which must be zero, each multiplied by its step (wrapping, as all decoders in
+/// sixteen bits do). Answers the index along the diagonals of the last one that is not zero.
 #[inline(always)]
 pub fn block(
     bits: &mut Bits<'_>,
@@ -260,8 +261,8 @@ mod tests {
     #[test]
     fn codes_short_and_long_are_read_by_hand() {
         let table = Table::new(&DC).expect("a table");
-        // 00: size 0. 010 1: size 1, +1. 010 0: -1. 1110 10000: size 5? codes: 100 size 3, 101 size 4, 110 size 5, 1110 size 6.
-        // 111111110 (9 bits): size 11, then 11 bits of 0: -2047.
+        // 00: size 0. 010 1: size 1, +1. 010 0: -1. 1110 10000: size 5? codes: 100 size 3, 101 size 4, 110 size 5, 1110
+        // size 6. 111111110 (9 bits): size 11, then 11 bits of 0: -2047.
         let text = "00 0101 0100 110 10000 111111110 00000000000".replace(' ', "");
         let mut bytes: Vec<u8> =
             text.as_bytes().chunks(8).map(|c| c.iter().fold(0, |b, d| b << 1 | (d - b'0')) << (8 - c.len())).collect();

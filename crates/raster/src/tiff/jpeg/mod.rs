@@ -1,12 +1,13 @@
-//! Baseline JPEG blocks of a TIFF, as orthophotos have them: eight bits, Huffman codes, one scan, grey or three components of which
-//! the last two may have half the width or half of both sides (ITU-T T.81, 1992; TIFF Technical Note 2, 1995).
+//! Baseline JPEG blocks of a TIFF, as orthophotos have them: eight bits, Huffman codes, one scan, grey or three
+//! components of which the last two may have half the width or half of both sides (ITU-T T.81, 1992; TIFF Technical
+//! Note 2, 1995).
 //!
-//! Decoded in strips of one row of blocks, which stay in the nearest caches until they are pixels, straight into the caller's
-//! buffer. The pixels are those of libjpeg with its default settings, to the last bit. What is not of this kind, or is broken, is not
-//! decoded here at all ([`NotDecoded`]): the caller has another decoder for it.
+//! Decoded in strips of one row of blocks, which stay in the nearest caches until they are pixels, straight into the
+//! caller's buffer. The pixels are those of libjpeg with its default settings, to the last bit. What is not of this
+//! kind, or is broken, is not decoded here at all ([`NotDecoded`]): the caller has another decoder for it.
 //!
-//! `entropy` reads codes, `units` goes through the scan, `transform` and `colour` have the arithmetic with its scalar and vector
-//! kernels.
+//! `entropy` reads codes, `units` goes through the scan, `transform` and `colour` have the arithmetic with its scalar
+//! and vector kernels.
 
 mod colour;
 mod entropy;

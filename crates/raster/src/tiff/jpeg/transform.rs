@@ -1,6 +1,6 @@
-//! The inverse cosine transform of libjpeg ("islow": C. Loeffler, A. Ligtenberg and G. Moschytz, "Practical fast 1-D DCT algorithms
-//! with 11 multiplications", ICASSP 1989), in integers, so that pixels are those of libjpeg to the last bit. The AVX2 twin
-//! transforms two blocks at a time, one in each half of the registers.
+//! The inverse cosine transform of libjpeg ("islow": C. Loeffler, A. Ligtenberg and G. Moschytz, "Practical fast 1-D
+//! DCT algorithms with 11 multiplications", ICASSP 1989), in integers, so that pixels are those of libjpeg to the last
+//! bit. The AVX2 twin transforms two blocks at a time, one in each half of the registers.
 #![allow(unsafe_code)]
 
 use super::Kernel;
@@ -23,8 +23,8 @@ const C2_053: i32 = 16819;
 const C2_562: i32 = 20995;
 const C3_072: i32 = 25172;
 
-/// Two blocks of dequantised coefficients to pixels. `last` is the index along the diagonals of the last coefficient of each that is
-/// not zero.
+/// Two blocks of dequantised coefficients to pixels. `last` is the index along the diagonals of the last coefficient of
+/// each that is not zero.
 #[inline]
 pub fn two_blocks(kernel: Kernel, coefficients: &[[i16; 64]; 2], last: [usize; 2]) -> [[u8; 64]; 2] {
     if last == [0, 0] {
