@@ -1,0 +1,309 @@
+//! The orthophoto's pixels, tile by tile, and the file that they go to.
+
+use std::path::Path;
+
+use autoref_elevation::grid::Grid;
+use autoref_elevation::output::{self, Form};
+use autoref_flight::ortho::{Place, View};
+use autoref_raster::error::{Error as RasterError, Result as RasterResult};
+use autoref_raster::window::Window;
+use gdal::Dataset;
+use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterCreationOptions};
+
+use super::OrthorectifyArgs;
+use super::model::open;
+use super::place::Lattice;
+
+/// An orthophoto to be drawn.
+pub(super) struct Job<'a> {
+    pub args: &'a OrthorectifyArgs,
+    pub view: &'a View<'a>,
+    pub lattice: &'a Lattice,
+    pub grid: Grid,
+    /// Samples a side in a pixel.
+    pub oversampling: usize,
+    pub threads: usize,
+    pub tile_px: u64,
+    pub budget_bytes: u64,
+}
+
+/// Bands of the frame that are drawn, and what a pixel that is seen has in the alpha band beside them, if there is one.
+struct Bands {
+    of_frame: Vec<usize>,
+    alpha: Option<f32>,
+}
+
+/// A number of the frame and back; rounding where the type is whole.
+pub(super) trait Sample: GdalType + Copy + Default + Send {
+    const NONE: Self;
+    fn of(v: f32) -> Self;
+}
+
+impl Sample for u8 {
+    const NONE: Self = 0;
+    fn of(v: f32) -> Self {
+        v.round().clamp(0.0, 255.0) as u8
+    }
+}
+impl Sample for u16 {
+    const NONE: Self = 0;
+    fn of(v: f32) -> Self {
+        v.round().clamp(0.0, 65535.0) as u16
+    }
+}
+impl Sample for f32 {
+    const NONE: Self = f32::NAN;
+    fn of(v: f32) -> Self {
+        v
+    }
+}
+
+impl Job<'_> {
+    /// Writes the orthophoto with an alpha band of `alpha` where it is seen, or without one with NaN where it is not.
+    pub fn write<T: Sample>(&self, out: &Path, wkt: &str, alpha: Option<f32>) -> anyhow::Result<u64> {
+        let frame = open(&self.args.frame)?;
+        let of_frame = (1..=frame.raster_count()).filter(|b| {
+            let interpretation = frame.rasterband(*b).map(|b| b.color_interpretation());
+            !matches!(interpretation, Ok(ColorInterpretation::AlphaBand))
+        });
+        let bands = Bands { of_frame: of_frame.collect(), alpha };
+        drop(frame);
+        let form = Form {
+            grid: self.grid,
+            wkt,
+            bands: bands.of_frame.len() + usize::from(alpha.is_some()),
+            nodata: alpha.is_none().then_some(f64::NAN),
+            predictor: if alpha.is_some() { 2 } else { 3 },
+            threads: self.threads,
+        };
+        let mut seen = 0u64;
+        autoref_raster::atomic::with_temporary(out, |temporary| {
+            let plain = temporary.with_extension("plain.tif");
+            let result = self
+                .stream::<T>(&plain, &form, &bands, &mut seen)
+                .and_then(|()| cloud_optimised(&plain, temporary, self.threads));
+            let _ = std::fs::remove_file(&plain);
+            result
+        })?;
+        Ok(seen)
+    }
+
+    fn stream<T: Sample>(&self, plain: &Path, form: &Form<'_>, bands: &Bands, seen: &mut u64) -> RasterResult<()> {
+        let dataset = output::create::<T>(plain, form)?;
+        if bands.alpha.is_some() {
+            let mut band = dataset.rasterband(form.bands).map_err(|e| RasterError::gdal(plain, e))?;
+            band.set_color_interpretation(ColorInterpretation::AlphaBand).map_err(|e| RasterError::gdal(plain, e))?;
+        }
+        output::produce(
+            &self.grid,
+            self.tile_px,
+            self.threads,
+            || None,
+            |source: &mut Option<Dataset>, window| {
+                if source.is_none() {
+                    let path = &self.args.frame;
+                    *source = Some(Dataset::open(path).map_err(|e| RasterError::gdal(path, e))?);
+                }
+                let Some(frame) = source.as_ref() else { return Ok((Vec::new(), 0)) };
+                let mut values = vec![T::NONE; window.area() as usize * form.bands];
+                let count = self.tile::<T>(frame, bands, window, window, &mut values)?;
+                Ok((values, count))
+            },
+            |window, (values, count)| {
+                *seen += count;
+                output::put(plain, &dataset, window, &values)
+            },
+        )?;
+        output::finish(plain, dataset)
+    }
+
+    /// Fills `part` of the tile `whole`; a part that needs too much of the frame at once is done in halves.
+    fn tile<T: Sample>(
+        &self,
+        frame: &Dataset,
+        bands: &Bands,
+        whole: Window,
+        part: Window,
+        values: &mut [T],
+    ) -> RasterResult<u64> {
+        let samples = self.samples(part);
+        let Some(seen) = samples.window(frame.raster_size()) else { return Ok(0) };
+        let most = self.budget_bytes / 4 / self.threads.max(1) as u64;
+        if seen.area() * bands.of_frame.len() as u64 * 4 > most && part.area() > 1 {
+            drop(samples);
+            let mut count = 0;
+            for half in halves(part) {
+                count += self.tile(frame, bands, whole, half, values)?;
+            }
+            return Ok(count);
+        }
+        let planes = self.planes(frame, bands, seen)?;
+        let n = self.oversampling;
+        let area = whole.area() as usize;
+        let mut count = 0;
+        for (index, samples) in samples.places.chunks_exact(n * n).enumerate() {
+            let (x, y) = (part.x + index as u64 % part.width, part.y + index as u64 / part.width);
+            let at = ((y - whole.y) * whole.width + x - whole.x) as usize;
+            let mut visible = false;
+            for (k, plane) in planes.iter().enumerate() {
+                if let Some(value) = plane.mean(samples) {
+                    values[k * area + at] = T::of(value);
+                    visible = true;
+                }
+            }
+            if visible {
+                count += 1;
+                if let Some(opaque) = bands.alpha {
+                    values[planes.len() * area + at] = T::of(opaque);
+                }
+            }
+        }
+        Ok(count)
+    }
+
+    /// Where the frame shows the samples of the pixels of `part`.
+    fn samples(&self, part: Window) -> Samples {
+        let n = self.oversampling;
+        let mut places: Vec<[f32; 2]> = Vec::with_capacity(part.area() as usize * n * n);
+        let mut bounds = [f32::MAX, f32::MAX, f32::MIN, f32::MIN];
+        for y in part.y..part.bottom() {
+            for x in part.x..part.right() {
+                for k in 0..n * n {
+                    let column = x as f64 + ((k % n) as f64 + 0.5) / n as f64;
+                    let row = y as f64 + ((k / n) as f64 + 0.5) / n as f64;
+                    let map = [self.grid.x0 + self.grid.step_x * column, self.grid.y0 + self.grid.step_y * row];
+                    let place = self.view.at(map[0], map[1], |h| self.lattice.at(column, row, h));
+                    let pixel = if let Place::Pixel(p) = place { [p[0] as f32, p[1] as f32] } else { [f32::NAN; 2] };
+                    if !pixel[0].is_nan() {
+                        bounds = [
+                            bounds[0].min(pixel[0]),
+                            bounds[1].min(pixel[1]),
+                            bounds[2].max(pixel[0]),
+                            bounds[3].max(pixel[1]),
+                        ];
+                    }
+                    places.push(pixel);
+                }
+            }
+        }
+        Samples { places, bounds }
+    }
+
+    /// A window of the frame's bands.
+    fn planes(&self, frame: &Dataset, bands: &Bands, window: Window) -> RasterResult<Vec<Plane>> {
+        let failed = |e| RasterError::gdal(&self.args.frame, e);
+        let (corner, size) = ([window.x as f32, window.y as f32], (window.width as usize, window.height as usize));
+        let plane = |b: &usize| {
+            let band = frame.rasterband(*b).map_err(failed)?;
+            let read: Buffer<f32> =
+                band.read_as((window.x as isize, window.y as isize), size, size, None).map_err(failed)?;
+            let nodata = band.no_data_value().map(|v| v as f32);
+            Ok(Plane { corner, size, values: read.into_shape_and_vec().1, nodata })
+        };
+        bands.of_frame.iter().map(plane).collect()
+    }
+}
+
+/// Samples of a part of the orthophoto.
+struct Samples {
+    /// Pixels of the frame, row by row, NaN where it sees nothing.
+    places: Vec<[f32; 2]>,
+    /// Least and greatest column and row; upside down where it sees nothing at all.
+    bounds: [f32; 4],
+}
+
+impl Samples {
+    /// What of a frame of this size they are interpolated from; `None` where it sees nothing.
+    fn window(&self, (columns, rows): (usize, usize)) -> Option<Window> {
+        let bounds = self.bounds;
+        if bounds[0] > bounds[2] {
+            return None;
+        }
+        let low = |v: f32| (f64::from(v) - 3.0).floor().max(0.0) as u64;
+        let (x0, y0) = (low(bounds[0]), low(bounds[1]));
+        let (x1, y1) = ((bounds[2] as u64 + 4).min(columns as u64), (bounds[3] as u64 + 4).min(rows as u64));
+        Some(Window::new(x0, y0, x1 - x0, y1 - y0))
+    }
+}
+
+/// Two parts of a window, across its longer side.
+fn halves(part: Window) -> [Window; 2] {
+    if part.width >= part.height {
+        let w = part.width / 2;
+        [Window::new(part.x, part.y, w, part.height), Window::new(part.x + w, part.y, part.width - w, part.height)]
+    } else {
+        let h = part.height / 2;
+        [Window::new(part.x, part.y, part.width, h), Window::new(part.x, part.y + h, part.width, part.height - h)]
+    }
+}
+
+/// A window of a band of the frame.
+struct Plane {
+    corner: [f32; 2],
+    size: (usize, usize),
+    values: Vec<f32>,
+    nodata: Option<f32>,
+}
+
+impl Plane {
+    /// Mean over those samples that have a value.
+    fn mean(&self, samples: &[[f32; 2]]) -> Option<f32> {
+        let (mut sum, mut weight) = (0.0f32, 0.0f32);
+        for p in samples.iter().filter(|p| !p[0].is_nan()) {
+            let at = [p[0] - self.corner[0], p[1] - self.corner[1]];
+            if let Some(v) = cubic(&self.values, self.size, at, self.nodata) {
+                sum += v;
+                weight += 1.0;
+            }
+        }
+        (weight > 0.0).then(|| sum / weight)
+    }
+}
+
+/// Keys' cubic convolution (1981, a = −1/2) at a place that counts from the outer corner; the nearest pixel beside
+/// nodata. Beyond the window's border its last pixels go on: windows reach further than the kernel except at the
+/// frame's own border.
+fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2], nodata: Option<f32>) -> Option<f32> {
+    let valid = |v: f32| !v.is_nan() && Some(v) != nodata;
+    let (u, v) = (at[0] - 0.5, at[1] - 0.5);
+    let (i, j) = (u.floor(), v.floor());
+    let weights = |t: f32| {
+        let (t2, t3) = (t * t, t * t * t);
+        [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
+    };
+    let (wx, wy) = (weights(u - i), weights(v - j));
+    let clamp = |v: f32, n: usize| (v.max(0.0) as usize).min(n - 1);
+    let pixel = |x: f32, y: f32| plane[clamp(y, size.1) * size.0 + clamp(x, size.0)];
+    let (mut sum, mut low, mut high) = (0.0, f32::MAX, f32::MIN);
+    for (b, wy) in wy.iter().enumerate() {
+        for (a, wx) in wx.iter().enumerate() {
+            let value = pixel(i + a as f32 - 1.0, j + b as f32 - 1.0);
+            if !valid(value) {
+                let nearest = pixel((u + 0.5).floor(), (v + 0.5).floor());
+                return valid(nearest).then_some(nearest);
+            }
+            (low, high) = (low.min(value), high.max(value));
+            sum += wx * wy * value;
+        }
+    }
+    // No ringing beside edges.
+    Some(sum.clamp(low, high))
+}
+
+/// The tiled copy as a Cloud Optimized GeoTIFF with overviews.
+fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> RasterResult<()> {
+    let failed = |e: gdal::errors::GdalError| RasterError::gdal(out, e);
+    let source = Dataset::open(plain).map_err(failed)?;
+    let threads = format!("NUM_THREADS={}", threads.max(1));
+    let options = RasterCreationOptions::from_iter([
+        "COMPRESS=DEFLATE",
+        "PREDICTOR=YES",
+        "BIGTIFF=IF_SAFER",
+        "RESAMPLING=AVERAGE",
+        &threads,
+    ]);
+    let driver = gdal::DriverManager::get_driver_by_name("COG").map_err(failed)?;
+    let watch = autoref_raster::Written::watch(out);
+    let copy = source.create_copy(&driver, out, &options).map_err(failed)?;
+    watch.close(copy)
+}

@@ -1,0 +1,87 @@
+//! The elevation model under a frame.
+
+use std::path::Path;
+
+use anyhow::Result;
+use autoref_elevation::grid::Grid;
+use autoref_flight::Error;
+use autoref_flight::ortho::Surface;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::Error as RasterError;
+use autoref_raster::window::Window;
+use gdal::Dataset;
+use gdal::raster::ResampleAlg;
+
+/// The model's part that matters, and what it is called.
+pub(in crate::cli) struct Dem {
+    dataset: Dataset,
+    pub grid: Grid,
+    pub(super) crs: Option<Crs>,
+}
+
+pub(super) fn open(path: &Path) -> Result<Dataset> {
+    Dataset::open(path).map_err(|e| RasterError::gdal(path, e).into())
+}
+
+impl Dem {
+    pub fn open(path: &Path) -> Result<Self> {
+        let dataset = open(path)?;
+        let (columns, rows) = dataset.raster_size();
+        let transform = dataset.geo_transform().map_err(|_| {
+            RasterError::unsupported(path, "an elevation model without georeference", "give one that lies on the map")
+        })?;
+        let grid = Grid::new(&autoref_raster::coords::GeoTransform(transform), columns as u64, rows as u64);
+        let grid = grid.ok_or_else(|| {
+            RasterError::unsupported(path, "a rotated elevation model", "warp it to north up with gdalwarp")
+        })?;
+        let crs = match dataset.spatial_ref().and_then(|s| s.to_wkt()) {
+            Ok(wkt) if !wkt.is_empty() => Some(Crs::parse(&wkt)?),
+            _ => None,
+        };
+        if crs.as_ref().is_some_and(Crs::is_geographic) {
+            let remedy = "project it first (gdalwarp -t_srs)";
+            return Err(RasterError::unsupported(path, "an elevation model in degrees", remedy).into());
+        }
+        Ok(Dem { dataset, grid, crs })
+    }
+
+    /// Heights of a window, thinned to at most `most` cells.
+    pub fn surface(&self, path: &Path, window: Window, most: u64) -> Result<Surface> {
+        let thin = ((window.area() as f64 / most as f64).sqrt().ceil() as u64).max(1);
+        let size = (window.width.div_ceil(thin) as usize, window.height.div_ceil(thin) as usize);
+        let band = self.dataset.rasterband(1).map_err(|e| RasterError::gdal(path, e))?;
+        let from = ((window.x as isize, window.y as isize), (window.width as usize, window.height as usize));
+        let how = (thin > 1).then_some(ResampleAlg::NearestNeighbour);
+        let mut heights = band
+            .read_as::<f32>(from.0, from.1, size, how)
+            .map_err(|e| RasterError::gdal(path, e))?
+            .into_shape_and_vec()
+            .1;
+        let nodata = band.no_data_value().map(|v| v as f32);
+        for h in &mut heights {
+            if Some(*h) == nodata || !h.is_finite() {
+                *h = f32::NAN;
+            }
+        }
+        let g = &self.grid;
+        let step = [g.step_x * window.width as f64 / size.0 as f64, g.step_y * window.height as f64 / size.1 as f64];
+        let corner = [g.x0 + g.step_x * window.x as f64, g.y0 + g.step_y * window.y as f64];
+        Surface::new(heights, size.0, corner, step)
+            .ok_or_else(|| Error::no_result(format!("{}: no cell has a height", path.display()), "give another").into())
+    }
+
+    /// The cells of a box of the map, with a margin, cut at the model's border.
+    pub(super) fn window(&self, bounds: [f64; 4], margin: f64) -> Window {
+        let g = &self.grid;
+        let column = |x: f64| (x - g.x0) / g.step_x;
+        let row = |y: f64| (y - g.y0) / g.step_y;
+        let cut = |a: f64, b: f64, n: u64| {
+            let (low, high) = (a.min(b) - margin, a.max(b) + margin);
+            let low = (low.floor().max(0.0) as u64).min(n - 1);
+            (low, (high.ceil().max(0.0) as u64).clamp(low + 1, n))
+        };
+        let (x0, x1) = cut(column(bounds[0]), column(bounds[2]), g.width);
+        let (y0, y1) = cut(row(bounds[1]), row(bounds[3]), g.height);
+        Window::new(x0, y0, x1 - x0, y1 - y0)
+    }
+}

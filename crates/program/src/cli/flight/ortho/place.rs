@@ -1,0 +1,218 @@
+//! Where a frame stands over its elevation model, and what ground it sees.
+
+use anyhow::{Context, Result, bail};
+use autoref_elevation::grid::Grid;
+use autoref_flight::ortho::{Surface, View};
+use autoref_flight::read::{self, same_image, tables};
+use autoref_flight::world::World;
+use autoref_flight::{Camera, Error, Pose};
+use autoref_raster::bounded;
+use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::error::Error as RasterError;
+use autoref_raster::window::Window;
+use nalgebra::{Matrix3, Vector3};
+
+use super::super::{camera_file, lists, set_interior};
+use super::OrthorectifyArgs;
+use super::model::Dem;
+
+/// The frame's camera and pose in map coordinates, and the CRS that its file states.
+pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Result<(Camera, Pose, Option<String>)> {
+    let beside = args.frame.with_file_name("cameras.json");
+    let file = match &args.cameras {
+        Some(file) => file.clone(),
+        None if beside.is_file() => beside,
+        None => bail!(
+            "{}: its camera is not known; give --cameras with the result of `flight solve`, `adjust` or `resect`",
+            args.frame.display()
+        ),
+    };
+    let known = ["cameras.txt", "images.txt", "points3D.txt"];
+    let table = file.extension().and_then(|e| e.to_str()).is_some_and(|e| ["csv", "txt", "tsv"].contains(&e))
+        && file.file_name().and_then(|n| n.to_str()).is_none_or(|n| !known.contains(&n));
+    let (mut camera, pose, crs) = if table {
+        let rows = tables::cameras(&file)?;
+        let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
+            bail!("{}: has no row of `{name}`", file.display())
+        };
+        let Some(pose) = rows[i].pose(None) else {
+            bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
+        };
+        let camera = match &args.camera {
+            Some(path) => camera_file(path, name)?,
+            None if args.f_px.is_some() => Camera::pinhole(name, size, 1.0, [size[0] / 2.0, size[1] / 2.0]),
+            None => bail!("{}: a table has no interior; give --f-px or --camera", file.display()),
+        };
+        (camera, pose, None)
+    } else {
+        let model = read::reconstruction(&file)?;
+        let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
+        let text = bounded::read_to_string(&file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
+        let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
+        let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
+        (model.cameras[model.photographs[i].camera].clone(), model.photographs[i].pose, crs)
+    };
+    set_interior(&mut camera, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    if camera.size_px != size {
+        // The camera of a frame of another size: the same lens, other pixels.
+        let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
+        if (across / down - 1.0).abs() > 1e-3 || camera.polynomial.is_some() {
+            bail!(
+                "{}: is {} x {} px, its camera {} x {}; give the frame that was measured",
+                args.frame.display(),
+                size[0],
+                size[1],
+                camera.size_px[0],
+                camera.size_px[1]
+            );
+        }
+        use autoref_flight::Parameter::{Cx, Cy, F};
+        for p in [F, Cx, Cy] {
+            camera.set(p, camera.get(p) * across);
+        }
+        camera.size_px = size;
+    }
+    Ok((camera, pose, crs))
+}
+
+/// The world about the camera in the model's CRS, the pose in it, and the camera's place in the map.
+pub(super) fn place(dem: &Dem, pose: &Pose, crs: Option<&str>) -> Result<(World, Pose, [f64; 3])> {
+    let eye: [f64; 3] = pose.centre.into();
+    let Some(target) = dem.crs.as_ref().filter(|_| crs.is_none_or(|c| !lists::is_local(c))) else {
+        let world = World::flat(eye);
+        let posed = world.pose_to_world(pose).context("a plane has every place")?;
+        return Ok((world, posed, eye));
+    };
+    let from = match crs {
+        Some(word) => Crs::parse(word).with_context(|| format!("the CRS of the cameras, `{word}`; give --crs"))?,
+        None => target.clone(),
+    };
+    if from.is_geographic() {
+        bail!("{}: cameras in degrees; give their table in a projected CRS", from.title());
+    }
+    let mut at = [Coordinate { x: eye[0], y: eye[1], height: None }];
+    from.transform(&mut at, target, 100.0)?;
+    let there = [at[0].x, at[0].y, eye[2]];
+    // Both stand on the same point of the ellipsoid: their tangent frames are one.
+    let posed = lists::world_of(Some(&from), eye)?.pose_to_world(pose);
+    let posed = posed.with_context(|| format!("the camera lies outside {}", from.title()))?;
+    Ok((lists::world_of(Some(target), there)?, posed, there))
+}
+
+/// Places of the map in the world, exact at nodes of the output's grid and at two heights, linear between.
+pub(super) struct Lattice {
+    nodes: Vec<[Vector3<f64>; 2]>,
+    columns: usize,
+}
+
+const NODE_PX: f64 = 64.0;
+const NODE_HEIGHT_M: f64 = 1000.0;
+
+impl Lattice {
+    pub fn new(world: &World, grid: &Grid) -> Result<Self> {
+        let count = |n: u64| (n as f64 / NODE_PX).ceil() as usize + 1;
+        let (columns, rows) = (count(grid.width), count(grid.height));
+        let mut nodes = Vec::with_capacity(columns * rows);
+        for j in 0..rows {
+            for i in 0..columns {
+                let x = grid.x0 + grid.step_x * NODE_PX * i as f64;
+                let y = grid.y0 + grid.step_y * NODE_PX * j as f64;
+                let at =
+                    |h: f64| world.to_world([x, y, h]).context("the orthophoto leaves the CRS; give a nearer model");
+                nodes.push([at(0.0)?, at(NODE_HEIGHT_M)?]);
+            }
+        }
+        Ok(Lattice { nodes, columns })
+    }
+
+    pub fn at(&self, column: f64, row: f64, h: f64) -> Vector3<f64> {
+        let (u, v) = (column / NODE_PX, row / NODE_PX);
+        let (i, j) = (u.floor(), v.floor());
+        let (a, b) = (u - i, v - j);
+        let k = j as usize * self.columns + i as usize;
+        let t = h / NODE_HEIGHT_M;
+        let node = |k: usize| self.nodes[k][0] * (1.0 - t) + self.nodes[k][1] * t;
+        (node(k) * (1.0 - a) + node(k + 1) * a) * (1.0 - b)
+            + (node(k + self.columns) * (1.0 - a) + node(k + self.columns + 1) * a) * b
+    }
+}
+
+/// A frame's camera over the model, in coordinates of the map.
+pub(super) struct Seer<'a> {
+    pub camera: &'a Camera,
+    pub pose: Pose,
+    pub eye: [f64; 3],
+    /// Half of the Earth's curvature, or zero where it is flat.
+    pub sag: f64,
+    /// From the map's axes at the camera to the world's.
+    pub axes: Matrix3<f64>,
+}
+
+/// The ground that a frame sees.
+pub(super) struct Seen {
+    /// Box of the map.
+    pub bounds: [f64; 4],
+    /// Median ground size of a pixel across the view.
+    pub across: f64,
+    /// The model below the frame and between it and the camera.
+    pub surface: Surface,
+}
+
+impl Seer<'_> {
+    pub fn view<'a>(&'a self, surface: &'a Surface) -> View<'a> {
+        let reach = self.camera.reach();
+        View { camera: self.camera, pose: self.pose, eye: self.eye, surface, sag: self.sag, reach }
+    }
+
+    /// The outline from a thinned model, then the model where it matters.
+    pub fn ground(&self, args: &OrthorectifyArgs, dem: &Dem, budget_bytes: u64) -> Result<Seen> {
+        let all = Window::new(0, 0, dem.grid.width, dem.grid.height);
+        let coarse = dem.surface(&args.dem, all, 4_000_000)?;
+        let (bounds, across) = footprint(&self.view(&coarse), &self.axes).ok_or_else(|| {
+            Error::no_result(
+                format!("{}: none of its rays meets {}", args.frame.display(), args.dem.display()),
+                "check the CRS, the camera's position and direction, and the area of the model",
+            )
+        })?;
+        drop(coarse);
+        let (all, eye) = (dem.grid.bounds(), self.eye);
+        let bounds = [bounds[0].max(all[0]), bounds[1].max(all[1]), bounds[2].min(all[2]), bounds[3].min(all[3])];
+        let with_eye = [bounds[0].min(eye[0]), bounds[1].min(eye[1]), bounds[2].max(eye[0]), bounds[3].max(eye[1])];
+        let part = dem.window(with_eye, 4.0);
+        let needed = part.area() * 4;
+        if needed > budget_bytes / 3 {
+            return Err(RasterError::Limit {
+                what: format!("{}: the part between camera and footprint", args.dem.display()),
+                needed,
+                allowed: budget_bytes / 3,
+                remedy: "raise --memory, or thin the model with gdal_translate -outsize".into(),
+            }
+            .into());
+        }
+        Ok(Seen { bounds, across, surface: dem.surface(&args.dem, part, u64::MAX)? })
+    }
+}
+
+/// Where the frame's rays meet the ground: the box of the map, and the median ground size of a pixel across the view.
+fn footprint(view: &View<'_>, grid_axes: &Matrix3<f64>) -> Option<([f64; 4], f64)> {
+    const RAYS: usize = 48;
+    let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
+    let mut sizes = Vec::new();
+    let size = view.camera.size_px;
+    for j in 0..=RAYS {
+        for i in 0..=RAYS {
+            let pixel = [size[0] * i as f64 / RAYS as f64, size[1] * j as f64 / RAYS as f64];
+            let Some(ray) = view.camera.ray(pixel) else { continue };
+            let d = grid_axes.transpose() * (view.pose.rotation.transpose() * Vector3::from(ray));
+            let Some(at) = view.surface.meets(view.eye, d.into(), view.sag) else { continue };
+            bounds = [bounds[0].min(at[0]), bounds[1].min(at[1]), bounds[2].max(at[0]), bounds[3].max(at[1])];
+            let distance = (Vector3::from(at) - Vector3::from(view.eye)).norm();
+            sizes.push(distance * ray[2] / view.camera.f_px());
+        }
+    }
+    sizes.sort_by(f64::total_cmp);
+    let middle = *sizes.get(sizes.len() / 2)?;
+    // Between the rays the outline may reach further.
+    let more = [(bounds[2] - bounds[0]) / RAYS as f64, (bounds[3] - bounds[1]) / RAYS as f64];
+    Some(([bounds[0] - more[0], bounds[1] - more[1], bounds[2] + more[0], bounds[3] + more[1]], middle))
+}
