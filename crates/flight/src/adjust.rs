@@ -210,6 +210,7 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
             "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),
         );
     }
+    notes.extend(contradictions(&problem, &world, &control, &blunders));
     finish(
         &world,
         points,
@@ -219,6 +220,40 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
         factored,
         Parts { blunders, summary, sigma_tie_px, ties, dropped_ties, notes },
     )
+}
+
+/// What makes the block itself doubtful: many GCPs called wrong, cameras far from where they are known to have been. A
+/// line that is folded between two frames fits its ties, and states small σ.
+fn contradictions(
+    problem: &Problem,
+    world: &Reconstruction,
+    control: &[&GroundPoint],
+    blunders: &[Blunder],
+) -> Vec<String> {
+    /// A share of the GCPs' measurements, and a number, that are hardly all wrong.
+    const MANY: (f64, usize) = (0.1, 3);
+    /// Standard deviations.
+    const FAR: f64 = 5.0;
+    let measured: usize = control.iter().map(|p| p.seen.len()).sum();
+    let wrong = blunders.iter().filter(|b| b.photograph.is_some()).count();
+    let mut notes = Vec::new();
+    if wrong >= MANY.1 && wrong as f64 > MANY.0 * measured as f64 {
+        notes.push(format!(
+            "{wrong} of {measured} measurements of GCPs contradict the block: it may be bent where they lie, and its \
+             cameras further off than their standard deviations say"
+        ));
+    }
+    for (frame, photograph) in problem.frames.iter().zip(&world.photographs) {
+        let Some((at, sigma)) = frame.position else { continue };
+        let off = (frame.pose.centre - at).component_div(&sigma).amax();
+        if off > FAR {
+            notes.push(format!(
+                "{}: {off:.0} standard deviations from its rough position: the table is wrong, or the block is",
+                photograph.name
+            ));
+        }
+    }
+    notes
 }
 
 struct Parts {

@@ -16,9 +16,30 @@ use crate::read::{Photograph, Reconstruction, TiePoint};
 /// A point of the ground in several frames: frame and pixel.
 pub type Track = Vec<(usize, [f64; 2])>;
 
-/// Residuals are weighed by the first number (pixels) and ties beyond the second are let go of, step by step: rough
-/// poses are wrong by tens of pixels, ties by one.
-const STEPS_PX: [(f64, f64); 5] = [(20.0, 120.0), (6.0, 30.0), (2.0, 10.0), (1.0, 5.0), (0.7, 3.0)];
+/// One step from the rough poses to the block.
+struct Step {
+    /// How residuals are weighed.
+    sigma_px: f64,
+    /// Ties beyond this are let go of.
+    most_px: f64,
+    /// Whether GCPs in the images may be wrong.
+    gcps: Trust,
+}
+
+/// Rough poses are wrong by tens of pixels, ties by one. The first steps leave the poses to table and GCPs: thousands
+/// of ties, wrong ones among them, would fold a line of near-flat ground where it is weak, far from the table, and a
+/// GCP that is let go of there cannot unfold it.
+const STEPS: [Step; 7] = [
+    Step { sigma_px: 300.0, most_px: 1000.0, gcps: Trust::Full },
+    Step { sigma_px: 80.0, most_px: 300.0, gcps: Trust::Full },
+    Step { sigma_px: 20.0, most_px: 120.0, gcps: Trust::Full },
+    Step { sigma_px: 6.0, most_px: 30.0, gcps: Trust::Full },
+    Step { sigma_px: 2.0, most_px: 10.0, gcps: Trust::Full },
+    Step { sigma_px: 1.0, most_px: 5.0, gcps: Trust::Robust },
+    Step { sigma_px: 0.7, most_px: 3.0, gcps: Trust::Robust },
+];
+/// σ of a GCP in an image at least, where it counts in full.
+const GCP_PX: f64 = 5.0;
 /// A frame with fewer ties is not joined to the block.
 const LEAST_TIES: usize = 12;
 
@@ -40,7 +61,7 @@ pub fn from_rough(
     let mut live: Vec<&Track> = tracks.iter().filter(|t| t.len() >= 2).collect();
     let mut points = Vec::new();
     let ground: Vec<&GroundPoint> = ground.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
-    for (sigma_px, most_px) in STEPS_PX {
+    for Step { sigma_px, most_px, gcps } in STEPS {
         let placed: Vec<(&Track, Vector3<f64>)> =
             live.iter().filter_map(|t| Some((*t, place(camera, &poses, t)?))).collect();
         let mut problem = Problem { cameras: vec![BundleCamera::held(camera.clone())], ..Problem::default() };
@@ -54,25 +75,20 @@ pub fn from_rough(
                 direction: rough.sigma_rad.is_finite().then_some((rough.pose.rotation, rough.sigma_rad)),
             })
             .collect();
-        let observe = |problem: &mut Problem, seen: &[(usize, [f64; 2])]| {
+        let observe = |problem: &mut Problem, seen: &[(usize, [f64; 2])], sigma_px: f64, trust: Trust| {
             let point = problem.points.len() - 1;
             for (frame, pixel) in seen {
-                problem.observations.push(Observation {
-                    frame: *frame,
-                    point,
-                    pixel: *pixel,
-                    sigma_px,
-                    trust: Trust::Robust,
-                });
+                problem.observations.push(Observation { frame: *frame, point, pixel: *pixel, sigma_px, trust });
             }
         };
         for (track, at) in &placed {
             problem.points.push(BundlePoint { xyz: *at, survey: None });
-            observe(&mut problem, track);
+            observe(&mut problem, track, sigma_px, Trust::Robust);
         }
         for p in &ground {
             problem.points.push(BundlePoint { xyz: p.xyz, survey: Some((p.xyz, p.sigma)) });
-            observe(&mut problem, &p.seen);
+            let sigma_px = if gcps == Trust::Full { sigma_px.max(GCP_PX) } else { sigma_px };
+            observe(&mut problem, &p.seen, sigma_px, gcps);
         }
         // Once the poses are near, what is far off counts for nothing.
         let loss = if sigma_px > 5.0 { Loss::Huber(2.0) } else { Loss::Cauchy(2.0) };

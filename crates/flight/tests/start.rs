@@ -106,3 +106,44 @@ fn frames_that_nothing_joins_are_left_out_and_named() {
         .expect_err("nothing to place");
     assert!(none.to_string().contains("rough table"), "{none}");
 }
+
+#[test]
+fn a_camera_far_from_where_the_table_has_it_is_told() {
+    let mut line = line(3, 0.1);
+    let options = |line: &Line| AdjustOptions {
+        sigma_image_px: 0.5,
+        interior: Vec::new(),
+        rough: line.rough.iter().copied().map(Some).collect(),
+        ..AdjustOptions::default()
+    };
+    let placed =
+        from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground).expect("a block");
+    let told = |line: &Line| {
+        let found = adjust(&placed, &line.ground, &options(line)).expect("an adjustment");
+        found.notes.into_iter().filter(|n| n.contains("from its rough position")).collect::<Vec<_>>()
+    };
+    assert!(told(&line).is_empty(), "{:?}", told(&line));
+    line.rough[3].pose.centre.x += 2500.0;
+    let notes = told(&line);
+    assert!(notes.len() == 1 && notes[0].starts_with("f3: "), "{notes:?}");
+}
+
+/// A GCP clicked on the wrong thing does not draw the start with it.
+#[test]
+fn a_wrong_gcp_does_not_spoil_the_start() {
+    let mut line = line(4, 0.3);
+    line.ground[5].seen[0].1[0] += 150.0;
+    let placed =
+        from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground).expect("a block");
+    let options = AdjustOptions {
+        sigma_image_px: 0.5,
+        interior: Vec::new(),
+        rough: line.rough.iter().copied().map(Some).collect(),
+        ..AdjustOptions::default()
+    };
+    let found = adjust(&placed, &line.ground, &options).expect("an adjustment");
+    assert!(found.blunders.iter().any(|b| b.gcp == "G5"), "{:?}", found.blunders);
+    for (camera, truth) in found.photographs.iter().zip(&line.truth) {
+        assert!((camera.pose.centre - truth.centre).norm() < 150.0, "{:?}", camera.pose.centre - truth.centre);
+    }
+}

@@ -34,7 +34,7 @@ impl Degree {
         }
     }
 
-    /// How many of [`TERMS`] it has.
+    /// How many terms it has.
     pub fn terms(self) -> usize {
         match self {
             Degree::Level => 1,
