@@ -69,7 +69,11 @@ impl Film {
         let (scans, out) = (folder.join("scans"), folder.join("frames"));
         let (scans, out) = (scans.display(), out.display());
         let (mm, um) = (self.pixel_mm, 1e3 * self.pixel_mm);
-        format!("fiducials {scans}/*.tif --camera {name} --pixel-um {um} --resample --resample-mm {mm} -o {out}")
+        // The scans are upright; marks that are all alike do not tell.
+        let place = "--turn 0 --mirrored false";
+        format!(
+            "fiducials {scans}/*.tif --camera {name} --pixel-um {um} {place} --resample --resample-mm {mm} -o {out}"
+        )
     }
 
     /// Renders a frame and writes the scan of it, with the truth of its marks beside it.
