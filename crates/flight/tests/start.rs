@@ -1,8 +1,9 @@
 //! The start from a rough table on drawn oblique lines whose neighbours alone share points, among wrong ties.
 
-use autoref_flight::adjust::{AdjustOptions, GroundPoint, Role, RoughPose, adjust};
+use autoref_flight::adjust::{AdjustOptions, Adjustment, GroundPoint, Role, RoughPose, adjust};
 use autoref_flight::camera::Camera;
 use autoref_flight::pose::{Pose, YawPitchRoll};
+use autoref_flight::read::Reconstruction;
 use autoref_flight::start::{Track, from_rough};
 use autoref_raster::random::SplitMix64;
 use nalgebra::{Rotation3, Vector3};
@@ -21,6 +22,21 @@ struct Line {
 impl Line {
     fn start(&self) -> Vec<Pose> {
         self.rough.iter().map(|r| r.pose).collect()
+    }
+
+    fn placed(&self) -> Reconstruction {
+        from_rough(&self.names, &self.camera, &self.start(), &self.rough, &self.tracks, &self.ground).expect("a block")
+    }
+
+    /// What the adjustment makes of a block with the table's poses as observations.
+    fn adjusted(&self, placed: &Reconstruction) -> Adjustment {
+        let options = AdjustOptions {
+            sigma_image_px: 0.5,
+            interior: Vec::new(),
+            rough: self.rough.iter().copied().map(Some).collect(),
+            ..AdjustOptions::default()
+        };
+        adjust(placed, &self.ground, &options).expect("an adjustment")
     }
 }
 
@@ -71,18 +87,11 @@ fn line(seed: u64, wrong: f64) -> Line {
 fn a_line_of_pairs_is_placed_by_its_table_among_wrong_ties() {
     for seed in 1..=6 {
         let line = line(seed, 0.3);
-        let placed = from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground)
-            .expect("a block");
+        let placed = line.placed();
         assert_eq!(placed.photographs.len(), 5);
         let right = line.tracks.len() * 7 / 10;
         assert!(placed.ties.len() > right * 8 / 10 && placed.ties.len() < right * 11 / 10, "{}", placed.ties.len());
-        let options = AdjustOptions {
-            sigma_image_px: 0.5,
-            interior: Vec::new(),
-            rough: line.rough.iter().copied().map(Some).collect(),
-            ..AdjustOptions::default()
-        };
-        let found = adjust(&placed, &line.ground, &options).expect("an adjustment");
+        let found = line.adjusted(&placed);
         for (camera, truth) in found.photographs.iter().zip(&line.truth) {
             let covariance = camera.covariance.expect("the datum is fixed");
             let off = camera.pose.centre - truth.centre;
@@ -98,8 +107,7 @@ fn a_line_of_pairs_is_placed_by_its_table_among_wrong_ties() {
 fn frames_that_nothing_joins_are_left_out_and_named() {
     let mut line = line(9, 0.1);
     line.tracks.retain(|t| t.iter().all(|(i, _)| *i < 4));
-    let placed =
-        from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground).expect("a block");
+    let placed = line.placed();
     assert_eq!(placed.photographs.len(), 4);
     assert!(placed.notes.iter().any(|n| n.starts_with("f4: too few ties")), "{:?}", placed.notes);
     let none = from_rough(&line.names, &line.camera, &line.start(), &line.rough, &[], &line.ground)
@@ -110,16 +118,9 @@ fn frames_that_nothing_joins_are_left_out_and_named() {
 #[test]
 fn a_camera_far_from_where_the_table_has_it_is_told() {
     let mut line = line(3, 0.1);
-    let options = |line: &Line| AdjustOptions {
-        sigma_image_px: 0.5,
-        interior: Vec::new(),
-        rough: line.rough.iter().copied().map(Some).collect(),
-        ..AdjustOptions::default()
-    };
-    let placed =
-        from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground).expect("a block");
+    let placed = line.placed();
     let told = |line: &Line| {
-        let found = adjust(&placed, &line.ground, &options(line)).expect("an adjustment");
+        let found = line.adjusted(&placed);
         found.notes.into_iter().filter(|n| n.contains("from its rough position")).collect::<Vec<_>>()
     };
     assert!(told(&line).is_empty(), "{:?}", told(&line));
@@ -133,15 +134,8 @@ fn a_camera_far_from_where_the_table_has_it_is_told() {
 fn a_wrong_gcp_does_not_spoil_the_start() {
     let mut line = line(4, 0.3);
     line.ground[5].seen[0].1[0] += 150.0;
-    let placed =
-        from_rough(&line.names, &line.camera, &line.start(), &line.rough, &line.tracks, &line.ground).expect("a block");
-    let options = AdjustOptions {
-        sigma_image_px: 0.5,
-        interior: Vec::new(),
-        rough: line.rough.iter().copied().map(Some).collect(),
-        ..AdjustOptions::default()
-    };
-    let found = adjust(&placed, &line.ground, &options).expect("an adjustment");
+    let placed = line.placed();
+    let found = line.adjusted(&placed);
     assert!(found.blunders.iter().any(|b| b.gcp == "G5"), "{:?}", found.blunders);
     for (camera, truth) in found.photographs.iter().zip(&line.truth) {
         assert!((camera.pose.centre - truth.centre).norm() < 150.0, "{:?}", camera.pose.centre - truth.centre);
