@@ -113,11 +113,12 @@ impl Search<'_> {
             if tried >= budget {
                 break;
             }
-            let (shoots, n) = self.grow_pair(pair, &goals, budget - tried);
+            let left = budget - tried;
+            let (shoots, n) = self.grow_pair(pair, &goals, pair.worth(left));
             tried += n;
             patterns.extend(shoots.iter().filter_map(|shoot| self.settle_shoot(shoot)));
             // As in the search: far below what chance can do nothing better is looked for.
-            if patterns.iter().any(|pattern| pattern.log10_false_alarms < -12.0) {
+            if patterns.iter().any(|pattern| pattern.log10_false_alarms < -12.0) || left < pair.hypotheses() {
                 break;
             }
         }

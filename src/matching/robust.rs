@@ -293,7 +293,7 @@ impl RobustMatcher {
                 break;
             }
             let left = work.hypotheses_left();
-            let (hypotheses, tried) = search.try_pair(pair, screening.first_looks, left);
+            let (hypotheses, tried) = search.try_pair(pair, screening.first_looks, pair.worth(left));
             done += 1;
             found.effort.hypotheses_tried += tried;
             work.tried(tried);

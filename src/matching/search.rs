@@ -29,6 +29,8 @@ const CROWD: usize = 3000;
 /// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
 /// them.
 const WORTH_THREADS: u64 = 10_000;
+/// A budget that is enough for less than this share of a pair's hypotheses is spent in part only.
+const LEAST_SHARE: f64 = 0.1;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -47,6 +49,13 @@ impl GcpPair {
     /// About as many hypotheses as trying it takes.
     pub fn hypotheses(&self) -> u64 {
         self.cost as u64
+    }
+
+    /// What is spent of a budget of hypotheses on this pair: all, or less where even all would look at so few of them
+    /// that the true one is hardly among them.
+    pub fn worth(&self, budget: u64) -> u64 {
+        let share = budget as f64 / self.cost.max(1.0);
+        (budget as f64 * (share / LEAST_SHARE).min(1.0)) as u64
     }
 }
 

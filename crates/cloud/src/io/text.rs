@@ -1,5 +1,6 @@
 //! Tables of text: x, y, z and further columns, separated by blanks, tabs, commas or semicolons.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -18,14 +19,35 @@ struct TextReader {
     axes: [usize; 3],
     columns: usize,
     line: u64,
+    bytes: Vec<u8>,
+}
+
+fn has_separators(line: &str) -> bool {
+    line.contains(',') || line.contains(';')
 }
 
 fn words(line: &str) -> Vec<&str> {
-    if line.contains(',') || line.contains(';') {
+    if has_separators(line) {
         line.split([',', ';']).map(|word| word.trim().trim_matches('"')).collect()
     } else {
         line.split_whitespace().map(|word| word.trim_matches('"')).collect()
     }
+}
+
+/// Appends the numbers of a plain row, the bytes of each; answers how many. `None` where a word is no number.
+fn numbers(line: &str, raw: &mut Vec<u8>) -> Option<usize> {
+    let mut count = 0;
+    let mut push = |word: &str| -> Option<()> {
+        raw.extend_from_slice(&word.trim_matches('"').parse::<f64>().ok()?.to_le_bytes());
+        count += 1;
+        Some(())
+    };
+    if has_separators(line) {
+        line.split([',', ';']).try_for_each(|word| push(word.trim()))?;
+    } else {
+        line.split_whitespace().try_for_each(push)?;
+    }
+    Some(count)
 }
 
 fn is_remark(line: &str) -> bool {
@@ -33,11 +55,16 @@ fn is_remark(line: &str) -> bool {
     line.is_empty() || line.starts_with("//")
 }
 
-/// The next line with content.
-fn next_line(path: &Path, file: &mut BufReader<File>, line: &mut u64) -> Result<Option<String>> {
+/// The next line with content, in `bytes`.
+fn next_line<'a>(
+    path: &Path,
+    file: &mut BufReader<File>,
+    line: &mut u64,
+    bytes: &'a mut Vec<u8>,
+) -> Result<Option<&'a str>> {
     loop {
-        let mut bytes = Vec::new();
-        let read = file.take(MOST_LINE_BYTES).read_until(b'\n', &mut bytes).map_err(|e| Error::io(path, "read", e))?;
+        bytes.clear();
+        let read = file.take(MOST_LINE_BYTES).read_until(b'\n', bytes).map_err(|e| Error::io(path, "read", e))?;
         if read == 0 {
             return Ok(None);
         }
@@ -46,22 +73,32 @@ fn next_line(path: &Path, file: &mut BufReader<File>, line: &mut u64) -> Result<
             let what = "this is neither LAS, LAZ, PLY nor a table of text";
             return Err(Error::format(path, format!("line {line}"), what));
         }
-        let text = String::from_utf8_lossy(&bytes);
-        let text = text.trim_start_matches('\u{feff}').trim();
-        if !is_remark(text) {
-            return Ok(Some(text.to_string()));
+        if let Cow::Owned(text) = String::from_utf8_lossy(bytes) {
+            *bytes = text.into_bytes();
+        }
+        if !is_remark(content(bytes)) {
+            return Ok(Some(content(bytes)));
         }
     }
+}
+
+/// A line without what surrounds its words.
+fn content(bytes: &[u8]) -> &str {
+    let text = std::str::from_utf8(bytes).expect("what was no UTF-8 was replaced");
+    text.trim_start_matches('\u{feff}').trim()
 }
 
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let mut file = BufReader::with_capacity(1 << 20, file);
     let mut line = 0;
+    let mut bytes = Vec::new();
     let mut names: Option<Vec<String>> = None;
     let columns = loop {
         let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, line);
-        let Some(text) = next_line(path, &mut file, &mut line)? else { break names.as_ref().map_or(3, Vec::len) };
+        let Some(text) = next_line(path, &mut file, &mut line, &mut bytes)? else {
+            break names.as_ref().map_or(3, Vec::len);
+        };
         let text = text.trim_start_matches('#').trim();
         let row = words(text);
         if row.iter().all(|word| word.parse::<f64>().is_ok()) {
@@ -117,29 +154,32 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         las: None,
         description: format!("text, {columns} columns"),
     };
-    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line })))
+    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes })))
 }
 
 impl PointReader for TextReader {
     fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()> {
         batch.clear();
         while batch.len() < limit {
-            let Some(text) = next_line(&self.path, &mut self.file, &mut self.line)? else { break };
+            let Some(text) = next_line(&self.path, &mut self.file, &mut self.line, &mut self.bytes)? else { break };
             if text.starts_with('#') {
                 continue;
             }
-            let row = words(&text);
-            let bad = |what: String| Error::format(&self.path, format!("line {}", self.line), what);
-            if row.len() != self.columns {
-                return Err(bad(format!("{} values, the lines before have {}", row.len(), self.columns)));
-            }
             let begin = batch.raw.len();
-            for word in &row {
-                let value: f64 = word.parse().map_err(|_| bad(format!("`{word}` is no number")))?;
-                batch.raw.extend_from_slice(&value.to_le_bytes());
+            if numbers(text, &mut batch.raw) != Some(self.columns) {
+                return Err(Error::format(&self.path, format!("line {}", self.line), mistake(text, self.columns)));
             }
             batch.xyz.push(self.axes.map(|axis| Kind::F64.read(&batch.raw[begin + 8 * axis..])));
         }
         Ok(())
+    }
+}
+
+/// What is wrong with a row.
+fn mistake(text: &str, columns: usize) -> String {
+    let row = words(text);
+    match row.iter().find(|word| word.parse::<f64>().is_err()) {
+        Some(word) if row.len() == columns => format!("`{word}` is no number"),
+        _ => format!("{} values, the lines before have {columns}", row.len()),
     }
 }

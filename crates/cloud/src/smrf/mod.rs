@@ -261,9 +261,12 @@ pub fn ground(
         }
         Ok(())
     })?;
-    let surface = provisional_terrain(Surface { columns: frame.columns, rows: frame.rows, values }, options);
-    let slopes = Spline::new(surface.slope(options.cell_m));
-    let terrain = Terrain { frame, heights: Spline::new(surface), slopes, options: *options };
+    // On a thread of the pool, where short pieces of work cost nothing to hand over.
+    let terrain = rayon::scope(|_| {
+        let surface = provisional_terrain(Surface { columns: frame.columns, rows: frame.rows, values }, options);
+        let slopes = Spline::new(surface.slope(options.cell_m));
+        Terrain { frame, heights: Spline::new(surface), slopes, options: *options }
+    });
     let mut count = 0;
     tiles.update(|_, points| {
         count += points
