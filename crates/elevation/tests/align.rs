@@ -24,6 +24,18 @@ impl Terrain {
         Terrain(waves.collect())
     }
 
+    /// Ground that is rough from cell to cell: waves from just above two cells.
+    fn rough(seed: u64) -> Self {
+        let mut dice = SplitMix64(seed);
+        let waves = (0..240).map(|i| {
+            let length_m = 2.1 * CELL_M * 100f64.powf(f64::from(i) / 240.0);
+            let direction = dice.unit() * std::f64::consts::TAU;
+            let k = std::f64::consts::TAU / length_m;
+            [k * direction.cos(), k * direction.sin(), dice.unit() * 6.3, 0.01 * length_m]
+        });
+        Terrain(waves.collect())
+    }
+
     fn at(&self, east: f64, north: f64) -> f64 {
         500.0 + self.0.iter().map(|[kx, ky, phase, a]| a * (kx * east + ky * north + phase).sin()).sum::<f64>()
     }
@@ -97,6 +109,23 @@ fn a_sub_pixel_shift_is_found_to_a_thousandth_of_a_cell() {
     let found = aligned(&a, &b, &Options { method: Method::NuthKaab, ..Options::default() });
     let [e, n, h] = found.shift_m;
     assert!((e + 13.7).abs() < 0.5 && (n - 22.1).abs() < 0.5 && (h + 3.3).abs() < 0.2, "{found:?}");
+}
+
+#[test]
+fn rough_ground_draws_the_shift_by_no_more_than_is_stated() {
+    let (terrain, mut dice) = (Terrain::rough(3), SplitMix64(3));
+    let plain = View { width: 140, height: 110, noise_m: 0.02, ..PLAIN };
+    let b = draw(&terrain, &plain, &mut dice);
+    for (east_m, north_m) in [(3.1, -2.4), (13.7, 22.3), (-17.6, 1.2), (4.9, -8.2)] {
+        let a = draw(&terrain, &View { error: (east_m, north_m, 0.0), ..plain }, &mut dice);
+        let found = aligned(&a, &b, &Options { method: Method::Lzd, ..Options::default() });
+        let [e, n, _] = found.shift_m;
+        for (index, error_m) in [e + east_m, n + north_m].into_iter().enumerate() {
+            let stated_m = found.covariance_m2[(index, index)].sqrt();
+            assert!(error_m.abs() < 0.0015 * CELL_M, "{east_m}, {north_m}: {error_m} m off");
+            assert!(error_m.abs() < 3.0 * stated_m, "{east_m}, {north_m}: {error_m} m off, {stated_m} m stated");
+        }
+    }
 }
 
 #[test]

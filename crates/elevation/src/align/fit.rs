@@ -4,8 +4,9 @@
 //! absolute orientation of stereo models using digital elevation models*, 1988), of whose seven parameters the shift
 //! and the two tilts are kept, and a surface of the second or third degree on request. Where it differs: the estimating
 //! equations take the gradient of the template, which no interpolation has touched and whose noise has nothing in
-//! common with that of the other model, so that noise does not draw the shift; and the matrix is the mixed product of
-//! both models' gradients, which noise does not enlarge.
+//! common with that of the other model, so that noise does not draw the shift; that gradient is smoothed, for where
+//! the ground is rough from cell to cell no interpolation is true ([`super::smooth`]); and the matrix is the mixed
+//! product of both models' gradients, which noise does not enlarge.
 
 use crate::error::Result;
 use crate::exact::ExactSum;
@@ -17,6 +18,7 @@ use crate::stream::{self, BLOCK_PX, Means};
 use crate::window::Window;
 use crate::zones::Zones;
 
+use super::smooth::{self, REACH_PX, Smooth};
 use super::surface::{Degree, Surface, terms};
 
 /// East and north (in cells of the template, along its axes) come before the terms of the surface.
@@ -61,7 +63,7 @@ impl<'a> Moved<'a> {
         if pair.finer > 1 {
             Moved::Means(Footprints::new(pair.other, grid, shift))
         } else {
-            Moved::Between(Resampled::new(pair.other, grid, shift, Interpolation::Cubic))
+            Moved::Between(Resampled::new(pair.other, grid, shift, Interpolation::Lagrange))
         }
     }
 
@@ -220,6 +222,8 @@ pub struct Sums {
     parameters: usize,
     matrix: Vec<ExactSum>,
     right: Vec<ExactSum>,
+    /// Matrix (row by row) and right-hand side of the shift with the template's gradient as it is.
+    rough: [ExactSum; ROUGH],
     /// By slope class.
     pub residuals: Vec<AbsHistogram>,
     /// Cells that both models have (and that lie on stable ground, where that is given).
@@ -232,6 +236,9 @@ pub struct Sums {
     scores: Vec<i128>,
 }
 
+/// Of the shift's own equations: four of the matrix, two of the right-hand side.
+const ROUGH: usize = 6;
+
 /// Units of a score: 2⁻⁵⁰.
 const SCORE_UNIT: f64 = (1u64 << 50) as f64;
 
@@ -241,6 +248,7 @@ impl Sums {
             parameters,
             matrix: vec![ExactSum::default(); parameters * parameters],
             right: vec![ExactSum::default(); parameters],
+            rough: Default::default(),
             residuals: vec![AbsHistogram::default(); SLOPES],
             common: 0,
             sloping: 0,
@@ -252,6 +260,7 @@ impl Sums {
     pub fn merge(&mut self, other: &Sums) {
         self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| a.merge(b));
         self.right.iter_mut().zip(&other.right).for_each(|(a, b)| a.merge(b));
+        self.rough.iter_mut().zip(&other.rough).for_each(|(a, b)| a.merge(b));
         self.residuals.iter_mut().zip(&other.residuals).for_each(|(a, b)| a.merge(b));
         self.common += other.common;
         self.sloping += other.sloping;
@@ -272,6 +281,16 @@ impl Sums {
     /// An element of their right-hand side.
     pub fn right(&self, row: usize) -> f64 {
         self.right[row].value()
+    }
+
+    /// The step of the shift, cells, by the template's gradient as it is, after a pass for scores. From the step that
+    /// the smoothed gradient tells it differs by what interpolation makes of rough ground. `None` where the equations
+    /// have no solution.
+    pub fn rough_step(&self) -> Option<[f64; SHIFTS]> {
+        let [xx, xy, yx, yy, x, y] = self.rough.each_ref().map(ExactSum::value);
+        let determinant = xx * yy - xy * yx;
+        let step = [(yy * x - xy * y) / determinant, (xx * y - yx * x) / determinant];
+        step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
     /// Scores of the blocks, row by row, [`Sums::parameters`] for each.
@@ -310,6 +329,7 @@ struct Worker {
     sums: Sums,
     scratch: MovedBuffers,
     template: Vec<f64>,
+    smooth: Smooth,
     other: Vec<f64>,
     stable: Vec<u32>,
 }
@@ -339,21 +359,38 @@ fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats
         sums: Sums::new(N, blocks),
         scratch: MovedBuffers::default(),
         template: Vec::new(),
+        smooth: Smooth::default(),
         other: Vec::new(),
         stable: Vec::new(),
     };
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
-        let patch = Patch {
-            x: core.x as i64 - 1,
-            y: core.y as i64 - 1,
-            width: core.width as usize + 2,
-            height: core.height as usize + 2,
+        let around = |cells: usize| Patch {
+            x: core.x as i64 - cells as i64,
+            y: core.y as i64 - cells as i64,
+            width: core.width as usize + 2 * cells,
+            height: core.height as usize + 2 * cells,
         };
-        pair.template.read(patch, &mut worker.template)?;
+        let patch = around(1);
+        if gather == Gather::Residuals {
+            pair.template.read(patch, &mut worker.template)?;
+            worker.smooth.clear();
+        } else {
+            let wide = around(1 + REACH_PX);
+            pair.template.read(wide, &mut worker.template)?;
+            worker.smooth.take(&worker.template, wide.width);
+            smooth::crop(&mut worker.template, wide.width, REACH_PX);
+        }
         other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
         mark_stable(pair, &grid, core, &mut worker.stable);
-        let view = View { pair, grid: &grid, core, template: &worker.template, other: &worker.other };
+        let view = View {
+            pair,
+            grid: &grid,
+            core,
+            template: &worker.template,
+            smooth: worker.smooth.values(),
+            other: &worker.other,
+        };
         for y in (0..core.height).step_by(BLOCK_PX as usize) {
             for x in (0..core.width).step_by(BLOCK_PX as usize) {
                 let block = Window::new(x, y, BLOCK_PX.min(core.width - x), BLOCK_PX.min(core.height - y));
@@ -390,6 +427,7 @@ pub fn mark_stable(pair: &Pair<'_>, grid: &Grid, core: Window, out: &mut Vec<u32
 struct Partial<const N: usize> {
     matrix: [[f64; N]; N],
     right: [f64; N],
+    rough: [f64; ROUGH],
 }
 
 impl Sums {
@@ -398,6 +436,9 @@ impl Sums {
             sum.add(term);
         }
         for (sum, &term) in self.right.iter_mut().zip(&partial.right) {
+            sum.add(term);
+        }
+        for (sum, &term) in self.rough.iter_mut().zip(&partial.rough) {
             sum.add(term);
         }
         if let Some(block) = block {
@@ -414,6 +455,8 @@ struct View<'a> {
     grid: &'a Grid,
     core: Window,
     template: &'a [f64],
+    /// The template smoothed; empty where nothing is solved for.
+    smooth: &'a [f64],
     other: &'a [f64],
 }
 
@@ -429,7 +472,7 @@ impl View<'_> {
     ) -> Partial<N> {
         let stride = self.core.width as usize + 2;
         let (grid, frame) = (self.grid, &self.pair.frame);
-        let mut partial = Partial { matrix: [[0.0; N]; N], right: [0.0; N] };
+        let mut partial = Partial { matrix: [[0.0; N]; N], right: [0.0; N], rough: [0.0; ROUGH] };
         let coefficients = &state.surface.coefficients;
         for row in block.y..block.bottom() {
             let y = grid.y0 + ((self.core.y + row) as f64 + 0.5) * grid.step_y;
@@ -441,7 +484,7 @@ impl View<'_> {
                     continue;
                 }
                 let at = (row as usize + 1) * stride + column as usize + 1;
-                let (t, o) = (self.template, self.other);
+                let (t, s, o) = (self.template, self.smooth, self.other);
                 let difference = t[at] - o[at];
                 if difference.is_nan() {
                     continue;
@@ -479,9 +522,18 @@ impl View<'_> {
                 let (weight, slope) = (weight / (scale * scale), slope / (scale * scale));
                 // Without neighbours there is a height, no gradient.
                 let (tx, ty, ox, oy) = if complete { (tx, ty, ox, oy) } else { (0.0, 0.0, 0.0, 0.0) };
+                let (sx, sy) = ((s[at + 1] - s[at - 1]) / 2.0, (s[at + stride] - s[at - stride]) / 2.0);
+                // Beside a hole nothing is smooth.
+                let (sx, sy) = if complete && !(sx + sy).is_nan() { (sx, sy) } else { (tx, ty) };
                 let mut right = left;
-                (left[0], left[1], right[0], right[1]) = (tx, ty, ox, oy);
+                (left[0], left[1], right[0], right[1]) = (sx, sy, ox, oy);
                 let curvature = if derivative { slope } else { weight };
+                if derivative {
+                    let (of_matrix, of_right) = (curvature, weight * residual);
+                    let terms = [tx * ox, tx * oy, ty * ox, ty * oy].map(|term| of_matrix * term);
+                    let terms = terms.into_iter().chain([of_right * tx, of_right * ty]);
+                    partial.rough.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+                }
                 for (i, &l) in left.iter().enumerate() {
                     partial.right[i] += weight * residual * l;
                     let scaled = curvature * l;

@@ -7,6 +7,7 @@
 mod fit;
 mod nuth_kaab;
 mod search;
+mod smooth;
 mod spread;
 mod surface;
 

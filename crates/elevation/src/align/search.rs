@@ -286,6 +286,9 @@ struct Settled {
     iterations: u32,
 }
 
+/// Share of what smoothing takes away of the bias of rough ground that may still be left.
+const ROUGH_SHARE: f64 = 0.4;
+
 /// Whether the last step is taken, or only the covariance is wanted.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Step {
@@ -401,10 +404,19 @@ impl Fitter<'_> {
         let scales: [f64; SLOPES] = residuals.scales(FLOOR_M);
         let gather = Gather::Scores { scales, weighing: self.weighing, block_px };
         let sums = fit::pass(pair, &start, gather, self.flats, self.means)?;
-        let Some(covariance) = covariance(&sums, free, &grid, block_px) else { return Ok(None) };
+        let Some(mut covariance) = covariance(&sums, free, &grid, block_px) else { return Ok(None) };
         let mut state = start;
+        let step = solve(&sums, free);
+        if let (true, Some(step), Some(rough)) = (free.moves, &step, sums.rough_step()) {
+            let left = [rough[0] - step[0], rough[1] - step[1]].map(|px| ROUGH_SHARE * px);
+            add_square(&mut covariance, left);
+            if last == Step::Left {
+                // What another method found is no surer than it agrees.
+                add_square(&mut covariance, [step[0], step[1]]);
+            }
+        }
         if last == Step::Taken {
-            let Some(step) = solve(&sums, free) else { return Ok(None) };
+            let Some(step) = step else { return Ok(None) };
             // Far from its end the full curvature can point anywhere.
             if step[0].abs().max(step[1].abs()) < 0.1 {
                 apply(&mut state, &step, &grid);
@@ -413,6 +425,13 @@ impl Fitter<'_> {
         let shift = covariance.view((0, 0), (2, 2)).symmetric_eigenvalues();
         let worst_shift_px = shift.iter().fold(0.0, |worst: f64, v| worst.max(v.abs())).sqrt();
         Ok(Some(End { state, covariance, worst_shift_px, sums }))
+    }
+}
+
+/// Adds an error of the shift that no scatter shows, cells.
+fn add_square(covariance: &mut DMatrix<f64>, error: [f64; SHIFTS]) {
+    for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        covariance[(row, column)] += error[row] * error[column];
     }
 }
 

@@ -355,6 +355,7 @@ impl CompareJob<'_> {
                 Interpolation::Nearest => "nearest",
                 Interpolation::Bilinear => "bilinear",
                 Interpolation::Cubic => "cubic",
+                Interpolation::Lagrange => "lagrange",
             },
             heights: couple.heights.to_string(),
             cells: scan.grid.width * scan.grid.height,

@@ -27,7 +27,7 @@ pub struct DemArgs {
 
 #[derive(Subcommand, Debug)]
 enum DemCommand {
-    /// Bring one model onto another: shift, height, tilt.
+    /// Bring one model onto another: shift, height, tilt or a bent surface.
     Align(AlignArgs),
     /// Subtract one model from another: statistics by class and zone, volumes with their errors, a page.
     Compare(CompareArgs),
