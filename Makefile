@@ -117,7 +117,9 @@ fuzz:
 	python3 fuzz/seeds.py $(TARGET) fuzz/corpus/$(TARGET)
 	cd fuzz && $(CARGO) +nightly fuzz run $(TARGET) corpus/$(TARGET) $(FUZZ_SEEDS) -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 -timeout=10 -detect_leaks=0
 
+check-large: export AUTOREF_PYTHON ?= $(CURDIR)/$(PEERS)/bin/python
 check-large: build
+	@$(PEERS)/bin/python -c "import pycolmap" 2>/dev/null || $(PEERS)/bin/python -m pip install -q pycolmap || echo "No pycolmap: its test is skipped."
 	AUTOREF_LARGE=1 $(CARGO) test --release --features coded -- --nocapture
 
 clean:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """`flight solve` on a rendered flight with truth, over many draws of the rough table and the GCPs.
 
-    benches/flight_draws.py EXE FLIGHT [--draws 10] [--first 0] [--every 1] [--sigma-table 200,1] [--sigma-gcp 25,0.7] [--gcps 12]
+    benches/flight_draws.py EXE FLIGHT [--draws 10] [--first 0] [--every 1] [--sigma-table 200,1] [--sigma-gcp 25,0.7] [--gcps 12] [--engine colmap|pycolmap]
 
 FLIGHT holds truth.json, dem10.npz, depth_NAME.npz and the frames (../shared/data/flight; its README says what they are). For each
 draw (its seed is its number) the table gets errors of 200 m and 1 degree, and GCPs and check points are drawn on the ground where
@@ -28,6 +28,7 @@ words.add_argument("--every", type=int, default=1)
 words.add_argument("--sigma-table", default="200,1")
 words.add_argument("--sigma-gcp", default="25,0.7")
 words.add_argument("--gcps", type=int, default=12)
+words.add_argument("--engine", default="colmap", help="colmap, or pycolmap in the interpreter that AUTOREF_PYTHON names")
 args = words.parse_args()
 place_m, turn_deg = map(float, args.sigma_table.split(","))
 ground_m, image_px = map(float, args.sigma_gcp.split(","))
@@ -121,7 +122,9 @@ for seed in range(args.first, args.first + args.draws):
         draw(folder, seed)
         start = time.time()
         run = subprocess.run(
-            [args.exe, "flight", "solve", folder / "FLIGHT.toml", "-o", folder / "out", "--json"], capture_output=True, text=True
+            [args.exe, "flight", "solve", folder / "FLIGHT.toml", "-o", folder / "out", "--engine", args.engine, "--json"],
+            capture_output=True,
+            text=True,
         )
         if run.returncode != 0:
             print(f"draw {seed}: exit {run.returncode}: {run.stderr.strip().splitlines()[-1]}", flush=True)

@@ -604,19 +604,20 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
     assert_eq!(again.stdout, whole.stdout);
     // COLMAP is not there.
     std::fs::create_dir(place.at("bare")).expect("a folder");
-    let none = solve("none", &place.at("bare"), &[]);
+    let none = solve("none", &place.at("bare"), &[("AUTOREF_PYTHON", "no-such-python")]);
     if Path::new("/bin/colmap").exists() {
         // Where /bin is /usr/bin, COLMAP itself answers: these frames have nothing to match.
         expect(&none, 1, &["no two frames"]);
     } else {
-        expect(&none, 2, &["`colmap` is not there", "apt-get install colmap"]);
+        expect(&none, 2, &["`colmap` is not there, nor pycolmap", "apt-get install colmap"]);
     }
     let missing = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
         .args(["flight", "solve", text(&toml), "-o", text(&place.at("none")), "--overwrite"])
         .env("PATH", place.at("bare"))
+        .env_remove("AUTOREF_PYTHON")
         .output()
         .expect("the program starts");
-    expect(&missing, 2, &["`colmap` is not there", "apt-get install colmap"]);
+    expect(&missing, 2, &["`colmap` is not there, nor pycolmap", "apt-get install colmap", "pip install pycolmap"]);
     // A mask that cannot be this camera's.
     place.write("mask.pgm", "P5\n1 1\n255\n\u{1}");
     let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nglobal = \"mask.pgm\"\n";
@@ -649,6 +650,70 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
         2,
         &["typo.toml", "mask"],
     );
+}
+
+/// The same commands by an interpreter of Python, of which only what it is asked and how it ends is looked at here.
+#[test]
+fn pycolmap_is_asked_what_colmap_is() {
+    let place = Place::new();
+    place.five_frames();
+    let (toml, bin) = (place.init(), place.stand_in());
+    let python = |name: &str, script: &str| {
+        let path = place.write(name, &format!("#!/bin/sh\n{script}\n"));
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).expect("executable");
+        text(&path).to_string()
+    };
+    let solve = |out: &str, engine: &str, python: &str| {
+        let out = place.at(out);
+        let arguments = ["flight", "solve", text(&toml), "-o", text(&out), "--engine", engine];
+        autoref(&arguments, Some(&bin), &[("AUTOREF_PYTHON", python)])
+    };
+    let cameras = |out: &str| std::fs::read(place.at(out).join("cameras.json")).expect("written");
+    expect(&solve("colmap", "colmap", "no-such-python"), 0, &[]);
+    let whole =
+        python("python-whole", &format!("[ \"$1\" = -c ] || exit 5; shift 2; exec {}/colmap \"$@\"", bin.display()));
+    expect(&solve("pycolmap", "pycolmap", &whole), 0, &[]);
+    assert_eq!(cameras("pycolmap"), cameras("colmap"));
+    let old = python("python-old", "echo pycolmap 3.1 is older than version 4; exit 72");
+    expect(&solve("old", "pycolmap", &old), 2, &["pycolmap 3.1 is older", "pip install --upgrade pycolmap"]);
+    for without in [python("python-without", "exit 71"), "no-such-python".to_string()] {
+        expect(&solve("without", "pycolmap", &without), 2, &["pycolmap is not there", "AUTOREF_PYTHON"]);
+    }
+    let broken = python("python-broken", "exit 3");
+    expect(&solve("broken", "pycolmap", &broken), 2, &["pycolmap's feature_extractor", "exit status: 3", ".log"]);
+}
+
+/// Drawn frames become cameras by pycolmap too, with a table and without.
+#[test]
+fn frames_become_cameras_by_pycolmap() {
+    let python = std::env::var("AUTOREF_PYTHON").unwrap_or_else(|_| "python3".into());
+    let there = Command::new(&python).args(["-c", "import pycolmap"]).output();
+    if !there.is_ok_and(|output| output.status.success()) {
+        skipped("no pycolmap in AUTOREF_PYTHON: no frames were solved by it");
+        return;
+    }
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let toml = place.init();
+    let written = std::fs::read_to_string(&toml).expect("there");
+    let sharp = written.replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1");
+    let sharp =
+        sharp.replace("sigma_image_px = 5.0", "sigma_image_px = 0.5").replace("features = 6000", "features = 1500");
+    let (before, after) = sharp.split_once("[rough]").expect("there is a table");
+    let plain = format!("{before}[{}", after.split_once("\n[").expect("another part").1);
+    for project in [&sharp, &plain] {
+        std::fs::write(&toml, project).expect("written");
+        let out = place.at("out");
+        let arguments =
+            ["flight", "solve", text(&toml), "-o", text(&out), "--engine", "pycolmap", "--overwrite", "--json"];
+        let output = autoref(&arguments, None, &[]);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        assert_eq!(document["frames_registered"], 5);
+        let worst = place.flight.worst_camera_m(&document);
+        assert!(worst < 4.0, "{worst:.2} m");
+    }
 }
 
 /// From drawn frames to cameras, by COLMAP itself; killed before it checks the ties and resumed: the same cameras.

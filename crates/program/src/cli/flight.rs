@@ -2,6 +2,7 @@
 
 pub(super) mod click;
 mod document;
+mod engine;
 mod export;
 mod footprints;
 mod frames;

@@ -12,6 +12,7 @@ use autoref_flight::world::World;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::engine::Program;
 use super::relative::{Flight, GroundPlane};
 use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, views};
 
@@ -37,7 +38,10 @@ pub struct SolveArgs {
 /// Programs that orient frames to each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Engine {
+    /// The program `colmap`, or pycolmap where there is none.
     Colmap,
+    /// Python's pycolmap, version 4.
+    Pycolmap,
     /// MicMac's `mm3d`, where it is installed.
     Micmac,
 }
@@ -300,13 +304,17 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
         ordered: names.iter().map(String::as_str).collect(),
         size_px: image_size(&folder.join(&names[0]), None)?,
         anew: args.overwrite,
+        engine: match args.engine {
+            Engine::Pycolmap => Program::Pycolmap,
+            Engine::Colmap | Engine::Micmac => Program::Colmap,
+        },
         near: Vec::new(),
     };
     let plane = ground_plane(&project, &points, rows, &flight);
     let (lines, near) = runs::lines_and_pairs(&project, &flight.ordered, rows, plane.as_ref().map(|p| (p, &flight)));
     let flight = Flight { near, ..flight };
     let (model, pairs) = match args.engine {
-        Engine::Colmap => by_colmap(&flight, plane.as_ref(), &points)?,
+        Engine::Colmap | Engine::Pycolmap => by_colmap(&flight, plane.as_ref(), &points)?,
         Engine::Micmac => (micmac::oriented(&args.project, (&project, &base), &ordered, &out)?, None),
     };
     let mut control = points.load(Some(&model))?;
@@ -317,11 +325,11 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let world = control.world()?;
     let ground = control.in_world(&world, &model, &points)?;
     let rough = match args.engine {
-        Engine::Colmap => table_poses(&project, rows, &model, &world),
+        Engine::Colmap | Engine::Pycolmap => table_poses(&project, rows, &model, &world),
         Engine::Micmac => micmac::held(&model, &world),
     };
     let free = match args.engine {
-        Engine::Colmap => interior(&project.adjust.free)?,
+        Engine::Colmap | Engine::Pycolmap => interior(&project.adjust.free)?,
         // Compensated with the poses.
         Engine::Micmac => Vec::new(),
     };

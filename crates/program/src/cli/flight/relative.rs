@@ -2,14 +2,14 @@
 //! they end.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use autoref_flight::adjust::{GroundPoint, RoughPose};
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, start};
 use nalgebra::Rotation3;
 
+use super::engine::{Program, no_pair};
 use super::project::{Focal, Project};
 use super::ties::{self, Ties};
 use super::views::{Interior, Masks, View};
@@ -23,6 +23,7 @@ pub struct Flight<'a> {
     pub ordered: Vec<&'a str>,
     pub size_px: [f64; 2],
     pub anew: bool,
+    pub engine: Program,
     /// Frames that are compared with each other, by their numbers, the smaller first.
     pub near: Vec<(usize, usize)>,
 }
@@ -103,6 +104,9 @@ impl<'a> Flight<'a> {
     fn hash(&self) -> Result<Hash> {
         let project = self.project;
         let mut hash = Hash::new(&format!("{:?} {} {:?}", project.camera, project.adjust.features, self.ordered));
+        if self.engine == Program::Pycolmap {
+            hash.bytes(b"pycolmap");
+        }
         for name in &self.ordered {
             hash.file(&self.folder.join(name))?;
         }
@@ -147,7 +151,7 @@ impl<'a> Flight<'a> {
         };
         let folder = self.stages().run(&format!("{stage}ties"), &hash.hex(), |part| {
             let log = self.out.join(format!("{stage}ties.log"));
-            ties::make(part, &job, &|a, command| colmap_run(&log, a, command))
+            ties::make(part, &job, &|a, command| self.engine.run(&log, a, command))
         })?;
         let ties = ties::read(&folder)?;
         if ties.count() == 0 {
@@ -198,7 +202,7 @@ impl<'a> Flight<'a> {
                     "feature_extractor"
                 }
             };
-            colmap_run(&self.out.join(format!("{stage}features.log")), &a, command)
+            self.engine.run(&self.out.join(format!("{stage}features.log")), &a, command)
         })?;
 
         let pairs: String =
@@ -219,7 +223,7 @@ impl<'a> Flight<'a> {
                 ("SiftMatching.use_gpu", "0".into()),
                 ("SiftMatching.num_threads", "1".into()),
             ];
-            colmap_run(&self.out.join(format!("{stage}matches.log")), &a, "matches_importer")
+            self.engine.run(&self.out.join(format!("{stage}matches.log")), &a, "matches_importer")
         })?;
         Ok((matches, hash))
     }
@@ -257,7 +261,7 @@ impl<'a> Flight<'a> {
                 ("Mapper.ba_refine_focal_length", held.into()),
                 ("Mapper.ba_refine_principal_point", "0".into()),
             ];
-            colmap_run(&self.out.join("mapper.log"), &a, "mapper")
+            self.engine.run(&self.out.join("mapper.log"), &a, "mapper")
         })?;
         let best = colmap::model_folder(&sparse).ok_or_else(no_pair)?;
         colmap::read(&best).context("COLMAP's model")
@@ -361,61 +365,5 @@ impl Stages<'_> {
         std::fs::rename(&part, &target).map_err(|e| Error::io(&part, "rename", e))?;
         autoref_raster::atomic::write(&stamp, hash.as_bytes())?;
         Ok(target)
-    }
-}
-
-fn no_pair() -> Error {
-    Error::no_result(
-        "COLMAP found no two frames that fit together",
-        "check the focal length and the neighbours, or raise adjust.features",
-    )
-}
-
-fn says(log: &Path, words: &str) -> bool {
-    std::fs::read(log).is_ok_and(|text| String::from_utf8_lossy(&text).contains(words))
-}
-
-/// Options of version 3.8 that later versions call otherwise.
-const RENAMED: [(&str, &str); 4] = [
-    ("SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"),
-    ("SiftExtraction.num_threads", "FeatureExtraction.num_threads"),
-    ("SiftMatching.use_gpu", "FeatureMatching.use_gpu"),
-    ("SiftMatching.num_threads", "FeatureMatching.num_threads"),
-];
-
-/// Runs a command of COLMAP with the names of 3.8, and with the later ones where it does not know those.
-fn colmap_run(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
-    let first = colmap_once(log, arguments, command);
-    if first.is_ok() || !says(log, "unrecognised option") {
-        return first;
-    }
-    let later = |key: &str| RENAMED.iter().find(|r| r.0 == key).map(|r| r.1);
-    let renamed: Vec<(&str, String)> = arguments.iter().map(|(k, v)| (later(k).unwrap_or(k), v.clone())).collect();
-    colmap_once(log, &renamed, command)
-}
-
-fn colmap_once(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<()> {
-    let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
-    let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
-    let mut run = Command::new("colmap");
-    run.arg(command).env("QT_QPA_PLATFORM", "offscreen").stdin(Stdio::null()).stdout(file).stderr(twin);
-    for (key, value) in arguments {
-        run.arg(format!("--{key}")).arg(value);
-    }
-    match run.status() {
-        Ok(status) if status.success() => Ok(()),
-        // It says so and fails when no two frames fit together.
-        Ok(status) if status.code() == Some(1) && says(log, "failed to create") => Err(no_pair().into()),
-        Ok(status) => bail!(
-            "colmap {command} ended with {status}; {} has its words; run the command again to resume",
-            log.display()
-        ),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            bail!(
-                "`colmap` is not there; install it (Debian, Ubuntu: apt-get install colmap; conda: conda install colmap; Python's \
-                 pycolmap brings no such command) and run the command again"
-            )
-        }
-        Err(e) => bail!("colmap cannot be run: {e}"),
     }
 }
