@@ -1,7 +1,7 @@
 //! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
 //! as weighted observations, blunders named, check points compared.
 
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, factor,
@@ -424,39 +424,44 @@ fn worst(
     };
     for (i, point) in problem.points.iter().enumerate().skip(ties) {
         let Some((at, sigma)) = point.survey.filter(|s| s.1.max() < 1e5) else { continue };
-        let stated = Matrix3::from_diagonal(&sigma.component_mul(&sigma));
-        let q = stated - factored.point(i);
-        // Below a hundredth nothing checks the point.
-        if (0..3).any(|a| q[(a, a)] < 1e-2 * stated[(a, a)]) {
-            continue;
-        }
-        let v = at - point.xyz;
-        let Some(inverse) = q.try_inverse() else { continue };
-        let test = v.dot(&(inverse * v)).max(0.0);
-        // Three coordinates at once: as improbable as one normal number of this size.
-        let test = test.cbrt_normal(3);
-        let by = stated * inverse * v;
+        let Some((by, test)) = snooped(at - point.xyz, sigma, factored.point(i)) else { continue };
         let name = control[i - ties].name.clone();
-        offer(Blunder { gcp: name, photograph: None, by: by.iter().copied().collect(), test }, Worst::Survey(i));
+        offer(Blunder { gcp: name, photograph: None, by, test }, Worst::Survey(i));
     }
     for (i, o) in problem.observations.iter().enumerate().filter(|(_, o)| o.point >= ties) {
         let (Some(r), Some(predicted)) = (problem.residual(o), factored.predicted(problem, o)) else { continue };
-        let stated = Matrix2::identity() * o.sigma_px.powi(2);
-        let q = stated - predicted;
-        if (0..2).any(|a| q[(a, a)] < 1e-2 * stated[(a, a)]) {
-            continue;
-        }
-        let v = -Vector2::new(r[0], r[1]);
-        let Some(inverse) = q.try_inverse() else { continue };
-        let test = v.dot(&(inverse * v)).max(0.0).cbrt_normal(2);
-        let by = stated * inverse * v;
+        let sigma = Vector2::repeat(o.sigma_px);
+        let Some((by, test)) = snooped(-Vector2::new(r[0], r[1]), sigma, predicted) else { continue };
         let name = control[o.point - ties].name.clone();
-        offer(
-            Blunder { gcp: name, photograph: Some(o.frame), by: by.iter().copied().collect(), test },
-            Worst::Image(i),
-        );
+        offer(Blunder { gcp: name, photograph: Some(o.frame), by, test }, Worst::Image(i));
     }
     best
+}
+
+/// The error of an observation of so many numbers that explains its residual, and its size as a number of σ. `adjusted` is
+/// the covariance of what the block makes of it. In directions that the block hardly checks nothing is said; `None`
+/// where those are all.
+fn snooped<const N: usize>(
+    residual: SVector<f64, N>,
+    sigma: SVector<f64, N>,
+    adjusted: SMatrix<f64, N, N>,
+) -> Option<(Vec<f64>, f64)> {
+    /// Share of an observation that the others check at least.
+    const LEAST_REDUNDANCY: f64 = 1e-2;
+    let unit = |i: usize, j: usize| f64::from(u8::from(i == j)) - adjusted[(i, j)] / (sigma[i] * sigma[j]);
+    let eigen = DMatrix::from_fn(N, N, unit).symmetric_eigen();
+    let whitened = DVector::from_fn(N, |i, _| residual[i] / sigma[i]);
+    let (mut by, mut sum, mut checked) = (vec![0.0; N], 0.0, 0);
+    for (redundancy, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+        if *redundancy >= LEAST_REDUNDANCY {
+            let along = direction.dot(&whitened);
+            by.iter_mut().enumerate().for_each(|(i, by)| *by += sigma[i] * direction[i] * along / redundancy);
+            sum += along * along / redundancy;
+            checked += 1;
+        }
+    }
+    // Several numbers at once: as improbable as one normal number of this size.
+    (checked > 0).then(|| (by, sum.cbrt_normal(checked)))
 }
 
 trait Normalise {
@@ -578,4 +583,22 @@ fn finish(
         model,
         notes: parts.notes,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_nothing_checks_is_not_guessed() {
+        // East and north together are checked along one diagonal only.
+        let (sigma, residual) = (Vector3::repeat(25.0), Vector3::new(80.0, 80.0, -10.0));
+        let adjusted = 625.0 * Matrix3::new(0.5, -0.5, 0.0, -0.5, 0.5, 0.0, 0.0, 0.0, 0.1) * (1.0 - 1e-12);
+        let full = 625.0 * Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.1));
+        let (by, test) = snooped(residual, sigma, adjusted).expect("two directions are checked");
+        assert!(by.iter().all(|v| v.abs() < 100.0) && test > 3.0, "{by:?} {test}");
+        let (by, _) = snooped(residual, sigma, full).expect("all are checked");
+        assert!((by[0] - 160.0).abs() < 1e-9 && (by[2] + 10.0 / 0.9).abs() < 1e-9, "{by:?}");
+        assert!(snooped(residual, sigma, 625.0 * Matrix3::identity()).is_none());
+    }
 }
