@@ -1,11 +1,15 @@
 //! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
 //! as weighted observations, blunders named, check points compared.
 
-use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector2, Vector3};
+mod outcome;
+mod snooping;
 
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use self::outcome::End;
+use self::snooping::Snooped;
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, factor,
-    solve,
+    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, solve,
 };
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
@@ -127,26 +131,7 @@ pub struct Adjustment {
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
     let mut notes = model.notes.clone();
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
-    let (mut from, mut to) = (Vec::new(), Vec::new());
-    for p in control.iter().filter(|p| p.seen.len() >= 2) {
-        if let Some(x) = intersect_seen(model, &p.seen) {
-            from.push(x);
-            to.push(p.xyz);
-        }
-    }
-    let mut move_by = if from.len() >= 3 { datum(&from, &to) } else { None };
-    if move_by.is_none() {
-        move_by = by_rough_poses(model, &options.rough);
-    }
-    let move_by = move_by.ok_or_else(|| {
-        Error::no_result(
-            format!(
-                "{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block",
-                from.len()
-            ),
-            "measure more GCPs in the images, or give rough positions and directions with --cameras",
-        )
-    })?;
+    let move_by = placing(model, &control, options)?;
     let mut world = model.clone();
     for p in &mut world.photographs {
         p.pose = p.pose.moved(&move_by);
@@ -176,93 +161,39 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
             o.trust = Trust::Full;
         }
     }
-    let options_of = Options { loss: Loss::Huber(3.0), ..Options::default() };
-    let mut blunders = Vec::new();
-    let mut summary;
-    let mut factored;
-    loop {
-        summary = solve(&mut problem, &options_of)?;
-        factored = factor(&problem, options_of.loss);
-        let Some(f) = &factored else { break };
-        let surveyed = problem.points[ties..].iter().filter(|p| p.survey.is_some()).count();
-        if surveyed <= 3 || blunders.len() >= control.len() {
-            break;
-        }
-        let Some((blunder, what)) = worst(&problem, f, ties, &control, options) else { break };
-        blunders.push(blunder);
-        match what {
-            Worst::Survey(point) => problem.points[point].survey = None,
-            Worst::Image(index) => {
-                problem.observations.remove(index);
-            }
-        }
-        // A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
-        for i in ties..problem.points.len() {
-            let seen = problem.observations.iter().filter(|o| o.point == i).count();
-            if problem.points[i].survey.is_none() && seen < 2 {
-                let at = control[i - ties].xyz;
-                problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
-            }
-        }
-    }
+    let Snooped { blunders, summary, factored } = snooping::snoop(&mut problem, ties, &control, options)?;
     if factored.is_none() {
         notes.push(
             "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),
         );
     }
-    notes.extend(contradictions(&problem, &world, &control, &blunders));
-    finish(
-        &world,
-        points,
-        &control,
-        problem,
-        &kept,
-        factored,
-        Parts { blunders, summary, sigma_tie_px, ties, dropped_ties, notes },
-    )
+    notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
+    let end = End { problem, factored, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
+    Ok(outcome::outcome(&world, points, &control, end))
 }
 
-/// What makes the block itself doubtful: many GCPs called wrong, cameras far from where they are known to have been. A
-/// line that is folded between two frames fits its ties, and states small σ.
-fn contradictions(
-    problem: &Problem,
-    world: &Reconstruction,
-    control: &[&GroundPoint],
-    blunders: &[Blunder],
-) -> Vec<String> {
-    /// A share of the GCPs' measurements, and a number, that are hardly all wrong.
-    const MANY: (f64, usize) = (0.1, 3);
-    /// Standard deviations.
-    const FAR: f64 = 5.0;
-    let measured: usize = control.iter().map(|p| p.seen.len()).sum();
-    let wrong = blunders.iter().filter(|b| b.photograph.is_some()).count();
-    let mut notes = Vec::new();
-    if wrong >= MANY.1 && wrong as f64 > MANY.0 * measured as f64 {
-        notes.push(format!(
-            "{wrong} of {measured} measurements of GCPs contradict the block: it may be bent where they lie, and its \
-             cameras further off than their standard deviations say"
-        ));
-    }
-    for (frame, photograph) in problem.frames.iter().zip(&world.photographs) {
-        let Some((at, sigma)) = frame.position else { continue };
-        let off = (frame.pose.centre - at).component_div(&sigma).amax();
-        if off > FAR {
-            notes.push(format!(
-                "{}: {off:.0} standard deviations from its rough position: the table is wrong, or the block is",
-                photograph.name
-            ));
+/// What brings the model to the ground: the GCPs' rays and surveys, else the rough poses.
+fn placing(model: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> Result<Similarity> {
+    let (mut from, mut to) = (Vec::new(), Vec::new());
+    for p in control.iter().filter(|p| p.seen.len() >= 2) {
+        if let Some(x) = intersect_seen(model, &p.seen) {
+            from.push(x);
+            to.push(p.xyz);
         }
     }
-    notes
-}
-
-struct Parts {
-    blunders: Vec<Blunder>,
-    summary: Summary,
-    sigma_tie_px: f64,
-    ties: usize,
-    dropped_ties: usize,
-    notes: Vec<String>,
+    let mut move_by = if from.len() >= 3 { datum(&from, &to) } else { None };
+    if move_by.is_none() {
+        move_by = by_rough_poses(model, &options.rough);
+    }
+    move_by.ok_or_else(|| {
+        Error::no_result(
+            format!(
+                "{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block",
+                from.len()
+            ),
+            "measure more GCPs in the images, or give rough positions and directions with --cameras",
+        )
+    })
 }
 
 /// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the
@@ -400,205 +331,4 @@ fn estimate_sigma(problem: &Problem, ties: usize, observations: usize) -> Option
     let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
     // χ² with two degrees of freedom has its median at 2 ln 2.
     Some((median / (2.0 * std::f64::consts::LN_2) / free.clamp(0.1, 1.0)).sqrt().max(0.02))
-}
-
-enum Worst {
-    Survey(usize),
-    Image(usize),
-}
-
-/// The largest normalised residual among the GCPs' observations in images and on the ground (Baarda's data snooping,
-/// with groups of two and three).
-fn worst(
-    problem: &Problem,
-    factored: &crate::bundle::Factored,
-    ties: usize,
-    control: &[&GroundPoint],
-    options: &AdjustOptions,
-) -> Option<(Blunder, Worst)> {
-    let mut best: Option<(Blunder, Worst)> = None;
-    let mut offer = |blunder: Blunder, what: Worst| {
-        if blunder.test > options.critical && best.as_ref().is_none_or(|b| blunder.test > b.0.test) {
-            best = Some((blunder, what));
-        }
-    };
-    for (i, point) in problem.points.iter().enumerate().skip(ties) {
-        let Some((at, sigma)) = point.survey.filter(|s| s.1.max() < 1e5) else { continue };
-        let Some((by, test)) = snooped(at - point.xyz, sigma, factored.point(i)) else { continue };
-        let name = control[i - ties].name.clone();
-        offer(Blunder { gcp: name, photograph: None, by, test }, Worst::Survey(i));
-    }
-    for (i, o) in problem.observations.iter().enumerate().filter(|(_, o)| o.point >= ties) {
-        let (Some(r), Some(predicted)) = (problem.residual(o), factored.predicted(problem, o)) else { continue };
-        let sigma = Vector2::repeat(o.sigma_px);
-        let Some((by, test)) = snooped(-Vector2::new(r[0], r[1]), sigma, predicted) else { continue };
-        let name = control[o.point - ties].name.clone();
-        offer(Blunder { gcp: name, photograph: Some(o.frame), by, test }, Worst::Image(i));
-    }
-    best
-}
-
-/// The error of an observation of so many numbers that explains its residual, and its size as a number of σ. `adjusted` is
-/// the covariance of what the block makes of it. In directions that the block hardly checks nothing is said; `None`
-/// where those are all.
-fn snooped<const N: usize>(
-    residual: SVector<f64, N>,
-    sigma: SVector<f64, N>,
-    adjusted: SMatrix<f64, N, N>,
-) -> Option<(Vec<f64>, f64)> {
-    /// Share of an observation that the others check at least.
-    const LEAST_REDUNDANCY: f64 = 1e-2;
-    let unit = |i: usize, j: usize| f64::from(u8::from(i == j)) - adjusted[(i, j)] / (sigma[i] * sigma[j]);
-    let eigen = DMatrix::from_fn(N, N, unit).symmetric_eigen();
-    let whitened = DVector::from_fn(N, |i, _| residual[i] / sigma[i]);
-    let (mut by, mut sum, mut checked) = (vec![0.0; N], 0.0, 0);
-    for (redundancy, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
-        if *redundancy >= LEAST_REDUNDANCY {
-            let along = direction.dot(&whitened);
-            by.iter_mut().enumerate().for_each(|(i, by)| *by += sigma[i] * direction[i] * along / redundancy);
-            sum += along * along / redundancy;
-            checked += 1;
-        }
-    }
-    // Several numbers at once: as improbable as one normal number of this size.
-    (checked > 0).then(|| (by, sum.cbrt_normal(checked)))
-}
-
-trait Normalise {
-    fn cbrt_normal(self, freedom: u32) -> f64;
-}
-
-impl Normalise for f64 {
-    /// A χ² value as a number of σ: Wilson and Hilferty's cube root (1931).
-    fn cbrt_normal(self, freedom: u32) -> f64 {
-        let k = f64::from(freedom);
-        ((self / k).cbrt() - (1.0 - 2.0 / (9.0 * k))) / (2.0 / (9.0 * k)).sqrt()
-    }
-}
-
-fn finish(
-    world: &Reconstruction,
-    points: &[GroundPoint],
-    control: &[&GroundPoint],
-    problem: Problem,
-    kept: &[usize],
-    factored: Option<crate::bundle::Factored>,
-    parts: Parts,
-) -> Result<Adjustment> {
-    let ties = parts.ties;
-    let mut model =
-        Reconstruction { cameras: problem.cameras.iter().map(|c| c.camera.clone()).collect(), ..world.clone() };
-    for (p, f) in model.photographs.iter_mut().zip(&problem.frames) {
-        p.pose = f.pose;
-    }
-    model.ties = kept
-        .iter()
-        .zip(&problem.points)
-        .map(|(j, p)| crate::read::TiePoint { xyz: p.xyz, seen: world.ties[*j].seen.clone() })
-        .collect();
-    let mut sums = vec![(0.0, 0usize); problem.frames.len()];
-    let (mut sum, mut lengths) = (0.0, 0.0);
-    let mut count = 0usize;
-    for o in problem.observations.iter().filter(|o| o.point < ties) {
-        // Ties that the robust loss has let go of are counted as what they are: capped at ten σ.
-        let Some(r) = problem.residual(o) else { continue };
-        let s = r[0] * r[0] + r[1] * r[1];
-        if s > (10.0 * o.sigma_px).powi(2) {
-            continue;
-        }
-        sums[o.frame].0 += s;
-        sums[o.frame].1 += 1;
-        (sum, lengths, count) = (sum + s, lengths + s.sqrt(), count + 1);
-    }
-    let photographs = problem
-        .frames
-        .iter()
-        .enumerate()
-        .map(|(i, f)| AdjustedCamera {
-            photograph: i,
-            pose: f.pose,
-            covariance: factored.as_ref().map(|n| n.frame(i)),
-            rms_px: if sums[i].1 > 0 { (sums[i].0 / sums[i].1 as f64).sqrt() } else { f64::NAN },
-            ties: sums[i].1,
-        })
-        .collect();
-    let image = |xyz: &Vector3<f64>, seen: &[(usize, [f64; 2])]| -> Vec<(usize, [f64; 2])> {
-        seen.iter()
-            .filter_map(|(i, pixel)| {
-                let p = &model.photographs[*i];
-                let at = model.cameras[p.camera].project(p.pose.to_camera(xyz).into())?;
-                Some((*i, [at[0] - pixel[0], at[1] - pixel[1]]))
-            })
-            .collect()
-    };
-    let mut adjusted = Vec::new();
-    for p in points {
-        match control.iter().position(|c| c.name == p.name && p.role == Role::Control) {
-            Some(k) => {
-                let b = &problem.points[ties + k];
-                adjusted.push(AdjustedPoint {
-                    name: p.name.clone(),
-                    role: p.role,
-                    xyz: b.xyz,
-                    residual: Some(b.xyz - p.xyz),
-                    covariance: factored.as_ref().map(|f| f.point(ties + k)),
-                    image: image(&b.xyz, &p.seen),
-                });
-            }
-            None if p.seen.len() >= 2 => {
-                let x = intersect_seen(&model, &p.seen);
-                adjusted.push(AdjustedPoint {
-                    name: p.name.clone(),
-                    role: p.role,
-                    xyz: x.unwrap_or(p.xyz),
-                    residual: x.map(|x| x - p.xyz),
-                    covariance: None,
-                    image: x.map(|x| image(&x, &p.seen)).unwrap_or_default(),
-                });
-            }
-            None => adjusted.push(AdjustedPoint {
-                name: p.name.clone(),
-                role: p.role,
-                xyz: p.xyz,
-                residual: None,
-                covariance: None,
-                image: image(&p.xyz, &p.seen),
-            }),
-        }
-    }
-    let interior_sigmas =
-        (0..model.cameras.len()).map(|i| factored.as_ref().map(|f| f.interior(i)).unwrap_or_default()).collect();
-    Ok(Adjustment {
-        cameras: model.cameras.clone(),
-        interior_sigmas,
-        photographs,
-        points: adjusted,
-        blunders: parts.blunders,
-        tie_rms_px: if count > 0 { (sum / count as f64).sqrt() } else { f64::NAN },
-        tie_mean_px: if count > 0 { lengths / count as f64 } else { f64::NAN },
-        sigma_tie_px: parts.sigma_tie_px,
-        ties,
-        dropped_ties: parts.dropped_ties,
-        summary: parts.summary,
-        model,
-        notes: parts.notes,
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_nothing_checks_is_not_guessed() {
-        // East and north together are checked along one diagonal only.
-        let (sigma, residual) = (Vector3::repeat(25.0), Vector3::new(80.0, 80.0, -10.0));
-        let adjusted = 625.0 * Matrix3::new(0.5, -0.5, 0.0, -0.5, 0.5, 0.0, 0.0, 0.0, 0.1) * (1.0 - 1e-12);
-        let full = 625.0 * Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.1));
-        let (by, test) = snooped(residual, sigma, adjusted).expect("two directions are checked");
-        assert!(by.iter().all(|v| v.abs() < 100.0) && test > 3.0, "{by:?} {test}");
-        let (by, _) = snooped(residual, sigma, full).expect("all are checked");
-        assert!((by[0] - 160.0).abs() < 1e-9 && (by[2] + 10.0 / 0.9).abs() < 1e-9, "{by:?}");
-        assert!(snooped(residual, sigma, 625.0 * Matrix3::identity()).is_none());
-    }
 }

@@ -1,0 +1,181 @@
+//! Gross errors of GCPs: Baarda's data snooping, and what makes the block itself doubtful.
+
+use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
+
+use super::{AdjustOptions, Blunder, GroundPoint};
+use crate::bundle::{Factored, Loss, Options, Problem, Summary, factor, solve};
+use crate::error::Result;
+use crate::read::Reconstruction;
+
+/// The end of the adjustment, without what was wrong.
+pub(super) struct Snooped {
+    pub blunders: Vec<Blunder>,
+    pub summary: Summary,
+    /// `None` where something is not determined.
+    pub factored: Option<Factored>,
+}
+
+/// Adjusts, takes the worst observation of a GCP out where it is a blunder, and adjusts again, until none is left.
+///
+/// # Errors
+/// When the adjustment fails.
+pub(super) fn snoop(
+    problem: &mut Problem,
+    ties: usize,
+    control: &[&GroundPoint],
+    options: &AdjustOptions,
+) -> Result<Snooped> {
+    let solving = Options { loss: Loss::Huber(3.0), ..Options::default() };
+    let mut blunders = Vec::new();
+    loop {
+        let summary = solve(problem, &solving)?;
+        let factored = factor(problem, solving.loss);
+        let surveyed = problem.points[ties..].iter().filter(|p| p.survey.is_some()).count();
+        let tested = factored.as_ref().filter(|_| surveyed > 3 && blunders.len() < control.len());
+        let Some((blunder, what)) = tested.and_then(|f| worst(problem, f, ties, control, options)) else {
+            return Ok(Snooped { blunders, summary, factored });
+        };
+        blunders.push(blunder);
+        match what {
+            Worst::Survey(point) => problem.points[point].survey = None,
+            Worst::Image(index) => {
+                problem.observations.remove(index);
+            }
+        }
+        // A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
+        for i in ties..problem.points.len() {
+            let seen = problem.observations.iter().filter(|o| o.point == i).count();
+            if problem.points[i].survey.is_none() && seen < 2 {
+                let at = control[i - ties].xyz;
+                problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
+            }
+        }
+    }
+}
+
+/// What makes the block itself doubtful: many GCPs called wrong, cameras far from where they are known to have been. A
+/// line that is folded between two frames fits its ties, and states small σ.
+pub(super) fn contradictions(
+    problem: &Problem,
+    world: &Reconstruction,
+    control: &[&GroundPoint],
+    blunders: &[Blunder],
+) -> Vec<String> {
+    /// A share of the GCPs' measurements, and a number, that are hardly all wrong.
+    const MANY: (f64, usize) = (0.1, 3);
+    /// Standard deviations.
+    const FAR: f64 = 5.0;
+    let measured: usize = control.iter().map(|p| p.seen.len()).sum();
+    let wrong = blunders.iter().filter(|b| b.photograph.is_some()).count();
+    let mut notes = Vec::new();
+    if wrong >= MANY.1 && wrong as f64 > MANY.0 * measured as f64 {
+        notes.push(format!(
+            "{wrong} of {measured} measurements of GCPs contradict the block: it may be bent where they lie, and its \
+             cameras further off than their standard deviations say"
+        ));
+    }
+    for (frame, photograph) in problem.frames.iter().zip(&world.photographs) {
+        let Some((at, sigma)) = frame.position else { continue };
+        let off = (frame.pose.centre - at).component_div(&sigma).amax();
+        if off > FAR {
+            notes.push(format!(
+                "{}: {off:.0} standard deviations from its rough position: the table is wrong, or the block is",
+                photograph.name
+            ));
+        }
+    }
+    notes
+}
+
+enum Worst {
+    Survey(usize),
+    Image(usize),
+}
+
+/// The largest normalised residual among the GCPs' observations in images and on the ground (Baarda's data snooping,
+/// with groups of two and three).
+fn worst(
+    problem: &Problem,
+    factored: &Factored,
+    ties: usize,
+    control: &[&GroundPoint],
+    options: &AdjustOptions,
+) -> Option<(Blunder, Worst)> {
+    let mut best: Option<(Blunder, Worst)> = None;
+    let mut offer = |blunder: Blunder, what: Worst| {
+        if blunder.test > options.critical && best.as_ref().is_none_or(|b| blunder.test > b.0.test) {
+            best = Some((blunder, what));
+        }
+    };
+    for (i, point) in problem.points.iter().enumerate().skip(ties) {
+        let Some((at, sigma)) = point.survey.filter(|s| s.1.max() < 1e5) else { continue };
+        let Some((by, test)) = snooped(at - point.xyz, sigma, factored.point(i)) else { continue };
+        let name = control[i - ties].name.clone();
+        offer(Blunder { gcp: name, photograph: None, by, test }, Worst::Survey(i));
+    }
+    for (i, o) in problem.observations.iter().enumerate().filter(|(_, o)| o.point >= ties) {
+        let (Some(r), Some(predicted)) = (problem.residual(o), factored.predicted(problem, o)) else { continue };
+        let sigma = Vector2::repeat(o.sigma_px);
+        let Some((by, test)) = snooped(-Vector2::new(r[0], r[1]), sigma, predicted) else { continue };
+        let name = control[o.point - ties].name.clone();
+        offer(Blunder { gcp: name, photograph: Some(o.frame), by, test }, Worst::Image(i));
+    }
+    best
+}
+
+/// The error of an observation of so many numbers that explains its residual, and its size as a number of σ. `adjusted` is
+/// the covariance of what the block makes of it. In directions that the block hardly checks nothing is said; `None`
+/// where those are all.
+fn snooped<const N: usize>(
+    residual: SVector<f64, N>,
+    sigma: SVector<f64, N>,
+    adjusted: SMatrix<f64, N, N>,
+) -> Option<(Vec<f64>, f64)> {
+    /// Share of an observation that the others check at least.
+    const LEAST_REDUNDANCY: f64 = 1e-2;
+    let unit = |i: usize, j: usize| f64::from(u8::from(i == j)) - adjusted[(i, j)] / (sigma[i] * sigma[j]);
+    let eigen = DMatrix::from_fn(N, N, unit).symmetric_eigen();
+    let whitened = DVector::from_fn(N, |i, _| residual[i] / sigma[i]);
+    let (mut by, mut sum, mut checked) = (vec![0.0; N], 0.0, 0);
+    for (redundancy, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+        if *redundancy >= LEAST_REDUNDANCY {
+            let along = direction.dot(&whitened);
+            by.iter_mut().enumerate().for_each(|(i, by)| *by += sigma[i] * direction[i] * along / redundancy);
+            sum += along * along / redundancy;
+            checked += 1;
+        }
+    }
+    // Several numbers at once: as improbable as one normal number of this size.
+    (checked > 0).then(|| (by, sum.cbrt_normal(checked)))
+}
+
+trait Normalise {
+    fn cbrt_normal(self, freedom: u32) -> f64;
+}
+
+impl Normalise for f64 {
+    /// A χ² value as a number of σ: Wilson and Hilferty's cube root (1931).
+    fn cbrt_normal(self, freedom: u32) -> f64 {
+        let k = f64::from(freedom);
+        ((self / k).cbrt() - (1.0 - 2.0 / (9.0 * k))) / (2.0 / (9.0 * k)).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    #[test]
+    fn what_nothing_checks_is_not_guessed() {
+        // East and north together are checked along one diagonal only.
+        let (sigma, residual) = (Vector3::repeat(25.0), Vector3::new(80.0, 80.0, -10.0));
+        let adjusted = 625.0 * Matrix3::new(0.5, -0.5, 0.0, -0.5, 0.5, 0.0, 0.0, 0.0, 0.1) * (1.0 - 1e-12);
+        let full = 625.0 * Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.1));
+        let (by, test) = snooped(residual, sigma, adjusted).expect("two directions are checked");
+        assert!(by.iter().all(|v| v.abs() < 100.0) && test > 3.0, "{by:?} {test}");
+        let (by, _) = snooped(residual, sigma, full).expect("all are checked");
+        assert!((by[0] - 160.0).abs() < 1e-9 && (by[2] + 10.0 / 0.9).abs() < 1e-9, "{by:?}");
+        assert!(snooped(residual, sigma, 625.0 * Matrix3::identity()).is_none());
+    }
+}
