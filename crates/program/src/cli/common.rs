@@ -523,6 +523,12 @@ fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow
     }))
 }
 
+/// Rounded to so many digits; what is printed as zero has no sign.
+pub fn unsigned_zero(value: f64, digits: i32) -> f64 {
+    let parts = 10f64.powi(digits);
+    (value * parts).round() / parts + 0.0
+}
+
 /// Text in a page or in an attribute of it.
 pub fn escaped_html(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

@@ -12,6 +12,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 
 use super::ResourceArgs;
+use crate::cli::common::unsigned_zero;
 
 #[derive(Args, Debug)]
 pub struct AlignArgs {
@@ -78,7 +79,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         println!("{}", serde_json::to_string_pretty(&document(args, alignment, &found.couple))?);
         return Ok(ExitCode::SUCCESS);
     }
-    let [e, n, h] = alignment.shift_m.map(|v| unsigned_zero(v, 1e4));
+    let [e, n, h] = alignment.shift_m.map(|v| unsigned_zero(v, 4));
     let error = |i: usize| alignment.covariance_m2[(i, i)].max(0.0).sqrt();
     println!(
         "Shift applied to A   east {e:.4} ± {:.4} m, north {n:.4} ± {:.4} m, height {h:.4} ± {:.4} m",
@@ -89,9 +90,9 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     if let Some(tilt) = &alignment.tilt {
         println!(
             "Tilt applied to A    east {:.5} ± {:.5} mm/m, north {:.5} ± {:.5} mm/m",
-            unsigned_zero(1e3 * tilt.east, 1e5),
+            unsigned_zero(1e3 * tilt.east, 5),
             1e3 * tilt.east_se,
-            unsigned_zero(1e3 * tilt.north, 1e5),
+            unsigned_zero(1e3 * tilt.north, 5),
             1e3 * tilt.north_se
         );
     }
@@ -106,11 +107,6 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
     println!("Written              {}", args.out.display());
     Ok(ExitCode::SUCCESS)
-}
-
-/// Rounded to a part in so many; what is printed as zero has no sign.
-fn unsigned_zero(value: f64, parts: f64) -> f64 {
-    (value * parts).round() / parts + 0.0
 }
 
 /// A number, or null where there is none.

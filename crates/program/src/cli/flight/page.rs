@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use crate::cli::common::escaped_html as escaped;
+use crate::cli::common::{escaped_html as escaped, unsigned_zero};
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
@@ -18,7 +18,7 @@ const CONTROL: &str = "#1f618d";
 const CHECK: &str = "#c0392b";
 
 fn fixed(value: &Value, digits: usize) -> String {
-    value.as_f64().map_or("–".into(), |v| format!("{v:.digits$}"))
+    value.as_f64().map_or("–".into(), |v| format!("{:.digits$}", unsigned_zero(v, digits as i32)))
 }
 
 fn rows<'a>(document: &'a Value, key: &str) -> &'a [Value] {
@@ -123,7 +123,8 @@ fn map(out: &mut String, document: &Value) {
     if everything.is_empty() || !(west.is_finite() && north.is_finite()) {
         return;
     }
-    let border = 0.08 * (east - west).max(north - south).max(1.0);
+    // Wide enough for the longest arrow.
+    let border = 0.1 * (east - west).max(north - south).max(1.0);
     let size_m = [east - west + 2.0 * border, north - south + 2.0 * border];
     let frame = Frame { left: west - border, top: north + border, px_per_m: MAP_PX / size_m[0].max(size_m[1]) };
     let [width, height] = size_m.map(|s| s * frame.px_per_m);
@@ -141,22 +142,7 @@ fn map(out: &mut String, document: &Value) {
     );
     for camera in rows(document, "cameras") {
         let (Some(at), Some(yaw)) = (place(camera).map(|p| frame.at(p)), camera["yaw_deg"].as_f64()) else { continue };
-        let (sin, cos) = yaw.to_radians().sin_cos();
-        let view = |along: f64, beside: f64| [at[0] + along * sin + beside * cos, at[1] - along * cos + beside * sin];
-        let (l, r) = (view(22.0, -12.0), view(22.0, 12.0));
-        let _ = write!(
-            out,
-            "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"#d5dbdb\" stroke=\"#566573\"/><text x=\"{:.1}\" y=\"{:.1}\" font-size=\"10\" fill=\"#566573\" text-anchor=\"middle\">{}</text>",
-            at[0],
-            at[1],
-            l[0],
-            l[1],
-            r[0],
-            r[1],
-            at[0],
-            at[1] + 14.0,
-            name(camera)
-        );
+        camera_mark(out, at, yaw, &name(camera));
         let by = differences.iter().find(|d| d["name"] == camera["name"]);
         if let Some((x, y)) = by.and_then(|d| Some((d["x_m"].as_f64()?, d["y_m"].as_f64()?))) {
             let by = [x, -y].map(|v| v * scale(moved));
@@ -165,17 +151,7 @@ fn map(out: &mut String, document: &Value) {
     }
     for (point, colour) in &points {
         let Some(at) = place(point).map(|p| frame.at(p)) else { continue };
-        let _ = write!(
-            out,
-            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\" fill=\"{colour}\"><title>{}</title></circle>\
-             <text x=\"{:.1}\" y=\"{:.1}\" font-size=\"11\" fill=\"{colour}\">{}</text>",
-            at[0],
-            at[1],
-            name(point),
-            at[0] + 5.0,
-            at[1] - 5.0,
-            name(point)
-        );
+        point_mark(out, at, &name(point), colour);
         let by = &point["residual_m"];
         if let (Some(x), Some(y)) = (by[0].as_f64(), by[1].as_f64()) {
             arrow(out, at, [x, -y].map(|v| v * scale(residual)), colour);
@@ -201,6 +177,38 @@ fn map(out: &mut String, document: &Value) {
         );
     }
     *out += " Arrows of a kind share a scale of their own.</p>";
+}
+
+/// A camera and where it looks.
+fn camera_mark(out: &mut String, at: [f64; 2], yaw_deg: f64, name: &str) {
+    let (sin, cos) = yaw_deg.to_radians().sin_cos();
+    let view = |along: f64, beside: f64| [at[0] + along * sin + beside * cos, at[1] - along * cos + beside * sin];
+    let (l, r) = (view(22.0, -12.0), view(22.0, 12.0));
+    let _ = write!(
+        out,
+        "<path d=\"M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z\" fill=\"#d5dbdb\" stroke=\"#566573\"/><text x=\"{:.1}\" \
+         y=\"{:.1}\" font-size=\"10\" fill=\"#566573\" text-anchor=\"middle\">{name}</text>",
+        at[0],
+        at[1],
+        l[0],
+        l[1],
+        r[0],
+        r[1],
+        at[0],
+        at[1] + 14.0
+    );
+}
+
+fn point_mark(out: &mut String, at: [f64; 2], name: &str, colour: &str) {
+    let _ = write!(
+        out,
+        "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3.5\" fill=\"{colour}\"><title>{name}</title></circle>\
+         <text x=\"{:.1}\" y=\"{:.1}\" font-size=\"11\" fill=\"{colour}\">{name}</text>",
+        at[0],
+        at[1],
+        at[0] + 5.0,
+        at[1] - 5.0
+    );
 }
 
 fn statistics(out: &mut String, document: &Value) {
