@@ -17,11 +17,11 @@ use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::matching::diagnosis::Diagnosis;
 use autoref_stream::matching::{Effort, Evidence, Pattern};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::pipeline::colour_search::{MOST_CLUSTERS, colour_search};
+use autoref_stream::pipeline::colour_search::{ColourSearch, MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
 use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
-use autoref_stream::pipeline::second_pass::{look_closer, second_pass};
+use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
     FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult, SolvedRun, Status,
@@ -176,22 +176,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         progress: &watch,
         refine: args.refine.choice(),
     };
-    let mut run = georeference(&job)?;
-    let mut second = None;
-    let mut colours = None;
+    let mut looked = Looked { run: georeference(&job)?, second: None, colours: None };
     if learns {
-        let _span = tracing::info_span!("second pass and colour search").entered();
         let learned = Job { matcher: learned_matcher.as_ref(), ..job };
-        let refused = matches!(run.outcome, Outcome::Refused(_));
-        if refused || args.second_pass == SecondPassArg::Always {
-            (run, second) = second_pass(&learned, run)?;
-        } else {
-            (run, second) = look_closer(&learned, run)?;
-        }
-        if matches!(run.outcome, Outcome::Refused(_)) {
-            (run, colours) = colour_search(&Job { matcher: cluster_matcher.as_ref(), ..job }, run)?;
-        }
+        let in_any_hue = Job { matcher: cluster_matcher.as_ref(), ..job };
+        looked = looked.again(args.second_pass, &learned, &in_any_hue)?;
     }
+    let Looked { mut run, second, colours } = looked;
     let known = diagnosis::known_place(info, &list);
     tracing::info_span!("gross-error diagnosis").in_scope(|| {
         diagnosis::examine(
@@ -236,6 +227,34 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// What the looks at the image gave.
+struct Looked {
+    run: Run,
+    second: Option<SecondPass>,
+    colours: Option<ColourSearch>,
+}
+
+impl Looked {
+    /// Looks again with the colours that the image taught, and where that is refused, for paint of any hue.
+    ///
+    /// # Errors
+    /// When the image cannot be read.
+    fn again(self, second_pass_arg: SecondPassArg, learned: &Job<'_>, in_any_hue: &Job<'_>) -> anyhow::Result<Looked> {
+        let _span = tracing::info_span!("second pass and colour search").entered();
+        let refused = matches!(self.run.outcome, Outcome::Refused(_));
+        let (run, second) = if refused || second_pass_arg == SecondPassArg::Always {
+            second_pass(learned, self.run)?
+        } else {
+            look_closer(learned, self.run)?
+        };
+        if matches!(run.outcome, Outcome::Refused(_)) {
+            let (run, colours) = colour_search(in_any_hue, run)?;
+            return Ok(Looked { run, second, colours });
+        }
+        Ok(Looked { run, second, colours: None })
+    }
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
