@@ -430,6 +430,25 @@ struct Partial<const N: usize> {
     rough: [f64; ROUGH],
 }
 
+impl<const N: usize> Partial<N> {
+    fn add(&mut self, left: &[f64; N], right: &[f64; N], curvature: f64, weighed: f64) {
+        for (i, &l) in left.iter().enumerate() {
+            self.right[i] += weighed * l;
+            let scaled = curvature * l;
+            for (sum, &r) in self.matrix[i].iter_mut().zip(right) {
+                *sum += scaled * r;
+            }
+        }
+    }
+
+    /// The shift alone, by the template's gradient as it is.
+    fn add_rough(&mut self, [tx, ty]: [f64; 2], [ox, oy]: [f64; 2], curvature: f64, weighed: f64) {
+        let of_matrix = [tx * ox, tx * oy, ty * ox, ty * oy].map(|term| curvature * term);
+        let terms = of_matrix.into_iter().chain([weighed * tx, weighed * ty]);
+        self.rough.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+}
+
 impl Sums {
     fn take<const N: usize>(&mut self, partial: &Partial<N>, block: Option<usize>) {
         for (sum, &term) in self.matrix.iter_mut().zip(partial.matrix.as_flattened()) {
@@ -529,18 +548,9 @@ impl View<'_> {
                 (left[0], left[1], right[0], right[1]) = (sx, sy, ox, oy);
                 let curvature = if derivative { slope } else { weight };
                 if derivative {
-                    let (of_matrix, of_right) = (curvature, weight * residual);
-                    let terms = [tx * ox, tx * oy, ty * ox, ty * oy].map(|term| of_matrix * term);
-                    let terms = terms.into_iter().chain([of_right * tx, of_right * ty]);
-                    partial.rough.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+                    partial.add_rough([tx, ty], [ox, oy], curvature, weight * residual);
                 }
-                for (i, &l) in left.iter().enumerate() {
-                    partial.right[i] += weight * residual * l;
-                    let scaled = curvature * l;
-                    for (sum, &r) in partial.matrix[i].iter_mut().zip(&right) {
-                        *sum += scaled * r;
-                    }
-                }
+                partial.add(&left, &right, curvature, weight * residual);
             }
         }
         partial
