@@ -12,8 +12,8 @@ pub enum Interpolation {
     Bilinear,
     /// Keys, *Cubic convolution interpolation for digital image processing*, 1981, with a = −1/2.
     Cubic,
-    /// The cubic through the four nearest cells (Lagrange): it bends at the cells, but moves rough ground by less than
-    /// Keys's does, a third of it at half the sampling frequency.
+    /// The cubic through the four nearest cells (Lagrange): it bends at the cells, but draws a shift that is sought on
+    /// rough ground by two fifths of what Keys's does.
     Lagrange,
 }
 

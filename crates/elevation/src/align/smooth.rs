@@ -3,7 +3,7 @@
 //! A model that is moved by a part of a cell is interpolated, and what varies from cell to cell then comes to lie a
 //! little off its place: a systematic error, to which the scatter of residuals is blind. Seen through a smooth
 //! gradient those variations have no say: on ground whose amplitudes fall with the power 1.9 of the frequency the bias
-//! is a seventh of that without, and the standard error a tenth larger.
+//! is a sixth to a quarter of that without, and the standard error a tenth larger.
 
 /// Half the width of the smoothing.
 pub const REACH_PX: usize = 2;
