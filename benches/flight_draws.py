@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """`flight solve` on a rendered flight with truth, over many draws of the rough table and the GCPs.
 
-    benches/flight_draws.py EXE FLIGHT [--draws 10] [--first 0] [--every 1] [--sigma-table 200,1] [--sigma-gcp 25,0.7] [--gcps 12] [--engine colmap|pycolmap]
+    benches/flight_draws.py EXE FLIGHT [--draws 10] [--first 0] [--every 1] [--sigma-table 200,1] [--sigma-gcp 25,0.7] [--gcps 12]
+                            [--engine colmap|pycolmap]
 
 FLIGHT holds truth.json, dem10.npz, depth_NAME.npz and the frames (../shared/data/flight; its README says what they are). For each
 draw (its seed is its number) the table gets errors of 200 m and 1 degree, and GCPs and check points are drawn on the ground where

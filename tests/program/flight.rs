@@ -217,6 +217,12 @@ impl Flight {
     }
 }
 
+fn write_program(path: &Path, script: &str) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::write(path, script).expect("written");
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("executable");
+}
+
 fn write_png(path: &Path, pixels: &[u8]) {
     let file = std::fs::File::create(path).expect("a new file");
     let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), SIDE as u32, SIDE as u32);
@@ -325,9 +331,7 @@ impl Place {
             self.at("prepared").display(),
             self.at("featureless.db").display()
         );
-        std::fs::write(bin.join("colmap"), script).expect("written");
-        use std::os::unix::fs::PermissionsExt;
-        std::fs::set_permissions(bin.join("colmap"), std::fs::Permissions::from_mode(0o755)).expect("executable");
+        write_program(&bin.join("colmap"), &script);
         bin
     }
     pub(super) fn five_frames(&self) {
@@ -659,9 +663,8 @@ fn pycolmap_is_asked_what_colmap_is() {
     place.five_frames();
     let (toml, bin) = (place.init(), place.stand_in());
     let python = |name: &str, script: &str| {
-        let path = place.write(name, &format!("#!/bin/sh\n{script}\n"));
-        use std::os::unix::fs::PermissionsExt;
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).expect("executable");
+        let path = place.at(name);
+        write_program(&path, &format!("#!/bin/sh\n{script}\n"));
         text(&path).to_string()
     };
     let solve = |out: &str, engine: &str, python: &str| {
@@ -684,6 +687,19 @@ fn pycolmap_is_asked_what_colmap_is() {
     expect(&solve("broken", "pycolmap", &broken), 2, &["pycolmap's feature_extractor", "exit status: 3", ".log"]);
 }
 
+/// A project whose GCPs are as good as they are drawn, with few features.
+fn sharpened(project: &str) -> String {
+    project
+        .replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1")
+        .replace("sigma_image_px = 5.0", "sigma_image_px = 0.5")
+        .replace("features = 6000", "features = 1500")
+}
+
+fn without_table(project: &str) -> String {
+    let (before, after) = project.split_once("[rough]").expect("there is a table");
+    format!("{before}[{}", after.split_once("\n[").expect("another part").1)
+}
+
 /// Drawn frames become cameras by pycolmap too, with a table and without.
 #[test]
 fn frames_become_cameras_by_pycolmap() {
@@ -696,13 +712,8 @@ fn frames_become_cameras_by_pycolmap() {
     let place = Place::new();
     place.flight.render(&place.at("frames"));
     let toml = place.init();
-    let written = std::fs::read_to_string(&toml).expect("there");
-    let sharp = written.replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1");
-    let sharp =
-        sharp.replace("sigma_image_px = 5.0", "sigma_image_px = 0.5").replace("features = 6000", "features = 1500");
-    let (before, after) = sharp.split_once("[rough]").expect("there is a table");
-    let plain = format!("{before}[{}", after.split_once("\n[").expect("another part").1);
-    for project in [&sharp, &plain] {
+    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    for project in [&sharp, &without_table(&sharp)] {
         std::fs::write(&toml, project).expect("written");
         let out = place.at("out");
         let arguments =
@@ -726,10 +737,8 @@ fn frames_become_cameras() {
     let place = Place::new();
     place.flight.render(&place.at("frames"));
     let toml = place.init();
-    let written = std::fs::read_to_string(&toml).expect("there");
-    let list = written.replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1\ncheck = [\"G1\", \"G6\"]");
-    let list =
-        list.replace("sigma_image_px = 5.0", "sigma_image_px = 0.5").replace("features = 6000", "features = 1500");
+    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    let list = sharp.replace("sigma_ground_m = 0.1", "sigma_ground_m = 0.1\ncheck = [\"G1\", \"G6\"]");
     std::fs::write(&toml, list).expect("written");
     let solve = |out: &str, words: &[(&str, &str)], bin: Option<&Path>| {
         autoref(&["flight", "solve", text(&toml), "-o", text(&place.at(out)), "--json"], bin, words)
@@ -769,9 +778,7 @@ fn frames_become_cameras() {
     std::fs::create_dir_all(&bin).expect("a folder");
     let script =
         "#!/bin/sh\nif [ \"$1\" = matches_importer ]; then kill -9 $PPID; exit 0; fi\nexec \"$COLMAP\" \"$@\"\n";
-    std::fs::write(bin.join("colmap"), script).expect("written");
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::set_permissions(bin.join("colmap"), std::fs::Permissions::from_mode(0o755)).expect("executable");
+    write_program(&bin.join("colmap"), script);
     let path = std::env::var("PATH").unwrap_or_default();
     let real = std::env::split_paths(&path).map(|p| p.join("colmap")).find(|p| p.is_file()).expect("it answered");
     assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
@@ -787,10 +794,8 @@ fn frames_become_cameras() {
         }
     }
     // Without a table COLMAP's mapper orients them.
-    let project: String = std::fs::read_to_string(&toml).expect("there");
-    let (before, after) = project.split_once("[rough]").expect("there is a table");
-    let after = after.split_once("\n[").expect("another part").1;
-    std::fs::write(&toml, format!("{before}[{after}")).expect("written");
+    let project = std::fs::read_to_string(&toml).expect("there");
+    std::fs::write(&toml, without_table(&project)).expect("written");
     let plain = solve("plain", &[], None);
     expect(&plain, 0, &[]);
     let (document, worst) = (json(&plain), place.flight.worst_camera_m(&json(&plain)));

@@ -22,31 +22,33 @@ struct TextReader {
     bytes: Vec<u8>,
 }
 
-fn has_separators(line: &str) -> bool {
-    line.contains(',') || line.contains(';')
+/// Calls `take` with each word of a line, up to the first that it does not take.
+fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> Option<()> {
+    let mut bare = |word: &'a str| take(word.trim_matches('"'));
+    if line.contains(',') || line.contains(';') {
+        line.split([',', ';']).try_for_each(|word| bare(word.trim()))
+    } else {
+        line.split_whitespace().try_for_each(bare)
+    }
 }
 
 fn words(line: &str) -> Vec<&str> {
-    if has_separators(line) {
-        line.split([',', ';']).map(|word| word.trim().trim_matches('"')).collect()
-    } else {
-        line.split_whitespace().map(|word| word.trim_matches('"')).collect()
-    }
+    let mut words = Vec::new();
+    each_word(line, |word| {
+        words.push(word);
+        Some(())
+    });
+    words
 }
 
-/// Appends the numbers of a plain row, the bytes of each; answers how many. `None` where a word is no number.
+/// Appends the numbers of a row, the bytes of each; answers how many. `None` where a word is no number.
 fn numbers(line: &str, raw: &mut Vec<u8>) -> Option<usize> {
     let mut count = 0;
-    let mut push = |word: &str| -> Option<()> {
-        raw.extend_from_slice(&word.trim_matches('"').parse::<f64>().ok()?.to_le_bytes());
+    each_word(line, |word| {
+        raw.extend_from_slice(&word.parse::<f64>().ok()?.to_le_bytes());
         count += 1;
         Some(())
-    };
-    if has_separators(line) {
-        line.split([',', ';']).try_for_each(|word| push(word.trim()))?;
-    } else {
-        line.split_whitespace().try_for_each(push)?;
-    }
+    })?;
     Some(count)
 }
 
