@@ -1,20 +1,23 @@
 //! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
 //! as weighted observations, blunders named, check points compared.
 
+mod datum;
 mod outcome;
 mod snooping;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use self::datum::placing;
+pub use self::datum::{OnGround, on_ground};
 use self::outcome::End;
 use self::snooping::Snooped;
 use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, solve,
 };
 use crate::camera::{Camera, Parameter};
-use crate::error::{Error, Result};
-use crate::intersect::{datum, intersect_seen};
-use crate::pose::{Pose, Similarity};
+use crate::error::Result;
+use crate::intersect::intersect_seen;
+use crate::pose::Pose;
 use crate::read::Reconstruction;
 
 /// Whether a point takes part.
@@ -131,7 +134,7 @@ pub struct Adjustment {
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
     let mut notes = model.notes.clone();
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
-    let move_by = placing(model, &control, options)?;
+    let move_by = placing(model, &control, &options.rough)?;
     let mut world = model.clone();
     for p in &mut world.photographs {
         p.pose = p.pose.moved(&move_by);
@@ -170,55 +173,6 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
     let end = End { problem, factored, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
     Ok(outcome::outcome(&world, points, &control, end))
-}
-
-/// What brings the model to the ground: the GCPs' rays and surveys, else the rough poses.
-fn placing(model: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> Result<Similarity> {
-    let (mut from, mut to) = (Vec::new(), Vec::new());
-    for p in control.iter().filter(|p| p.seen.len() >= 2) {
-        if let Some(x) = intersect_seen(model, &p.seen) {
-            from.push(x);
-            to.push(p.xyz);
-        }
-    }
-    let mut move_by = if from.len() >= 3 { datum(&from, &to) } else { None };
-    if move_by.is_none() {
-        move_by = by_rough_poses(model, &options.rough);
-    }
-    move_by.ok_or_else(|| {
-        Error::no_result(
-            format!(
-                "{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block",
-                from.len()
-            ),
-            "measure more GCPs in the images, or give rough positions and directions with --cameras",
-        )
-    })
-}
-
-/// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the
-/// positions.
-fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
-    let pairs: Vec<(&Pose, &Pose)> =
-        model.photographs.iter().zip(rough).filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose))).collect();
-    if pairs.len() < 2 {
-        return None;
-    }
-    // R_rough ≈ R_model Qᵀ → Q ≈ R_roughᵀ R_model.
-    let sum = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).fold(Matrix3::zeros(), |a, b| a + b);
-    let rotation = crate::pose::orthonormal(&sum);
-    let n = pairs.len() as f64;
-    let mean =
-        |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
-    let (mm, mr) = (mean(&|p| p.0.centre), mean(&|p| p.1.centre));
-    let (mut up, mut down) = (0.0, 0.0);
-    for (m, r) in &pairs {
-        let turned = rotation * (m.centre - mm);
-        up += turned.dot(&(r.centre - mr));
-        down += turned.norm_squared();
-    }
-    let scale = up / down;
-    (scale.is_finite() && scale > 0.0).then(|| Similarity { scale, rotation, shift: mr - rotation * mm * scale })
 }
 
 fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> (Problem, Vec<usize>) {

@@ -14,6 +14,9 @@ mod page;
 mod project;
 mod relative;
 mod runs;
+mod solve;
+mod stage_pages;
+mod stages;
 mod ties;
 pub(super) mod views;
 
@@ -39,7 +42,7 @@ pub struct FlightArgs {
 #[derive(Debug, clap::Subcommand)]
 enum FlightCommand {
     Init(init::InitArgs),
-    Solve(project::SolveArgs),
+    Solve(solve::SolveArgs),
     Adjust(AdjustArgs),
     Resect(ResectArgs),
     Orthorectify(ortho::OrthorectifyArgs),
@@ -138,7 +141,7 @@ pub fn run(args: &FlightArgs) -> Result<ExitCode> {
         FlightCommand::Init(args) => init::init(args),
         FlightCommand::Export(args) => export::export(args),
         FlightCommand::Click(args) => click::click(args),
-        FlightCommand::Solve(args) => project::solve(args),
+        FlightCommand::Solve(args) => solve::solve(args),
         FlightCommand::Adjust(args) => run_adjust(args),
         FlightCommand::Resect(args) => run_resect(args),
         FlightCommand::Orthorectify(args) => ortho::run(args),

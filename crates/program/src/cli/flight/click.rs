@@ -41,7 +41,7 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     check_output(Some(&page), Existing::of_flag(args.overwrite))?;
     let (project, base) = read_project(&args.project)?;
     let OrderedFrames { folder, names, rows, .. } = ordered_frames(&project, &base)?;
-    let (names, left_out) = frames::usable(&folder, &names);
+    let (names, left_out) = frames::usable(&folder, &names, &|_, _| Ok(()))?;
     left_out.iter().for_each(|note| eprintln!("warning: {note}"));
     let (Some(first), Some(points)) = (names.first(), point_args(&project, &base)) else {
         bail!("{}: there are no frames, or no [gcps] to click; name a list", args.project.display())

@@ -11,11 +11,11 @@ use autoref_flight::{Camera, Parameter, Pose, Projection};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde_json::{Map, Value, json};
 
-fn number(v: f64) -> Value {
+pub fn number(v: f64) -> Value {
     serde_json::Number::from_f64(v).map_or(Value::Null, Value::Number)
 }
 
-fn list(v: &[f64]) -> Value {
+pub fn list(v: &[f64]) -> Value {
     v.iter().map(|v| number(*v)).collect()
 }
 
@@ -82,7 +82,7 @@ fn camera(
     m
 }
 
-fn in_map(world: &World, at: &Vector3<f64>, v: &Vector3<f64>) -> [f64; 3] {
+pub fn in_map(world: &World, at: &Vector3<f64>, v: &Vector3<f64>) -> [f64; 3] {
     let grid = world.to_map(at).and_then(|m| world.grid(m)).unwrap_or_else(Matrix3::identity);
     (grid.transpose() * v).into()
 }

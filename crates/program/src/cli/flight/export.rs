@@ -72,7 +72,7 @@ pub fn files(
     let images = format!("({})", names.join("|"));
     let count = flight.names.len();
     let listed: Vec<&str> = flight.names.iter().map(String::as_str).collect();
-    let (_, near) = runs::lines_and_pairs(project, &listed, &flight.rows, None);
+    let near = runs::plan(project, &listed, &flight.rows, None).pairs;
     let pairs: Vec<(String, String)> =
         near.into_iter().map(|(a, b)| (flight.names[a].clone(), flight.names[b].clone())).collect();
     let mut files = vec![micmac_files::camera_database(&camera, &images), micmac_files::image_pairs(&pairs)];

@@ -10,16 +10,27 @@ use rayon::prelude::*;
 
 use super::views::{Grey, LARGEST_PX};
 
-/// The frames that can be read and are of the size that most have, and a line about each of the others.
-pub fn usable(folder: &Path, names: &[String]) -> (Vec<String>, Vec<String>) {
-    let size = |name: &String| -> Result<(usize, usize)> {
+/// The frames that can be read and are of the size that most have, and a line about each of the others. `seen` is shown
+/// each frame that can be read.
+///
+/// # Errors
+/// That of `seen`.
+pub fn usable(
+    folder: &Path,
+    names: &[String],
+    seen: &(dyn Fn(&str, &Grey) -> Result<()> + Sync),
+) -> Result<(Vec<String>, Vec<String>)> {
+    let look = |name: &String| -> Result<((usize, usize), Grey)> {
         let path = folder.join(name);
         let size = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?.raster_size();
         // A file that ends too early tells its size all the same.
-        Grey::plain(folder, name, LARGEST_PX)?;
-        Ok(size)
+        Ok((size, Grey::plain(folder, name, LARGEST_PX)?))
     };
-    let sizes: Vec<Result<(usize, usize)>> = names.par_iter().map(size).collect();
+    let size = |name: &String| match look(name) {
+        Ok((size, grey)) => seen(name, &grey).map(|()| Ok(size)),
+        Err(unreadable) => Ok(Err(unreadable)),
+    };
+    let sizes: Vec<Result<(usize, usize)>> = names.par_iter().map(size).collect::<Result<_>>()?;
     let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     for size in sizes.iter().flatten() {
         *counts.entry(*size).or_default() += 1;
@@ -36,7 +47,7 @@ pub fn usable(folder: &Path, names: &[String]) -> (Vec<String>, Vec<String>) {
             (Ok(_), None) => {}
         }
     }
-    (kept, left_out)
+    Ok((kept, left_out))
 }
 
 /// Focal length and principal point, in pixels, of a frame that `fiducials --resample` made. `camera`: the film camera,

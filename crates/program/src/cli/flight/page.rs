@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::cli::common::{escaped_html as escaped, unsigned_zero};
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
+pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
     td:first-child,th:first-child{text-align:left}svg{background:#f6f6f4;display:block;margin:.5rem 0;max-width:100%;height:auto}\
     .bad{color:#a93226;font-weight:600}@media print{body{margin:0}}";
@@ -14,18 +14,18 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;m
 /// Width of the map, pixels.
 const MAP_PX: f64 = 900.0;
 const TABLE: &str = "#7d3c98";
-const CONTROL: &str = "#1f618d";
-const CHECK: &str = "#c0392b";
+pub const CONTROL: &str = "#1f618d";
+pub const CHECK: &str = "#c0392b";
 
-fn fixed(value: &Value, digits: usize) -> String {
+pub fn fixed(value: &Value, digits: usize) -> String {
     value.as_f64().map_or("–".into(), |v| format!("{:.digits$}", unsigned_zero(v, digits as i32)))
 }
 
-fn rows<'a>(document: &'a Value, key: &str) -> &'a [Value] {
+pub fn rows<'a>(document: &'a Value, key: &str) -> &'a [Value] {
     document[key].as_array().map_or(&[], Vec::as_slice)
 }
 
-fn name(value: &Value) -> String {
+pub fn name(value: &Value) -> String {
     escaped(value["name"].as_str().unwrap_or_default())
 }
 
@@ -45,6 +45,7 @@ pub fn page(document: &Value, title: &str) -> String {
         rows(document, "gcps").len() + rows(document, "check_points").len(),
         escaped(document["crs"].as_str().unwrap_or_default())
     );
+    out += "<p><a href=\"stages/index.html\">All stages</a></p>";
     for note in rows(document, "notes").iter().filter_map(Value::as_str) {
         let _ = write!(out, "<p>{}</p>", escaped(note));
     }
@@ -180,7 +181,7 @@ fn map(out: &mut String, document: &Value) {
 }
 
 /// A camera and where it looks.
-fn camera_mark(out: &mut String, at: [f64; 2], yaw_deg: f64, name: &str) {
+pub fn camera_mark(out: &mut String, at: [f64; 2], yaw_deg: f64, name: &str) {
     let (sin, cos) = yaw_deg.to_radians().sin_cos();
     let view = |along: f64, beside: f64| [at[0] + along * sin + beside * cos, at[1] - along * cos + beside * sin];
     let (l, r) = (view(22.0, -12.0), view(22.0, 12.0));
@@ -289,7 +290,7 @@ fn boxes(out: &mut String, document: &Value) {
     *out += "</svg><p>Box: middle half; line: median; whiskers: least and most.</p>";
 }
 
-fn cells<const N: usize>(out: &mut String, texts: [String; N]) {
+pub fn cells<const N: usize>(out: &mut String, texts: [String; N]) {
     for text in texts {
         let _ = write!(out, "<td>{text}</td>");
     }

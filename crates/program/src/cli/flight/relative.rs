@@ -38,6 +38,9 @@ pub struct GroundPlane {
     pub ground_m: f64,
 }
 
+/// What makes a block.
+const FROM_TABLE: &str = "ties, GCPs and the rough table together";
+const BY_MAPPER: &str = "COLMAP's mapper";
 /// How far relief moves ground that the plane stands for, where the poses are known.
 const RELIEF_PX: f64 = 80.0;
 /// A frame that was placed farther from its rough pose, in standard deviations, was placed wrongly.
@@ -89,11 +92,30 @@ impl GroundPlane {
 /// Ties between warped neighbours.
 pub struct Tied {
     /// All that were matched.
-    pub ties: Ties,
+    ties: Ties,
+    /// Those that agree with the relative orientation of their two frames.
+    verified: Ties,
     /// COLMAP's database of them, and the hash of what it is made of.
     matches: (PathBuf, Hash),
     /// The block that they and the rough table agree on.
     placed: Result<Reconstruction>,
+}
+
+/// Ties of a flight, its frames warped onto each other or as they are.
+pub struct Matched {
+    /// All between warped neighbours; `None` where frames were matched as they are.
+    pub all: Option<Ties>,
+    /// Those that agree with the relative orientation of their two frames.
+    pub verified: Ties,
+    matches: (PathBuf, Hash),
+    /// The block of warped neighbours that they and the rough table agree on.
+    placed: Option<Result<Reconstruction>>,
+}
+
+/// A block of cameras, and what made it.
+pub struct Oriented {
+    pub model: Reconstruction,
+    pub by: &'static str,
 }
 
 impl<'a> Flight<'a> {
@@ -158,8 +180,9 @@ impl<'a> Flight<'a> {
             return Ok(None);
         }
         let matches = self.matches(Some(&folder), stage)?;
-        let placed = self.placed(plane, &ties.verified(&matches.0, &self.ordered)?, ground);
-        Ok(Some(Tied { ties, matches, placed }))
+        let verified = ties.verified(&matches.0, &self.ordered)?;
+        let placed = self.placed(plane, &verified, ground);
+        Ok(Some(Tied { ties, verified, matches, placed }))
     }
 
     /// Features (or the ties given) and what of their matches agrees with a relative orientation, by COLMAP, each kept.
@@ -233,15 +256,30 @@ impl<'a> Flight<'a> {
     ///
     /// # Errors
     /// When COLMAP is missing or fails; [`no_pair`]'s when no two frames fit together.
-    pub fn relative(&self, tied: Option<Tied>) -> Result<Reconstruction> {
-        match tied {
-            None => {
-                let (matches, hash) = self.matches(None, "")?;
-                self.grown(&matches, hash)
-            }
-            Some(Tied { placed: Ok(placed), .. }) if placed.photographs.len() == self.ordered.len() => Ok(placed),
-            Some(Tied { matches: (matches, hash), placed, .. }) => larger(self.grown(&matches, hash), placed),
+    pub fn relative(&self, matched: Matched) -> Result<Oriented> {
+        let (matches, hash) = matched.matches;
+        match matched.placed {
+            Some(Ok(model)) if model.photographs.len() == self.ordered.len() => Ok(Oriented { model, by: FROM_TABLE }),
+            None => Ok(Oriented { model: self.grown(&matches, hash)?, by: BY_MAPPER }),
+            Some(placed) => larger(self.grown(&matches, hash), placed),
         }
+    }
+
+    /// Ties between warped neighbours where there are some, else between the frames as they are.
+    ///
+    /// # Errors
+    /// When COLMAP is missing or fails.
+    pub fn matched(&self, tied: Option<Tied>) -> Result<Matched> {
+        Ok(match tied {
+            Some(Tied { ties, verified, matches, placed }) => {
+                Matched { all: Some(ties), verified, matches, placed: Some(placed) }
+            }
+            None => {
+                let matches = self.matches(None, "")?;
+                let verified = Ties::of_plain_frames(&matches.0, &self.ordered)?;
+                Matched { all: None, verified, matches, placed: None }
+            }
+        })
     }
 
     fn grown(&self, matches: &Path, mut hash: Hash) -> Result<Reconstruction> {
@@ -295,12 +333,13 @@ impl Tied {
 ///
 /// # Errors
 /// When neither is there: what COLMAP said.
-fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Result<Reconstruction> {
+fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Result<Oriented> {
+    let from_table = |model| Oriented { model, by: FROM_TABLE };
     match (grown, placed) {
-        (Ok(grown), Ok(placed)) if placed.photographs.len() > grown.photographs.len() => Ok(placed),
-        (Ok(grown), _) => Ok(grown),
+        (Ok(grown), Ok(placed)) if placed.photographs.len() > grown.photographs.len() => Ok(from_table(placed)),
+        (Ok(model), _) => Ok(Oriented { model, by: BY_MAPPER }),
         (Err(error), placed) => match error.downcast_ref::<Error>() {
-            Some(Error::NoResult { .. }) => placed.map_err(|_| error),
+            Some(Error::NoResult { .. }) => placed.map(from_table).map_err(|_| error),
             _ => Err(error),
         },
     }

@@ -49,14 +49,21 @@ pub fn filled(stated: &[Option<RoughPose>]) -> Option<Vec<RoughPose>> {
     (0..stated.len()).map(between).collect()
 }
 
+/// How a flight is worked: its lines and the pairs that are compared, by the frames' numbers.
+pub struct Plan {
+    pub lines: Vec<Line>,
+    /// The smaller number first.
+    pub pairs: Vec<(usize, usize)>,
+    /// Of each pair, the share of a frame whose ground the other sees too, of the frame that has less.
+    pub shared: Vec<Option<f64>>,
+    /// Where each frame is thought to stand, and the azimuth of its view.
+    pub places_m: Vec<Option<[f64; 2]>>,
+    pub azimuths_rad: Vec<Option<f64>>,
+}
+
 /// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand;
 /// without it the nearest places of other lines are taken.
-pub fn lines_and_pairs(
-    project: &Project,
-    names: &[&str],
-    rows: &[CameraRow],
-    sight: Option<(&GroundPlane, &Flight<'_>)>,
-) -> (Vec<Line>, Vec<(usize, usize)>) {
+pub fn plan(project: &Project, names: &[&str], rows: &[CameraRow], sight: Option<(&GroundPlane, &Flight<'_>)>) -> Plan {
     let metric = project.crs.as_deref().is_none_or(|text| Crs::parse(text).map_or(true, |crs| !crs.is_geographic()));
     let stations: Vec<Station> = rows_of(names, rows)
         .into_iter()
@@ -76,13 +83,20 @@ pub fn lines_and_pairs(
         })
         .collect();
     let sigma_m = project.rough.as_ref().map_or(0.0, |r| r.sigma_m);
-    let found = lines::lines(&stations, sigma_m);
+    let lines = lines::lines(&stations, sigma_m);
     let poses: Option<Vec<_>> = sight.map(|(plane, _)| plane.views.iter().map(|v| v.pose).collect());
     let camera = sight.map(|(plane, flight)| Camera::pinhole("film", flight.size_px, plane.f_px, flight.pp_px()));
     let seen = sight.zip(poses.as_ref()).zip(camera.as_ref());
     let sight = seen.map(|(((plane, _), poses), camera)| Sight { camera, poses, ground_m: plane.ground_m });
-    let pairs = lines::pairs(&stations, &found, (project.pairs.neighbours, project.pairs.across), sight);
-    (found, pairs)
+    let pairs = lines::pairs(&stations, &lines, (project.pairs.neighbours, project.pairs.across), sight);
+    let shared = |(a, b): &(usize, usize)| sight.map(|sight| sight.shared(*a, *b).min(sight.shared(*b, *a)));
+    Plan {
+        shared: pairs.iter().map(shared).collect(),
+        places_m: stations.iter().map(|s| s.place_m).collect(),
+        azimuths_rad: stations.iter().map(|s| s.azimuth_rad).collect(),
+        lines,
+        pairs,
+    }
 }
 
 /// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis

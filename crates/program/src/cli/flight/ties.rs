@@ -1,7 +1,7 @@
 //! Ties between frames that look at the ground aslant: the neighbour is warped by the homography of the ground plane
 //! before features are sought in it; they go back to pixels of the frame as it is.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -37,7 +37,7 @@ pub struct Job<'a> {
 }
 
 /// The ties of all pairs as a file keeps them.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 pub struct Ties {
     /// Places in pixels by frame, in the order of the job's views.
     places: Vec<Vec<[f64; 2]>>,
@@ -109,7 +109,8 @@ impl Database {
     fn blob(&self, table: &str, image: &str) -> Result<Option<(usize, Vec<u8>)>> {
         let failed = || format!("{}: {table} cannot be read", self.name);
         let query = format!(
-            "SELECT t.cols AS c, hex(t.data) AS d FROM images i JOIN {table} t ON i.image_id = t.image_id WHERE i.name = '{image}'"
+            "SELECT t.cols AS c, hex(t.data) AS d FROM images i JOIN {table} t ON i.image_id = t.image_id WHERE i.name = '{}'",
+            image.replace('\'', "''")
         );
         let Some(mut layer) = self.set.execute_sql(query, None, Dialect::DEFAULT).with_context(failed)? else {
             return Ok(None);
@@ -150,18 +151,19 @@ impl Database {
         Ok(all)
     }
 
+    /// Where an image has features.
+    fn places(&self, image: &str) -> Result<Vec<[f64; 2]>> {
+        let Some((columns, places)) = self.blob("keypoints", image)?.filter(|(columns, _)| *columns >= 2) else {
+            return Ok(Vec::new());
+        };
+        let number = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+        Ok(places.chunks_exact(4 * columns).map(|row| [number(&row[..4]), number(&row[4..8])]).collect())
+    }
+
     fn features(&self, image: &str) -> Result<Features> {
         let mut features = Features::default();
-        let (Some((columns, places)), Some((_, descriptors))) =
-            (self.blob("keypoints", image)?, self.blob("descriptors", image)?)
-        else {
-            return Ok(features);
-        };
-        if columns < 2 {
-            return Ok(features);
-        }
-        let number = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-        features.at = places.chunks_exact(4 * columns).map(|row| [number(&row[..4]), number(&row[4..8])]).collect();
+        let Some((_, descriptors)) = self.blob("descriptors", image)? else { return Ok(features) };
+        features.at = self.places(image)?;
         let (whole, _) = descriptors.as_chunks::<DESCRIPTOR>();
         features.descriptors = whole.to_vec();
         features.at.truncate(whole.len());
@@ -325,10 +327,38 @@ impl Ties {
         Ok(Ties { places: self.places.clone(), pairs })
     }
 
+    /// What COLMAP found in the frames as they are, and found to agree with the relative orientation of two frames.
+    pub fn of_plain_frames(database: &Path, names: &[&str]) -> Result<Ties> {
+        let own = Database::open(database)?;
+        let places = names.iter().map(|name| own.places(name)).collect::<Result<_>>()?;
+        Ties { places, pairs: Vec::new() }.verified(database, names)
+    }
+
     /// For the result: names of the frames and number of ties, pair by pair.
-    pub fn statistics(&self, views: &[View]) -> serde_json::Value {
-        let pair = |p: &Pair| serde_json::json!({"frames": [views[p.frames.0].name, views[p.frames.1].name], "ties": p.ties.len()});
+    pub fn statistics(&self, names: &[&str]) -> serde_json::Value {
+        let pair =
+            |p: &Pair| serde_json::json!({"frames": [names[p.frames.0], names[p.frames.1]], "ties": p.ties.len()});
         self.pairs.iter().map(pair).collect()
+    }
+
+    /// The number of ties of each pair of frames.
+    pub fn by_pair(&self) -> BTreeMap<(usize, usize), usize> {
+        self.pairs.iter().map(|p| (p.frames, p.ties.len())).collect()
+    }
+
+    /// How many places of a frame are known, tied or not.
+    pub fn features(&self, frame: usize) -> usize {
+        self.places.get(frame).map_or(0, Vec::len)
+    }
+
+    /// The places of a frame that are tied to another, each once.
+    pub fn places_tied(&self, frame: usize) -> Vec<[f64; 2]> {
+        let mut tied = BTreeSet::new();
+        for Pair { frames: (a, b), ties } in &self.pairs {
+            tied.extend(ties.iter().filter(|_| *a == frame).map(|t| t.0));
+            tied.extend(ties.iter().filter(|_| *b == frame).map(|t| t.1));
+        }
+        tied.into_iter().map(|k| self.places[frame][k]).collect()
     }
 
     /// Ties of pairs that share a place are one point of the ground. A point with two places in one frame is none.
@@ -356,7 +386,7 @@ impl Ties {
                 parent[p.max(q)] = p.min(q);
             }
         }
-        let mut by_root: std::collections::BTreeMap<usize, Track> = std::collections::BTreeMap::new();
+        let mut by_root: BTreeMap<usize, Track> = BTreeMap::new();
         for (frame, places) in self.places.iter().enumerate() {
             for (k, place) in places.iter().enumerate() {
                 let root = root(&mut parent, start[frame] + k);

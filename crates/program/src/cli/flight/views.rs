@@ -244,6 +244,23 @@ impl Grey {
         Ok(Grey { layout, pixels })
     }
 
+    /// Means over squares, at most `longest_px` wide or high.
+    pub fn smaller(&self, longest_px: usize) -> Grey {
+        let Layout { width, height, scale } = self.layout;
+        let ratio = (longest_px as f64 / width.max(height) as f64).min(1.0);
+        let [to_width, to_height] = [width, height].map(|s| ((s as f64 * ratio).round() as usize).max(1));
+        let span = |k: usize, from: usize, to: usize| (k * from / to, ((k + 1) * from / to).max(k * from / to + 1));
+        let mean = |k: usize| {
+            let (left, right) = span(k % to_width, width, to_width);
+            let (top, bottom) = span(k / to_width, height, to_height);
+            let rows = (top..bottom).map(|y| &self.pixels[y * width + left..y * width + right]);
+            let sum: u64 = rows.flatten().map(|v| u64::from(*v)).sum();
+            (sum / ((right - left) * (bottom - top)) as u64) as u8
+        };
+        let layout = Layout { width: to_width, height: to_height, scale: scale * ratio };
+        Grey { layout, pixels: (0..to_width * to_height).map(mean).collect() }
+    }
+
     /// Bilinear, at pixels of this image; `None` outside.
     fn at(&self, x: f64, y: f64) -> Option<f32> {
         let (x, y) = (x - 0.5, y - 0.5);

@@ -1,0 +1,325 @@
+//! `flight solve`: interior → pairs → ties → relative → gcp → cameras, stage by stage.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::Error;
+use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust, on_ground};
+use autoref_flight::read::{Reconstruction, colmap, tables};
+use autoref_flight::world::World;
+use autoref_raster::atomic;
+use nalgebra::Vector3;
+use serde_json::Value;
+
+use super::engine::Program;
+use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, read_project};
+use super::relative::{Flight, GroundPlane, Oriented};
+use super::stages::{self, After, Record, Stage};
+use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, stage_pages};
+use crate::cli::progress::Busy;
+
+/// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
+#[derive(Debug, clap::Args)]
+pub struct SolveArgs {
+    /// The project file.
+    project: PathBuf,
+    /// The folder of the results; stages whose inputs have not changed are taken from it.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// What makes the relative orientation.
+    #[arg(long, value_enum, default_value_t = Engine::Colmap)]
+    engine: Engine,
+    /// The last stage to work; the next run goes on from there.
+    #[arg(long, value_enum, default_value_t = Stage::Cameras, value_name = "STAGE")]
+    until: Stage,
+    /// Work every stage anew.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print cameras.json, or what the stage of --until found, on standard output.
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// Programs that orient frames to each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Engine {
+    /// The program `colmap`, or pycolmap where there is none.
+    Colmap,
+    /// Python's pycolmap, version 4.
+    Pycolmap,
+    /// MicMac's `mm3d`, where it is installed.
+    Micmac,
+}
+
+impl Engine {
+    /// What runs COLMAP's commands; `None` where MicMac does it all.
+    fn of_colmap(self) -> Option<Program> {
+        match self {
+            Engine::Colmap => Some(Program::Colmap),
+            Engine::Pycolmap => Some(Program::Pycolmap),
+            Engine::Micmac => None,
+        }
+    }
+}
+
+/// A project that can be worked: its frames are there and can be used.
+struct Ready<'a> {
+    args: &'a SolveArgs,
+    project: Project,
+    base: PathBuf,
+    frames: OrderedFrames,
+    /// Frames that match the pattern.
+    listed: usize,
+    /// A line about each frame or mask that is not used.
+    left_out: Vec<String>,
+    out: PathBuf,
+    points: lists::PointArgs,
+    record: Record,
+}
+
+pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
+    let ready = Ready::of(args)?;
+    let document = ready.work()?;
+    if args.json {
+        crate::out::product(&(serde_json::to_string_pretty(&document)? + "\n"));
+    } else if args.until == Stage::Cameras {
+        document::say(&document);
+        println!("{}", ready.out.join("cameras.json").display());
+    } else {
+        println!("{}", ready.record.page(args.until).display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+impl<'a> Ready<'a> {
+    fn of(args: &'a SolveArgs) -> Result<Self> {
+        let (project, base) = read_project(&args.project)?;
+        let mut frames = ordered_frames(&project, &base)?;
+        let listed = frames.names.len();
+        std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+        let out = absolute(&args.output)?;
+        let title = args.project.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let record = Record::new(&out, title, args.until)?;
+        let mut left_out;
+        (frames.names, left_out) =
+            frames::usable(&frames.folder, &frames.names, &|name, grey| record.picture(name, grey))?;
+        if let Some(first) = frames.names.first() {
+            let [w, h] = image_size(&frames.folder.join(first), None)?.map(|v| v as usize);
+            left_out.extend(frames.masks.leave_out_misfits(&frames.names, (w, h))?);
+        }
+        left_out.iter().for_each(|note| eprintln!("warning: {note}"));
+        if frames.names.len() < 2 {
+            bail!(
+                "{}: {} of {listed} frames can be used; two or more are needed",
+                frames.folder.display(),
+                frames.names.len()
+            );
+        }
+        let Some(points) = point_args(&project, &base) else {
+            bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
+        };
+        Ok(Ready { args, project, base, frames, listed, left_out, out, points, record })
+    }
+
+    /// All stages up to the one asked for; what the last of them found.
+    fn work(&self) -> Result<Value> {
+        let (project, record) = (&self.project, &self.record);
+        let OrderedFrames { folder, masks, names, rows } = &self.frames;
+        let flight = Flight {
+            project,
+            folder,
+            masks,
+            out: &self.out,
+            ordered: names.iter().map(String::as_str).collect(),
+            size_px: image_size(&folder.join(&names[0]), None)?,
+            anew: self.args.overwrite,
+            engine: self.args.engine.of_colmap().unwrap_or(Program::Colmap),
+            near: Vec::new(),
+        };
+        let found = stages::interior(&flight, self.listed, &self.left_out);
+        if record.put(Stage::Interior, &found, &stage_pages::interior(&found))? == After::Ends {
+            return Ok(found);
+        }
+
+        let plane = ground_plane(project, &self.points, rows, &flight);
+        let plan = runs::plan(project, &flight.ordered, rows, plane.as_ref().map(|p| (p, &flight)));
+        let found = stages::pairs(&plan, &flight.ordered);
+        if record.put(Stage::Pairs, &found, &stage_pages::pairs(&found))? == After::Ends {
+            return Ok(found);
+        }
+        let flight = Flight { near: plan.pairs.clone(), ..flight };
+
+        let (oriented, ties) = match self.args.engine.of_colmap() {
+            Some(_) => match self.by_colmap(&flight, plane.as_ref())? {
+                Tied::Ends(found) => return Ok(found),
+                Tied::Oriented(oriented, ties) => (oriented, ties),
+            },
+            None => {
+                if self.args.until == Stage::Ties {
+                    bail!("MicMac makes ties and relative orientation in one run; --until relative");
+                }
+                let model = micmac::oriented(&self.args.project, (project, &self.base), &self.frames, &self.out)?;
+                (Oriented { model, by: "MicMac" }, None)
+            }
+        };
+        let found = stages::relative(&oriented, &flight.ordered, self.listed);
+        write_model(&self.out.join("relative"), &oriented.model)?;
+        if record.put(Stage::Relative, &found, &stage_pages::relative(&found))? == After::Ends {
+            return Ok(found);
+        }
+        self.on_the_ground(&flight, &plan, &oriented.model, ties)
+    }
+
+    /// Ties and relative orientation by COLMAP and the rough table.
+    fn by_colmap(&self, flight: &Flight<'_>, plane: Option<&GroundPlane>) -> Result<Tied> {
+        let tied = match plane {
+            Some(plane) => {
+                let control = self.points.load(None)?;
+                let ground = control.in_world(&control.world()?, &flight.listed(plane), &self.points)?;
+                flight.tied(plane, &ground)?
+            }
+            None => None,
+        };
+        let matched = flight.matched(tied)?;
+        let found = stages::ties(&matched, &flight.ordered, flight.size_px);
+        let page = stage_pages::ties(&found, &matched.verified, &self.record.sizes(flight.size_px));
+        if self.record.put(Stage::Ties, &found, &page)? == After::Ends {
+            return Ok(Tied::Ends(found));
+        }
+        let pairs = stages::all_matches(&matched, &flight.ordered);
+        Ok(Tied::Oriented(flight.relative(matched)?, pairs))
+    }
+
+    /// The datum by GCPs, and the adjustment of everything.
+    fn on_the_ground(
+        &self,
+        flight: &Flight<'_>,
+        plan: &runs::Plan,
+        model: &Reconstruction,
+        ties: Option<Value>,
+    ) -> Result<Value> {
+        let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
+        let mut control = self.points.load(Some(model))?;
+        let gcps = project.gcps.as_ref();
+        let (ground_m, image_px) = gcps.map_or((25.0, 5.0), |g| (g.sigma_ground_m, g.sigma_image_px));
+        for p in &mut control.points {
+            p.sigma.get_or_insert([ground_m; 3]);
+        }
+        let notes = control.notes(model, &self.points, &self.out.join("relative"))?;
+        let world = control.world()?;
+        let ground = control.in_world(&world, model, &self.points)?;
+        let by_micmac = self.args.engine.of_colmap().is_none();
+        let rough = match by_micmac {
+            false => table_poses(project, rows, model, &world),
+            true => micmac::held(model, &world),
+        };
+        let placed = on_ground(model, &ground, &rough)?;
+        let found = stages::gcp(&placed, &ground, model, &world, control.crs_label());
+        let page = stage_pages::gcp(&found, &record.sizes(flight.size_px));
+        if record.put(Stage::Gcp, &found, &page)? == After::Ends {
+            return Ok(found);
+        }
+
+        // MicMac has compensated the interior with the poses.
+        let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free)? };
+        let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
+        let busy = Busy::new("adjusting", false);
+        let mut found = adjust(model, &ground, &options)?;
+        drop(busy);
+        found.notes.extend(notes);
+        found.notes.extend(self.left_out.iter().cloned());
+        if by_micmac {
+            found.notes.push(micmac::note());
+        }
+        let names = &self.frames.names;
+        let lost = names.iter().filter(|n| model.find(n).is_none()).map(|n| format!("{n}: not registered"));
+        found.notes.extend(lost);
+        let mut document = document::adjustment(&found, model, &world, self.listed, control.crs_label());
+        if let Some(ties) = ties {
+            document["pairs"] = ties;
+        }
+        document["lines"] = runs::document(&plan.lines, &flight.ordered, &document);
+        if project.rough.is_some() {
+            document["rough_differences"] = footprints::rough_differences(&found, model, rows, &world);
+        }
+        let ground = footprints::footprints(&found, model, &world, control.crs.as_ref());
+        atomic::write(&self.out.join("footprints.geojson"), (ground.to_string() + "\n").as_bytes())?;
+        atomic::write(&self.out.join("flight.html"), page::page(&document, record.title()).as_bytes())?;
+        let text = serde_json::to_string_pretty(&document)? + "\n";
+        atomic::write(&self.out.join("cameras.json"), text.as_bytes())?;
+        record.contents()?;
+        Ok(document)
+    }
+}
+
+/// How far COLMAP's stages went.
+enum Tied {
+    /// Ties were all that was asked for.
+    Ends(Value),
+    /// The block, and the number of ties of each pair; `None` where frames were matched as they are.
+    Oriented(Oriented, Option<Value>),
+}
+
+/// COLMAP's text model of a block.
+fn write_model(folder: &Path, model: &Reconstruction) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+    // MicMac's cameras may have distortions that COLMAP's have not; its own files are there.
+    for (name, content) in colmap::text_model(model).into_iter().flatten() {
+        atomic::write(&folder.join(name), &content)?;
+    }
+    Ok(())
+}
+
+/// What the rough table says of each photograph of a model, in the world's frame.
+fn table_poses(
+    project: &Project,
+    rows: &[tables::CameraRow],
+    model: &Reconstruction,
+    world: &World,
+) -> Vec<Option<RoughPose>> {
+    let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
+    if let Some(r) = &project.rough {
+        for row in rows {
+            // A table without pitch says where, not how far down: its positions count alone.
+            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(Some(0.0))) else { continue };
+            let stated = row.pose(None).is_some();
+            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
+                pose,
+                sigma_m: Vector3::repeat(r.sigma_m),
+                sigma_rad: if stated { 2f64.to_radians() } else { f64::INFINITY },
+            });
+        }
+    }
+    rough
+}
+
+/// What warps neighbours onto each other; `None` when focal length, a place or a direction is not known.
+fn ground_plane(
+    project: &Project,
+    points: &lists::PointArgs,
+    rows: &[tables::CameraRow],
+    flight: &Flight<'_>,
+) -> Option<GroundPlane> {
+    let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
+    let control = points.load(None).ok()?;
+    let world = control.world().ok()?;
+    let mut heights: Vec<f64> = control.points.iter().map(|p| p.xyz[2]).collect();
+    heights.sort_by(f64::total_cmp);
+    let height = table.ground_m.or_else(|| heights.get(heights.len() / 2).copied())?;
+    let first = control.points.first()?.xyz;
+    let ground_m = world.to_world([first[0], first[1], height])?.z;
+    let names = &flight.ordered;
+    let stated = runs::rows_of(names, rows).into_iter().map(|row| {
+        let row = row?;
+        // A pitch that is one for all frames is less sure than what a table says of each.
+        let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
+        Some(RoughPose {
+            pose: world.pose_to_world(&row.pose(table.pitch_deg)?)?,
+            sigma_m: Vector3::repeat(table.sigma_m),
+            sigma_rad: sigma_deg.to_radians(),
+        })
+    });
+    let rough = runs::filled(&stated.collect::<Vec<_>>())?;
+    Some(GroundPlane::of_table(names, rough, f_px, ground_m, flight.size_px))
+}
