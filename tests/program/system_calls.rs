@@ -109,7 +109,9 @@ fn an_input_that_cannot_be_read_to_its_end_is_named() {
             let fault = format!("inject=read,pread64,readv,preadv:{reading}");
             let ran = run_with(dir, case, &["-P", input, "-e", &fault]);
             let said = String::from_utf8_lossy(&ran.stderr).into_owned();
-            let mut faults = clean.faults(&contents(&out, &[]));
+            // What a roll says of a frame that it cannot read is a result like any other.
+            let of_frames = case.line.starts_with("fiducials");
+            let mut faults = if of_frames { Vec::new() } else { clean.faults(&contents(&out, &[])) };
             match ran.status.code() {
                 // The fault came after the last reading; or all that was read is a whole list of fewer points.
                 Some(0 | 1) => {}

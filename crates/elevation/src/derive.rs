@@ -4,6 +4,7 @@
 
 use std::ffi::{CStr, CString, c_char};
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use std::os::unix::ffi::OsStrExt;
 
@@ -57,9 +58,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
-    if let Some(table) = drawing.colours {
-        check_colours(table)?;
-    }
+    let colours = drawing.colours.map(Colours::read).transpose()?;
     let mut options = drawing.options.clone();
     options.extend(
         ["-of", "GTiff", "-co", "COMPRESS=DEFLATE", "-co", "TILED=YES", "-co", "BIGTIFF=IF_SAFER"].map(str::to_string),
@@ -69,7 +68,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     pointers.push(std::ptr::null_mut());
     let name = c_string(out, out.as_os_str().as_bytes())?;
     let kind = c_string(model, drawing.kind.as_bytes())?;
-    let colours = drawing.colours.map(|path| c_string(path, path.as_os_str().as_bytes())).transpose()?;
+    let colours = colours.as_ref().map(|held| c_string(model, held.name.as_bytes())).transpose()?;
     // SAFETY: the list of options is ended by a null pointer; all strings and the dataset outlive the calls, the
     // options are freed once, and the dataset that is made is closed once and not used again.
     let failed = unsafe {
@@ -103,10 +102,31 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     }
 }
 
-/// GDAL's own reader of colour tables does not survive every file.
-fn check_colours(path: &Path) -> Result<()> {
-    let text = bounded::read(path, "a table of colours", bounded::TEXT_BYTES)?;
-    let text = String::from_utf8_lossy(&text);
+/// A table of colours in memory, where GDAL finds it under a name of its own: its reader does not survive every file,
+/// nor a disk that fails.
+struct Colours {
+    name: String,
+}
+
+impl Colours {
+    fn read(path: &Path) -> Result<Self> {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let text = bounded::read(path, "a table of colours", bounded::TEXT_BYTES)?;
+        check_colours(path, &text)?;
+        let name = format!("/vsimem/autoref-colours-{}.txt", COUNT.fetch_add(1, Ordering::Relaxed));
+        gdal::vsi::create_mem_file(&name, text).map_err(|e| Error::gdal(path, e))?;
+        Ok(Colours { name })
+    }
+}
+
+impl Drop for Colours {
+    fn drop(&mut self) {
+        let _ = gdal::vsi::unlink_mem_file(&self.name);
+    }
+}
+
+fn check_colours(path: &Path, text: &[u8]) -> Result<()> {
+    let text = String::from_utf8_lossy(text);
     let mut rows = 0;
     for (number, line) in text.lines().enumerate() {
         let line = line.trim();

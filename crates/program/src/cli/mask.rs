@@ -305,6 +305,6 @@ fn tell_error(args: &MaskArgs, bar: &ProgressBar, frame: &Path, error: &Error) -
         let line = serde_json::json!({ "frame": frame, "status": "error", "error": named });
         writeln!(std::io::stdout(), "{line}")?;
     }
-    bar.suspend(|| eprintln!("error: {named}"));
+    bar.suspend(|| eprintln!("autoref-stream: {named}"));
     Ok(())
 }

@@ -76,6 +76,7 @@ fn by_colmap(log: &Path, arguments: &[(&str, String)], command: &str) -> Result<
 
 /// Runs a program to its end; `None` when it is not there.
 fn started(mut run: Command, log: &Path, arguments: &[(&str, String)], command: &str) -> Result<Option<ExitStatus>> {
+    autoref_raster::protected::refuse_input(log)?;
     let file = std::fs::File::create(log).map_err(|e| Error::io(log, "create", e))?;
     let twin = file.try_clone().map_err(|e| Error::io(log, "write", e))?;
     let program = run.get_program().display().to_string();

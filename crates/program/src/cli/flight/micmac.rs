@@ -58,6 +58,7 @@ pub fn oriented(
         std::fs::copy(&from, &to).map_err(|e| Error::io(&to, "create", e))?;
     }
     let log = out.join("micmac.log");
+    autoref_raster::protected::refuse_input(&log)?;
     let words = std::fs::File::create(&log).map_err(|e| Error::io(&log, "create", e))?;
     let twin = words.try_clone().map_err(|e| Error::io(&log, "write", e))?;
     eprintln!("micmac …");

@@ -375,6 +375,15 @@ impl Hash {
     }
 }
 
+/// Removes a file or a folder, if it is there.
+fn remove(old: &Path) -> Result<()> {
+    autoref_raster::protected::refuse_inputs_below(old)?;
+    match if old.is_dir() { std::fs::remove_dir_all(old) } else { std::fs::remove_file(old) } {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(old, "remove", e).into()),
+        _ => Ok(()),
+    }
+}
+
 /// A stage of COLMAP: done when its stamp bears the hash of its inputs.
 struct Stages<'a> {
     folder: &'a Path,
@@ -382,25 +391,25 @@ struct Stages<'a> {
 }
 
 impl Stages<'_> {
-    /// Runs `work` towards `NAME.part`, which becomes `NAME` when it succeeds.
+    /// Runs `work` towards `.NAME.part`, which becomes `NAME` when it succeeds, and goes when it does not.
     fn run(&self, name: &str, hash: &str, work: impl FnOnce(&Path) -> Result<()>) -> Result<PathBuf> {
         let (target, stamp) = (self.folder.join(name), self.folder.join(format!("{name}.stamp")));
         if !self.anew && target.exists() && std::fs::read_to_string(&stamp).is_ok_and(|s| s.trim() == hash) {
             eprintln!("{name}: taken from before");
             return Ok(target);
         }
-        let part = self.folder.join(format!("{name}.part"));
+        let part = self.folder.join(format!(".{name}.part"));
         for old in [&part, &target, &stamp] {
-            autoref_raster::protected::refuse_inputs_below(old)?;
-            let gone = if old.is_dir() { std::fs::remove_dir_all(old) } else { std::fs::remove_file(old) };
-            if let Err(e) = gone
-                && e.kind() != std::io::ErrorKind::NotFound
-            {
-                return Err(Error::io(old, "remove", e).into());
-            }
+            remove(old)?;
         }
         eprintln!("{name} …");
-        work(&part)?;
+        if let Err(error) = work(&part) {
+            // SQLite keeps a journal beside a database.
+            for end in ["", "-journal", "-wal", "-shm"] {
+                let _ = remove(&self.folder.join(format!(".{name}.part{end}")));
+            }
+            return Err(error);
+        }
         std::fs::rename(&part, &target).map_err(|e| Error::io(&part, "rename", e))?;
         autoref_raster::atomic::write(&stamp, hash.as_bytes())?;
         Ok(target)

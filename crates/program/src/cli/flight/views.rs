@@ -291,15 +291,21 @@ impl Grey {
         (Grey { layout: to, pixels }, share)
     }
 
-    pub fn write(&self, path: &Path) -> Result<()> {
-        let file = std::fs::File::create(path).map_err(|e| Error::io(path, "create", e))?;
-        let size = [self.layout.width as u32, self.layout.height as u32];
-        let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), size[0], size[1]);
+    /// As a PNG file.
+    fn png(&self) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.layout.width as u32, self.layout.height as u32);
         encoder.set_color(png::ColorType::Grayscale);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_compression(png::Compression::Fast);
-        encoder.write_header()?.write_image_data(&self.pixels)?;
-        Ok(())
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.pixels)?;
+        writer.finish()?;
+        Ok(bytes)
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        Ok(autoref_raster::atomic::write(path, &self.png()?)?)
     }
 }
 
