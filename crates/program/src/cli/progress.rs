@@ -34,7 +34,7 @@ impl Bar {
                 bar.set_message("reading");
                 Shown::Moving(bar)
             }
-            (false, false) => Shown::Lines(Lines::new(bytes)),
+            (false, false) => Shown::Lines(Lines::new("reading", bytes)),
         };
         Bar { shown, bytes_per_pixel }
     }
@@ -112,8 +112,8 @@ struct Now {
 }
 
 impl Lines {
-    fn new(of: u64) -> Self {
-        let now = Now { what: "reading".into(), since: Instant::now(), done: Some(0), of, over: false };
+    fn new(what: &str, of: u64) -> Self {
+        let now = Now { what: what.into(), since: Instant::now(), done: Some(0), of, over: false };
         let shared = Arc::new((Mutex::new(now), Condvar::new()));
         let told = Arc::clone(&shared);
         std::thread::spawn(move || {
@@ -161,10 +161,55 @@ impl Drop for Lines {
 
 impl Now {
     fn line(&self) -> String {
-        let seconds = self.since.elapsed().as_secs();
-        match self.done {
-            Some(done) => format!("{}: {:.0} %, {seconds} s", self.what, 100.0 * done as f64 / self.of.max(1) as f64),
-            None => format!("{}: {seconds} s", self.what),
+        self.line_after(self.since.elapsed())
+    }
+
+    fn line_after(&self, spent: Duration) -> String {
+        let seconds = spent.as_secs();
+        let Some(done) = self.done else { return format!("{}: {seconds} s", self.what) };
+        let share = done as f64 / self.of.max(1) as f64;
+        let left = match share {
+            share if share > 0.0 && share < 1.0 => {
+                format!(", about {:.0} s left", spent.as_secs_f64() * (1.0 - share) / share)
+            }
+            _ => String::new(),
+        };
+        format!("{}: {:.0} %, {seconds} s{left}", self.what, 100.0 * share)
+    }
+}
+
+/// A count of like pieces of work, with the time that is left: a bar on a terminal, a line every ten seconds elsewhere.
+pub struct Steps(Shown);
+
+impl Steps {
+    pub fn new(what: &str, of: u64) -> Self {
+        if !std::io::stderr().is_terminal() {
+            return Steps(Shown::Lines(Lines::new(what, of)));
+        }
+        let bar = indicatif::ProgressBar::new(of);
+        let style = indicatif::ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} {elapsed:>4}, {eta} left");
+        bar.set_style(style.expect("the template is well formed"));
+        bar.set_message(what.to_string());
+        Steps(Shown::Moving(bar))
+    }
+
+    /// So many are done, of so many.
+    pub fn at(&self, done: u64, of: u64) {
+        match &self.0 {
+            Shown::Nothing => {}
+            Shown::Moving(bar) => {
+                bar.set_length(of);
+                bar.set_position(done);
+            }
+            Shown::Lines(lines) => lines.change(|now| (now.done, now.of) = (Some(done), of)),
+        }
+    }
+}
+
+impl Drop for Steps {
+    fn drop(&mut self) {
+        if let Shown::Moving(bar) = &self.0 {
+            bar.finish_and_clear();
         }
     }
 }
@@ -200,7 +245,9 @@ mod tests {
     #[test]
     fn a_line_says_how_far_and_how_long() {
         let mut now = Now { what: "reading".into(), since: Instant::now(), done: Some(30), of: 120, over: false };
-        assert_eq!(now.line(), "reading: 25 %, 0 s");
+        assert_eq!(now.line_after(Duration::from_secs(20)), "reading: 25 %, 20 s, about 60 s left");
+        now.done = Some(0);
+        assert_eq!(now.line_after(Duration::from_secs(20)), "reading: 0 %, 20 s");
         now.done = None;
         assert_eq!(now.line(), "reading: 0 s");
     }

@@ -2,9 +2,12 @@
 
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use autoref_flight::Error;
+
+use crate::cli::progress::Steps;
 
 /// What runs the commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,11 +87,39 @@ fn started(mut run: Command, log: &Path, arguments: &[(&str, String)], command: 
     for (key, value) in arguments {
         run.arg(format!("--{key}")).arg(value);
     }
-    match run.status() {
-        Ok(status) => Ok(Some(status)),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+    let mut child = match run.spawn() {
+        Ok(child) => child,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(e) => bail!("{program} cannot be run: {e}"),
+    };
+    let steps = Steps::new(command, 0);
+    let mut wait = FIRST_LOOK;
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Ok(Some(status)),
+            Ok(None) => {}
+            Err(e) => bail!("{program} cannot be waited for: {e}"),
+        }
+        std::thread::sleep(wait);
+        wait = (2 * wait).min(LONGEST_LOOK);
+        if wait == LONGEST_LOOK
+            && let Some((done, of)) = std::fs::read(log).ok().and_then(|text| counted(&String::from_utf8_lossy(&text)))
+        {
+            steps.at(done, of);
+        }
     }
+}
+
+/// Between two looks at a command that runs.
+const FIRST_LOOK: Duration = Duration::from_millis(1);
+const LONGEST_LOOK: Duration = Duration::from_millis(256);
+
+/// How far a command is by its own words: the last `[3/9]` of a line.
+fn counted(log: &str) -> Option<(u64, u64)> {
+    log.lines().rev().find_map(|line| {
+        let (done, of) = line.rsplit_once('[')?.1.split_once(']')?.0.split_once('/')?;
+        Some((done.trim().parse().ok()?, of.trim().parse().ok()?))
+    })
 }
 
 fn judged(status: ExitStatus, log: &Path, what: &str) -> Result<()> {
@@ -110,4 +141,19 @@ pub fn no_pair() -> Error {
         "COLMAP found no two frames that fit together",
         "check the focal length and the neighbours, or raise adjust.features",
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::counted;
+
+    #[test]
+    fn a_log_says_how_far_its_command_is() {
+        assert_eq!(
+            counted("Processed file [2/14]\n  Features: 10521\nProcessed file [3/14]\n  Name: r[0].png\n"),
+            Some((3, 14))
+        );
+        assert_eq!(counted("I20260101 feature.cc:1] Processed file [1/2]"), Some((1, 2)));
+        assert_eq!(counted("Importing matches\na - b\n"), None);
+    }
 }

@@ -15,6 +15,8 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
+use crate::cli::progress::Steps;
+
 use super::views::{Counted, Interior, Masks, Shelf, View, homography, mapped};
 
 /// A feature of a warped neighbour is one of the frame itself when it lies this close.
@@ -221,7 +223,9 @@ struct Drawn {
 fn draw(images: &Path, job: &Job<'_>) -> Result<Drawn> {
     let (mut warped, mut largest_px) = (Vec::new(), 0);
     let mut shelf = Shelf::default();
+    let steps = Steps::new("warping neighbours", job.views.len() as u64);
     for (a, view) in job.views.iter().enumerate() {
+        steps.at(a as u64, job.views.len() as u64);
         shelf.forget_before(a);
         let frame = shelf.get(job.frames, job.views, a)?;
         largest_px = largest_px.max(frame.layout.width).max(frame.layout.height);
@@ -254,7 +258,9 @@ fn gather(database: &Database, job: &Job<'_>, warped: &[(usize, usize, Matrix3<f
     }
     let mut pairs = Vec::new();
     let mut first: Option<(usize, Features)> = None;
-    for (a, b, h) in warped {
+    let steps = Steps::new("matching", warped.len() as u64);
+    for (done, (a, b, h)) in warped.iter().enumerate() {
+        steps.at(done as u64, warped.len() as u64);
         if first.as_ref().is_none_or(|(known, _)| known != a) {
             first = Some((*a, database.features(&format!("r{a}.png"))?));
         }
