@@ -124,7 +124,13 @@ impl Clean {
                 faults.push(format!("left {}, {} bytes", name.display(), bytes.len()));
                 continue;
             };
-            let whole = if self.different.contains(name) {
+            // How far a flight went: the words of COLMAP, and the contents of its stages.
+            if name.extension().is_some_and(|end| end == "log") {
+                continue;
+            }
+            let whole = if name.ends_with("stages/index.html") {
+                bytes.ends_with(b"</html>\n")
+            } else if self.different.contains(name) {
                 let end = |all: &[u8]| all[all.len().saturating_sub(2)..].to_vec();
                 bytes.len() * 10 > right.len() * 9 && end(bytes) == end(right)
             } else {

@@ -180,6 +180,26 @@ impl PointArgs {
     pub fn load(&self, model: Option<&Reconstruction>) -> Result<Control> {
         load(&self.gcps, self.observations.as_deref(), self.crs.as_deref(), model)
     }
+
+    /// Before there is a reconstruction; `None` of a list whose coordinates are those of one.
+    ///
+    /// # Errors
+    /// When the list cannot be read.
+    pub fn load_first(&self) -> Result<Option<Control>> {
+        let text = bounded::read(&self.gcps, "a list of points", bounded::DOCUMENT_BYTES)?;
+        if needs_reconstruction(&beginning(&text)) { Ok(None) } else { self.load(None).map(Some) }
+    }
+}
+
+fn beginning(text: &[u8]) -> String {
+    String::from_utf8_lossy(&text[..text.len().min(4096)]).into_owned()
+}
+
+/// OpenSfM's lists count in the frame of their reconstruction.
+fn needs_reconstruction(beginning: &str) -> bool {
+    beginning.trim_start().starts_with('{')
+        && beginning.contains("\"points\"")
+        && !beginning.contains("FeatureCollection")
 }
 
 pub fn load(
@@ -234,7 +254,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         _ => None,
     };
     let text = bounded::read(list, "a list of points", bounded::DOCUMENT_BYTES)?;
-    let start = String::from_utf8_lossy(&text[..text.len().min(4096)]).into_owned();
+    let start = beginning(&text);
     if start.trim_start().starts_with('<')
         && (start.contains("AppuisDAF") || start.contains("DicoAppuis") || start.contains("SetGCP"))
     {
@@ -247,7 +267,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         });
         return Ok(Control { points: points.collect(), crs: stated, own_datum: false });
     }
-    if start.trim_start().starts_with('{') && start.contains("\"points\"") && !start.contains("FeatureCollection") {
+    if needs_reconstruction(&start) {
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
         return of_opensfm(list, model);
     }

@@ -1,6 +1,6 @@
 //! FLIGHT.toml, and the frames that it names.
 
-use autoref_raster::bounded;
+use autoref_raster::{bounded, protected};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -224,6 +224,16 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
         part.global.map(|f| absolute(&base.join(f))).transpose()?,
     );
     Ok(OrderedFrames { folder, masks, names, rows })
+}
+
+/// From now on nothing that is written replaces a file that the project names.
+pub fn protect_inputs(project: &Project, base: &Path, frames: &OrderedFrames) {
+    let table = project.rough.as_ref().map(|rough| base.join(&rough.table));
+    let points = point_args(project, base);
+    let lists = points.into_iter().flat_map(|p| [Some(p.gcps), p.observations]).flatten();
+    let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
+    let pictures = frames.names.iter().map(|name| frames.folder.join(name)).chain(frames.masks.files(&names));
+    table.into_iter().chain(lists).chain(pictures).for_each(|path| protected::protect(&path));
 }
 
 /// Where the project has its GCPs.

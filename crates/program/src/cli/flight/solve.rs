@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use serde_json::Value;
 
 use super::engine::Program;
-use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, read_project};
+use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, protect_inputs, read_project};
 use super::relative::{Flight, GroundPlane, Oriented};
 use super::stages::{self, After, Record, Stage};
 use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, stage_pages};
@@ -75,6 +75,8 @@ struct Ready<'a> {
     left_out: Vec<String>,
     out: PathBuf,
     points: lists::PointArgs,
+    /// The points as far as they are known without a reconstruction.
+    control: Option<lists::Control>,
     record: Record,
 }
 
@@ -95,7 +97,12 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
 impl<'a> Ready<'a> {
     fn of(args: &'a SolveArgs) -> Result<Self> {
         let (project, base) = read_project(&args.project)?;
+        let Some(points) = point_args(&project, &base) else {
+            bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
+        };
+        let control = points.load_first()?;
         let mut frames = ordered_frames(&project, &base)?;
+        protect_inputs(&project, &base, &frames);
         let listed = frames.names.len();
         std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
         let out = absolute(&args.output)?;
@@ -116,10 +123,7 @@ impl<'a> Ready<'a> {
                 frames.names.len()
             );
         }
-        let Some(points) = point_args(&project, &base) else {
-            bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
-        };
-        Ok(Ready { args, project, base, frames, listed, left_out, out, points, record })
+        Ok(Ready { args, project, base, frames, listed, left_out, out, points, control, record })
     }
 
     /// All stages up to the one asked for; what the last of them found.
@@ -142,7 +146,7 @@ impl<'a> Ready<'a> {
             return Ok(found);
         }
 
-        let plane = ground_plane(project, &self.points, rows, &flight);
+        let plane = self.control.as_ref().and_then(|known| ground_plane(project, known, rows, &flight));
         let plan = runs::plan(project, &flight.ordered, rows, plane.as_ref().map(|p| (p, &flight)));
         let found = stages::pairs(&plan, &flight.ordered);
         if record.put(Stage::Pairs, &found, &stage_pages::pairs(&found))? == After::Ends {
@@ -173,9 +177,8 @@ impl<'a> Ready<'a> {
 
     /// Ties and relative orientation by COLMAP and the rough table.
     fn by_colmap(&self, flight: &Flight<'_>, plane: Option<&GroundPlane>) -> Result<Tied> {
-        let tied = match plane {
-            Some(plane) => {
-                let control = self.points.load(None)?;
+        let tied = match plane.zip(self.control.as_ref()) {
+            Some((plane, control)) => {
                 let ground = control.in_world(&control.world()?, &flight.listed(plane), &self.points)?;
                 flight.tied(plane, &ground)?
             }
@@ -297,12 +300,11 @@ fn table_poses(
 /// What warps neighbours onto each other; `None` when focal length, a place or a direction is not known.
 fn ground_plane(
     project: &Project,
-    points: &lists::PointArgs,
+    control: &lists::Control,
     rows: &[tables::CameraRow],
     flight: &Flight<'_>,
 ) -> Option<GroundPlane> {
     let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
-    let control = points.load(None).ok()?;
     let world = control.world().ok()?;
     let mut heights: Vec<f64> = control.points.iter().map(|p| p.xyz[2]).collect();
     heights.sort_by(f64::total_cmp);

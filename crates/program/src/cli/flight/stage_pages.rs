@@ -59,7 +59,11 @@ pub fn line(stage: Stage, found: &Value) -> String {
     let count = |key: &str| rows(found, key).len();
     match stage {
         Stage::Interior => format!("{} of {} frames can be used", count("frames"), found["frames_listed"]),
-        Stage::Pairs => format!("{} flight lines, {} pairs to compare", count("lines"), count("pairs")),
+        Stage::Pairs => {
+            let lines = count("lines");
+            let s = if lines == 1 { "" } else { "s" };
+            format!("{lines} flight line{s}, {} pairs to compare", count("pairs"))
+        }
         Stage::Ties => {
             let ties: u64 = rows(found, "pairs").iter().filter_map(|p| p["ties"].as_u64()).sum();
             let with = rows(found, "pairs").iter().filter(|p| p["ties"].as_u64() > Some(0)).count();
