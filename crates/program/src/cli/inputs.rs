@@ -59,7 +59,7 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
             } else if named.is_file() {
                 inputs.push(named);
             } else if named.is_dir() {
-                inputs.extend(read_in_folder(&named));
+                inputs.extend(read_in_folder(id.as_str(), &named));
             }
         }
     }
@@ -68,14 +68,17 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
     }
 }
 
-/// What a command reads of a folder that is named: rasters and clouds, but no masks, which are written beside frames.
-fn read_in_folder(folder: &Path) -> Vec<PathBuf> {
-    const READ: &[&str] = &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "las", "laz", "ply", "xyz"];
+/// What a command reads of a folder that is named by an argument: rasters and clouds, but no masks, which are written
+/// beside frames; of a reconstruction COLMAP's and MicMac's files.
+fn read_in_folder(argument: &str, folder: &Path) -> Vec<PathBuf> {
+    const PICTURES: &[&str] = &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "las", "laz", "ply", "xyz"];
+    const MODELS: &[&str] = &["txt", "bin", "xml"];
+    let read = if ["reconstruction", "cameras", "camera"].contains(&argument) { MODELS } else { PICTURES };
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let is_read = |path: &PathBuf| {
         let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        path.is_file() && READ.contains(&end.as_str()) && !stem.ends_with("_Masq") && !stem.starts_with('.')
+        path.is_file() && read.contains(&end.as_str()) && !stem.ends_with("_Masq") && !stem.starts_with('.')
     };
     entries.flatten().map(|entry| entry.path()).filter(is_read).collect()
 }

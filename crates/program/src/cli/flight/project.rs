@@ -223,11 +223,13 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
         part.folder.map_or(Ok(folder.clone()), |f| absolute(&base.join(f)))?,
         part.global.map(|f| absolute(&base.join(f))).transpose()?,
     );
-    Ok(OrderedFrames { folder, masks, names, rows })
+    let frames = OrderedFrames { folder, masks, names, rows };
+    protect_inputs(project, base, &frames);
+    Ok(frames)
 }
 
 /// From now on nothing that is written replaces a file that the project names.
-pub fn protect_inputs(project: &Project, base: &Path, frames: &OrderedFrames) {
+fn protect_inputs(project: &Project, base: &Path, frames: &OrderedFrames) {
     let table = project.rough.as_ref().map(|rough| base.join(&rough.table));
     let points = point_args(project, base);
     let lists = points.into_iter().flat_map(|p| [Some(p.gcps), p.observations]).flatten();

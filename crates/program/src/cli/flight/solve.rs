@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use serde_json::Value;
 
 use super::engine::Program;
-use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, protect_inputs, read_project};
+use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, read_project};
 use super::relative::{Flight, GroundPlane, Oriented};
 use super::stages::{self, After, Record, Stage};
 use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, stage_pages};
@@ -102,7 +102,6 @@ impl<'a> Ready<'a> {
         };
         let control = points.load_first()?;
         let mut frames = ordered_frames(&project, &base)?;
-        protect_inputs(&project, &base, &frames);
         let listed = frames.names.len();
         std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
         let out = absolute(&args.output)?;
