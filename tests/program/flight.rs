@@ -11,7 +11,7 @@ use autoref_flight::read::{Photograph, Reconstruction, TiePoint, colmap};
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use crate::common::{Random, data, skipped};
+use crate::common::{Random, data, large, skipped};
 
 const SIDE: usize = 480;
 const F_PX: f64 = 500.0;
@@ -773,7 +773,32 @@ fn frames_become_cameras_by_pycolmap() {
     }
 }
 
-/// From drawn frames to cameras, by COLMAP itself; killed before it checks the ties and resumed: the same cameras.
+/// Killed in the middle by COLMAP itself: what was done before is kept, and the end is the same. The stand-in of
+/// [`Place::stand_in`] is killed at every stage.
+fn killed_and_resumed(place: &Place, document: &Value, solve: impl Fn(&str, &[(&str, &str)], Option<&Path>) -> Output) {
+    let bin = place.at("killer");
+    std::fs::create_dir_all(&bin).expect("a folder");
+    let script =
+        "#!/bin/sh\nif [ \"$1\" = matches_importer ]; then kill -9 $PPID; exit 0; fi\nexec \"$COLMAP\" \"$@\"\n";
+    write_program(&bin.join("colmap"), script);
+    let path = std::env::var("PATH").unwrap_or_default();
+    let real = std::env::split_paths(&path).map(|p| p.join("colmap")).find(|p| p.is_file()).expect("it answered");
+    assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
+    let resumed = solve("killed", &[], None);
+    expect(&resumed, 0, &["rough_ties: taken from before", "rough_features.db: taken from before"]);
+    let again = json(&resumed);
+    assert_eq!(again["frames_registered"], document["frames_registered"]);
+    let cameras = |document: &Value| document["cameras"].as_array().expect("cameras").clone();
+    for (a, b) in cameras(&again).into_iter().zip(cameras(document)) {
+        for axis in ["e", "n", "h"] {
+            let apart = a[axis].as_f64().expect("a number") - b[axis].as_f64().expect("a number");
+            assert!(apart.abs() < 1e-3, "{axis} of {}: {apart:.6} m", a["name"]);
+        }
+    }
+}
+
+/// From drawn frames to cameras, by COLMAP itself; with AUTOREF_LARGE=1 also killed before it checks the ties and
+/// resumed: the same cameras.
 #[test]
 fn frames_become_cameras() {
     if Command::new("colmap").arg("help").output().is_err() {
@@ -819,25 +844,8 @@ fn frames_become_cameras() {
     let check = document["check_point_statistics"]["d"]["rms"].as_f64().expect("check points");
     let f = document["cameras"][0]["f_px"].as_f64().expect("a number");
     assert!(worst < 4.0 && check < 1.0 && (f / F_PX - 1.0).abs() < 0.01, "{worst:.2} m, {check:.2} m, f {f:.2}");
-    // Killed in the middle: what was done before is kept, and the end is the same.
-    let bin = place.at("killer");
-    std::fs::create_dir_all(&bin).expect("a folder");
-    let script =
-        "#!/bin/sh\nif [ \"$1\" = matches_importer ]; then kill -9 $PPID; exit 0; fi\nexec \"$COLMAP\" \"$@\"\n";
-    write_program(&bin.join("colmap"), script);
-    let path = std::env::var("PATH").unwrap_or_default();
-    let real = std::env::split_paths(&path).map(|p| p.join("colmap")).find(|p| p.is_file()).expect("it answered");
-    assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
-    let resumed = solve("killed", &[], None);
-    expect(&resumed, 0, &["rough_ties: taken from before", "rough_features.db: taken from before"]);
-    let again = json(&resumed);
-    assert_eq!(again["frames_registered"], document["frames_registered"]);
-    let cameras = |document: &Value| document["cameras"].as_array().expect("cameras").clone();
-    for (a, b) in cameras(&again).into_iter().zip(cameras(&document)) {
-        for axis in ["e", "n", "h"] {
-            let apart = a[axis].as_f64().expect("a number") - b[axis].as_f64().expect("a number");
-            assert!(apart.abs() < 1e-3, "{axis} of {}: {apart:.6} m", a["name"]);
-        }
+    if large() {
+        killed_and_resumed(&place, &document, solve);
     }
     // Without a table COLMAP's mapper orients them.
     let project = std::fs::read_to_string(&toml).expect("there");

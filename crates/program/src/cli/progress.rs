@@ -182,23 +182,39 @@ impl Now {
 pub struct Steps(Shown);
 
 impl Steps {
+    /// `of`: 0 where it is not known how many there are.
     pub fn new(what: &str, of: u64) -> Self {
         if !std::io::stderr().is_terminal() {
-            return Steps(Shown::Lines(Lines::new(what, of)));
+            let lines = Lines::new(what, of);
+            if of == 0 {
+                lines.now(what, None);
+            }
+            return Steps(Shown::Lines(lines));
         }
         let bar = indicatif::ProgressBar::new(of);
-        let style = indicatif::ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} {elapsed:>4}, {eta} left");
-        bar.set_style(style.expect("the template is well formed"));
+        let template = match of {
+            0 => "{spinner} {msg} {elapsed:>4}",
+            _ => Steps::COUNTED,
+        };
+        let style = indicatif::ProgressStyle::with_template(template).expect("the template is well formed");
+        bar.set_style(style);
         bar.set_message(what.to_string());
+        bar.enable_steady_tick(Duration::from_millis(120));
         Steps(Shown::Moving(bar))
     }
+
+    const COUNTED: &str = "{msg} {bar:30} {pos}/{len} {elapsed:>4}, {eta} left";
 
     /// So many are done, of so many.
     pub fn at(&self, done: u64, of: u64) {
         match &self.0 {
             Shown::Nothing => {}
             Shown::Moving(bar) => {
-                bar.set_length(of);
+                if bar.length() != Some(of) {
+                    let style = indicatif::ProgressStyle::with_template(Steps::COUNTED);
+                    bar.set_style(style.expect("the template is well formed"));
+                    bar.set_length(of);
+                }
                 bar.set_position(done);
             }
             Shown::Lines(lines) => lines.change(|now| (now.done, now.of) = (Some(done), of)),

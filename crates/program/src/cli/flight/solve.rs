@@ -155,8 +155,8 @@ impl<'a> Ready<'a> {
 
         let (oriented, ties) = match self.args.engine.of_colmap() {
             Some(_) => match self.by_colmap(&flight, plane.as_ref())? {
-                Tied::Ends(found) => return Ok(found),
-                Tied::Oriented(oriented, ties) => (oriented, ties),
+                ByColmap::Ends(found) => return Ok(found),
+                ByColmap::Oriented(oriented, ties) => (oriented, ties),
             },
             None => {
                 if self.args.until == Stage::Ties {
@@ -175,7 +175,7 @@ impl<'a> Ready<'a> {
     }
 
     /// Ties and relative orientation by COLMAP and the rough table.
-    fn by_colmap(&self, flight: &Flight<'_>, plane: Option<&GroundPlane>) -> Result<Tied> {
+    fn by_colmap(&self, flight: &Flight<'_>, plane: Option<&GroundPlane>) -> Result<ByColmap> {
         let tied = match plane.zip(self.control.as_ref()) {
             Some((plane, control)) => {
                 let ground = control.in_world(&control.world()?, &flight.listed(plane), &self.points)?;
@@ -185,12 +185,12 @@ impl<'a> Ready<'a> {
         };
         let matched = flight.matched(tied)?;
         let found = stages::ties(&matched, &flight.ordered, flight.size_px);
-        let page = stage_pages::ties(&found, &matched.verified, &self.record.sizes(flight.size_px));
+        let page = stage_pages::ties(&found, &matched.verified, &self.record.pictures(flight.size_px));
         if self.record.put(Stage::Ties, &found, &page)? == After::Ends {
-            return Ok(Tied::Ends(found));
+            return Ok(ByColmap::Ends(found));
         }
         let pairs = stages::all_matches(&matched, &flight.ordered);
-        Ok(Tied::Oriented(flight.relative(matched)?, pairs))
+        Ok(ByColmap::Oriented(flight.relative(matched)?, pairs))
     }
 
     /// The datum by GCPs, and the adjustment of everything.
@@ -218,7 +218,7 @@ impl<'a> Ready<'a> {
         };
         let placed = on_ground(model, &ground, &rough)?;
         let found = stages::gcp(&placed, &ground, model, &world, control.crs_label());
-        let page = stage_pages::gcp(&found, &record.sizes(flight.size_px));
+        let page = stage_pages::gcp(&found, &record.pictures(flight.size_px));
         if record.put(Stage::Gcp, &found, &page)? == After::Ends {
             return Ok(found);
         }
@@ -256,7 +256,7 @@ impl<'a> Ready<'a> {
 }
 
 /// How far COLMAP's stages went.
-enum Tied {
+enum ByColmap {
     /// Ties were all that was asked for.
     Ends(Value),
     /// The block, and the number of ties of each pair; `None` where frames were matched as they are.

@@ -89,7 +89,7 @@ impl Record {
     }
 
     /// Width and height of the pictures, and their pixels per pixel of a frame.
-    pub fn sizes(&self, frame_px: [f64; 2]) -> stage_pages::Pictures {
+    pub fn pictures(&self, frame_px: [f64; 2]) -> stage_pages::Pictures {
         stage_pages::Pictures::of(frame_px, PICTURE_PX)
     }
 
