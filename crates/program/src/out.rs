@@ -20,6 +20,11 @@ pub fn mute(stream: Stream) {
     MUTE[stream as usize].store(true, Ordering::Relaxed);
 }
 
+/// Whether a stream says nothing of its own accord.
+pub fn is_mute(stream: Stream) -> bool {
+    MUTE[stream as usize].load(Ordering::Relaxed)
+}
+
 /// What the command was asked for, whatever else is left out.
 pub fn product(text: &str) {
     keep(std::io::stdout().write_all(text.as_bytes()));
@@ -35,7 +40,7 @@ static FAULT: Mutex<Option<String>> = Mutex::new(None);
 
 /// Writes to standard output; see [`fault`].
 pub fn write(text: std::fmt::Arguments<'_>) {
-    if MUTE[Stream::Output as usize].load(Ordering::Relaxed) {
+    if is_mute(Stream::Output) {
         return;
     }
     keep(std::io::stdout().write_fmt(text));
@@ -43,7 +48,7 @@ pub fn write(text: std::fmt::Arguments<'_>) {
 
 /// Writes to standard error; when that is gone there is nobody to tell.
 pub fn write_err(text: std::fmt::Arguments<'_>) {
-    if MUTE[Stream::Errors as usize].load(Ordering::Relaxed) {
+    if is_mute(Stream::Errors) {
         return;
     }
     let _ = std::io::stderr().write_fmt(text);

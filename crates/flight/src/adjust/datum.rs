@@ -17,8 +17,7 @@ pub struct OnGround {
 }
 
 /// Seven parameters from the control points (three and more, seen in two photographs each), else from the rough poses,
-/// and what they leave at every point, check points too. Nothing is adjusted: a block that is bent
-/// shows it here.
+/// and what they leave at every point, check points too. Nothing is adjusted: a block that is bent shows it here.
 ///
 /// # Errors
 /// When neither points nor poses fix the datum.

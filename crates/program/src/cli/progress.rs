@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::out::{Stream, is_mute};
 use autoref_raster::RasterInfo;
 use autoref_stream::pipeline::Progress;
 
@@ -184,6 +185,9 @@ pub struct Steps(Shown);
 impl Steps {
     /// `of`: 0 where it is not known how many there are.
     pub fn new(what: &str, of: u64) -> Self {
+        if is_mute(Stream::Errors) {
+            return Steps(Shown::Nothing);
+        }
         if !std::io::stderr().is_terminal() {
             let lines = Lines::new(what, of);
             if of == 0 {

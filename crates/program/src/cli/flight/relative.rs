@@ -399,15 +399,12 @@ impl Stages<'_> {
             return Ok(target);
         }
         let part = self.folder.join(format!(".{name}.part"));
-        for old in [&part, &target, &stamp] {
-            remove(old)?;
-        }
+        // SQLite keeps a journal beside a database.
+        let parts = ["", "-journal", "-wal", "-shm"].map(|end| self.folder.join(format!(".{name}.part{end}")));
+        parts.iter().chain([&target, &stamp]).try_for_each(|old| remove(old))?;
         eprintln!("{name} …");
         if let Err(error) = work(&part) {
-            // SQLite keeps a journal beside a database.
-            for end in ["", "-journal", "-wal", "-shm"] {
-                let _ = remove(&self.folder.join(format!(".{name}.part{end}")));
-            }
+            parts.iter().for_each(|old| drop(remove(old)));
             return Err(error);
         }
         std::fs::rename(&part, &target).map_err(|e| Error::io(&part, "rename", e))?;

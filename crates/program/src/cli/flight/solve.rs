@@ -13,11 +13,14 @@ use nalgebra::Vector3;
 use serde_json::Value;
 
 use super::engine::Program;
-use super::project::{OrderedFrames, Project, absolute, ordered_frames, point_args, read_project};
+use super::project::{
+    OrderedFrames, Project, absolute, default_ground_m, default_image_px, ordered_frames, point_args, read_project,
+};
 use super::relative::{Flight, GroundPlane, Oriented};
 use super::stages::{self, After, Record, Stage};
 use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, stage_pages};
 use crate::cli::progress::Busy;
+use crate::out::{Stream, is_mute};
 
 /// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
 #[derive(Debug, clap::Args)]
@@ -141,7 +144,8 @@ impl<'a> Ready<'a> {
             near: Vec::new(),
         };
         let found = stages::interior(&flight, self.listed, &self.left_out);
-        if record.put(Stage::Interior, &found, &stage_pages::interior(&found))? == After::Ends {
+        let page = stage_pages::interior(&found, &record.pictures(flight.size_px));
+        if record.put(Stage::Interior, &found, &page)? == After::Ends {
             return Ok(found);
         }
 
@@ -204,7 +208,8 @@ impl<'a> Ready<'a> {
         let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
         let mut control = self.points.load(Some(model))?;
         let gcps = project.gcps.as_ref();
-        let (ground_m, image_px) = gcps.map_or((25.0, 5.0), |g| (g.sigma_ground_m, g.sigma_image_px));
+        let (ground_m, image_px) =
+            gcps.map_or((default_ground_m(), default_image_px()), |g| (g.sigma_ground_m, g.sigma_image_px));
         for p in &mut control.points {
             p.sigma.get_or_insert([ground_m; 3]);
         }
@@ -226,7 +231,7 @@ impl<'a> Ready<'a> {
         // MicMac has compensated the interior with the poses.
         let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free)? };
         let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
-        let busy = Busy::new("adjusting", false);
+        let busy = Busy::new("adjusting", is_mute(Stream::Errors));
         let mut found = adjust(model, &ground, &options)?;
         drop(busy);
         found.notes.extend(notes);
@@ -250,7 +255,7 @@ impl<'a> Ready<'a> {
         atomic::write(&self.out.join("flight.html"), page::page(&document, record.title()).as_bytes())?;
         let text = serde_json::to_string_pretty(&document)? + "\n";
         atomic::write(&self.out.join("cameras.json"), text.as_bytes())?;
-        record.contents()?;
+        record.contents(Stage::Cameras)?;
         Ok(document)
     }
 }

@@ -106,7 +106,7 @@ fn warning(out: &mut String, text: &str) {
     let _ = write!(out, "<p class=\"bad\">{}</p>", escaped(text));
 }
 
-pub fn interior(found: &Value) -> String {
+pub fn interior(found: &Value, pictures: &Pictures) -> String {
     let mut out = String::new();
     for note in rows(found, "left_out").iter().filter_map(Value::as_str) {
         warning(&mut out, note);
@@ -128,8 +128,6 @@ pub fn interior(found: &Value) -> String {
         pair("pp_px", 2),
         pair("field_of_view_deg", 1).replace(", ", "° × "),
     );
-    let sides = [0, 1].map(|k| found["size_px"][k].as_f64().unwrap_or(1.0));
-    let pictures = Pictures::of(sides, 240);
     let at = [0, 1].map(|k| found["pp_px"][k].as_f64().unwrap_or(0.0) * pictures.scale);
     let cross = format!(
         "<path d=\"M{:.1} {:.1}h12M{:.1} {:.1}v12\" stroke=\"{CHECK}\" stroke-width=\"1.5\"/>",
@@ -142,7 +140,7 @@ pub fn interior(found: &Value) -> String {
     for f in rows(found, "frames") {
         let masks: Vec<&str> = rows(f, "masks").iter().filter_map(Value::as_str).collect();
         let masks = if masks.is_empty() { "no mask".into() } else { escaped(&masks.join(", ")) };
-        frame(&mut out, f["name"].as_str().unwrap_or_default(), &pictures, &cross, &masks);
+        frame(&mut out, f["name"].as_str().unwrap_or_default(), pictures, &cross, &masks);
     }
     out + "</div>"
 }
@@ -328,7 +326,7 @@ mod tests {
             "frames_listed": 1, "f_px": 500.0, "focal": "held", "pp_px": [250.0, 250.0], "size_px": [500.0, 500.0],
             "field_of_view_deg": [53.1, 53.1], "frames": [{"name": "a <b>#1.png", "masks": []}], "left_out": ["<i>"],
         });
-        let page = whole("x & y", "interior", None, &interior(&found));
+        let page = whole("x & y", "interior", None, &interior(&found, &Pictures::of([500.0, 500.0], 240)));
         assert!(
             page.contains("x &amp; y") && page.contains("a &lt;b&gt;#1.png") && page.contains("&lt;i&gt;"),
             "{page}"

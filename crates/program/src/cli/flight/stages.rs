@@ -109,12 +109,13 @@ impl Record {
         let before = Stage::ALL.iter().rfind(|s| **s < stage).map(|s| s.name());
         let page = stage_pages::whole(&self.title, name, before, body);
         atomic::write(&self.page(stage), page.as_bytes())?;
-        self.contents()?;
+        self.contents(stage)?;
         Ok(if stage == self.until { After::Ends } else { After::GoesOn })
     }
 
-    /// The table of contents: what every stage that was worked says in one line.
-    pub fn contents(&self) -> Result<()> {
+    /// The table of contents: what every stage up to the last that was worked says in one line. What an older run left
+    /// of later ones is of other inputs, perhaps.
+    pub fn contents(&self, last: Stage) -> Result<()> {
         let mut rows = String::new();
         for (number, stage) in Stage::ALL.iter().enumerate() {
             let document = match stage {
@@ -123,8 +124,8 @@ impl Record {
             };
             let link =
                 if *stage == Stage::Cameras { "../flight.html".into() } else { format!("{}.html", stage.name()) };
-            let found: Option<Value> =
-                std::fs::read_to_string(&document).ok().and_then(|text| serde_json::from_str(&text).ok());
+            let text = if *stage <= last { std::fs::read_to_string(&document).ok() } else { None };
+            let found: Option<Value> = text.and_then(|text| serde_json::from_str(&text).ok());
             let _ = match found {
                 Some(found) => write!(
                     rows,

@@ -361,8 +361,11 @@ impl Ties {
     pub fn places_tied(&self, frame: usize) -> Vec<[f64; 2]> {
         let mut tied = BTreeSet::new();
         for Pair { frames: (a, b), ties } in &self.pairs {
-            tied.extend(ties.iter().filter(|_| *a == frame).map(|t| t.0));
-            tied.extend(ties.iter().filter(|_| *b == frame).map(|t| t.1));
+            if *a == frame {
+                tied.extend(ties.iter().map(|t| t.0));
+            } else if *b == frame {
+                tied.extend(ties.iter().map(|t| t.1));
+            }
         }
         tied.into_iter().map(|k| self.places[frame][k]).collect()
     }
