@@ -22,6 +22,8 @@ const FLOOR_M: f64 = 1e-4;
 const SEARCH_CELLS: u64 = 96;
 /// Places at which one shift is tried.
 const SEARCH_SAMPLES: usize = 800;
+/// Cells that say roughly enough where Nuth and Kääb's iterations begin.
+const ROUGH_CELLS: u64 = 500_000;
 /// Candidate shifts that are followed up.
 const CANDIDATES: usize = 3;
 
@@ -133,7 +135,8 @@ impl Level {
 /// From fine to coarse. The first holds no more cells than fit in memory.
 fn pyramid(full: &Pair<'_>, options: &Options<'_>) -> Result<Vec<Level>> {
     let cells = |grid: Grid, factor: u64| (grid.width / factor + 1) * (grid.height / factor + 1);
-    let limit = options.memory_cells.max(4096);
+    let enough = if options.method == Method::NuthKaab { ROUGH_CELLS } else { u64::MAX };
+    let limit = options.memory_cells.min(enough).max(4096);
     let mut factor = 1;
     while cells(full.template.grid(), factor) > limit || cells(full.other.grid(), factor * full.finer) > 4 * limit {
         factor *= 2;

@@ -10,7 +10,7 @@ const HEIGHT_BANDS: f64 = 12.0;
 
 /// Which groups there are, and which a cell belongs to.
 pub(super) struct Groups {
-    pub(super) slope_limits: Vec<f64>,
+    pub(super) slope_classes: usize,
     pub(super) height_low: f64,
     pub(super) height_step: f64,
     pub(super) names: Vec<(String, String)>,
@@ -42,19 +42,26 @@ impl Groups {
             names.extend(zones.names().iter().map(|name| ("zone".to_string(), name.clone())));
             names.push(("zone".into(), "outside all zones".into()));
         }
-        let slope_limits = slope_limits.to_vec();
-        Groups { slope_limits, height_low: low, height_step: step, names, first_height, first_zone }
+        Groups {
+            slope_classes: slope_limits.len(),
+            height_low: low,
+            height_step: step,
+            names,
+            first_height,
+            first_zone,
+        }
     }
 
     pub(super) fn each(&self, cell: &Cell, mut see: impl FnMut(usize)) {
         see(0);
-        if let Some(class) = self.slope_limits.iter().rposition(|limit| cell.slope_percent >= *limit) {
-            see(1 + class);
+        let facing = cell.facing;
+        if facing.slope > 0 {
+            see(usize::from(facing.slope));
         }
-        if let Some(aspect) = cell.aspect {
-            see(1 + self.slope_limits.len() + aspect);
+        if facing.aspect > 0 {
+            see(self.slope_classes + usize::from(facing.aspect));
         }
-        let band = ((cell.height - self.height_low) / self.height_step) as usize;
+        let band = ((f64::from(cell.height) - self.height_low) / self.height_step) as usize;
         see((self.first_height + band).min(self.first_zone - 1));
         if self.first_zone < self.names.len() {
             let outside = self.names.len() - 1;

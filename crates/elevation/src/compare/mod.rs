@@ -2,6 +2,7 @@
 
 mod groups;
 mod moments;
+mod observed;
 mod page;
 mod preview;
 mod scan;
@@ -22,7 +23,7 @@ use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
 use crate::grid::Grid;
-use crate::kept::{Kept, Room};
+use crate::kept::Room;
 use crate::output::{self, Form};
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Means as Averaged};
@@ -30,8 +31,9 @@ use crate::stream::{self, Means};
 
 use groups::Groups;
 use moments::Moments;
+use observed::{Observed, Record, Recorder};
 use scan::{Buffers, Cell, Scan};
-use select::Pass;
+use select::{Distribution, Pass, Question};
 use tables::write_tables;
 
 /// `dem compare`, from files.
@@ -130,7 +132,7 @@ struct First {
 impl First {
     fn see(&mut self, cell: &Cell, within_m: f64) {
         self.moments.add(cell.difference, within_m);
-        let z = cell.height;
+        let z = f64::from(cell.height);
         self.heights = Some(self.heights.map_or((z, z), |(low, high)| (low.min(z), high.max(z))));
         let key = (hash(cell.x, cell.y), cell.x, cell.y);
         Self::keep(&mut self.witnesses, 0, key);
@@ -164,18 +166,24 @@ impl First {
         }
     }
 
+    /// A value near the median: that of the cells of the map.
+    fn centre(&self) -> f32 {
+        let mut differences: Vec<f32> = self.samples.iter().map(|sample| sample.1).collect();
+        let middle = differences.len() / 2;
+        if differences.is_empty() { 0.0 } else { *differences.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    }
+
     fn places(&self, index: usize) -> Vec<(u64, u64)> {
         let keys = self.witnesses.get(index).map(|heap| heap.clone().into_sorted_vec()).unwrap_or_default();
         keys.into_iter().map(|(_, x, y)| (x, y)).collect()
     }
 }
 
-/// Groups, their moments, quantiles.
+/// Groups, their moments, how they are spread.
 struct Classes {
     groups: Groups,
     moments: Vec<Moments>,
-    quantiles: Vec<Vec<f64>>,
-    nmad: Vec<Option<f64>>,
+    distributions: Vec<Distribution>,
 }
 
 impl CompareJob<'_> {
@@ -203,16 +211,14 @@ impl CompareJob<'_> {
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         let ratio = (cell(&grid) / cell(&couple.a.grid())).sqrt().round().max(1.0) as u64;
         let room = Room { held_cells: self.resources.held_cells(), scratch: Some(folder) };
-        let (kept_a, kept_b) = Kept::both(&couple.a, &couple.b, room, means)?;
-        let a: &dyn Heights = kept_a.as_ref().map_or(&couple.a, |kept| kept);
-        let b: &dyn Heights = kept_b.as_ref().map_or(&couple.b, |kept| kept);
-        let averaged = Averaged::new(a, ratio);
+        let averaged = Averaged::new(&couple.a as &dyn Heights, ratio);
         let mut scan = Scan {
             grid,
             unit: couple.b.ground_unit(),
             a: Resampled::new(&averaged, grid, (0.0, 0.0), self.resampling),
-            b,
+            b: &couple.b,
             zones: zones.as_ref(),
+            slope_limits: self.slope_limits,
             limits: (f64::NEG_INFINITY, f64::INFINITY),
         };
         if let Some(limit) = self.outliers {
@@ -220,10 +226,13 @@ impl CompareJob<'_> {
             let (mean, sd) = moments.mean().zip(moments.sd()).ok_or_else(nothing)?;
             scan.limits = (mean - limit * sd, mean + limit * sd);
         }
-        let first = self.write_difference(&scan, &couple, means, &folder.join("difference.tif"))?;
+        let recorder = Recorder::new(&scan, &room);
+        let first = self.write_difference(&scan, &recorder, &couple, means, &folder.join("difference.tif"))?;
+        let observed = recorder.finish(&scan);
         let heights = first.heights.ok_or_else(nothing)?;
-        let classes = self.classes(&scan, Groups::new(self.slope_limits, heights, zones.as_ref()), means)?;
-        let summary = self.summary(&couple, &scan, &first, &classes, means)?;
+        let groups = Groups::new(self.slope_limits, heights, zones.as_ref());
+        let classes = self.classes(&observed, groups, first.centre(), means)?;
+        let summary = self.summary(&couple, &observed, &first, &classes, means)?;
         write_tables(folder, &summary)?;
         let map = preview::Sampling::of(grid.width, grid.height).data(&scan, &first.samples);
         write_page(folder, &summary, &map)?;
@@ -241,7 +250,14 @@ impl CompareJob<'_> {
         Ok(whole)
     }
 
-    fn write_difference(&self, scan: &Scan<'_>, couple: &Couple, means: Means, path: &Path) -> Result<First> {
+    fn write_difference(
+        &self,
+        scan: &Scan<'_>,
+        recorder: &Recorder,
+        couple: &Couple,
+        means: Means,
+        path: &Path,
+    ) -> Result<First> {
         const NODATA: f64 = -9999.0;
         let grid = scan.grid;
         let form =
@@ -254,14 +270,21 @@ impl CompareJob<'_> {
             means.threads,
             || (First::default(), Buffers::default()),
             |(first, buffers), window| {
-                let mut values = vec![NODATA as f32; window.area() as usize];
+                let cells = window.area() as usize;
+                let mut values = vec![NODATA as f32; cells];
+                let mut records = vec![Record::NONE; if recorder.keeps() { cells } else { 0 }];
                 scan.cells(window, buffers, |cell| {
                     first.see(&cell, self.within_m);
                     if let Some(number) = sampling.number(cell.x, cell.y) {
-                        first.samples.push((number, cell.difference, cell.height as f32));
+                        first.samples.push((number, cell.difference, cell.height));
                     }
-                    values[((cell.y - window.y) * window.width + cell.x - window.x) as usize] = cell.difference;
+                    let at = ((cell.y - window.y) * window.width + cell.x - window.x) as usize;
+                    values[at] = cell.difference;
+                    if let Some(record) = records.get_mut(at) {
+                        *record = Record::of(&cell);
+                    }
                 })?;
+                recorder.put(window, &records);
                 Ok(values)
             },
             |window, values| output::put(path, &dataset, window, &values),
@@ -272,13 +295,13 @@ impl CompareJob<'_> {
         Ok(whole)
     }
 
-    fn classes(&self, scan: &Scan<'_>, groups: Groups, means: Means) -> Result<Classes> {
-        let tiles = means.tiles(scan.grid.width, scan.grid.height);
+    fn classes(&self, observed: &Observed<'_>, groups: Groups, centre: f32, means: Means) -> Result<Classes> {
+        let grid = &observed.scan.grid;
+        let tiles = means.tiles(grid.width, grid.height);
         let count = groups.names.len();
-        let shares = PERCENTS.map(|p| p / 100.0);
         let state = || (vec![Moments::default(); count], Buffers::default());
         let visit = |pass, window, (moments, buffers): &mut (Vec<Moments>, Buffers), sink: select::Sink<'_>| {
-            scan.cells(window, buffers, |cell| {
+            observed.cells(window, buffers, |cell| {
                 groups.each(&cell, |group| {
                     if pass == Pass::First {
                         moments[group].add(cell.difference, self.within_m);
@@ -287,38 +310,30 @@ impl CompareJob<'_> {
                 });
             })
         };
-        let (quantiles, parts) = select::quantiles(count, &shares, means.threads, &tiles, state, visit)?;
+        let question = Question { groups: count, shares: &PERCENTS.map(|p| p / 100.0), centre };
+        let (distributions, parts) = select::distributions(&question, means.threads, &tiles, state, visit)?;
         let mut moments = vec![Moments::default(); count];
         for (part, _) in &parts {
             moments.iter_mut().zip(part).for_each(|(a, b)| a.merge(b));
         }
-        let medians: Vec<f64> = quantiles.iter().map(|q| q[4]).collect();
-        let visit = |_, window, buffers: &mut Buffers, sink: select::Sink<'_>| {
-            scan.cells(window, buffers, |cell| {
-                groups.each(&cell, |group| {
-                    sink(group, (f64::from(cell.difference) - medians[group]).abs() as f32);
-                });
-            })
-        };
-        let (distances, _) = select::quantiles(count, &[0.5], means.threads, &tiles, Buffers::default, visit)?;
-        let nmad = distances.iter().map(|d| Some(1.4826 * d[0]).filter(|v| v.is_finite())).collect();
-        Ok(Classes { groups, moments, quantiles, nmad })
+        Ok(Classes { groups, moments, distributions })
     }
 
     fn summary(
         &self,
         couple: &Couple,
-        scan: &Scan<'_>,
+        observed: &Observed<'_>,
         first: &First,
         classes: &Classes,
         means: Means,
     ) -> Result<Summary> {
+        let scan = observed.scan;
         let stable_group = if scan.zones.is_some() { classes.groups.names.len() - 1 } else { 0 };
         // Where more than half of the cells are equal the NMAD is 0 and says nothing about the others.
-        let nmad = classes.nmad[stable_group].filter(|nmad| *nmad > 0.0);
+        let nmad = classes.nmad(stable_group).filter(|nmad| *nmad > 0.0);
         let scatter = nmad.or_else(|| classes.moments[stable_group].sd()).unwrap_or(0.0);
-        let spread = (classes.quantiles[stable_group][4], scatter);
-        let variogram = variogram::estimate(scan, spread, means)?;
+        let spread = (classes.distributions[stable_group].median, scatter);
+        let variogram = variogram::estimate(observed, spread, means)?;
         let (mx, my) = scan.unit.metres_per_unit(scan.grid.centre().1);
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);
         let mean_error = |n: u64, index: usize| variogram.mean_error(n, &first.places(index), cell_m);
@@ -376,9 +391,13 @@ impl CompareJob<'_> {
 }
 
 impl Classes {
+    fn nmad(&self, group: usize) -> Option<f64> {
+        Some(1.4826 * self.distributions[group].median_distance).filter(|v| v.is_finite())
+    }
+
     fn statistics(&self, group: usize) -> Statistics {
         let moments = &self.moments[group];
-        let quantiles = &self.quantiles[group];
+        let Distribution { quantiles, median, .. } = &self.distributions[group];
         let percentiles_m = PERCENTS
             .iter()
             .zip(quantiles)
@@ -390,9 +409,9 @@ impl Classes {
             class: self.groups.names[group].1.clone(),
             n: moments.n,
             mean_m: moments.mean(),
-            median_m: Some(quantiles[4]).filter(|q| q.is_finite()),
+            median_m: Some(*median).filter(|q| q.is_finite()),
             sd_m: moments.sd(),
-            nmad_m: self.nmad[group],
+            nmad_m: self.nmad(group),
             rmse_m: moments.rmse(),
             min_m: moments.low.map(f64::from),
             max_m: moments.high.map(f64::from),

@@ -7,15 +7,23 @@ use crate::source::{Heights, Means as Averaged, Patch};
 use crate::window::Window;
 use crate::zones::Zones;
 
+use super::observed::Record;
+
 /// What is known of a cell beside its difference.
 pub(super) struct Cell {
     pub(super) x: u64,
     pub(super) y: u64,
     pub(super) difference: f32,
-    pub(super) slope_percent: f64,
-    pub(super) aspect: Option<usize>,
-    pub(super) height: f64,
+    pub(super) height: f32,
+    pub(super) facing: Facing,
     pub(super) zone: u32,
+}
+
+/// How the ground lies, by classes that count from 1; 0 where it is not known, or below the first limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Facing {
+    pub(super) slope: u16,
+    pub(super) aspect: u16,
 }
 
 /// Both models on B's grid.
@@ -25,6 +33,8 @@ pub(super) struct Scan<'a> {
     pub(super) a: Resampled<'a, Averaged<'a, dyn Heights + 'a>>,
     pub(super) b: &'a dyn Heights,
     pub(super) zones: Option<&'a Zones>,
+    /// Lower limits of the slope classes, per cent.
+    pub(super) slope_limits: &'a [f64],
     /// Differences outside are left out.
     pub(super) limits: (f64, f64),
 }
@@ -35,6 +45,9 @@ pub(super) struct Buffers {
     pub(super) a: Vec<f64>,
     pub(super) b: Vec<f64>,
     pub(super) zones: Vec<u32>,
+    /// Rows that were kept.
+    pub(super) bytes: Vec<u8>,
+    pub(super) records: Vec<Record>,
 }
 
 impl Scan<'_> {
@@ -50,9 +63,8 @@ impl Scan<'_> {
         let (grid, b) = (&self.grid, &buffers.b);
         for row in 0..height {
             let north = grid.y0 + ((window.y + row as u64) as f64 + 0.5) * grid.step_y;
-            if let Some(zones) = self.zones {
-                let east = grid.x0 + (window.x as f64 + 0.5) * grid.step_x;
-                zones.row(north, east, grid.step_x, &mut buffers.zones);
+            if self.zones.is_some() {
+                self.mark_zones(window.x, window.y + row as u64, &mut buffers.zones);
             }
             let (mx, my) = self.unit.metres_per_unit(north);
             let (per_x, per_y) = (0.125 / (mx * grid.step_x), 0.125 / (my * grid.step_y));
@@ -66,19 +78,34 @@ impl Scan<'_> {
                 // Horn, Hill shading and the reflectance map, 1981.
                 let east = ((w(0, 2) + 2.0 * w(1, 2) + w(2, 2)) - (w(0, 0) + 2.0 * w(1, 0) + w(2, 0))) * per_x;
                 let up = ((w(2, 0) + 2.0 * w(2, 1) + w(2, 2)) - (w(0, 0) + 2.0 * w(0, 1) + w(0, 2))) * per_y;
-                let tangent = (east * east + up * up).sqrt();
+                let percent = 100.0 * (east * east + up * up).sqrt();
                 see(Cell {
                     x: window.x + column as u64,
                     y: window.y + row as u64,
                     difference: difference as f32,
-                    slope_percent: 100.0 * tangent,
-                    aspect: aspect(east, up),
-                    height: b[at],
+                    height: b[at] as f32,
+                    facing: Facing {
+                        slope: self
+                            .slope_limits
+                            .iter()
+                            .rposition(|limit| percent >= *limit)
+                            .map_or(0, |i| i as u16 + 1),
+                        aspect: aspect(east, up).map_or(0, |direction| direction + 1),
+                    },
                     zone: buffers.zones[column],
                 });
             }
         }
         Ok(())
+    }
+
+    /// The zones of a row from a column on.
+    pub(super) fn mark_zones(&self, x: u64, y: u64, out: &mut [u32]) {
+        if let Some(zones) = self.zones {
+            let grid = &self.grid;
+            let north = grid.y0 + (y as f64 + 0.5) * grid.step_y;
+            zones.row(north, grid.x0 + (x as f64 + 0.5) * grid.step_x, grid.step_x, out);
+        }
     }
 }
 
@@ -87,7 +114,7 @@ const HALF_EIGHTH: f64 = std::f64::consts::SQRT_2 - 1.0;
 
 /// Which of eight directions, clockwise from north, a slope that rises so much eastwards and northwards looks to; 8
 /// where there is none, `None` where it is not known.
-fn aspect(east: f64, north: f64) -> Option<usize> {
+fn aspect(east: f64, north: f64) -> Option<u16> {
     // Downhill.
     let (e, n) = (-east, -north);
     if e.is_nan() || n.is_nan() {
@@ -118,7 +145,7 @@ mod tests {
             // Between the borders of classes.
             let downhill = (f64::from(degree) + 0.25) / 2.0;
             let (east, north) = (-downhill.to_radians().sin(), -downhill.to_radians().cos());
-            assert_eq!(aspect(3.0 * east, 3.0 * north), Some(((downhill + 22.5) / 45.0) as usize % 8), "{downhill}");
+            assert_eq!(aspect(3.0 * east, 3.0 * north), Some(((downhill + 22.5) / 45.0) as u16 % 8), "{downhill}");
         }
         assert_eq!(aspect(0.0, -0.0), Some(8));
         assert_eq!(aspect(f64::NAN, 1.0), None);

@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::stream::{self, Means};
 use crate::window::{TileGrid, Window};
 
-use super::{Buffers, Scan};
+use super::{Buffers, Observed};
 
 /// Column, row and difference of a cell.
 type Cell = (i64, i64, f64);
@@ -123,6 +123,14 @@ impl Pairs {
         self.lags[lag.bin] += lag.metres;
         self.counts[lag.bin] += 1;
     }
+
+    fn merge(&mut self, other: &Pairs) {
+        for bin in 0..BINS {
+            self.sums[bin] += other.sums[bin];
+            self.lags[bin] += other.lags[bin];
+            self.counts[bin] += other.counts[bin];
+        }
+    }
 }
 
 /// How far two cells are apart.
@@ -142,9 +150,9 @@ impl Lag {
 }
 
 /// Estimates the variogram on the ground outside all zones.
-pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means) -> Result<Variogram> {
-    let grid = &scan.grid;
-    let (mx, my) = scan.unit.metres_per_unit(grid.centre().1);
+pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), means: Means) -> Result<Variogram> {
+    let grid = &observed.scan.grid;
+    let (mx, my) = observed.scan.unit.metres_per_unit(grid.centre().1);
     let cell_m = (grid.step_x.abs() * mx, grid.step_y.abs() * my);
     let size = (WINDOW_PX.min(grid.width), WINDOW_PX.min(grid.height));
     let count = ((grid.width / size.0).clamp(1, WINDOWS), (grid.height / size.1).clamp(1, WINDOWS));
@@ -155,38 +163,41 @@ pub(super) fn estimate(scan: &Scan<'_>, (median, nmad): (f64, f64), means: Means
     let numbers = TileGrid::new(count.0, count.1, 1, 1, 0);
     let state = || (Vec::new(), Buffers::default());
     let limit = 3.0 * nmad.max(1e-9);
+    // Within a window the same few lags come again and again.
+    let window = 0..WINDOW_PX * WINDOW_PX;
+    let near: Vec<Lag> = window.map(|at| Lag::new((at % WINDOW_PX) as f64, (at / WINDOW_PX) as f64, cell_m)).collect();
     let parts = stream::gather(&numbers, means.threads, state, |(found, buffers), number| {
         let (x, y) = (place(number.x, count.0, grid.width, size.0), place(number.y, count.1, grid.height, size.1));
-        let mut cells = Vec::new();
-        scan.cells(Window::new(x, y, size.0, size.1), buffers, |cell| {
+        let mut cells: Vec<Cell> = Vec::new();
+        observed.cells(Window::new(x, y, size.0, size.1), buffers, |cell| {
             let value = f64::from(cell.difference) - median;
             if cell.zone == 0 && value.abs() <= limit {
                 cells.push((cell.x as i64, cell.y as i64, value));
             }
         })?;
-        found.push((number.y * count.0 + number.x, cells));
-        Ok(())
-    })?;
-    let mut windows: Vec<(u64, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
-    windows.sort_by_key(|(number, _)| *number);
-    let mut pairs = Pairs::NONE;
-    // Within a window the same few lags come again and again.
-    let window = 0..WINDOW_PX * WINDOW_PX;
-    let near: Vec<Lag> = window.map(|at| Lag::new((at % WINDOW_PX) as f64, (at / WINDOW_PX) as f64, cell_m)).collect();
-    let mut far = Vec::new();
-    for (_, cells) in &windows {
+        let mut within = Pairs::NONE;
         // A part of the cells with all others of their window.
         let step = (cells.len() / 160).max(1);
         for (i, a) in cells.iter().enumerate().step_by(step) {
             for (j, b) in cells.iter().enumerate() {
                 if i != j {
                     let at = (a.1 - b.1).unsigned_abs() * WINDOW_PX + (a.0 - b.0).unsigned_abs();
-                    pairs.add(&near[at as usize], a.2 - b.2);
+                    within.add(&near[at as usize], a.2 - b.2);
                 }
             }
         }
         let step = (cells.len() / FAR).max(1);
-        far.extend(cells.iter().step_by(step).take(FAR).copied());
+        let few = cells.into_iter().step_by(step).take(FAR).collect();
+        found.push((number.y * count.0 + number.x, within, few));
+        Ok(())
+    })?;
+    let mut windows: Vec<(u64, Pairs, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
+    windows.sort_by_key(|(number, ..)| *number);
+    let mut pairs = Pairs::NONE;
+    let mut far = Vec::new();
+    for (_, within, cells) in windows {
+        pairs.merge(&within);
+        far.extend(cells);
     }
     for (i, a) in far.iter().enumerate() {
         for b in &far[i + 1..] {
