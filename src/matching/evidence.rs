@@ -144,23 +144,7 @@ pub(super) fn evidence_of(
             }
         }
     }
-    // Points on a line and clutter in a row meet far more often than their density tells.
-    for strip in &line.strips {
-        let (row, half_width_px) = (&strip.row, strip.row.half_width_px);
-        let on_it: Vec<usize> = (0..places.len()).filter(|&i| row.holds(places[i].0)).collect();
-        if on_it.len() < 2 {
-            continue;
-        }
-        let others = |i: usize| !hit.contains(&i) && pixels.iter().all(|p| *p != field.points()[i]);
-        if let Some(per_px) = strip.crowd(field, others) {
-            for i in on_it {
-                let radius = places[i].1;
-                let share = (std::f64::consts::FRAC_PI_2 * radius / half_width_px).min(2.0);
-                let share = if half_width_px > field.usual_place_px() { share } else { 2.0 };
-                probabilities[i] = probabilities[i].max(-(-share * radius * per_px).exp_m1());
-            }
-        }
-    }
+    count_rows(field, line, &hit, &places, &mut probabilities);
     let (tail, extent) = best_tail(&probabilities, &told_by, level_px);
     let whole = log10_tail(&probabilities, hit.len()) - EXTENTS[0].1.log10();
     let levels = (LEVELS_PX.len() as f64).log10();
@@ -171,6 +155,27 @@ pub(super) fn evidence_of(
         hits: hit.len() + 2,
         gcps_in_image: probabilities.len() + 2,
     })
+}
+
+/// Points on a line and clutter in a row meet far more often than their density tells: raises the chances of the
+/// predictions in such rows.
+fn count_rows(field: &Field, line: &Line, hit: &[usize], places: &[(PixelPoint, f64)], probabilities: &mut [f64]) {
+    for strip in &line.strips {
+        let (row, half_width_px) = (&strip.row, strip.row.half_width_px);
+        let on_it: Vec<usize> = (0..places.len()).filter(|&i| row.holds(places[i].0)).collect();
+        if on_it.len() < 2 {
+            continue;
+        }
+        let others = |i: usize| !hit.contains(&i) && line.pixels.iter().all(|p| *p != field.points()[i]);
+        if let Some(per_px) = strip.crowd(field, others) {
+            for i in on_it {
+                let radius = places[i].1;
+                let share = (std::f64::consts::FRAC_PI_2 * radius / half_width_px).min(2.0);
+                let share = if half_width_px > field.usual_place_px() { share } else { 2.0 };
+                probabilities[i] = probabilities[i].max(-(-share * radius * per_px).exp_m1());
+            }
+        }
+    }
 }
 
 /// How far from the pair predictions may lie to be counted, by how much less sure they are than one mark; and the share

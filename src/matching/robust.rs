@@ -194,6 +194,17 @@ pub(super) struct Found {
 type Heeded<'a> = Option<(&'a Labels, &'a [usize])>;
 
 impl Found {
+    /// Where the best pattern can be told from a rival more sharply, by other points.
+    fn tell_apart(&mut self, search: &Search) {
+        let Some((sharper, other)) = self.best.as_ref().and_then(|best| search.told_apart(best)) else { return };
+        self.best = Some(sharper);
+        let rarer =
+            |one: &Pattern| self.runner_up.as_ref().is_none_or(|two| one.log10_false_alarms < two.log10_false_alarms);
+        if let Some(other) = other.filter(rarer) {
+            self.runner_up = Some(other);
+        }
+    }
+
     pub fn take(&mut self, pattern: Pattern, search: &Search) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
@@ -322,15 +333,7 @@ impl RobustMatcher {
                 break;
             }
         }
-        if let Some((sharper, other)) = found.best.as_ref().and_then(|best| search.told_apart(best)) {
-            found.best = Some(sharper);
-            let rarer = |one: &Pattern| {
-                found.runner_up.as_ref().is_none_or(|two| one.log10_false_alarms < two.log10_false_alarms)
-            };
-            if let Some(other) = other.filter(rarer) {
-                found.runner_up = Some(other);
-            }
-        }
+        found.tell_apart(&search);
         found.names = found.best.as_ref().and_then(|best| search.names_agree(best));
         found
     }

@@ -92,7 +92,14 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         _ => return Ok(Couple { a: ma, b: mb, projected: false, heights: common, _warped: None }),
     };
     let together = |e: Error| match e {
-        Error::Usage { what, remedy } => Error::usage(format!("{} and {}: {what}", a.display(), b.display()), remedy),
+        Error::Usage { what, remedy } => {
+            // Models have no list whose datum could be given otherwise.
+            let remedy = match remedy.split_once(", give the points in their own datum") {
+                Some((install, _)) => format!("{install}, or bring one model to the other's datum first"),
+                None => remedy,
+            };
+            Error::usage(format!("{} and {}: {what}", a.display(), b.display()), remedy)
+        }
         other => other,
     };
     let (ma, warped) = if stays(&ma.grid(), &from, &to).map_err(together)? {

@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use std::os::unix::ffi::OsStrExt;
 
+use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
+
 use crate::error::{Error, Result};
 use autoref_raster::bounded;
 
@@ -167,12 +169,28 @@ fn last_error() -> String {
     if text.is_empty() { "it gives no reason".into() } else { text }
 }
 
+/// The driver of a file of lines, by its extension.
+///
+/// # Errors
+/// When no format is called so.
+pub fn line_driver(out: &Path) -> Result<&'static str> {
+    let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "gpkg" => Ok("GPKG"),
+        "json" | "geojson" => Ok("GeoJSON"),
+        "shp" => Ok("ESRI Shapefile"),
+        other => Err(Error::usage(
+            format!("{}: no format of lines is called `{other}`", out.display()),
+            "name it .gpkg, .geojson or .shp",
+        )),
+    }
+}
+
 /// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile); tells how many.
 ///
 /// # Errors
 /// GDAL's own words, when it cannot.
 pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64> {
-    use gdal::DriverManager;
     use gdal::spatial_ref::SpatialRef;
     use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
     if !(interval > 0.0 && interval.is_finite()) {
@@ -181,19 +199,7 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
     let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
     let source = crate::model::open_dataset(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
-    let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    let driver = match extension.as_str() {
-        "gpkg" => "GPKG",
-        "json" | "geojson" => "GeoJSON",
-        "shp" => "ESRI Shapefile",
-        other => {
-            return Err(Error::usage(
-                format!("{}: no format of lines is called `{other}`", out.display()),
-                "name it .gpkg, .geojson or .shp",
-            ));
-        }
-    };
-    let driver = DriverManager::get_driver_by_name(driver).map_err(failed)?;
+    let driver = DriverManager::get_driver_by_name(line_driver(out)?).map_err(failed)?;
     let mut dataset = driver.create_vector_only(out).map_err(failed)?;
     let wkt = source.projection();
     let reference = if wkt.is_empty() { None } else { Some(SpatialRef::from_wkt(&wkt).map_err(failed)?) };
@@ -230,9 +236,11 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
     if let Some(text) = error {
         return Err(Error::gdal(out, format!("lines of {}: {text}", model.display())));
     }
-    let lines = layer.feature_count();
     dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)?;
-    Ok(lines)
+    // Some drivers cannot count while they write.
+    let options = DatasetOptions { open_flags: GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
+    let written = Dataset::open_ex(out, options).map_err(failed)?;
+    Ok(written.layer(0).map_err(failed)?.feature_count())
 }
 
 /// A virtual raster of `source` as `gdalwarp` makes it with these options.

@@ -198,21 +198,23 @@ impl AlignedFiles {
     /// # Errors
     /// When it cannot be written.
     pub fn write(&self, alignment: &Alignment, out: &Path) -> Result<()> {
-        let (a, unit) = (&self.couple.a, self.couple.b.ground_unit());
+        let a = &self.couple.a;
         let old = a.grid();
         let grid = Grid { x0: old.x0 + alignment.shift.0, y0: old.y0 + alignment.shift.1, ..old };
         let nodata = a.nodata().filter(|v| v.is_finite()).unwrap_or(-9999.0);
         // Heights above B's datum belong under B's name for it.
         let lifted = self.couple.heights.lifted();
         let wkt = if a.wkt().is_empty() || lifted { self.couple.b.wkt() } else { a.wkt() };
-        let metres_per_value = if lifted { self.couple.b.metres_per_value() } else { a.metres_per_value() };
+        // A that was brought into another CRS is in B's, whose unit of height is said there.
+        let of_unit = if lifted || self.couple.projected { &self.couple.b } else { a };
+        let (metres_per_value, unit) = (of_unit.metres_per_value(), of_unit.unit_name());
         let form = Form { grid, wkt, bands: 1, nodata: Some(nodata), predictor: 3, threads: self.means.threads };
         let stored = |metres: f64| if metres.is_nan() { nodata } else { metres / metres_per_value };
         crate::atomic::with_temporary(out, |path| {
             if a.kind() == GdalDataType::Float64 {
-                self.copy::<f64>(path, &form, alignment, stored, unit)
+                self.copy::<f64>(path, (&form, unit), alignment, stored)
             } else {
-                self.copy::<f32>(path, &form, alignment, |metres| stored(metres) as f32, unit)
+                self.copy::<f32>(path, (&form, unit), alignment, |metres| stored(metres) as f32)
             }
         })
     }
@@ -220,13 +222,15 @@ impl AlignedFiles {
     fn copy<T: gdal::raster::GdalType + Copy + Send>(
         &self,
         path: &Path,
-        form: &Form<'_>,
+        (form, name_of_unit): (&Form<'_>, Option<&str>),
         alignment: &Alignment,
         stored: impl Fn(f64) -> T + Sync,
-        unit: crate::grid::GroundUnit,
     ) -> Result<()> {
-        let (a, grid) = (&self.couple.a, form.grid);
+        let (a, grid, unit) = (&self.couple.a, form.grid, self.couple.b.ground_unit());
         let dataset = output::create::<T>(path, form)?;
+        if let Some(name) = name_of_unit {
+            crate::labels::set_unit(path, &dataset, name)?;
+        }
         output::produce(
             &grid,
             1024,

@@ -52,12 +52,17 @@ pub enum Edges {
     Extrapolated,
 }
 
-/// Whether a model's cells have sides in other units than its heights, so that GDAL would take the one for the other.
+/// Whether a model's cells have sides in other units than its heights, so that GDAL would take the one for the other;
+/// or, for aspects, whether its rows or columns run the other way, which GDAL overlooks.
 ///
 /// # Errors
 /// When the model cannot be opened.
-pub fn needs_true_sides(model: &Path) -> Result<bool> {
+pub fn needs_true_sides(model: &Path, picture: Picture) -> Result<bool> {
     let model = Model::open(model)?;
+    let grid = model.grid();
+    if picture == Picture::Aspect && (grid.step_x < 0.0 || grid.step_y > 0.0) {
+        return Ok(true);
+    }
     Ok(match model.ground_unit() {
         GroundUnit::Geographic { .. } => true,
         GroundUnit::Projected { metres_per_unit } => (metres_per_unit / model.metres_per_value() - 1.0).abs() > 1e-4,

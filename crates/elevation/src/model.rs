@@ -11,6 +11,7 @@ use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
+use crate::masked;
 use crate::source::{Heights, Patch};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
@@ -22,7 +23,11 @@ pub struct Model {
     nodata: Option<f64>,
     kind: GdalDataType,
     block: (usize, usize),
-    /// What a stored value is multiplied with to be metres, and what the file calls its unit.
+    /// What a stored value is multiplied with, and what is then added.
+    scale: (f64, f64),
+    /// An alpha band or a mask says which cells are there.
+    masked: bool,
+    /// What a scaled value is multiplied with to be metres, and what the file calls its unit.
     metres_per_value: f64,
     unit_name: Option<String>,
     /// From the file's vertical datum to the one that is asked for.
@@ -79,9 +84,25 @@ impl Model {
         };
         let unit_name = unit_name.or_else(|| axis.map(|metres| if metres == 1.0 { "m" } else { "ft" }.to_string()));
         let (nodata, kind, block) = (band.no_data_value(), band.band_type(), band.block_size());
+        let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+        let masked = masked::has_mask(path, &band)?;
         let pool = Mutex::new(vec![dataset]);
         let path = path.to_path_buf();
-        Ok(Model { path, grid, crs, wkt, nodata, kind, block, metres_per_value, unit_name, lift: None, pool })
+        Ok(Model {
+            path,
+            grid,
+            crs,
+            wkt,
+            nodata,
+            kind,
+            block,
+            scale,
+            masked,
+            metres_per_value,
+            unit_name,
+            lift: None,
+            pool,
+        })
     }
 
     /// The same cells in the unit of height of another model.
@@ -175,8 +196,23 @@ impl Model {
         match self.nodata {
             // A float32 file keeps its nodata value rounded to float32.
             Some(nodata) => value == nodata || value == f64::from(nodata as f32) || !value.is_finite(),
-            None => !value.is_finite() || value.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value),
+            None => {
+                let height = value * self.scale.0 + self.scale.1;
+                !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value)
+            }
         }
+    }
+
+    /// Stored values of a window that lies in the raster, NaN where an alpha band or a mask leaves a cell out.
+    fn read_there(&self, at: (u64, u64), size: (usize, usize), out: &mut [f64]) -> Result<()> {
+        self.read_stored(at, size, out)?;
+        if !self.masked {
+            return Ok(());
+        }
+        self.with_dataset(|dataset| {
+            let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.path, e))?;
+            masked::leave_out(&self.path, &band, (at.0 as isize, at.1 as isize), size, out)
+        })
     }
 }
 
@@ -198,17 +234,18 @@ impl Heights for Model {
             return Ok(());
         }
         if columns == patch.width && rows == patch.height {
-            self.read_stored((left as u64, top as u64), (columns, rows), out)?;
+            self.read_there((left as u64, top as u64), (columns, rows), out)?;
         } else {
             let mut inside = vec![0.0; columns * rows];
-            self.read_stored((left as u64, top as u64), (columns, rows), &mut inside)?;
+            self.read_there((left as u64, top as u64), (columns, rows), &mut inside)?;
             for (row, line) in inside.chunks_exact(columns).enumerate() {
                 let from = ((top - patch.y) as usize + row) * patch.width + (left - patch.x) as usize;
                 out[from..from + columns].copy_from_slice(line);
             }
         }
+        let (scale, offset) = self.scale;
         for value in out.iter_mut() {
-            *value = if self.is_void(*value) { f64::NAN } else { *value * self.metres_per_value };
+            *value = if self.is_void(*value) { f64::NAN } else { (*value * scale + offset) * self.metres_per_value };
         }
         if let Some(lift) = &self.lift {
             for (row, line) in (patch.y..).zip(out.chunks_exact_mut(patch.width)) {

@@ -91,6 +91,16 @@ pub struct Resampled<'a, H: Heights + ?Sized> {
     x: AxisMap,
     y: AxisMap,
     interpolation: Interpolation,
+    voids: Voids,
+}
+
+/// What a cell without a height does to the places around it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Voids {
+    /// No place that is interpolated from it has a height.
+    Spread,
+    /// It gets the height of the plane through its neighbours, for its neighbours' sake.
+    Mended,
 }
 
 impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
@@ -99,7 +109,13 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         let s = source.grid();
         let x = AxisMap::new((target.x0, target.step_x), (s.x0, s.step_x), shift.0 / s.step_x);
         let y = AxisMap::new((target.y0, target.step_y), (s.y0, s.step_y), shift.1 / s.step_y);
-        Resampled { source, target, x, y, interpolation }
+        Resampled { source, target, x, y, interpolation, voids: Voids::Spread }
+    }
+
+    /// The same, with single cells without a height bridged: places nearest to one have no height, but others do, though
+    /// they are interpolated from it.
+    pub fn mended(self) -> Self {
+        Resampled { voids: Voids::Mended, ..self }
     }
 
     /// As [`Heights::read`], with buffers that are used again.
@@ -118,14 +134,39 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         };
         taps(&self.x, patch.x, patch.width, &mut scratch.columns);
         taps(&self.y, patch.y, patch.height, &mut scratch.rows);
-        let (left, right) = span(&scratch.columns);
-        let (top, bottom) = span(&scratch.rows);
+        let (mut left, mut right) = span(&scratch.columns);
+        let (mut top, mut bottom) = span(&scratch.rows);
         let s = self.source.grid();
         if right < 0 || bottom < 0 || left >= s.width as i64 || top >= s.height as i64 {
             return Ok(());
         }
+        if self.voids == Voids::Mended {
+            // Of a cell's neighbours the same ones for any patch.
+            (left, right, top, bottom) = (left - 1, right + 1, top - 1, bottom + 1);
+        }
         let part = Patch { x: left, y: top, width: (right - left + 1) as usize, height: (bottom - top + 1) as usize };
         self.source.read(part, &mut scratch.cells)?;
+        scratch.holes.clear();
+        if self.voids == Voids::Mended && scratch.cells.iter().any(|z| z.is_nan()) {
+            mend(&mut scratch.cells, part.width, &mut scratch.holes);
+        }
+        self.interpolate(patch, part, scratch, out);
+        if !scratch.holes.is_empty() {
+            for (line, row) in out.chunks_exact_mut(patch.width).zip(&scratch.rows) {
+                for (value, column) in line.iter_mut().zip(&scratch.columns) {
+                    let at = (row.nearest() - top) as usize * part.width + (column.nearest() - left) as usize;
+                    if scratch.holes[at] {
+                        *value = f64::NAN;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// From the cells of `part` in the scratch to the places of `patch`.
+    fn interpolate(&self, patch: Patch, part: Patch, scratch: &mut Scratch, out: &mut [f64]) {
+        let (left, top) = (part.x, part.y);
         let whole = |taps: &[Taps]| taps.iter().all(|t| t.weights == [0.0, 1.0, 0.0, 0.0]);
         if self.x.ratio == 1.0 && self.y.ratio == 1.0 && whole(&scratch.columns) && whole(&scratch.rows) {
             let offset = (scratch.columns[0].first + 1 - left) as usize;
@@ -133,7 +174,7 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
                 let from = (scratch.rows[row].first + 1 - top) as usize * part.width + offset;
                 line.copy_from_slice(&scratch.cells[from..from + patch.width]);
             }
-            return Ok(());
+            return;
         }
         // Along the rows first, each row of the source once.
         let (cells, columns) = (&scratch.cells, &scratch.columns);
@@ -172,7 +213,36 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
                 }
             }
         }
-        Ok(())
+    }
+}
+
+/// Gives cells without a height that of the plane through those of their eight neighbours that have one, at least four;
+/// `holes` says where there was none.
+fn mend(cells: &mut [f64], width: usize, holes: &mut Vec<bool>) {
+    const FEWEST: f64 = 4.0;
+    holes.clear();
+    holes.extend(cells.iter().map(|z| z.is_nan()));
+    let height = cells.len() / width;
+    for y in 1..height.saturating_sub(1) {
+        for x in (1..width.saturating_sub(1)).filter(|x| holes[y * width + x]) {
+            // Sums of 1, x, y, x², xy, y², z, xz, yz.
+            let mut s = [0.0; 9];
+            for (dy, dx) in (0..9).filter(|i| *i != 4).map(|i| (i / 3, i % 3)) {
+                let at = (y + dy - 1) * width + x + dx - 1;
+                if !holes[at] {
+                    let (u, v, z) = (dx as f64 - 1.0, dy as f64 - 1.0, cells[at]);
+                    let terms = [1.0, u, v, u * u, u * v, v * v, z, u * z, v * z];
+                    s.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+                }
+            }
+            // The plane's height in the middle, by Cramer's rule.
+            let [n, u, v, uu, uv, vv, z, uz, vz] = s;
+            let (a, b, c) = (uu * vv - uv * uv, v * uv - u * vv, u * uv - v * uu);
+            let determinant = n * a + u * b + v * c;
+            if n >= FEWEST && determinant.abs() > 0.5 {
+                cells[y * width + x] = (z * a + uz * b + vz * c) / determinant;
+            }
+        }
     }
 }
 
@@ -193,6 +263,16 @@ pub struct Scratch {
     rows: Vec<Taps>,
     cells: Vec<f64>,
     along: Vec<f64>,
+    /// Cells without a height that were mended, or could not be.
+    holes: Vec<bool>,
+}
+
+impl Taps {
+    /// The cell that counts most.
+    fn nearest(&self) -> i64 {
+        let most = (0..4).max_by(|&a, &b| self.weights[a].total_cmp(&self.weights[b]).then(b.cmp(&a)));
+        self.first + most.unwrap_or(1) as i64
+    }
 }
 
 /// First and last cell that is needed.
@@ -229,6 +309,35 @@ mod tests {
             let (x, y) = (6.5 + (i % 8) as f64 + 0.7, 6.5 + (i / 8) as f64 + 0.3);
             let (x, y) = (x / 2.0 - 0.5, y / 2.0 - 0.5);
             assert!((value - (x * x - 3.0 * y)).abs() < 1e-9, "{i}: {value}");
+        }
+    }
+
+    #[test]
+    fn single_voids_are_bridged_and_stay_voids() {
+        let plane = |x: u64, y: u64| 3.0 * x as f64 - 2.0 * y as f64 + 100.0;
+        let grid = Grid { x0: 0.0, y0: 0.0, step_x: 1.0, step_y: 1.0, width: 24, height: 20 };
+        let hole = |x: u64, y: u64| (x * 7 + y * 3).is_multiple_of(11);
+        let value = |x: u64, y: u64| if hole(x, y) { f64::NAN } else { plane(x, y) };
+        let source = MemoryHeights::new(grid, (0..20).flat_map(|y| (0..24).map(move |x| value(x, y))).collect());
+        let patch = Patch { x: 3, y: 3, width: 16, height: 12 };
+        let moved = || Resampled::new(&source, grid, (0.3, -0.2), Interpolation::Lagrange);
+        let (mut spread, mut mended) = (Vec::new(), Vec::new());
+        moved().read(patch, &mut spread).expect("memory");
+        moved().mended().read(patch, &mut mended).expect("memory");
+        for (i, z) in mended.iter().enumerate() {
+            let (x, y) = (3 + i as u64 % 16, 3 + i as u64 / 16);
+            if hole(x, y) {
+                assert!(z.is_nan());
+            } else {
+                assert!((z - plane(x, y) - 3.0 * 0.3 - 2.0 * 0.2).abs() < 1e-9, "{x} {y}: {z}");
+            }
+        }
+        assert!(spread.iter().filter(|z| !z.is_nan()).count() < mended.len() / 4);
+        // Any window is a part of the whole.
+        let mut part = Vec::new();
+        moved().mended().read(Patch { x: 8, y: 7, width: 3, height: 2 }, &mut part).expect("memory");
+        for (i, z) in part.iter().enumerate() {
+            assert_eq!(z.to_bits(), mended[(4 + i / 3) * 16 + 5 + i % 3].to_bits());
         }
     }
 

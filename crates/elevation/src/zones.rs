@@ -20,6 +20,33 @@ pub struct Zones {
     names: Vec<String>,
 }
 
+/// The areas of each cell of a row.
+#[derive(Clone, Debug)]
+pub struct RowSets {
+    of_cell: Vec<u32>,
+    /// The first is empty.
+    sets: Vec<Vec<u32>>,
+}
+
+impl Default for RowSets {
+    fn default() -> Self {
+        RowSets { of_cell: Vec::new(), sets: vec![Vec::new()] }
+    }
+}
+
+impl RowSets {
+    /// No areas at all.
+    pub fn clear(&mut self, cells: usize) {
+        self.of_cell.clear();
+        self.of_cell.resize(cells, 0);
+    }
+
+    /// Numbers of the areas that a cell lies in, from 0 on.
+    pub fn of(&self, cell: usize) -> &[u32] {
+        &self.sets[self.of_cell[cell] as usize]
+    }
+}
+
 /// A ring of map positions: easting or longitude first; the last need not repeat the first.
 pub type Ring = Vec<(f64, f64)>;
 
@@ -62,9 +89,35 @@ impl Zones {
         self.edges.is_empty()
     }
 
+    /// All areas of the cells of a row, whose centres are `x0 + i·step` at height `y` of the map.
+    pub fn row_sets(&self, y: f64, (x0, step): (f64, f64), cells: usize, out: &mut RowSets) {
+        out.of_cell.clear();
+        out.of_cell.resize(cells, 0);
+        out.sets.truncate(1);
+        let mut spans = Vec::new();
+        self.spans(y, (x0, step), cells, |zone, from, to| spans.push((zone, from, to)));
+        let mut cuts: Vec<usize> = spans.iter().flat_map(|&(_, from, to)| [from, to]).collect();
+        cuts.sort_unstable();
+        cuts.dedup();
+        for part in cuts.windows(2) {
+            let inside = spans.iter().filter(|(_, from, to)| *from <= part[0] && part[1] <= *to);
+            let mut set: Vec<u32> = inside.map(|span| span.0).collect();
+            set.dedup();
+            if !set.is_empty() {
+                out.of_cell[part[0]..part[1]].fill(out.sets.len() as u32);
+                out.sets.push(set);
+            }
+        }
+    }
+
     /// Number + 1 of the area of each cell centre `x0 + i·step` at height `y` of the map; 0 outside all.
     pub fn row(&self, y: f64, x0: f64, step: f64, out: &mut [u32]) {
         out.fill(0);
+        self.spans(y, (x0, step), out.len(), |zone, from, to| out[from..to].fill(zone + 1));
+    }
+
+    /// Area, first cell and the one after the last of all stretches inside areas, area by area.
+    fn spans(&self, y: f64, (x0, step): (f64, f64), cells: usize, mut see: impl FnMut(u32, usize, usize)) {
         let band = (y - self.y_low) / self.band_height;
         if self.bands.is_empty() || !(0.0..=self.bands.len() as f64).contains(&band) {
             return;
@@ -80,9 +133,11 @@ impl Zones {
         for pair in crossings.chunks_exact(2).filter(|pair| pair[0].0 == pair[1].0) {
             let (a, b) = ((pair[0].1 - x0) / step, (pair[1].1 - x0) / step);
             // Centres from the lower crossing on, the upper one left out.
-            let from = a.min(b).ceil().clamp(0.0, out.len() as f64) as usize;
-            let to = a.max(b).ceil().clamp(0.0, out.len() as f64) as usize;
-            out[from..to].fill(pair[0].0 + 1);
+            let from = a.min(b).ceil().clamp(0.0, cells as f64) as usize;
+            let to = a.max(b).ceil().clamp(0.0, cells as f64) as usize;
+            if from < to {
+                see(pair[0].0, from, to);
+            }
         }
     }
 }
@@ -103,6 +158,11 @@ mod tests {
         assert_eq!(out, [1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 0, 0]);
         zones.row(9.0, 0.5, 1.0, &mut out);
         assert_eq!(out, [1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2]);
+        let mut sets = RowSets::default();
+        zones.row_sets(9.0, (0.5, 1.0), 12, &mut sets);
+        assert_eq!([0, 7, 8, 9, 10, 11].map(|cell| sets.of(cell)), [&[0][..], &[0], &[0, 1], &[0, 1], &[1], &[1]]);
+        zones.row_sets(5.0, (0.5, 1.0), 12, &mut sets);
+        assert_eq!([2, 3, 7, 10].map(|cell| sets.of(cell)), [&[0][..], &[], &[0], &[]]);
         zones.row(-1.0, 0.5, 1.0, &mut out);
         assert_eq!(out, [0; 12]);
     }

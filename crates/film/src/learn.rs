@@ -110,21 +110,7 @@ fn learn_visiting(
                     return Ok(());
                 };
                 let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
-                let guessed = |k: usize| shown.as_ref().is_some_and(|s| s.is_guessed(k));
-                let agrees =
-                    |k: usize| frame.interior.as_ref().is_some_and(|i| i.marks.contains(&camera.marks[k].name));
-                for (k, at) in good_marks(camera, &frame) {
-                    if guessed(k) && !agrees(k) {
-                        continue;
-                    }
-                    if let Some(w) = cut(scan, camera, &pose, k, at, &grid)? {
-                        match &mut stacks[k] {
-                            Some(stack) => stack.add(&w),
-                            empty => *empty = Some(Stack::of(&w)),
-                        }
-                    }
-                }
-                Ok(())
+                add_windows(scan, camera, (&frame, &pose), shown.as_ref(), &grid, &mut stacks)
             })?;
         }
         let Some(grid) = grid else {
@@ -153,6 +139,32 @@ fn learn_visiting(
         }
     }
     Ok(templates)
+}
+
+/// Adds the windows of a frame's marks; of those whose place was guessed, only what agrees with the interior
+/// orientation.
+fn add_windows(
+    scan: &dyn RasterSource,
+    camera: &Camera,
+    (frame, pose): (&FrameResult, &Pose),
+    shown: Option<&Shown>,
+    grid: &Grid,
+    stacks: &mut [Option<Stack>],
+) -> Result<()> {
+    let guessed = |k: usize| shown.is_some_and(|s| s.is_guessed(k));
+    let agrees = |k: usize| frame.interior.as_ref().is_some_and(|i| i.marks.contains(&camera.marks[k].name));
+    for (k, at) in good_marks(camera, frame) {
+        if guessed(k) && !agrees(k) {
+            continue;
+        }
+        if let Some(w) = cut(scan, camera, pose, k, at, grid)? {
+            match &mut stacks[k] {
+                Some(stack) => stack.add(&w),
+                empty => *empty = Some(Stack::of(&w)),
+            }
+        }
+    }
+    Ok(())
 }
 
 /// As [`learn`] from files, opened one at a time, writing `NAME-learned.toml` and a template per mark into `folder`.

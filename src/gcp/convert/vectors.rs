@@ -7,7 +7,7 @@ use gdal::spatial_ref::{AxisMappingStrategy, SpatialRef};
 use gdal::vector::{Feature, FieldDefn, Geometry, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
 
 use super::{ListFormat, Survey};
-use crate::gcp::GcpRole;
+use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
@@ -65,14 +65,7 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
     // A layer is flat or in space; where only some points have heights a column says them.
     let in_space = survey.gcps().all(|g| g.height.is_some());
     let kind = if in_space { OGRwkbGeometryType::wkbPoint25D } else { OGRwkbGeometryType::wkbPoint };
-    let mut columns: Vec<(&str, OGRFieldType::Type)> = vec![("name", OGRFieldType::OFTString)];
-    if format != ListFormat::Gpx {
-        columns.push(("role", OGRFieldType::OFTString));
-        columns.extend((!in_space && survey.any(|g| g.height.is_some())).then_some(("height", OGRFieldType::OFTReal)));
-        columns.extend(survey.any(|g| g.sigma_m.is_some()).then_some(("sigma_m", OGRFieldType::OFTReal)));
-        // Ten letters are what a Shapefile has.
-        columns.extend(survey.any(|g| g.sigma_height_m.is_some()).then_some(("sigma_h", OGRFieldType::OFTReal)));
-    }
+    let columns = columns(survey, format, in_space);
     let driver = DriverManager::get_driver_by_name(driver).map_err(failed)?;
     let mut dataset = driver.create_vector_only(path).map_err(failed)?;
     let name = if format == ListFormat::Gpx { "waypoints" } else { "gcps" };
@@ -99,22 +92,10 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
         let mut feature = Feature::new(layer.defn()).map_err(failed)?;
         for (title, _) in &columns {
             let index = layer.defn().field_index(title).map_err(failed)?;
-            let number = match *title {
-                "name" => {
-                    feature.set_field_string(index, &gcp.name).map_err(failed)?;
-                    continue;
-                }
-                "role" => {
-                    let role = if gcp.role == GcpRole::Check { "check" } else { "control" };
-                    feature.set_field_string(index, role).map_err(failed)?;
-                    continue;
-                }
-                "height" => gcp.height,
-                "sigma_m" => gcp.sigma_m,
-                _ => gcp.sigma_height_m,
-            };
-            if let Some(number) = number {
-                feature.set_field_double(index, number).map_err(failed)?;
+            match attribute(gcp, title) {
+                Attribute::Text(text) => feature.set_field_string(index, text).map_err(failed)?,
+                Attribute::Number(Some(number)) => feature.set_field_double(index, number).map_err(failed)?,
+                Attribute::Number(None) => {}
             }
         }
         let mut geometry = Geometry::empty(kind).map_err(failed)?;
@@ -127,6 +108,35 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
     }
     dataset.close().map_err(failed)?;
     Ok(lost)
+}
+
+/// Titles and kinds of the columns.
+fn columns(survey: &Survey, format: ListFormat, in_space: bool) -> Vec<(&'static str, OGRFieldType::Type)> {
+    let mut columns = vec![("name", OGRFieldType::OFTString)];
+    if format != ListFormat::Gpx {
+        columns.push(("role", OGRFieldType::OFTString));
+        columns.extend((!in_space && survey.any(|g| g.height.is_some())).then_some(("height", OGRFieldType::OFTReal)));
+        columns.extend(survey.any(|g| g.sigma_m.is_some()).then_some(("sigma_m", OGRFieldType::OFTReal)));
+        // Ten letters are what a Shapefile has.
+        columns.extend(survey.any(|g| g.sigma_height_m.is_some()).then_some(("sigma_h", OGRFieldType::OFTReal)));
+    }
+    columns
+}
+
+enum Attribute<'a> {
+    Text(&'a str),
+    Number(Option<f64>),
+}
+
+/// What a point has in a column.
+fn attribute<'a>(gcp: &'a Gcp, title: &str) -> Attribute<'a> {
+    match title {
+        "name" => Attribute::Text(&gcp.name),
+        "role" => Attribute::Text(if gcp.role == GcpRole::Check { "check" } else { "control" }),
+        "height" => Attribute::Number(gcp.height),
+        "sigma_m" => Attribute::Number(gcp.sigma_m),
+        _ => Attribute::Number(gcp.sigma_height_m),
+    }
 }
 
 /// The coordinates, in degrees of WGS 84 where the format knows nothing else.

@@ -63,7 +63,7 @@ impl<'a> Moved<'a> {
         if pair.finer > 1 {
             Moved::Means(Footprints::new(pair.other, grid, shift))
         } else {
-            Moved::Between(Resampled::new(pair.other, grid, shift, Interpolation::Lagrange))
+            Moved::Between(Resampled::new(pair.other, grid, shift, Interpolation::Lagrange).mended())
         }
     }
 
@@ -234,7 +234,12 @@ pub struct Sums {
     pub used: u64,
     /// Scores by block, fixed point, `parameters` for each.
     scores: Vec<i128>,
+    /// Matrices by block, fixed point, where there are few blocks; else empty.
+    matrices: Vec<i128>,
 }
+
+/// Of more blocks none weighs enough to be told from the others.
+const BLOCKS_APART: usize = 2048;
 
 /// Of the shift's own equations: four of the matrix, two of the right-hand side.
 const ROUGH: usize = 6;
@@ -254,6 +259,7 @@ impl Sums {
             sloping: 0,
             used: 0,
             scores: vec![0; parameters * blocks],
+            matrices: vec![0; if blocks <= BLOCKS_APART { parameters * parameters * blocks } else { 0 }],
         }
     }
 
@@ -266,6 +272,7 @@ impl Sums {
         self.sloping += other.sloping;
         self.used += other.used;
         self.scores.iter_mut().zip(&other.scores).for_each(|(a, b)| *a += b);
+        self.matrices.iter_mut().zip(&other.matrices).for_each(|(a, b)| *a += b);
     }
 
     /// How many parameters the equations are of.
@@ -296,6 +303,11 @@ impl Sums {
     /// Scores of the blocks, row by row, [`Sums::parameters`] for each.
     pub fn block_scores(&self) -> Vec<f64> {
         self.scores.iter().map(|v| *v as f64 / SCORE_UNIT).collect()
+    }
+
+    /// What each block adds to the matrix of the normal equations, row by row; empty where there are many blocks.
+    pub fn block_matrices(&self) -> Vec<f64> {
+        self.matrices.iter().map(|v| *v as f64 / SCORE_UNIT).collect()
     }
 
     /// Standard deviation of the residuals in each slope class; a class with few cells has that of all.
@@ -463,6 +475,11 @@ impl Sums {
         if let Some(block) = block {
             for (score, &term) in self.scores[block * N..][..N].iter_mut().zip(&partial.right) {
                 *score += (term * SCORE_UNIT) as i128;
+            }
+            if let Some(own) = self.matrices.get_mut(block * N * N..(block + 1) * N * N) {
+                for (sum, &term) in own.iter_mut().zip(partial.matrix.as_flattened()) {
+                    *sum += (term * SCORE_UNIT) as i128;
+                }
             }
         }
     }

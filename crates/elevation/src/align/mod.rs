@@ -4,6 +4,7 @@
 //! `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets for
 //! quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
 
+mod covariance;
 mod fit;
 mod nuth_kaab;
 mod search;

@@ -8,6 +8,7 @@ use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Means as Averaged, MemoryHeights, Patch};
 use crate::stream::{self, BLOCK_PX, Means};
 
+use super::covariance::{covariance, score_block_px};
 use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
 use super::surface::Degree;
 use super::{Method, Options, nuth_kaab};
@@ -44,7 +45,7 @@ pub enum Found {
 
 /// What is fitted: a shift or none, and a surface. The parameters that are free lie side by side.
 #[derive(Clone, Copy)]
-struct Free {
+pub(super) struct Free {
     moves: bool,
     surface: Degree,
 }
@@ -62,11 +63,11 @@ impl Free {
         Free { surface, ..self }
     }
 
-    fn first(self) -> usize {
+    pub(super) fn first(self) -> usize {
         if self.moves { 0 } else { SHIFTS }
     }
 
-    fn count(self) -> usize {
+    pub(super) fn count(self) -> usize {
         SHIFTS + self.surface.terms() - self.first()
     }
 }
@@ -493,64 +494,4 @@ fn apply(state: &mut State, step: &[f64], grid: &Grid) -> f64 {
         *value += share * change;
     }
     share * length
-}
-
-/// Blocks wide enough that neighbours hardly depend on each other, and not too many to hold.
-fn score_block_px(grid: &Grid) -> u64 {
-    const MOST: u64 = 1 << 16;
-    const ENOUGH: u64 = 200;
-    let blocks = |px: u64| grid.width.div_ceil(px) * grid.height.div_ceil(px);
-    let mut px = if blocks(2 * BLOCK_PX) >= ENOUGH { 2 * BLOCK_PX } else { BLOCK_PX };
-    while blocks(px) > MOST {
-        px *= 2;
-    }
-    px
-}
-
-/// The covariance of the parameters from the scatter of the blocks' scores about zero (the sandwich of P. Huber, *The
-/// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals
-/// that hang together within a block count as what they are. Blocks are doubled while that shows more than chance does.
-fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
-    const FEWEST: usize = 40;
-    let (first, n, parameters) = (free.first(), free.count(), sums.parameters());
-    let matrix = DMatrix::from_fn(n, n, |i, j| sums.matrix(first + i, first + j));
-    let inverse = matrix.try_inverse()?;
-    let mut scores = sums.block_scores();
-    let (mut across, mut down) = (grid.width.div_ceil(block_px) as usize, grid.height.div_ceil(block_px) as usize);
-    let spread = |scores: &[f64]| {
-        let mut meat = DMatrix::<f64>::zeros(n, n);
-        let filled: Vec<_> = scores.chunks_exact(parameters).filter(|s| s.iter().any(|v| *v != 0.0)).collect();
-        for score in &filled {
-            let s = DVector::from_column_slice(&score[first..][..n]);
-            meat += &s * s.transpose();
-        }
-        let blocks = filled.len();
-        // The fit has taken as many degrees of freedom as there are parameters.
-        let factor = blocks as f64 / blocks.saturating_sub(n).max(1) as f64;
-        (&inverse * meat * inverse.transpose() * factor, blocks)
-    };
-    let (mut best, mut blocks) = spread(&scores);
-    loop {
-        (scores, across, down) = doubled(&scores, parameters, across, down);
-        let (next, fewer) = spread(&scores);
-        let chance = 1.0 + 2.0 * (2.0 / fewer.max(1) as f64).sqrt();
-        if fewer < FEWEST || fewer >= blocks || next.trace() <= best.trace() * chance {
-            break;
-        }
-        (best, blocks) = (next, fewer);
-    }
-    let mut whole = DMatrix::zeros(parameters, parameters);
-    whole.view_mut((first, first), (n, n)).copy_from(&best);
-    Some(whole)
-}
-
-/// Four blocks to one.
-fn doubled(scores: &[f64], parameters: usize, across: usize, down: usize) -> (Vec<f64>, usize, usize) {
-    let (wide, high) = (across.div_ceil(2), down.div_ceil(2));
-    let mut joined = vec![0.0; parameters * wide * high];
-    for (i, score) in scores.chunks_exact(parameters).enumerate() {
-        let target = (i / across / 2 * wide + i % across / 2) * parameters;
-        joined[target..].iter_mut().zip(score).for_each(|(sum, v)| *sum += v);
-    }
-    (joined, wide, high)
 }

@@ -52,7 +52,7 @@ impl Groups {
         }
     }
 
-    pub(super) fn each(&self, cell: &Cell, mut see: impl FnMut(usize)) {
+    pub(super) fn each(&self, cell: &Cell<'_>, mut see: impl FnMut(usize)) {
         see(0);
         let facing = cell.facing;
         if facing.slope > 0 {
@@ -65,7 +65,10 @@ impl Groups {
         see((self.first_height + band).min(self.first_zone - 1));
         if self.first_zone < self.names.len() {
             let outside = self.names.len() - 1;
-            see(if cell.zone == 0 { outside } else { self.first_zone + cell.zone as usize - 1 });
+            if cell.zones.is_empty() {
+                see(outside);
+            }
+            cell.zones.iter().for_each(|zone| see(self.first_zone + *zone as usize));
         }
     }
 }

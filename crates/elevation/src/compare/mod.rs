@@ -1,5 +1,6 @@
 //! One model minus another: statistics by class and zone, volumes, and how sure they are.
 
+mod extent;
 mod groups;
 mod moments;
 mod observed;
@@ -22,13 +23,14 @@ use serde::Serialize;
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
-use crate::grid::Grid;
+use crate::grid::{Grid, GroundUnit};
 use crate::kept::Room;
 use crate::output::{self, Form};
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Means as Averaged};
 use crate::stream::{self, Means};
 
+use extent::Extent;
 use groups::Groups;
 use moments::Moments;
 use observed::{Observed, Record, Recorder};
@@ -74,13 +76,15 @@ pub struct Statistics {
 pub struct Volume {
     pub zone: String,
     pub n: u64,
+    /// Of the cells with a difference, each with the size that it has there.
     pub area_m2: f64,
-    pub mean_m: f64,
-    pub mean_se_m: f64,
+    /// The volume over the area.
+    pub mean_m: Option<f64>,
+    pub mean_se_m: Option<f64>,
     pub effective_n: f64,
-    pub volume_m3: f64,
-    pub volume_se_m3: f64,
-    pub volume_95_m3: [f64; 2],
+    pub volume_m3: Option<f64>,
+    pub volume_se_m3: Option<f64>,
+    pub volume_95_m3: Option<[f64; 2]>,
 }
 
 /// What `dem compare` says.
@@ -130,14 +134,14 @@ struct First {
 }
 
 impl First {
-    fn see(&mut self, cell: &Cell, within_m: f64) {
+    fn see(&mut self, cell: &Cell<'_>, within_m: f64) {
         self.moments.add(cell.difference, within_m);
         let z = f64::from(cell.height);
         self.heights = Some(self.heights.map_or((z, z), |(low, high)| (low.min(z), high.max(z))));
         let key = (hash(cell.x, cell.y), cell.x, cell.y);
         Self::keep(&mut self.witnesses, 0, key);
-        if cell.zone > 0 {
-            Self::keep(&mut self.witnesses, cell.zone as usize, key);
+        for zone in cell.zones {
+            Self::keep(&mut self.witnesses, *zone as usize + 1, key);
         }
     }
 
@@ -179,11 +183,19 @@ impl First {
     }
 }
 
+/// What a worker counts.
+struct Counts {
+    moments: Vec<Moments>,
+    extents: Vec<Extent>,
+}
+
 /// Groups, their moments, how they are spread.
 struct Classes {
     groups: Groups,
     moments: Vec<Moments>,
     distributions: Vec<Distribution>,
+    /// By zone, where the size of cells changes from row to row.
+    extents: Option<Vec<Extent>>,
 }
 
 impl CompareJob<'_> {
@@ -260,9 +272,10 @@ impl CompareJob<'_> {
     ) -> Result<First> {
         const NODATA: f64 = -9999.0;
         let grid = scan.grid;
-        let form =
-            Form { grid, wkt: couple.b.wkt(), bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
+        let wkt = crate::labels::without_heights(self.b, couple.b.wkt())?;
+        let form = Form { grid, wkt: &wkt, bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
         let dataset = output::create::<f32>(path, &form)?;
+        crate::labels::set_unit(path, &dataset, "m")?;
         let sampling = preview::Sampling::of(grid.width, grid.height);
         let parts = output::produce(
             &grid,
@@ -299,9 +312,20 @@ impl CompareJob<'_> {
         let grid = &observed.scan.grid;
         let tiles = means.tiles(grid.width, grid.height);
         let count = groups.names.len();
-        let state = || (vec![Moments::default(); count], Buffers::default());
-        let visit = |pass, window, (moments, buffers): &mut (Vec<Moments>, Buffers), sink: select::Sink<'_>| {
+        let geographic = matches!(observed.scan.unit, GroundUnit::Geographic { .. });
+        let zones = observed.scan.zones.filter(|_| geographic).map_or(0, |zones| zones.names().len());
+        let state = || Counts { moments: vec![Moments::default(); count], extents: vec![Extent::default(); zones] };
+        let state = || (state(), Buffers::default());
+        let visit = |pass, window, (counts, buffers): &mut (Counts, Buffers), sink: select::Sink<'_>| {
+            let Counts { moments, extents } = counts;
+            let (mut of_row, mut cell_m2) = (u64::MAX, 0.0);
             observed.cells(window, buffers, |cell| {
+                if pass == Pass::First && zones > 0 && !cell.zones.is_empty() {
+                    if cell.y != of_row {
+                        (of_row, cell_m2) = (cell.y, observed.scan.cell_m2(cell.y));
+                    }
+                    cell.zones.iter().for_each(|zone| extents[*zone as usize].add(cell.difference, cell_m2));
+                }
                 groups.each(&cell, |group| {
                     if pass == Pass::First {
                         moments[group].add(cell.difference, self.within_m);
@@ -312,11 +336,13 @@ impl CompareJob<'_> {
         };
         let question = Question { groups: count, shares: &PERCENTS.map(|p| p / 100.0), centre };
         let (distributions, parts) = select::distributions(&question, means.threads, &tiles, state, visit)?;
-        let mut moments = vec![Moments::default(); count];
+        let mut whole = state().0;
         for (part, _) in &parts {
-            moments.iter_mut().zip(part).for_each(|(a, b)| a.merge(b));
+            whole.moments.iter_mut().zip(&part.moments).for_each(|(a, b)| a.merge(b));
+            whole.extents.iter_mut().zip(&part.extents).for_each(|(a, b)| a.merge(b));
         }
-        Ok(Classes { groups, moments, distributions })
+        let Counts { moments, extents } = whole;
+        Ok(Classes { groups, moments, distributions, extents: geographic.then_some(extents) })
     }
 
     fn summary(
@@ -340,20 +366,27 @@ impl CompareJob<'_> {
         let volumes = (0..scan.zones.map_or(0, |z| z.names().len()))
             .map(|zone| {
                 let moments = &classes.moments[classes.groups.first_zone + zone];
-                let (error, effective) = mean_error(moments.n, zone + 1);
-                let area = moments.n as f64 * cell_m.0 * cell_m.1;
-                let mean = moments.mean().unwrap_or(0.0);
-                let (volume, se) = (mean * area, error * area);
+                let (error, effective_n) = mean_error(moments.n, zone + 1);
+                let (area_m2, volume) = match &classes.extents {
+                    Some(extents) => (extents[zone].area_m2(), extents[zone].volume_m3()),
+                    None => {
+                        let area = moments.n as f64 * cell_m.0 * cell_m.1;
+                        (area, moments.mean().unwrap_or(0.0) * area)
+                    }
+                };
+                let se = error * area_m2;
+                // A zone without a cell has not stayed as it was: nothing is known of it.
+                let known = |value: f64| (moments.n > 0).then_some(value);
                 Volume {
                     zone: classes.groups.names[classes.groups.first_zone + zone].1.clone(),
                     n: moments.n,
-                    area_m2: area,
-                    mean_m: mean,
-                    mean_se_m: error,
-                    effective_n: effective,
-                    volume_m3: volume,
-                    volume_se_m3: se,
-                    volume_95_m3: [volume - 1.96 * se, volume + 1.96 * se],
+                    area_m2,
+                    mean_m: known(volume / area_m2),
+                    mean_se_m: known(error),
+                    effective_n,
+                    volume_m3: known(volume),
+                    volume_se_m3: known(se),
+                    volume_95_m3: (moments.n > 0).then_some([volume - 1.96 * se, volume + 1.96 * se]),
                 }
             })
             .collect();

@@ -33,7 +33,7 @@ impl Record {
     pub(super) const NONE: Record =
         Record { difference: f32::NAN, height: f32::NAN, facing: Facing { slope: 0, aspect: 0 } };
 
-    pub(super) fn of(cell: &Cell) -> Record {
+    pub(super) fn of(cell: &Cell<'_>) -> Record {
         Record { difference: cell.difference, height: cell.height, facing: cell.facing }
     }
 
@@ -146,16 +146,15 @@ pub(super) struct Observed<'a> {
 
 impl Observed<'_> {
     /// All common cells of a window, row by row: what [`Scan::cells`] showed.
-    pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell)) -> Result<()> {
+    pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell<'_>)) -> Result<()> {
         if matches!(self.kept, Kept::Nothing) {
             return self.scan.cells(window, buffers, see);
         }
         let (grid, columns) = (&self.scan.grid, window.width as usize);
-        buffers.zones.clear();
-        buffers.zones.resize(columns, 0);
+        buffers.zones.clear(columns);
         for y in window.y..window.bottom() {
             if self.scan.zones.is_some() {
-                self.scan.mark_zones(window.x, y, &mut buffers.zones);
+                self.scan.mark_zones(window.x, y, columns, &mut buffers.zones);
             }
             let from = y * grid.width + window.x;
             let row = match &self.kept {
@@ -170,7 +169,7 @@ impl Observed<'_> {
                 }
                 Kept::Nothing => &[],
             };
-            for (column, (record, &zone)) in row.iter().zip(&buffers.zones).enumerate() {
+            for (column, record) in row.iter().enumerate() {
                 if !record.difference.is_nan() {
                     see(Cell {
                         x: window.x + column as u64,
@@ -178,7 +177,7 @@ impl Observed<'_> {
                         difference: record.difference,
                         height: record.height,
                         facing: record.facing,
-                        zone,
+                        zones: buffers.zones.of(column),
                     });
                 }
             }

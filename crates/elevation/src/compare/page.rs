@@ -30,6 +30,10 @@ fn figure(value: Option<f64>) -> String {
     value.map_or("–".into(), |v| format!("{v:.3}"))
 }
 
+fn whole(value: Option<f64>) -> String {
+    value.map_or("–".into(), |v| format!("{v:.0}"))
+}
+
 fn page(summary: &Summary, map: &serde_json::Value) -> String {
     let mut out = String::from(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Elevation models compared</title><style>\
@@ -86,13 +90,13 @@ fn page(summary: &Summary, map: &serde_json::Value) -> String {
         for v in &summary.volumes {
             let _ = write!(
                 out,
-                "<tr><td>{}<td><td>{:.0}<td>{:.3}<td>{:.3}<td>{:.0}<td>{:.0}</tr>",
+                "<tr><td>{}<td><td>{:.0}<td>{}<td>{}<td>{}<td>{}</tr>",
                 escaped(&v.zone),
                 v.area_m2,
-                v.mean_m,
-                v.mean_se_m,
-                v.volume_m3,
-                v.volume_se_m3
+                figure(v.mean_m),
+                figure(v.mean_se_m),
+                whole(v.volume_m3),
+                whole(v.volume_se_m3)
             );
         }
         out.push_str("</table>");

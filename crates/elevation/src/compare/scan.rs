@@ -5,18 +5,19 @@ use crate::grid::{Grid, GroundUnit};
 use crate::resample::{Resampled, Scratch};
 use crate::source::{Heights, Means as Averaged, Patch};
 use crate::window::Window;
-use crate::zones::Zones;
+use crate::zones::{RowSets, Zones};
 
 use super::observed::Record;
 
 /// What is known of a cell beside its difference.
-pub(super) struct Cell {
+pub(super) struct Cell<'a> {
     pub(super) x: u64,
     pub(super) y: u64,
     pub(super) difference: f32,
     pub(super) height: f32,
     pub(super) facing: Facing,
-    pub(super) zone: u32,
+    /// Numbers of its zones.
+    pub(super) zones: &'a [u32],
 }
 
 /// How the ground lies, by classes that count from 1; 0 where it is not known, or below the first limit.
@@ -44,7 +45,7 @@ pub(super) struct Buffers {
     pub(super) scratch: Scratch,
     pub(super) a: Vec<f64>,
     pub(super) b: Vec<f64>,
-    pub(super) zones: Vec<u32>,
+    pub(super) zones: RowSets,
     /// Rows that were kept.
     pub(super) bytes: Vec<u8>,
     pub(super) records: Vec<Record>,
@@ -52,19 +53,18 @@ pub(super) struct Buffers {
 
 impl Scan<'_> {
     /// All common cells of a window, row by row.
-    pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell)) -> Result<()> {
+    pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell<'_>)) -> Result<()> {
         let (width, height) = (window.width as usize, window.height as usize);
         let (x, y) = (window.x as i64, window.y as i64);
         self.a.read_with(Patch { x, y, width, height }, &mut buffers.scratch, &mut buffers.a)?;
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
-        buffers.zones.clear();
-        buffers.zones.resize(width, 0);
+        buffers.zones.clear(width);
         let (grid, b) = (&self.grid, &buffers.b);
         for row in 0..height {
             let north = grid.y0 + ((window.y + row as u64) as f64 + 0.5) * grid.step_y;
             if self.zones.is_some() {
-                self.mark_zones(window.x, window.y + row as u64, &mut buffers.zones);
+                self.mark_zones(window.x, window.y + row as u64, width, &mut buffers.zones);
             }
             let (mx, my) = self.unit.metres_per_unit(north);
             let (per_x, per_y) = (0.125 / (mx * grid.step_x), 0.125 / (my * grid.step_y));
@@ -92,19 +92,25 @@ impl Scan<'_> {
                             .map_or(0, |i| i as u16 + 1),
                         aspect: aspect(east, up).map_or(0, |direction| direction + 1),
                     },
-                    zone: buffers.zones[column],
+                    zones: buffers.zones.of(column),
                 });
             }
         }
         Ok(())
     }
 
+    /// Of a cell of a row, on the ground.
+    pub(super) fn cell_m2(&self, y: u64) -> f64 {
+        let (mx, my) = self.unit.metres_per_unit(self.grid.y0 + (y as f64 + 0.5) * self.grid.step_y);
+        (mx * self.grid.step_x * my * self.grid.step_y).abs()
+    }
+
     /// The zones of a row from a column on.
-    pub(super) fn mark_zones(&self, x: u64, y: u64, out: &mut [u32]) {
+    pub(super) fn mark_zones(&self, x: u64, y: u64, cells: usize, out: &mut RowSets) {
         if let Some(zones) = self.zones {
             let grid = &self.grid;
             let north = grid.y0 + (y as f64 + 0.5) * grid.step_y;
-            zones.row(north, grid.x0 + (x as f64 + 0.5) * grid.step_x, grid.step_x, out);
+            zones.row_sets(north, (grid.x0 + (x as f64 + 0.5) * grid.step_x, grid.step_x), cells, out);
         }
     }
 }

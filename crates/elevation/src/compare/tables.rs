@@ -36,13 +36,13 @@ pub(super) fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {
             quoted(&v.zone),
             v.n,
             v.area_m2,
-            v.mean_m,
-            v.mean_se_m,
+            number(v.mean_m),
+            number(v.mean_se_m),
             v.effective_n,
-            v.volume_m3,
-            v.volume_se_m3,
-            v.volume_95_m3[0],
-            v.volume_95_m3[1]
+            number(v.volume_m3),
+            number(v.volume_se_m3),
+            number(v.volume_95_m3.map(|ends| ends[0])),
+            number(v.volume_95_m3.map(|ends| ends[1]))
         ));
     }
     put("volumes.csv", text)?;

@@ -171,7 +171,7 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
         let mut cells: Vec<Cell> = Vec::new();
         observed.cells(Window::new(x, y, size.0, size.1), buffers, |cell| {
             let value = f64::from(cell.difference) - median;
-            if cell.zone == 0 && value.abs() <= limit {
+            if cell.zones.is_empty() && value.abs() <= limit {
                 cells.push((cell.x as i64, cell.y as i64, value));
             }
         })?;

@@ -12,7 +12,7 @@ pub use blend::WIDEST_BLEND_PX;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use gdal::raster::GdalDataType;
+use gdal::raster::{Buffer, ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -132,6 +132,7 @@ impl MosaicJob<'_> {
             None => None,
         };
         let kind = sources[0].kind;
+        let (least, most) = range(kind);
         let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
         let mut files = crate::atomic::Transaction::new();
         let mut cells = Vec::new();
@@ -140,21 +141,24 @@ impl MosaicJob<'_> {
             let (path, index) = (&parts[0], parts.get(1).map(PathBuf::as_path));
             let plain = path.with_extension("plain.tif");
             let made = match kind {
-                GdalDataType::UInt8 => whole.write::<u8>(&plain, index, |v| v.round().clamp(0.0, 255.0) as u8),
-                GdalDataType::UInt16 => whole.write::<u16>(&plain, index, |v| v.round().clamp(0.0, 65_535.0) as u16),
-                GdalDataType::Int16 => {
-                    whole.write::<i16>(&plain, index, |v| v.round().clamp(-32_768.0, 32_767.0) as i16)
-                }
+                GdalDataType::UInt8 => whole.write::<u8>(&plain, index, |v| v.round().clamp(least, most) as u8),
+                GdalDataType::UInt16 => whole.write::<u16>(&plain, index, |v| v.round().clamp(least, most) as u16),
+                GdalDataType::Int16 => whole.write::<i16>(&plain, index, |v| v.round().clamp(least, most) as i16),
                 GdalDataType::Float64 => whole.write::<f64>(&plain, index, |v| v),
                 _ => whole.write::<f32>(&plain, index, |v| v as f32),
             };
             let made = made.and_then(|made| {
+                // Where nothing is missing a mask says nothing.
+                if made.last() == Some(&(grid.width * grid.height)) {
+                    remove_mask(&plain);
+                }
                 cloud_optimised(&plain, path, self.resources.threads)?;
                 cells = made;
                 Ok(())
             });
             // It is not wanted any more; when it is not there something else is the error.
             let _ = std::fs::remove_file(&plain);
+            remove_mask(&plain);
             made
         })?;
         if let (Some(path), Some(balance)) = (self.page, &balance) {
@@ -204,6 +208,23 @@ impl MosaicJob<'_> {
     }
 }
 
+/// Least and largest number that cells of a kind hold.
+fn range(kind: GdalDataType) -> (f64, f64) {
+    match kind {
+        GdalDataType::UInt8 => (0.0, 255.0),
+        GdalDataType::UInt16 => (0.0, 65_535.0),
+        GdalDataType::Int16 => (-32_768.0, 32_767.0),
+        _ => (f64::MIN, f64::MAX),
+    }
+}
+
+/// The mask lies beside the plain file, if there is one.
+fn remove_mask(plain: &Path) {
+    let mut name = plain.as_os_str().to_owned();
+    name.push(".msk");
+    let _ = std::fs::remove_file(name);
+}
+
 /// Everything that a tile needs.
 struct Whole<'a> {
     job: &'a MosaicJob<'a>,
@@ -234,7 +255,8 @@ impl Whole<'_> {
             predictor: if float { 3 } else { 2 },
             threads,
         };
-        let dataset = output::create::<T>(path, &form)?;
+        let mut dataset = output::create::<T>(path, &form)?;
+        let masked = self.describe(path, &mut dataset, nodata)?;
         let index_form = Form { bands: 1, nodata: Some(0.0), predictor: 2, ..form };
         let index = index_path.map(|p| output::create::<u32>(p, &index_form).map(|d| (p, d))).transpose()?;
         let count = self.sources.len();
@@ -252,11 +274,17 @@ impl Whole<'_> {
                     worker.cells[count] += u64::from(!tile.values[cell].is_nan());
                 }
                 let values: Vec<T> = tile.values.iter().map(|&v| cast(if v.is_nan() { void } else { v })).collect();
-                Ok(Some((values, tile.index)))
+                let area = window.area() as usize;
+                let there = |v: &f64| if v.is_nan() { 0 } else { 255 };
+                let mask: Vec<u8> = tile.values[..area].iter().map(there).collect();
+                Ok(Some((values, tile.index, mask)))
             },
             |window, made| {
-                let Some((values, numbers)) = made else { return Ok(()) };
+                let Some((values, numbers, mask)) = made else { return Ok(()) };
                 output::put(path, &dataset, window, &values)?;
+                if masked {
+                    put_mask(path, &dataset, window, mask)?;
+                }
                 if let Some((path, dataset)) = &index {
                     output::put(path, dataset, window, &numbers)?;
                 }
@@ -272,6 +300,34 @@ impl Whole<'_> {
             cells.iter_mut().zip(&state.cells).for_each(|(a, b)| *a += b);
         }
         Ok(cells)
+    }
+
+    /// Colours, scale and palette as the sources have them; and a mask where nothing else tells which cells are there.
+    /// Whether there is one.
+    fn describe(&self, path: &Path, dataset: &mut gdal::Dataset, nodata: Option<f64>) -> Result<bool> {
+        let first = &self.sources[0];
+        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        for (number, colour) in (1..).zip(&first.colours) {
+            let mut band = dataset.rasterband(number).map_err(failed)?;
+            if let Some(colour) = ColorInterpretation::from_c_int(colour.c_int()) {
+                band.set_color_interpretation(colour).map_err(failed)?;
+            }
+            if first.scale != (1.0, 0.0) {
+                band.set_scale(first.scale.0).and_then(|()| band.set_offset(first.scale.1)).map_err(failed)?;
+            }
+        }
+        if !first.palette.is_empty() {
+            let mut table = ColorTable::new(PaletteInterpretation::Rgba);
+            for (number, &[r, g, b, a]) in (0..).zip(&first.palette) {
+                table.set_color_entry(number, &ColorEntry::rgba(r, g, b, a));
+            }
+            dataset.rasterband(1).map_err(failed)?.set_color_table(&table);
+        }
+        let masked = nodata.is_none() && !first.colours.contains(&ColorInterpretation::AlphaBand);
+        if masked {
+            dataset.rasterband(1).and_then(|mut band| band.create_mask_band(true)).map_err(failed)?;
+        }
+        Ok(masked)
     }
 
     fn tile(&self, worker: &mut Worker, window: Window) -> Result<Option<Tile>> {
@@ -311,12 +367,15 @@ impl Whole<'_> {
                 let x = (window.x + cell % window.width) as f64 + 0.5;
                 let y = (window.y + cell / window.width) as f64 + 0.5;
                 let balanced = balance.correct(number, band, (x, y), *value);
-                // A value that happens to become "nothing" is moved by one.
-                *value = match source.nodata {
-                    Some(nodata) if source.whole_numbers() && balanced.round().max(0.0) == nodata => nodata + 1.0,
-                    _ => balanced,
-                };
+                *value = balanced;
             }
+        }
+        let first = &self.sources[0];
+        if let Some(nodata) = first.nodata.filter(|_| first.whole_numbers()) {
+            let (least, most) = range(first.kind);
+            // A value that would be read as "nothing" is moved by one.
+            let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
+            values.iter_mut().filter(|v| v.round().clamp(least, most) == nodata).for_each(|value| *value = beside);
         }
         Ok(values)
     }
@@ -442,6 +501,15 @@ impl Whole<'_> {
         }
         Ok(())
     }
+}
+
+/// The mask of a window: 255 where there is something.
+fn put_mask(path: &Path, dataset: &gdal::Dataset, window: Window, mask: Vec<u8>) -> Result<()> {
+    let (at, size) = ((window.x as isize, window.y as isize), (window.width as usize, window.height as usize));
+    dataset
+        .rasterband(1)
+        .and_then(|band| band.open_mask_band()?.write(at, size, &mut Buffer::new(size, mask)))
+        .map_err(|e| Error::gdal(path, e))
 }
 
 /// The tiled copy as a Cloud Optimized GeoTIFF with overviews.

@@ -3,12 +3,13 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use gdal::raster::GdalDataType;
+use gdal::raster::{ColorInterpretation, GdalDataType, RasterBand};
 use gdal::{Dataset, Metadata};
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
+use crate::masked;
 use crate::model::open_dataset;
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, MemoryHeights, Patch};
@@ -23,6 +24,13 @@ pub struct Source {
     pub bands: usize,
     pub kind: GdalDataType,
     pub nodata: Option<f64>,
+    /// What stored values are multiplied with, and what is then added; kept, not applied.
+    pub scale: (f64, f64),
+    /// An alpha band or a mask says which cells are there.
+    pub masked: bool,
+    pub colours: Vec<ColorInterpretation>,
+    /// Red, green, blue and alpha of the numbers of a palette.
+    pub palette: Vec<[i16; 4]>,
     pub wkt: String,
     /// Its cells are cells of the mosaic.
     pub on_grid: bool,
@@ -55,7 +63,13 @@ impl Source {
             })?;
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         let (kind, nodata) = (band.band_type(), band.no_data_value());
+        let colour_of = |band: usize| dataset.rasterband(band).map(|band| band.color_interpretation());
+        let colours = (1..=dataset.raster_count()).map(colour_of).collect::<std::result::Result<_, _>>();
         Ok(Source {
+            scale: (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0)),
+            masked: masked::has_mask(path, &band)?,
+            colours: colours.map_err(|e| Error::gdal(path, e))?,
+            palette: palette_of(&band),
             path: path.to_path_buf(),
             grid,
             bands: dataset.raster_count(),
@@ -138,6 +152,12 @@ impl Source {
     }
 }
 
+fn palette_of(band: &RasterBand<'_>) -> Vec<[i16; 4]> {
+    let Some(table) = band.color_table() else { return Vec::new() };
+    let colour = |i: usize| table.entry_as_rgb(i).map_or([0; 4], |c| [c.r, c.g, c.b, c.a]);
+    (0..table.entry_count()).map(colour).collect()
+}
+
 /// A date that sorts: of the metadata, else eight digits of the name, else the file's own.
 fn date_of(path: &Path, dataset: &Dataset) -> String {
     let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
@@ -194,6 +214,26 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
                 kind.name()
             );
             return Err(Error::unsupported(&source.path, what, "bring them to one form with gdal_translate"));
+        }
+        let (first, stored) = (&sources[0], "bring them to one form with gdal_translate -unscale");
+        if source.scale != first.scale {
+            let what = format!(
+                "scale {} and offset {}, while {} has {} and {}",
+                source.scale.0,
+                source.scale.1,
+                first.path.display(),
+                first.scale.0,
+                first.scale.1
+            );
+            return Err(Error::unsupported(&source.path, what, stored));
+        }
+        if source.palette != first.palette {
+            let what = format!("another palette than {}", first.path.display());
+            return Err(Error::unsupported(
+                &source.path,
+                what,
+                "bring them to colours with gdal_translate -expand rgb",
+            ));
         }
         let same = source.wkt == wkt
             || crate::crs::Crs::parse(&source.wkt).ok().map(|c| c.label())
@@ -337,6 +377,10 @@ impl Opened {
                 if void || !value.is_finite() {
                     *value = f64::NAN;
                 }
+            }
+            if source.masked {
+                let at = (part.x as isize, part.y as isize);
+                masked::leave_out(&source.path, &band, at, size, &mut values)?;
             }
             let memory = MemoryHeights::new(grid, values);
             Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;

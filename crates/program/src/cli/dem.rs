@@ -166,10 +166,10 @@ struct HillshadeArgs {
     #[command(flatten)]
     gradient: GradientArgs,
     /// Where the light comes from, degrees from north by east.
-    #[arg(long, alias = "az", value_name = "DEG", default_value_t = 315.0)]
+    #[arg(long, alias = "az", value_name = "DEG", default_value_t = 315.0, allow_hyphen_values = true)]
     azimuth: f64,
     /// How high it stands, degrees.
-    #[arg(long, alias = "alt", value_name = "DEG", default_value_t = 45.0)]
+    #[arg(long, alias = "alt", value_name = "DEG", default_value_t = 45.0, allow_hyphen_values = true)]
     altitude: f64,
     /// Heights are multiplied by this.
     #[arg(long, value_name = "Z", default_value_t = 1.0)]
@@ -211,7 +211,7 @@ struct ContourArgs {
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Height between two lines.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
     interval: f64,
     /// A height at which a line lies.
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true)]
@@ -265,7 +265,7 @@ struct ResampleArgs {
     #[arg(short, long, value_name = "FILE")]
     out: String,
     /// Sides of the cells, in map units.
-    #[arg(long, value_name = "R,…", value_delimiter = ',', required = true)]
+    #[arg(long, value_name = "R,…", value_delimiter = ',', required = true, allow_hyphen_values = true)]
     resolution: Vec<f64>,
     /// As gdalwarp names it.
     #[arg(long, value_name = "NAME", default_value = "average")]
@@ -311,6 +311,7 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         DemCommand::Tpi(args) => draw(args, "TPI", Vec::new(), None)?,
         DemCommand::Contour(args) => {
             atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
+            derive::line_driver(&args.out)?;
             derive::check_heights(&args.model)?;
             let mut lines = 0;
             atomic::with_temporary(&args.out, |path| {
@@ -399,7 +400,10 @@ fn print(summary: &Summary, folder: &Path) {
     println!("SD, RMSE             {} m, {} m", figure(summary.sd_m), figure(summary.rmse_m));
     println!("Heights              {}", summary.heights);
     for volume in &summary.volumes {
-        println!("Volume               {}: {:.0} ± {:.0} m³", volume.zone, volume.volume_m3, volume.volume_se_m3);
+        match volume.volume_m3.zip(volume.volume_se_m3) {
+            Some((m3, se_m3)) => println!("Volume               {}: {m3:.0} ± {se_m3:.0} m³", volume.zone),
+            None => println!("Volume               {}: no cell of both models lies in it", volume.zone),
+        }
     }
     println!("Written              {}", folder.display());
 }
@@ -431,7 +435,7 @@ fn hillshade(args: &HillshadeArgs) -> anyhow::Result<()> {
 
 /// By GDAL's functions where the sides of cells are in the unit of the heights, else with their true lengths.
 fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture: Picture) -> anyhow::Result<()> {
-    if !gradient::needs_true_sides(&args.draw.model)? {
+    if !gradient::needs_true_sides(&args.draw.model, picture)? {
         return draw(&args.draw, kind, options, None);
     }
     atomic::check_outputs(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;

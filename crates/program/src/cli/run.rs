@@ -147,9 +147,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     let report = args.report.wanted().then(|| report::path(&json));
+    let existing = Existing::of_flag(args.write.overwrite);
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
-    atomic::check_outputs(&outputs, Existing::of_flag(args.write.overwrite))?;
-    args.solving.check(Existing::of_flag(args.write.overwrite))?;
+    atomic::check_outputs(&outputs, existing)?;
+    args.solving.check(existing)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = common::priors(info, &args.matching);
@@ -159,9 +160,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
-    let matcher = common::matcher(&args.matching, priors.len() * if learns { 2 } else { 1 }, &time_limit)?;
-    let learned_matcher = common::matcher(&args.matching, priors.len() * 4, &time_limit)?;
-    let cluster_matcher = common::matcher(&args.matching, priors.len() * 4 * MOST_CLUSTERS, &time_limit)?;
+    let matcher_of = |chances: usize| common::matcher(&args.matching, priors.len() * chances, &time_limit);
+    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 })?, matcher_of(4)?);
+    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
@@ -202,14 +203,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    if let Some(search) = &colours {
-        document.result.advice.extend(search.advice());
-        document.result.warnings.extend(search.note());
-    }
-    document.result.colour_search = colours;
-    if document.result.refused().is_some() {
-        document.result.advice.extend(unusual(source.as_ref())?.iter().map(ToString::to_string));
-    }
+    advise(&mut document.result, colours, source.as_ref())?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -227,6 +221,23 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// Adds what the search over colours found, and what is unusual about a picture that was refused.
+fn advise(
+    result: &mut RunResult,
+    colours: Option<ColourSearch>,
+    source: &dyn autoref_raster::RasterSource,
+) -> anyhow::Result<()> {
+    if let Some(search) = &colours {
+        result.advice.extend(search.advice());
+        result.warnings.extend(search.note());
+    }
+    result.colour_search = colours;
+    if result.refused().is_some() {
+        result.advice.extend(unusual(source)?.iter().map(ToString::to_string));
+    }
+    Ok(())
 }
 
 /// What the looks at the image gave.
