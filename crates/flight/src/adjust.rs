@@ -3,6 +3,7 @@
 
 mod datum;
 mod outcome;
+mod screening;
 mod snooping;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
@@ -10,6 +11,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
 use self::outcome::End;
+use self::screening::Screened;
 use self::snooping::Snooped;
 use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, solve,
@@ -127,6 +129,9 @@ pub struct Adjustment {
     pub notes: Vec<String>,
 }
 
+/// What the worst of the GCPs hid shows in the next round.
+const SCREENINGS: usize = 5;
+
 /// Adjusts.
 ///
 /// # Errors
@@ -147,12 +152,21 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     let dropped_ties = world.ties.len() - ties;
     let tie_observations = problem.observations.iter().filter(|o| o.point < ties).count();
 
-    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.
+    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested; what is
+    // grossly wrong with them goes before.
     for o in &mut problem.observations {
         o.trust = Trust::Robust;
     }
     let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8 };
-    solve(&mut problem, &robust)?;
+    let mut screened = Screened::default();
+    screened.screen(&mut problem, ties, screening::MONSTROUS);
+    for _ in 0..SCREENINGS {
+        snooping::hold(&mut problem, ties, &control);
+        solve(&mut problem, &robust)?;
+        if !screened.screen(&mut problem, ties, screening::GROSS) {
+            break;
+        }
+    }
     let sigma_tie_px = match options.sigma_tie_px {
         Some(s) => s,
         None => estimate_sigma(&problem, ties, tie_observations).unwrap_or(1.0),
@@ -164,7 +178,14 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
             o.trust = Trust::Full;
         }
     }
-    let Snooped { blunders, summary, factored } = snooping::snoop(&mut problem, ties, &control, options)?;
+    let mut snooped = snooping::snoop(&mut problem, ties, &control, options)?;
+    // What was set aside early may be right after all.
+    if snooped.factored.as_ref().is_some_and(|f| screened.readmit(&mut problem, f, options.critical)) {
+        let again = snooping::snoop(&mut problem, ties, &control, options)?;
+        snooped = Snooped { blunders: snooped.blunders.into_iter().chain(again.blunders).collect(), ..again };
+    }
+    let Snooped { mut blunders, summary, factored } = snooped;
+    blunders.splice(..0, screened.blunders(&problem, ties, &control));
     if factored.is_none() {
         notes.push(
             "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),

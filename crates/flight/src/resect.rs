@@ -150,7 +150,10 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
     if seen.len() < least {
         return Err(Error::no_result(
             format!("{} points are seen in the frame, {least} are needed", seen.len()),
-            "measure more points, or state the focal length",
+            match options.focal {
+                Focal::Known => "measure more points",
+                Focal::Sought => "measure more points, or state the focal length",
+            },
         ));
     }
     let cameras: Vec<Camera> = match options.focal {
@@ -281,8 +284,9 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
     }
     let (mut camera, mut pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
     let unknowns = 6 + usize::from(options.focal == Focal::Sought);
-    let mut kept: Vec<usize> = (0..seen.len()).collect();
-    let mut blunders = Vec::new();
+    let mut blunders = far_off(&camera, &pose, seen, options);
+    let mut kept: Vec<usize> = (0..seen.len()).filter(|i| !blunders.contains(i)).collect();
+    let mut aside = blunders.len();
     // A known position may be what is wrong: where the points can do without it, they are tested without it.
     let mut position_counts = options.position.is_none() || 2 * seen.len() < unknowns + 4;
     loop {
@@ -310,6 +314,18 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
             position_counts = true;
             continue;
         }
+        // What was set aside from afar may be right after all.
+        if let Some(f) = factored.as_ref().filter(|_| aside > 0) {
+            let right = |i: &usize| agrees(&camera, &pose, f, &seen[*i], options);
+            let back: Vec<usize> = blunders[..aside].iter().copied().filter(right).collect();
+            blunders.retain(|i| !back.contains(i));
+            aside = 0;
+            if !back.is_empty() {
+                kept.extend(back);
+                kept.sort_unstable();
+                continue;
+            }
+        }
         let residuals_px: Vec<Option<[f64; 2]>> = seen
             .iter()
             .map(|s| camera.project(pose.to_camera(&s.xyz).into()).map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]]))
@@ -330,6 +346,49 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
             alternatives: 0,
         });
     }
+}
+
+/// Points that lie far from a robust pose: by that of all together, two of ten hide each other.
+fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Vec<usize> {
+    /// Times the spread of all, and the share of all that is not too many.
+    const GROSS: f64 = 8.0;
+    const MOST: f64 = 0.35;
+    let off: Vec<f64> = seen
+        .iter()
+        .map(|s| {
+            let at = camera.project(pose.to_camera(&s.xyz).into());
+            at.map_or(f64::INFINITY, |p| (p[0] - s.pixel[0]).hypot(p[1] - s.pixel[1]))
+        })
+        .collect();
+    let mut sorted = off.clone();
+    sorted.sort_by(f64::total_cmp);
+    // The median length of a normal 2-vector is 1.1774 σ.
+    let spread = (sorted[sorted.len() / 2] / 1.1774).max(options.sigma_px);
+    let far: Vec<usize> = (0..seen.len()).filter(|i| off[*i] > GROSS * spread).collect();
+    let needed = if options.focal == Focal::Sought { 6 } else { 5 };
+    if far.len() as f64 > MOST * seen.len() as f64 || seen.len() - far.len() < needed { Vec::new() } else { far }
+}
+
+/// Whether a point that took no part lies where the pose has it, within its deviation.
+fn agrees(
+    camera: &Camera,
+    pose: &Pose,
+    factored: &crate::bundle::Factored,
+    seen: &Seen,
+    options: &ResectOptions,
+) -> bool {
+    let local = pose.to_camera(&seen.xyz);
+    let (at, j) = camera.project_with_jacobian(local.into());
+    let j = nalgebra::Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
+    // A turn about the camera moves the point by its distance: the covariance of both, in the image.
+    let moved = nalgebra::Matrix3x6::from_fn(|r, c| if c < 3 { 0.0 } else { f64::from(u8::from(r == c - 3)) });
+    let turned = (pose.rotation.transpose() * local).cross_matrix() * pose.rotation.transpose();
+    let all = moved + nalgebra::Matrix3x6::from_fn(|r, c| if c < 3 { turned[(r, c)] } else { 0.0 });
+    let q = j * all * factored.frame(0) * all.transpose() * j.transpose()
+        + Matrix2::identity() * options.sigma_px.powi(2)
+        + j * j.transpose() * options.sigma_ground_m.powi(2);
+    let v = Vector2::new(at[0] - seen.pixel[0], at[1] - seen.pixel[1]);
+    local.z > 0.0 && q.try_inverse().is_some_and(|inverse| v.dot(&(inverse * v)).sqrt() <= options.critical)
 }
 
 /// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated

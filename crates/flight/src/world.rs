@@ -105,6 +105,13 @@ impl World {
         let centre = self.to_map(&pose.centre)?;
         Some(Pose { rotation: pose.rotation * self.grid(centre)?, centre: Vector3::from(centre) })
     }
+    /// A pose of the tangent frame (east, north, up) at a place of the Earth; `None` on a plane, which lies nowhere.
+    pub fn pose_of_tangent(&self, lon_lat_h: [f64; 3], pose: &Pose) -> Option<Pose> {
+        let World::Curved(t) = self else { return None };
+        let axes = tangent_axes(lon_lat_h[0], lon_lat_h[1]);
+        let centre = geocentric(lon_lat_h) + axes.transpose() * pose.centre;
+        Some(Pose { rotation: pose.rotation * axes * t.axes.transpose(), centre: t.axes * (centre - t.origin) })
+    }
     pub fn pose_to_world(&self, pose: &Pose) -> Option<Pose> {
         let map: [f64; 3] = pose.centre.into();
         Some(Pose { rotation: pose.rotation * self.grid(map)?.transpose(), centre: self.to_world(map)? })
@@ -131,6 +138,14 @@ mod tests {
         let far = world.to_world([0.0, 15_300.0, 0.0]).expect("on the Earth");
         // 17 km away the ground lies 23 m below the tangent plane.
         assert!((far.y - 17_047.0).abs() < 30.0 && (far.z + 22.8).abs() < 0.3, "{far}");
+        // The same place and direction, told in the tangent frame there.
+        let level = Pose { rotation: Matrix3::identity(), centre: Vector3::new(0.0, 0.0, 5.0) };
+        let lat = 60.0 + 15_300.0 * 1e-5;
+        let pose = world.pose_of_tangent([0.0, lat, -5.0], &level).expect("on the Earth");
+        assert!((pose.centre - far).norm() < 1e-6, "{}", pose.centre);
+        // Up there leans to the north by the angle between both places.
+        let up = pose.rotation.row(2);
+        assert!((up[1] - 15_300.0e-5f64.to_radians().sin()).abs() < 1e-9, "{up}");
         let map = world.to_map(&far).expect("back");
         assert!((map[1] - 15_300.0).abs() < 1e-4 && map[2].abs() < 1e-6, "{map:?}");
     }

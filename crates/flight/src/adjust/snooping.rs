@@ -42,13 +42,17 @@ pub(super) fn snoop(
                 problem.observations.remove(index);
             }
         }
-        // A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
-        for i in ties..problem.points.len() {
-            let seen = problem.observations.iter().filter(|o| o.point == i).count();
-            if problem.points[i].survey.is_none() && seen < 2 {
-                let at = control[i - ties].xyz;
-                problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
-            }
+        hold(problem, ties, control);
+    }
+}
+
+/// A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
+pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint]) {
+    for i in ties..problem.points.len() {
+        let seen = problem.observations.iter().filter(|o| o.point == i).count();
+        if problem.points[i].survey.is_none() && seen < 2 {
+            let at = control[i - ties].xyz;
+            problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
         }
     }
 }

@@ -13,6 +13,8 @@ pub struct CameraRow {
     pub name: String,
     /// As the table has them: easting, northing, height, or longitude, latitude, height.
     pub xyz: [f64; 3],
+    /// The titles say longitude and latitude; directions count from true north.
+    pub geographic: bool,
     pub yaw_deg: Option<f64>,
     pub pitch_deg: Option<f64>,
     pub roll_deg: Option<f64>,
@@ -67,10 +69,13 @@ fn fields(line: &str, cut: Option<char>) -> Vec<String> {
     all
 }
 
-const NAMES: [&str; 9] = ["name", "filename", "file", "image", "frame", "photo", "label", "id", "img"];
+const NAMES: [&str; 11] =
+    ["name", "filename", "file", "image", "frame", "photo", "label", "id", "img", "imagename", "image_name"];
+const LONGITUDES: [&str; 4] = ["lon", "long", "longitude", "x/longitude"];
+const LATITUDES: [&str; 3] = ["lat", "latitude", "y/latitude"];
 const COLUMNS: [(&str, &[&str]); 10] = [
-    ("x", &["x", "e", "easting", "east", "lon", "longitude", "x/longitude", "x_m", "øst", "ost"]),
-    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y_m", "nord"]),
+    ("x", &["x", "e", "easting", "east", "lon", "long", "longitude", "x/longitude", "x/easting", "x_m", "øst", "ost"]),
+    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "y_m", "nord"]),
     ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "z_m", "høyde", "hoyde"]),
     ("yaw", &["yaw", "heading", "azimuth", "azimut", "yaw_deg", "direction"]),
     ("pitch", &["pitch", "pitch_deg", "elevation_angle"]),
@@ -81,6 +86,22 @@ const COLUMNS: [(&str, &[&str]); 10] = [
     ("line", &["line", "strip", "flight_line", "run"]),
 ];
 
+/// Titles of columns.
+struct Heading {
+    heads: Vec<String>,
+}
+
+impl Heading {
+    fn of(line: &str) -> Self {
+        Heading { heads: fields(line, separator(line)).iter().map(|h| h.to_lowercase()).collect() }
+    }
+
+    /// Whether there are an x and a y among them.
+    fn names_places(&self) -> bool {
+        (0..2).all(|i| column_at(&self.heads, i).is_some())
+    }
+}
+
 /// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or
 /// without one rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
 ///
@@ -88,18 +109,28 @@ const COLUMNS: [(&str, &[&str]); 10] = [
 /// When a row has no name or a coordinate is no number.
 pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     let text = read_text(path)?;
-    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
-    let mut lines = lines.by_ref().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')).peekable();
-    let Some((_, first)) = lines.peek().copied() else {
+    let lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
+    let (comments, mut lines): (Vec<_>, Vec<_>) =
+        lines.filter(|(_, l)| !l.is_empty()).partition(|(_, l)| l.starts_with('#'));
+    let Some((_, first)) = lines.first().copied() else {
         return Err(Error::format(path, "the table", "is empty"));
     };
-    let cut = separator(first);
-    let heads: Vec<String> = fields(first, cut).iter().map(|h| h.to_lowercase()).collect();
+    // A heading may be a comment, as Metashape writes it.
+    let heading = comments
+        .iter()
+        .map(|(_, l)| Heading::of(l.trim_start_matches('#').trim_start()))
+        .find(Heading::names_places)
+        .unwrap_or_else(|| Heading::of(first));
+    if Heading::of(first).names_places() {
+        lines.remove(0);
+    }
+    let heads = &heading.heads;
+    let cut = separator(lines.first().map_or(first, |(_, l)| l));
     let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
     let column = |name: &str| COLUMNS.iter().find(|c| c.0 == name).and_then(|c| place(c.1));
-    let headed = column("x").is_some() && column("y").is_some();
-    let (name_at, at): (usize, Vec<Option<usize>>) = if headed {
-        lines.next();
+    let geographic =
+        place(&LONGITUDES).is_some() && place(&LATITUDES).is_some() && place(&["x", "e", "easting"]).is_none();
+    let (name_at, at): (usize, Vec<Option<usize>>) = if heading.names_places() {
         let name = place(&NAMES).ok_or_else(|| {
             Error::format(path, "the heading", format!("no column names the frames; call one of them `{}`", NAMES[0]))
         })?;
@@ -133,6 +164,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         rows.push(CameraRow {
             name,
             xyz: [x, y, value(2)?.unwrap_or(0.0)],
+            geographic,
             yaw_deg: value(3)?,
             pitch_deg: value(4)?,
             roll_deg: value(5)?,
@@ -154,6 +186,21 @@ pub struct ImagePoint {
     pub name: String,
     pub xyz: Option<[f64; 3]>,
     pub pixel: [f64; 2],
+    /// The list says that the point is to be compared, not used: a column `role`, or a name that begins with `CHK-`.
+    pub check: bool,
+    /// 1σ on the ground, metres, when the list has it.
+    pub sigma: Option<[f64; 3]>,
+}
+
+/// What names of check points begin with, as OpenDroneMap has it.
+const CHECK_PREFIX: &str = "CHK-";
+
+/// The name without what says that it is a check point, and whether it is one.
+fn name_and_role(name: &str, role: &str) -> (String, bool) {
+    const CHECKS: [&str; 6] = ["check", "checkpoint", "3dcheckpoint", "cp", "kontrollpunkt", "kontroll"];
+    let role: String = role.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect();
+    let prefixed = name.strip_prefix(CHECK_PREFIX);
+    (prefixed.unwrap_or(name).to_string(), prefixed.is_some() || CHECKS.contains(&role.as_str()))
 }
 
 /// Reads points measured in images from text: OpenDroneMap's `gcp_list.txt` (a CRS, then `x y z px py image [name]`),
@@ -181,6 +228,8 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
     let mut points: Vec<ImagePoint> = Vec::new();
     if let (Some(px), Some(py)) = (px, py) {
         let name = place(&["name", "gcp", "point", "label", "id", "gcp_name"]);
+        let role = place(&["role", "type", "use"]);
+        let (plan, up) = (place(&["sigma_m", "sigma"]), place(&["sigma_height_m", "sigma_h"]));
         let ground = (column_at(&heads, 0), column_at(&heads, 1), column_at(&heads, 2));
         for (row, line) in &lines[1..] {
             let f = fields(line, head_cut);
@@ -194,7 +243,15 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
                 n if n.is_empty() => named(&points, xyz),
                 n => n,
             };
-            points.push(ImagePoint { image: word(image), name, xyz, pixel: [value(px)?, value(py)?] });
+            let (name, check) = name_and_role(&name, &word(role));
+            let stated =
+                |c: Option<usize>| c.filter(|c| f.get(*c).is_some_and(|t| !t.is_empty())).map(&value).transpose();
+            let sigma = match (stated(plan)?, stated(up)?) {
+                (Some(s), up) => Some([s, s, up.unwrap_or(s)]),
+                (None, _) => None,
+            };
+            let pixel = [value(px)?, value(py)?];
+            points.push(ImagePoint { image: word(image), name, xyz, pixel, check, sigma });
         }
         return Ok((None, points));
     }
@@ -210,8 +267,9 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         }
         let v: Vec<f64> = (0..5).map(|c| number(path, *row, &f, c)).collect::<Result<_>>()?;
         let xyz = Some([v[0], v[1], v[2]]);
-        let name = f.get(6).cloned().unwrap_or_else(|| named(&points, xyz));
-        points.push(ImagePoint { image: f.get(5).cloned().unwrap_or_default(), name, xyz, pixel: [v[3], v[4]] });
+        let (name, check) = name_and_role(&f.get(6).cloned().unwrap_or_else(|| named(&points, xyz)), "");
+        let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), [v[3], v[4]]);
+        points.push(ImagePoint { image, name, xyz, pixel, check, sigma: None });
     }
     if points.is_empty() {
         return Err(Error::format(path, "the list", "has no rows"));
@@ -236,6 +294,7 @@ fn column_at(heads: &[String], i: usize) -> Option<usize> {
 fn number(path: &Path, row: usize, f: &[String], c: usize) -> Result<f64> {
     let text = f.get(c).map_or("", String::as_str);
     text.parse::<f64>()
+        .or_else(|_| text.replacen(',', ".", 1).parse())
         .ok()
         .filter(|v| v.is_finite())
         .ok_or_else(|| Error::format(path, format!("row {row}"), format!("`{text}` in column {} is no number", c + 1)))
@@ -283,6 +342,18 @@ mod tests {
         assert_eq!((rows[0].name.as_str(), rows[0].omega_phi_kappa_deg), ("a b", Some([4.0, 5.0, 6.0])));
         let (path, _gone) = file("3324 -55094.5 -3727407.0 5258.3 -0.35 0.29 -179.08\n");
         assert_eq!(cameras(&path).expect("a table")[0].omega_phi_kappa_deg, Some([-0.35, 0.29, -179.08]));
+        for heading in ["# name,x,y,z,yaw,pitch,roll", "#Label,X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll"] {
+            let text = format!("# a flight\n{heading}\na.jpg,1,2,3,10,-90,0.5\n");
+            let (path, _gone) = file(&text);
+            let row = &cameras(&path).expect("a table")[0];
+            assert_eq!((row.yaw_deg, row.pitch_deg, row.roll_deg), (Some(10.0), Some(-90.0), Some(0.5)), "{heading}");
+            assert!(row.omega_phi_kappa_deg.is_none() && !row.geographic);
+        }
+        let (path, _gone) = file("imageName X Y Z Omega Phi Kappa\na.jpg 1 2 3 4 5 6\n");
+        assert_eq!(cameras(&path).expect("a table")[0].omega_phi_kappa_deg, Some([4.0, 5.0, 6.0]));
+        let (path, _gone) = file("name;lat;lon;alt\na;78,5;15,25;900\n");
+        let row = &cameras(&path).expect("a table")[0];
+        assert_eq!((row.xyz, row.geographic), ([15.25, 78.5, 900.0], true));
         let (path, _gone) = file("name,x,y\na,1,north\n");
         assert!(cameras(&path).expect_err("no number").to_string().contains("row 2: `north` is no number for y"));
     }
@@ -292,6 +363,11 @@ mod tests {
         let (path, _gone) = file("EPSG:25833\n1 2 3 10.5 20.5 a.jpg P1\n1 2 3 11 21 b.jpg P1\n");
         let (crs, points) = image_points(&path).expect("a list");
         assert_eq!((crs.as_deref(), points.len(), points[1].image.as_str()), (Some("EPSG:25833"), 2, "b.jpg"));
+        let (path, _gone) =
+            file("name;x;y;z;image;px;py;role;sigma_m\nA;1,5;2;3;a.jpg;863,25;5;check;0,05\nCHK-B;1;2;3;a.jpg;1;2;;\n");
+        let (_, points) = image_points(&path).expect("a list");
+        assert_eq!((points[0].pixel, points[0].sigma, points[0].check), ([863.25, 5.0], Some([0.05; 3]), true));
+        assert_eq!((points[1].name.as_str(), points[1].check, points[1].sigma), ("B", true, None));
         let (path, _gone) = file("x\ty\tz\tx\ty\n1\t2\t3\t4\t5\n1\t2\t4\t4\t6\n");
         let (crs, points) = image_points(&path).expect("a list");
         assert_eq!((crs, points[1].name.as_str(), points[1].pixel), (None, "2", [4.0, 6.0]));

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust};
+use autoref_flight::adjust::{AdjustOptions, Role, RoughPose, adjust};
 use autoref_flight::read::{self, Reconstruction};
 use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
 use autoref_flight::{Camera, Error, Parameter};
@@ -196,7 +196,7 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(table) = &args.cameras {
         let sigma = (args.sigma_position, args.sigma_direction.to_radians());
-        for row in read::tables::cameras(table)? {
+        for row in lists::on_map(read::tables::cameras(table)?, table, control.crs.as_ref())? {
             let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(None)) else { continue };
             rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
                 pose,
@@ -204,10 +204,18 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
                 sigma_rad: sigma.1,
             });
         }
-    } else if model.reference_lla.is_some() || control.own_datum {
-        // A block that stands on the Earth already keeps its datum, loosely.
+    } else {
+        // A block that stands on the Earth already keeps its datum, loosely: in its own frame, or where too few points
+        // would fix another.
+        let fixing = points.iter().filter(|p| p.role == Role::Control && p.seen.len() >= 2).count();
         for (slot, p) in rough.iter_mut().zip(&model.photographs) {
-            *slot = Some(RoughPose { pose: p.pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY });
+            let pose = match model.reference_lla {
+                _ if control.own_datum => Some(p.pose),
+                Some(reference) if fixing < 3 => world.pose_of_tangent(reference, &p.pose),
+                Some(_) | None => None,
+            };
+            let loosely = |pose| RoughPose { pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY };
+            *slot = pose.map(loosely);
         }
     }
     let options = AdjustOptions {

@@ -11,7 +11,7 @@
 mod grids;
 mod transform;
 
-pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M};
+pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M, Way};
 
 use std::path::Path;
 

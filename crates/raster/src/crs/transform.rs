@@ -51,6 +51,37 @@ type Question = (String, String, Option<[u64; 4]>);
 static NARROWEST: LazyLock<Mutex<HashMap<Question, usize>>> = LazyLock::new(Mutex::default);
 const MOST_KNOWN: usize = 256;
 
+/// A way from one CRS to another.
+pub struct Way {
+    from: Crs,
+    to: Crs,
+    transform: CoordTransform,
+    with_heights: bool,
+    accuracy: Accuracy,
+}
+
+impl Way {
+    /// Heights change only where both systems have them.
+    ///
+    /// # Errors
+    /// When a point lies outside.
+    pub fn transform(&self, points: &mut [Coordinate]) -> Result<()> {
+        let (mut x, mut y): (Vec<f64>, Vec<f64>) = points.iter().map(|p| (p.x, p.y)).unzip();
+        let mut z: Vec<f64> =
+            if self.with_heights { points.iter().map(|p| p.height.unwrap_or(0.0)).collect() } else { Vec::new() };
+        let failed = |what: &str| self.from.failed(&self.to, what, "look at the order of the columns and at --crs");
+        self.transform.transform_coords(&mut x, &mut y, &mut z).map_err(|e| failed(&e.to_string()))?;
+        for (i, point) in points.iter_mut().enumerate() {
+            let height = if self.with_heights { point.height.map(|_| z[i]) } else { point.height };
+            if !x[i].is_finite() || !y[i].is_finite() || height.is_some_and(|h| !h.is_finite()) {
+                return Err(failed(&format!("the point {}, {} lies outside", point.x, point.y)));
+            }
+            *point = Coordinate { x: x[i], y: y[i], height };
+        }
+        Ok(())
+    }
+}
+
 impl Crs {
     /// Brings points into another system, in place. Heights are changed when both systems have a vertical axis, else
     /// left.
@@ -71,10 +102,20 @@ impl Crs {
                 "give another CRS",
             ));
         }
-        let (transform, accuracy) = self.operation(points, to)?;
+        let way = self.way(points, to, worst_accuracy_m)?;
+        way.transform(points)?;
+        Ok(way.accuracy)
+    }
+
+    /// The operation for points around these, to be used many times: PROJ's search for it takes far longer than its use.
+    ///
+    /// # Errors
+    /// When PROJ knows no operation that is good enough with the grids that are installed.
+    pub fn way(&self, around: &[Coordinate], to: &Crs, worst_accuracy_m: f64) -> Result<Way> {
+        let (transform, accuracy) = self.operation(around, to)?;
         match accuracy {
             Accuracy::Metres(metres) if metres > worst_accuracy_m => {
-                let grids = self.missing_grids(points, to);
+                let grids = self.missing_grids(around, to);
                 return Err(self.failed(
                     to,
                     &format!(
@@ -90,20 +131,8 @@ impl Crs {
             }
             _ => {}
         }
-        let (mut x, mut y): (Vec<f64>, Vec<f64>) = points.iter().map(|p| (p.x, p.y)).unzip();
         let with_heights = self.height_metres_per_unit.is_some() && to.height_metres_per_unit.is_some();
-        let mut z: Vec<f64> =
-            if with_heights { points.iter().map(|p| p.height.unwrap_or(0.0)).collect() } else { Vec::new() };
-        let outside = "look at the order of the columns and at --crs";
-        transform.transform_coords(&mut x, &mut y, &mut z).map_err(|e| self.failed(to, &e.to_string(), outside))?;
-        for (i, point) in points.iter_mut().enumerate() {
-            let height = if with_heights { point.height.map(|_| z[i]) } else { point.height };
-            if !x[i].is_finite() || !y[i].is_finite() || height.is_some_and(|h| !h.is_finite()) {
-                return Err(self.failed(to, &format!("the point {}, {} lies outside", point.x, point.y), outside));
-            }
-            *point = Coordinate { x: x[i], y: y[i], height };
-        }
-        Ok(accuracy)
+        Ok(Way { from: self.clone(), to: to.clone(), transform, with_heights, accuracy })
     }
 
     /// The best operation that can be carried out, and how good it is.

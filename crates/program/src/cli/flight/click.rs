@@ -40,7 +40,12 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let page = args.output.join("click.html");
     check_output(Some(&page), Existing::of_flag(args.overwrite))?;
     let (project, base) = read_project(&args.project)?;
-    let OrderedFrames { folder, names, rows, .. } = ordered_frames(&project, &base)?;
+    let mut frames = ordered_frames(&project, &base)?;
+    if args.cameras.is_none() {
+        let list = point_args(&project, &base).map(|points| points.load(None)).transpose()?;
+        frames.rows_on_map(&project, &base, list.as_ref())?;
+    }
+    let OrderedFrames { folder, names, rows, .. } = frames;
     let (names, left_out) = frames::usable(&folder, &names, &|_, _| Ok(()))?;
     left_out.iter().for_each(|note| eprintln!("warning: {note}"));
     let (Some(first), Some(points)) = (names.first(), point_args(&project, &base)) else {

@@ -37,7 +37,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
         bail!("--pixel-mm: a positive number of millimetres is expected");
     }
     let (project, base) = read_project(&args.project)?;
-    let flight = ordered_frames(&project, &base)?;
+    let mut flight = ordered_frames(&project, &base)?;
+    flight.rows_on_map(&project, &base, None)?;
     let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
     std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();

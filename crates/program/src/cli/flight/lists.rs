@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use autoref_flight::adjust::{GroundPoint, Role};
-use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image, tables};
+use autoref_flight::read::tables::{self, CameraRow};
+use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::bounded;
-use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::crs::{Coordinate, Crs, Way};
 use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use nalgebra::Vector3;
 
@@ -55,22 +56,71 @@ pub struct Control {
     pub own_datum: bool,
 }
 
+/// Both ways, found once: every point of a block takes them.
 struct Proj {
-    crs: Crs,
-    earth: Crs,
+    there: Way,
+    back: Way,
+}
+
+/// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
+const DATUM_M: f64 = 100.0;
+
+impl Proj {
+    fn around(crs: &Crs, centre: [f64; 3]) -> Result<Self> {
+        let earth = Crs::from_epsg(4326)?;
+        let mut at = [Coordinate { x: centre[0], y: centre[1], height: None }];
+        let there = crs.way(&at, &earth, DATUM_M)?;
+        there.transform(&mut at)?;
+        Ok(Proj { there, back: earth.way(&at, crs, DATUM_M)? })
+    }
 }
 
 impl Geodesy for Proj {
     fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]> {
         let mut p = [Coordinate { x: map[0], y: map[1], height: None }];
-        self.crs.transform(&mut p, &self.earth, 100.0).ok()?;
+        self.there.transform(&mut p).ok()?;
         Some([p[0].x, p[0].y, map[2]])
     }
     fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
         let mut p = [Coordinate { x: g[0], y: g[1], height: None }];
-        self.earth.transform(&mut p, &self.crs, 100.0).ok()?;
+        self.back.transform(&mut p).ok()?;
         Some([p[0].x, p[0].y, g[2]])
     }
+}
+
+/// Rows of a camera table on the map: longitudes and latitudes are brought to `crs`, and directions count from the
+/// grid's north.
+///
+/// # Errors
+/// When there is no map to bring them to.
+pub fn on_map(mut rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<Vec<CameraRow>> {
+    let Some(first) = rows.iter().find(|row| row.geographic) else { return Ok(rows) };
+    let Some(crs) = crs.filter(|c| !c.is_local()) else {
+        bail!(
+            "{}: longitudes and latitudes, and no CRS to bring them to; give --crs, or crs in FLIGHT.toml",
+            table.display()
+        )
+    };
+    let at = Coordinate { x: first.xyz[0], y: first.xyz[1], height: None };
+    let way = Crs::from_epsg(4326)?.way(&[at], crs, DATUM_M)?;
+    /// Degrees of latitude over which the grid's north is taken.
+    const NORTH_DEG: f64 = 1e-4;
+    for row in rows.iter_mut().filter(|row| row.geographic) {
+        if row.omega_phi_kappa_deg.is_some() {
+            bail!(
+                "{}: omega, phi and kappa beside longitude and latitude; give map coordinates, in which they count",
+                table.display()
+            );
+        }
+        let [x, y, height] = row.xyz;
+        let mut both = [0.0, NORTH_DEG].map(|north| Coordinate { x, y: y + north, height: None });
+        way.transform(&mut both)?;
+        let north_deg = (both[1].x - both[0].x).atan2(both[1].y - both[0].y).to_degrees();
+        row.xyz = [both[0].x, both[0].y, height];
+        row.yaw_deg = row.yaw_deg.map(|yaw| yaw + north_deg);
+        row.geographic = false;
+    }
+    Ok(rows)
 }
 
 /// The first names of a list, and how many more there are.
@@ -88,11 +138,8 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
     match crs.filter(|c| !c.is_local()) {
         None => Ok(World::flat(centre)),
         Some(crs) => {
-            let proj = Proj { crs: crs.clone(), earth: Crs::from_epsg(4326)? };
-            match World::curved(Box::new(proj), centre) {
-                Some(world) => Ok(world),
-                None => bail!("{}: the points lie outside it; give --crs", crs.title()),
-            }
+            let world = Proj::around(crs, centre).ok().and_then(|proj| World::curved(Box::new(proj), centre));
+            world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
         }
     }
 }
@@ -283,12 +330,22 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         for p in measured {
             let Some(xyz) = p.xyz else { continue };
             match points.iter_mut().find(|q| q.name == p.name) {
-                Some(known) => known.seen.push((p.image, p.pixel)),
+                Some(known) if known.xyz != xyz => bail!(
+                    "{}: `{}` has two places, {:?} and {xyz:?}; give it one, or two names",
+                    list.display(),
+                    known.name,
+                    known.xyz
+                ),
+                Some(known) => {
+                    known.seen.push((p.image, p.pixel));
+                    known.check |= p.check;
+                    known.sigma = known.sigma.or(p.sigma);
+                }
                 None => points.push(ListPoint {
                     name: p.name,
                     xyz,
-                    sigma: None,
-                    check: false,
+                    sigma: p.sigma,
+                    check: p.check,
                     seen: vec![(p.image, p.pixel)],
                 }),
             }

@@ -194,6 +194,25 @@ pub struct OrderedFrames {
     pub rows: Vec<tables::CameraRow>,
 }
 
+impl OrderedFrames {
+    /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name.
+    ///
+    /// # Errors
+    /// When neither names one.
+    pub fn rows_on_map(&mut self, project: &Project, base: &Path, control: Option<&lists::Control>) -> Result<()> {
+        let Some(rough) = &project.rough else { return Ok(()) };
+        let stated = project
+            .crs
+            .as_deref()
+            .filter(|crs| !lists::is_local(crs))
+            .map(autoref_raster::crs::Crs::parse)
+            .transpose()?;
+        let crs = control.and_then(|known| known.crs.clone()).or(stated);
+        self.rows = lists::on_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
+        Ok(())
+    }
+}
+
 pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     let folder = absolute(&base.join(&project.frames.folder))?;
     let names = frames_in(&folder, &project.frames.pattern)?;

@@ -105,6 +105,7 @@ impl<'a> Ready<'a> {
         };
         let control = points.load_first()?;
         let mut frames = ordered_frames(&project, &base)?;
+        frames.rows_on_map(&project, &base, control.as_ref())?;
         let listed = frames.names.len();
         std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
         let out = absolute(&args.output)?;

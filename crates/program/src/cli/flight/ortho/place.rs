@@ -35,6 +35,9 @@ pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Resu
         let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
             bail!("{}: has no row of `{name}`", file.display())
         };
+        if rows[i].geographic {
+            bail!("{}: longitudes and latitudes; give the map coordinates of the model", file.display())
+        }
         let Some(pose) = rows[i].pose(None) else {
             bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
         };
