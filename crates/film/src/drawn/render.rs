@@ -161,7 +161,8 @@ pub(super) struct Painter {
     film: [f64; 2],
     shift: [i64; 2],
     /// Gaussian of σ 0.7 px at every half pixel, three to each side.
-    kernel: [f32; 7],
+    /// Places about a pixel.
+    kernel: [(f64, f64); PLACES],
 }
 
 impl Painter {
@@ -222,7 +223,7 @@ impl Painter {
             image,
             film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
-            kernel: std::array::from_fn(|i| (-((i as f64 - 3.0) * 0.5).powi(2) / (2.0 * 0.49)).exp() as f32),
+            kernel: kernel(),
         }
     }
 
@@ -396,18 +397,9 @@ impl Painter {
         if even && !self.is_thin(near) {
             return middle.unwrap_or_else(|| self.ground(x, y));
         }
-        // Gaussian of σ 0.7 px at 7 × 7 places.
-        let (mut sum, mut total) = (0.0f32, 0.0f32);
         let ground = self.ground(x, y);
-        for j in -3..=3 {
-            for i in -3..=3 {
-                let (dx, dy) = (f64::from(i) * 0.5, f64::from(j) * 0.5);
-                let w = self.kernel[(i + 3) as usize] * self.kernel[(j + 3) as usize];
-                sum += w * self.tone(x + dx, y + dy, near).unwrap_or(ground);
-                total += w;
-            }
-        }
-        sum / total
+        let shown = |&(dx, dy): &(f64, f64)| self.tone(x + dx, y + dy, near).unwrap_or(ground);
+        self.kernel.iter().map(shown).sum::<f32>() / PLACES as f32
     }
 
     /// Lines thinner than the corners' distance could pass between them.
@@ -458,6 +450,22 @@ impl Painter {
             })
             .collect()
     }
+}
+
+/// Places that a pixel looks at.
+const PLACES: usize = 64;
+
+/// A Gaussian of σ 0.7 px as places that count alike, each with its opposite, on a spiral of the golden angle: the edge
+/// of a straight line, however it lies, passes them one after another. On a lattice it would move by the lattice's step.
+fn kernel() -> [(f64, f64); PLACES] {
+    const SIGMA_PX: f64 = 0.7;
+    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+    std::array::from_fn(|index| {
+        let (k, side) = ((index / 2) as f64, if index % 2 == 0 { 1.0 } else { -1.0 });
+        let radius = side * SIGMA_PX * (-2.0 * (1.0 - 2.0 * (k + 0.5) / PLACES as f64).ln()).sqrt();
+        // Half a turn holds all directions, as each has its opposite.
+        (radius * (0.5 * golden * k).cos(), radius * (0.5 * golden * k).sin())
+    })
 }
 
 #[cfg(test)]

@@ -12,6 +12,8 @@ use autoref_raster::simd::{Kernel, widest};
 
 /// Places drawn per pixel along each axis.
 const FINE: usize = 4;
+/// Parts of a place along each axis, of which a mark may cover some.
+const PARTS: usize = 4;
 /// Blur of scanner and emulsion, pixels. Learned marks have it already.
 const BLUR_PX: f64 = 0.7;
 
@@ -76,19 +78,33 @@ impl Surface {
         let reach = reach_px(model, linear, radius_mm * px_per_mm).map(|px| ((px + 3.0) * FINE as f64).ceil() as usize);
         let (reference, size) = ([reach[0], reach[2]], [reach[0] + reach[1] + 1, reach[2] + reach[3] + 1]);
         let pen = model.pen();
-        let ink = |x: usize, y: usize| {
-            let from = |k: usize, at: usize| (at as f64 - reference[k] as f64) / FINE as f64;
-            let (dx, dy) = (from(0, x), from(1, y));
+        // Fractions of a place from the middle of place (x, y).
+        let point = |x: usize, y: usize, (fx, fy): (f64, f64)| {
+            let from = |k: usize, at: f64| (at - reference[k] as f64) / FINE as f64;
+            let (dx, dy) = (from(0, x as f64 + fx), from(1, y as f64 + fy));
             let (u, v) = (inverse[0] * dx + inverse[1] * dy, inverse[2] * dx + inverse[3] * dy);
             let sample = pen.sample(u, v);
             let known = u * u + v * v <= radius_mm * radius_mm && sample.is_some_and(|(_, w)| w > 0.3);
             (sample.map_or(0.0, |(value, _)| value), known)
         };
+        let ink = |x: usize, y: usize| point(x, y, (0.0, 0.0));
+        // A line that is a quarter of a pixel too wide leaves its edges over, and a fit that trusts edges that fit takes
+        // one of them for the line: what is drawn is how much of each place is covered.
+        let covered = |x: usize, y: usize| {
+            let (value, known) = ink(x, y);
+            let same = |&corner: &(f64, f64)| point(x, y, corner).0 == value;
+            if !model.is_drawn() || [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].iter().all(same) {
+                return (value, known);
+            }
+            let part = |k: usize| (k as f64 + 0.5) / PARTS as f64 - 0.5;
+            let parts = (0..PARTS * PARTS).map(|k| point(x, y, (part(k % PARTS), part(k / PARTS))).0);
+            (parts.sum::<f32>() / (PARTS * PARTS) as f32, known)
+        };
         let even_tells = model.thinnest_mm() * px_per_mm * FINE as f64 >= THICK * LATTICE as f64;
         let drawing = if even_tells {
-            Drawing::by_lattice(size[0], size[1], ink)
+            Drawing::by_lattice(size[0], size[1], covered, ink)
         } else {
-            Drawing::place_by_place(size[0], size[1], ink)
+            Drawing::place_by_place(size[0], size[1], covered)
         };
         let [columns, rows] = size.map(|n| n / FINE + 2);
         let mut surface = Surface {
