@@ -163,10 +163,11 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
             (0..48).map(|i| camera.clone().with(Parameter::F, side * 0.35 * 1.09f64.powi(i))).collect()
         }
     };
+    let judging = judging(seen, options);
     let mut best: Vec<(f64, Camera, Pose)> = Vec::new();
     for camera in &cameras {
         for pose in starts(camera, seen, options) {
-            let score = disagreement(camera, &pose, seen, options);
+            let score = disagreement(camera, &pose, seen, &judging);
             best.push((score, camera.clone(), pose));
         }
     }
@@ -176,7 +177,7 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
     let mut result: Option<(f64, Resection)> = None;
     for (_, camera, pose) in best {
         let Ok(found) = refine(&camera, &pose, seen, options) else { continue };
-        let score = disagreement(&found.camera, &found.pose, seen, options);
+        let score = disagreement(&found.camera, &found.pose, seen, &judging);
         if result.as_ref().is_none_or(|r| score < r.0) {
             result = Some((score, found));
         }
@@ -276,19 +277,29 @@ fn problem(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions,
     }
 }
 
+fn unknowns(options: &ResectOptions) -> usize {
+    6 + usize::from(options.focal == Focal::Sought)
+}
+
+/// How points are judged. A known position may be what is wrong: where the points can do without it, it has no say.
+fn judging(seen: &[Seen], options: &ResectOptions) -> ResectOptions {
+    let counts = 2 * seen.len() < unknowns(options) + 4;
+    ResectOptions { position: options.position.filter(|_| counts), ..options.clone() }
+}
+
 fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Result<Resection> {
     let robust = Options { loss: Loss::Cauchy(2.0), ..Options::default() };
-    let mut at = problem(camera, pose, seen, options, Trust::Robust);
+    let unknowns = unknowns(options);
+    let first = judging(seen, options);
+    let mut position_counts = first.position.is_some() || options.position.is_none();
+    let mut at = problem(camera, pose, seen, &first, Trust::Robust);
     if seen.len() > 3 {
         solve(&mut at, &robust)?;
     }
     let (mut camera, mut pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
-    let unknowns = 6 + usize::from(options.focal == Focal::Sought);
     let mut blunders = far_off(&camera, &pose, seen, options);
     let mut kept: Vec<usize> = (0..seen.len()).filter(|i| !blunders.contains(i)).collect();
     let mut aside = blunders.len();
-    // A known position may be what is wrong: where the points can do without it, they are tested without it.
-    let mut position_counts = options.position.is_none() || 2 * seen.len() < unknowns + 4;
     loop {
         let subset: Vec<Seen> = kept.iter().map(|i| seen[*i].clone()).collect();
         let now = ResectOptions { position: options.position.filter(|_| position_counts), ..options.clone() };
@@ -300,9 +311,22 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         let redundancy = known.saturating_sub(unknowns);
         let sigma0 = (redundancy > 0).then(|| (2.0 * summary.cost / redundancy as f64).sqrt());
         let factored = factor(&at, Loss::Squared);
+        // What was set aside from afar may be right after all.
+        if let Some(f) = factored.as_ref().filter(|_| aside > 0) {
+            let unit = (sigma0.unwrap_or(1.0) / least_share(redundancy)).max(1.0);
+            let right = |i: &usize| off_by(&camera, &pose, f, &seen[*i], options) <= options.critical * unit;
+            let back: Vec<usize> = blunders[..aside].iter().copied().filter(right).collect();
+            blunders.retain(|i| !back.contains(i));
+            aside = 0;
+            if !back.is_empty() {
+                kept.extend(back);
+                kept.sort_unstable();
+                continue;
+            }
+        }
         // The worst normalised residual, as long as the rest still fixes the pose with something to spare, and only
         // where the points are judged: later on, a wrong position would make some of them look wrong.
-        let judged = options.position.is_none() || !position_counts || 2 * seen.len() < unknowns + 4;
+        let judged = options.position.is_none() || !position_counts || first.position.is_some();
         let spare = known >= unknowns + 3 && kept.len() > 4 && judged;
         let left = (2.0 * summary.cost, redundancy);
         let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options, left));
@@ -313,18 +337,6 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
         if !position_counts {
             position_counts = true;
             continue;
-        }
-        // What was set aside from afar may be right after all.
-        if let Some(f) = factored.as_ref().filter(|_| aside > 0) {
-            let right = |i: &usize| agrees(&camera, &pose, f, &seen[*i], options);
-            let back: Vec<usize> = blunders[..aside].iter().copied().filter(right).collect();
-            blunders.retain(|i| !back.contains(i));
-            aside = 0;
-            if !back.is_empty() {
-                kept.extend(back);
-                kept.sort_unstable();
-                continue;
-            }
         }
         let residuals_px: Vec<Option<[f64; 2]>> = seen
             .iter()
@@ -351,8 +363,10 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
 /// Points that lie far from a robust pose: by that of all together, two of ten hide each other.
 fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Vec<usize> {
     /// Times the spread of all, and the share of all that is not too many.
-    const GROSS: f64 = 8.0;
+    const GROSS: f64 = 16.0;
     const MOST: f64 = 0.35;
+    /// More than that many measurements must be left: few points fit many poses.
+    const LEFT: usize = 8;
     let off: Vec<f64> = seen
         .iter()
         .map(|s| {
@@ -365,18 +379,26 @@ fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions)
     // The median length of a normal 2-vector is 1.1774 σ.
     let spread = (sorted[sorted.len() / 2] / 1.1774).max(options.sigma_px);
     let far: Vec<usize> = (0..seen.len()).filter(|i| off[*i] > GROSS * spread).collect();
-    let needed = if options.focal == Focal::Sought { 6 } else { 5 };
-    if far.len() as f64 > MOST * seen.len() as f64 || seen.len() - far.len() < needed { Vec::new() } else { far }
+    let left = 2 * (seen.len() - far.len());
+    let needed = if options.focal == Focal::Sought { 7 + LEFT + 2 } else { 6 + LEFT };
+    if far.len() as f64 > MOST * seen.len() as f64 || left < needed { Vec::new() } else { far }
 }
 
-/// Whether a point that took no part lies where the pose has it, within its deviation.
-fn agrees(
+/// Of so many squares of normal numbers, the root of the share of their expected sum that one set in a hundred does not
+/// reach (Wilson and Hilferty, 1931): points that were chosen because they fit spread less than others.
+fn least_share(redundancy: usize) -> f64 {
+    let ninth = 2.0 / (9.0 * redundancy.max(1) as f64);
+    (1.0 - ninth - 2.326 * ninth.sqrt()).max(0.2).powi(3).sqrt()
+}
+
+/// How far a point that took no part lies from where the pose has it, in standard deviations of both.
+fn off_by(
     camera: &Camera,
     pose: &Pose,
     factored: &crate::bundle::Factored,
     seen: &Seen,
     options: &ResectOptions,
-) -> bool {
+) -> f64 {
     let local = pose.to_camera(&seen.xyz);
     let (at, j) = camera.project_with_jacobian(local.into());
     let j = nalgebra::Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
@@ -388,7 +410,8 @@ fn agrees(
         + Matrix2::identity() * options.sigma_px.powi(2)
         + j * j.transpose() * options.sigma_ground_m.powi(2);
     let v = Vector2::new(at[0] - seen.pixel[0], at[1] - seen.pixel[1]);
-    local.z > 0.0 && q.try_inverse().is_some_and(|inverse| v.dot(&(inverse * v)).sqrt() <= options.critical)
+    let inverse = q.try_inverse().filter(|_| local.z > 0.0);
+    inverse.map_or(f64::INFINITY, |inverse| v.dot(&(inverse * v)).sqrt())
 }
 
 /// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated

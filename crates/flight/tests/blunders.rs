@@ -84,3 +84,25 @@ fn the_wrong_point_is_named() {
     eprintln!("of {trials} wrong points named: {right}, right ones besides: {also}");
     assert!(right * 100 >= trials * 95 && also * 10 <= trials, "{right} {also}");
 }
+
+/// Two of ten hide each other where all are judged together.
+#[test]
+fn several_wrong_points_do_not_hide_each_other() {
+    let mut draw = Draw(5);
+    let (trials, mut right) = (24, 0);
+    for trial in 0..trials {
+        let (camera, mut seen, centre) = set(&mut draw, 10, 0.5);
+        let wrong: Vec<usize> = if trial % 2 == 0 { vec![1, 6] } else { vec![0, 4, 8] };
+        for i in &wrong {
+            let turn = draw.uniform(0.0, std::f64::consts::TAU);
+            seen[*i].pixel[0] += 90.0 * turn.cos();
+            seen[*i].pixel[1] += 90.0 * turn.sin();
+        }
+        let options = ResectOptions { sigma_px: 0.5, ..ResectOptions::default() };
+        let found = resect(&camera, &seen, &options).expect("found");
+        right += usize::from(found.blunders == wrong);
+        let sigma = found.covariance.expect("redundant").diagonal().fixed_rows::<3>(3).sum().sqrt();
+        assert!(found.blunders != wrong || (found.pose.centre - centre).norm() < 5.0 * sigma, "trial {trial}");
+    }
+    assert!(right + 1 >= trials, "{right} of {trials}");
+}

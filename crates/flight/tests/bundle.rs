@@ -279,3 +279,38 @@ fn the_minimum_does_not_depend_on_the_start() {
     }
     assert!(costs.iter().all(|c| (c - costs[0]).abs() < 1e-8 * costs[0]), "{costs:?}");
 }
+
+/// A point that is wrong by more than its neighbours together can hold back, or two whose names were exchanged, bend no
+/// block: they are named, and the cameras stand where they stand without them.
+#[test]
+fn gross_errors_of_precise_points_bend_nothing() {
+    type Fault = fn(&mut [GroundPoint]);
+    let faults: [(&[&str], Fault); 4] = [
+        (&["G3", "G9"], |points| {
+            let other = points[9].xyz;
+            points[9].xyz = std::mem::replace(&mut points[3].xyz, other);
+        }),
+        (&["G4"], |points| points[4].xyz.x += 10_000.0),
+        (&["G5"], |points| points[5].xyz.y -= 400.0),
+        (&["G6"], |points| points[6].seen[0].1[0] += 700.0),
+    ];
+    let mut draw = Draw(91);
+    let (mut model, mut points) = block(&mut draw, 6, 400, 16);
+    points.iter_mut().for_each(|p| p.sigma = Vector3::repeat(0.05));
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.05);
+    let options = AdjustOptions { sigma_image_px: 0.5, interior: Vec::new(), ..AdjustOptions::default() };
+    let clean = adjust(&model, &points, &options).expect("adjusted");
+    assert!(clean.blunders.is_empty(), "{:?}", clean.blunders);
+    for (names, fault) in faults {
+        let mut wrong = points.clone();
+        fault(&mut wrong);
+        let found = adjust(&model, &wrong, &options).expect("adjusted");
+        let mut named: Vec<&str> = found.blunders.iter().map(|b| b.gcp.as_str()).collect();
+        named.sort_unstable();
+        assert_eq!(named, names);
+        for (a, b) in found.photographs.iter().zip(&clean.photographs) {
+            let off = (a.pose.centre - b.pose.centre).norm();
+            assert!(off < 3.0, "{names:?}: {off} m");
+        }
+    }
+}

@@ -139,7 +139,7 @@ impl Labels {
                     reduced.width,
                     reduced.height
                 ),
-                "a teaching mask has the size of its frame",
+                "give a mask of its frame's size",
             ));
         }
         let failed = |e| Error::gdal(path, e);

@@ -1,10 +1,12 @@
 //! What frames say of themselves: whether they can be used, by what camera they were taken, and where.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use autoref_flight::Error;
 use autoref_raster::crs::{Coordinate, Crs};
+use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
@@ -48,6 +50,43 @@ pub fn usable(
         }
     }
     Ok((kept, left_out))
+}
+
+/// The folder from which COLMAP reads the frames: `folder` itself, or one below `out` in which colour frames of more than
+/// eight bits, which COLMAP cannot read, are grey ones of eight, beside links to the others.
+///
+/// # Errors
+/// When a frame cannot be read, or the folder not be written.
+pub fn for_colmap(folder: &Path, names: &[String], out: &Path) -> Result<PathBuf> {
+    let deep_colour = |name: &String| -> Result<bool> {
+        let path = folder.join(name);
+        let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
+        let kind = frame.rasterband(1).with_context(|| format!("{}: cannot be read", path.display()))?.band_type();
+        Ok(frame.raster_count() >= 3 && kind != GdalDataType::UInt8)
+    };
+    let deep: Vec<bool> = names.iter().map(deep_colour).collect::<Result<_>>()?;
+    if !deep.contains(&true) {
+        return Ok(folder.to_path_buf());
+    }
+    let made = out.join("frames_8bit");
+    for (name, deep) in names.iter().zip(deep) {
+        let target = made.join(name);
+        if let Some(parent) = target.parent() {
+            std::fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))?;
+        }
+        autoref_raster::protected::refuse_input(&target)?;
+        match std::fs::remove_file(&target) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io(&target, "replace", e).into()),
+            _ => {}
+        }
+        if deep {
+            // PNG under any name: readers go by what a file begins with.
+            Grey::plain(folder, name, usize::MAX)?.write(&target)?;
+        } else {
+            std::os::unix::fs::symlink(folder.join(name), &target).map_err(|e| Error::io(&target, "link", e))?;
+        }
+    }
+    Ok(made)
 }
 
 /// Focal length and principal point, in pixels, of a frame that `fiducials --resample` made. `camera`: the film camera,

@@ -18,6 +18,8 @@ use super::views::{Interior, Masks, View};
 pub struct Flight<'a> {
     pub project: &'a Project,
     pub folder: &'a Path,
+    /// The same frames as COLMAP can read them.
+    pub colmap_folder: &'a Path,
     pub masks: &'a Masks,
     pub out: &'a Path,
     pub ordered: Vec<&'a str>,
@@ -201,7 +203,7 @@ impl<'a> Flight<'a> {
         let features = stages.run(&format!("{stage}features.db"), &hash.hex(), |part| {
             let mut a = vec![
                 ("database_path", text(part)),
-                ("image_path", text(self.folder)),
+                ("image_path", text(self.colmap_folder)),
                 ("image_list_path", text(&list)),
                 ("ImageReader.single_camera", "1".into()),
                 ("ImageReader.camera_model", "SIMPLE_RADIAL".into()),
@@ -291,7 +293,7 @@ impl<'a> Flight<'a> {
             std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
             let a = [
                 ("database_path", text(matches)),
-                ("image_path", text(self.folder)),
+                ("image_path", text(self.colmap_folder)),
                 ("output_path", text(part)),
                 ("random_seed", project.adjust.seed.to_string()),
                 // More threads change the order of sums, and so the last digits.

@@ -72,6 +72,7 @@ struct Ready<'a> {
     project: Project,
     base: PathBuf,
     frames: OrderedFrames,
+    colmap_folder: PathBuf,
     /// Frames that match the pattern.
     listed: usize,
     /// A line about each frame or mask that is not used.
@@ -126,7 +127,8 @@ impl<'a> Ready<'a> {
                 frames.names.len()
             );
         }
-        Ok(Ready { args, project, base, frames, listed, left_out, out, points, control, record })
+        let colmap_folder = frames::for_colmap(&frames.folder, &frames.names, &out)?;
+        Ok(Ready { args, project, base, frames, colmap_folder, listed, left_out, out, points, control, record })
     }
 
     /// All stages up to the one asked for; what the last of them found.
@@ -136,6 +138,7 @@ impl<'a> Ready<'a> {
         let flight = Flight {
             project,
             folder,
+            colmap_folder: &self.colmap_folder,
             masks,
             out: &self.out,
             ordered: names.iter().map(String::as_str).collect(),

@@ -1,0 +1,279 @@
+//! What files say of their cells is heeded: alpha bands, masks, scale and offset, units; and what is written says it.
+
+use std::path::{Path, PathBuf};
+
+use autoref_elevation::align::{Degree, Method, Outcome};
+use autoref_elevation::compare::CompareJob;
+use autoref_elevation::derive;
+use autoref_elevation::files::{AlignJob, Resources};
+use autoref_elevation::gradient::{self, Picture};
+use autoref_elevation::mosaic::{Choice, MosaicJob};
+use autoref_elevation::resample::Interpolation;
+use gdal::raster::{Buffer, ColorInterpretation, GdalType};
+use gdal::spatial_ref::SpatialRef;
+use gdal::{Dataset, DriverManager};
+
+const SIDE: usize = 120;
+
+fn create<T: GdalType>(path: &Path, size: (usize, usize), bands: usize, crs: &str, transform: [f64; 6]) -> Dataset {
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("a driver");
+    let mut set = driver.create_with_band_type::<T, _>(path, size.0, size.1, bands).expect("a file");
+    set.set_geo_transform(&transform).expect("a place");
+    let reference = SpatialRef::from_definition(crs).expect("PROJ knows it");
+    set.set_spatial_ref(&reference).expect("a CRS");
+    set
+}
+
+fn put<T: GdalType + Copy>(set: &Dataset, band: usize, values: Vec<T>) {
+    let size = set.raster_size();
+    set.rasterband(band).expect("a band").write((0, 0), size, &mut Buffer::new(size, values)).expect("written");
+}
+
+fn read(path: &Path, band: usize) -> Vec<f64> {
+    let set = Dataset::open(path).expect("a raster");
+    let size = set.raster_size();
+    set.rasterband(band).expect("a band").read_as::<f64>((0, 0), size, size, None).expect("values").data().to_vec()
+}
+
+/// Hills, moved by so many cells.
+fn hills(dx: f64, dy: f64) -> Vec<f32> {
+    let height = |x: f64, y: f64| {
+        500.0 + 60.0 * (x / 11.0).sin() * (y / 14.0).cos() + 25.0 * (x / 5.0 + y / 7.0).sin() + 0.4 * x
+    };
+    (0..SIDE * SIDE).map(|i| height((i % SIDE) as f64 + dx, (i / SIDE) as f64 + dy) as f32).collect()
+}
+
+fn model(path: &Path, crs: &str, values: Vec<f32>, step_y: f64) -> PathBuf {
+    let top = if step_y < 0.0 { 8_700_000.0 } else { 8_700_000.0 - SIDE as f64 * step_y };
+    let set = create::<f32>(path, (SIDE, SIDE), 1, crs, [500_000.0, 10.0, 0.0, top, 0.0, step_y]);
+    put(&set, 1, values);
+    path.to_path_buf()
+}
+
+fn resources() -> Resources {
+    Resources { tile_px: None, threads: 2, memory_budget_bytes: 256 << 20 }
+}
+
+fn compare(a: &Path, b: &Path, zones: Option<&Path>, folder: &Path) -> autoref_elevation::compare::Summary {
+    std::fs::create_dir_all(folder).expect("a folder");
+    let job = CompareJob {
+        a,
+        b,
+        zones,
+        resampling: Interpolation::Bilinear,
+        slope_limits: &[0.0, 10.0],
+        within_m: 1.0,
+        outliers: None,
+        resources: resources(),
+    };
+    job.run(folder).expect("compared")
+}
+
+#[test]
+fn scaled_heights_are_heights() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let b = model(&folder.path().join("b.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);
+    let a = folder.path().join("a.tif");
+    let set = create::<i16>(&a, (SIDE, SIDE), 1, "EPSG:32633", [500_000.0, 10.0, 0.0, 8_700_000.0, 0.0, -10.0]);
+    put(&set, 1, hills(0.0, 0.0).iter().map(|z| ((f64::from(*z) + 2.0 - 400.0) / 0.02).round() as i16).collect());
+    let mut band = set.rasterband(1).expect("a band");
+    band.set_scale(0.02).and_then(|()| band.set_offset(400.0)).expect("labelled");
+    drop(set);
+    let found = compare(&a, &b, None, &folder.path().join("c"));
+    assert!((found.mean_m.expect("cells") - 2.0).abs() < 1e-3, "{:?}", found.mean_m);
+}
+
+#[test]
+fn heights_of_a_resampled_model_are_in_the_unit_that_is_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // State plane feet beside UTM metres, around one place of North Carolina.
+    let utm = [500_000.0, 10.0, 0.0, 3_900_000.0, 0.0, -10.0];
+    let b = folder.path().join("b.tif");
+    let set = create::<f32>(&b, (SIDE, SIDE), 1, "EPSG:26917+5703", utm);
+    put(&set, 1, hills(0.0, 0.0));
+    drop(set);
+    let a = folder.path().join("a.tif");
+    let warped = folder.path().join("warped.tif");
+    let options = ["-of", "GTiff", "-t_srs", "EPSG:2264+6360", "-novshift", "-r", "cubic", "-dstnodata", "-9999"];
+    derive::warp(&b, &warped, &options).expect("warped");
+    let (size, transform) = {
+        let set = Dataset::open(&warped).expect("a raster");
+        (set.raster_size(), set.geo_transform().expect("a place"))
+    };
+    let set = create::<f32>(&a, size, 1, "EPSG:2264+6360", transform);
+    set.rasterband(1).expect("a band").set_no_data_value(Some(-9999.0)).expect("labelled");
+    let feet = |z: &f64| if *z == -9999.0 { *z as f32 } else { (*z / 0.304_800_609_6) as f32 };
+    put(&set, 1, read(&warped, 1).iter().map(feet).collect());
+    drop(set);
+    let out = folder.path().join("out.tif");
+    let job = AlignJob {
+        a: &a,
+        b: &b,
+        method: Method::Lzd,
+        surface: Degree::Linear,
+        stable: None,
+        resources: resources(),
+        scratch: None,
+    };
+    let found = job.run().expect("aligned");
+    let Outcome::Aligned(alignment) = &found.outcome else { panic!("{:?}", found.outcome) };
+    found.write(alignment, &out).expect("written");
+    let highest = read(&out, 1).into_iter().fold(f64::MIN, f64::max);
+    assert!((400.0..700.0).contains(&highest), "{highest}");
+    let again = compare(&out, &b, None, &folder.path().join("c"));
+    assert!(again.mean_m.expect("cells").abs() < 1.0, "{:?}", again.mean_m);
+    let difference = Dataset::open(folder.path().join("c/difference.tif")).expect("a raster");
+    assert_eq!(difference.rasterband(1).expect("a band").unit(), "m");
+}
+
+#[test]
+fn cells_count_in_every_zone_that_they_lie_in() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let b = model(&folder.path().join("b.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);
+    let raised = hills(0.0, 0.0).iter().map(|z| z + 3.0).collect();
+    let a = model(&folder.path().join("a.tif"), "EPSG:32633", raised, -10.0);
+    let square = |name: &str, from: f64, to: f64| {
+        let (x0, x1) = (500_000.0 + from, 500_000.0 + to);
+        let (y0, y1) = (8_700_000.0 - to, 8_700_000.0 - from);
+        format!(
+            "{{\"type\":\"Feature\",\"properties\":{{\"name\":\"{name}\"}},\"geometry\":{{\"type\":\"Polygon\",\
+             \"coordinates\":[[[{x0},{y0}],[{x1},{y0}],[{x1},{y1}],[{x0},{y1}],[{x0},{y0}]]]}}}}"
+        )
+    };
+    let zones = folder.path().join("zones.geojson");
+    let crs = "\"crs\":{\"type\":\"name\",\"properties\":{\"name\":\"urn:ogc:def:crs:EPSG::32633\"}}";
+    let features = [square("one", 100.0, 700.0), square("two", 400.0, 900.0), square("far", 5000.0, 6000.0)].join(",");
+    std::fs::write(&zones, format!("{{\"type\":\"FeatureCollection\",{crs},\"features\":[{features}]}}"))
+        .expect("written");
+    let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
+    let counts: Vec<u64> = found.volumes.iter().map(|v| v.n).collect();
+    assert_eq!(counts, [60 * 60, 50 * 50, 0]);
+    assert!((found.volumes[0].volume_m3.expect("cells") - 3.0 * 600.0 * 600.0).abs() < 10.0);
+    assert!(found.volumes[2].volume_m3.is_none() && found.volumes[2].mean_m.is_none(), "nothing is known of it");
+}
+
+#[test]
+fn areas_of_geographic_cells_are_their_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let make = |name: &str, height: f32| {
+        let path = folder.path().join(name);
+        let set = create::<f32>(&path, (60, 60), 1, "EPSG:4326", [10.0, 0.05, 0.0, 80.0, 0.0, -0.05]);
+        // Not flat, so that there is a variogram.
+        put(&set, 1, (0..3600).map(|i| height + ((i * 7919) % 13) as f32 * 1e-3 * height).collect());
+        path
+    };
+    let (a, b) = (make("a.tif", 10.0), make("b.tif", 0.0));
+    let zones = folder.path().join("north.geojson");
+    let ring = "[[10,79.5],[13,79.5],[13,80],[10,80],[10,79.5]]";
+    std::fs::write(
+        &zones,
+        format!(
+            "{{\"type\":\"Feature\",\"properties\":{{\"name\":\"n\"}},\"geometry\":{{\"type\":\"Polygon\",\"coordinates\":[{ring}]}}}}"
+        ),
+    )
+    .expect("written");
+    let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
+    // The zone of the ellipsoid between two parallels (J. P. Snyder, Map projections, 1987, equation 3-12).
+    let (major, flattening) = (6_378_137.0, 1.0 / 298.257_223_563);
+    let e = (flattening * (2.0 - flattening) as f64).sqrt();
+    let q = |degrees: f64| {
+        let s = degrees.to_radians().sin();
+        (1.0 - e * e) * (s / (1.0 - e * e * s * s) - ((1.0 - e * s) / (1.0 + e * s)).ln() / (2.0 * e))
+    };
+    let area: f64 = major * major * 3f64.to_radians() * (q(80.0) - q(79.5)) / 2.0;
+    let volume = &found.volumes[0];
+    assert!((volume.area_m2 / area - 1.0).abs() < 1e-5, "{} of {area}", volume.area_m2);
+    let mean = volume.volume_m3.expect("cells") / volume.area_m2;
+    assert!((mean - volume.mean_m.expect("cells")).abs() < 1e-9 && (10.0..10.13).contains(&mean), "{mean}");
+}
+
+#[test]
+fn aspects_do_not_depend_on_how_rows_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let north_up = model(&folder.path().join("n.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);
+    let turned = hills(0.0, 0.0).chunks_exact(SIDE).rev().flatten().copied().collect();
+    let south_up = model(&folder.path().join("s.tif"), "EPSG:32633", turned, 10.0);
+    assert!(!gradient::needs_true_sides(&north_up, Picture::Aspect).expect("a model"));
+    assert!(gradient::needs_true_sides(&south_up, Picture::Aspect).expect("a model"));
+    let (plain, own) = (folder.path().join("a.tif"), folder.path().join("b.tif"));
+    let drawing = derive::Drawing { kind: "aspect", options: Vec::new(), colours: None };
+    derive::draw(&north_up, &plain, &drawing).expect("drawn");
+    let (kernel, edges) = (gradient::Kernel::Horn, gradient::Edges::LeftOut);
+    gradient::draw(&south_up, &own, Picture::Aspect, kernel, edges, 2).expect("drawn");
+    let (plain, own) = (read(&plain, 1), read(&own, 1));
+    for row in 1..SIDE - 1 {
+        for column in 1..SIDE - 1 {
+            let (a, b) = (plain[row * SIDE + column], own[(SIDE - 1 - row) * SIDE + column]);
+            let apart = (a - b).rem_euclid(360.0);
+            assert!(apart.min(360.0 - apart) < 0.5, "{row} {column}: {a} {b}");
+        }
+    }
+}
+
+#[test]
+fn lines_are_counted_whatever_their_format() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let hills = model(&folder.path().join("b.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);
+    let count = |name: &str| derive::contour(&hills, &folder.path().join(name), 20.0, 0.0).expect("lines");
+    assert!(count("a.gpkg") > 5);
+    assert_eq!(count("b.gpkg"), count("b.geojson"));
+}
+
+fn mosaic(inputs: &[PathBuf], out: &Path) {
+    let job = MosaicJob {
+        inputs,
+        out,
+        choice: Choice::First,
+        resolution: None,
+        resampling: Interpolation::Bilinear,
+        use_index: None,
+        write_index: None,
+        balance: None,
+        balance_to: None,
+        page: None,
+        blend_px: 0,
+        resources: resources(),
+    };
+    job.run().expect("joined");
+}
+
+/// Four bytes a side, one colour; the left half is transparent or masked.
+fn picture(path: &Path, x0: f64, bands: usize, value: u8, half: bool) -> PathBuf {
+    let set = create::<u8>(path, (40, 40), bands, "EPSG:32633", [x0, 1.0, 0.0, 40.0, 0.0, -1.0]);
+    let there = |i: usize| if half && i % 40 < 20 { 0 } else { 255 };
+    for band in 1..=bands {
+        let alpha = bands == 4 && band == 4;
+        put(&set, band, (0..1600).map(|i| if alpha { there(i) } else { value }).collect());
+        if alpha {
+            let mut band = set.rasterband(band).expect("a band");
+            band.set_color_interpretation(ColorInterpretation::AlphaBand).expect("labelled");
+        }
+    }
+    if bands == 3 {
+        set.rasterband(1).expect("a band").create_mask_band(true).expect("a mask");
+        let band = set.rasterband(1).expect("a band");
+        let mut mask = band.open_mask_band().expect("a mask");
+        mask.write((0, 0), (40, 40), &mut Buffer::new((40, 40), (0..1600).map(there).collect())).expect("written");
+    }
+    path.to_path_buf()
+}
+
+#[test]
+fn what_is_transparent_or_masked_never_wins() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("mosaic.tif");
+    for bands in [3, 4] {
+        let first = picture(&folder.path().join(format!("a{bands}.tif")), 0.0, bands, 50, true);
+        let second = picture(&folder.path().join(format!("b{bands}.tif")), 10.0, bands, 90, false);
+        mosaic(&[first, second], &out);
+        let values = read(&out, 1);
+        // Of the first only its right half; before the second begins there is nothing.
+        let at = |x: usize| values[5 * 50 + x];
+        assert_eq!([at(15), at(25), at(45)], [90.0, 50.0, 90.0], "{bands} bands");
+        let joined = Dataset::open(&out).expect("a raster");
+        let band = joined.rasterband(1).expect("a band");
+        let mask = band.open_mask_band().expect("a mask").read_as::<u8>((0, 0), (50, 40), (50, 40), None);
+        let mask = mask.expect("values").data().to_vec();
+        assert_eq!([mask[5 * 50 + 4], mask[5 * 50 + 15], mask[5 * 50 + 45]], [0, 255, 255], "{bands} bands");
+    }
+}
