@@ -174,8 +174,8 @@ fn areas_of_geographic_cells_are_their_own() {
     .expect("written");
     let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
     // The zone of the ellipsoid between two parallels (J. P. Snyder, Map projections, 1987, equation 3-12).
-    let (major, flattening) = (6_378_137.0, 1.0 / 298.257_223_563);
-    let e = (flattening * (2.0 - flattening) as f64).sqrt();
+    let (major, flattening): (f64, f64) = (6_378_137.0, 1.0 / 298.257_223_563);
+    let e = (flattening * (2.0 - flattening)).sqrt();
     let q = |degrees: f64| {
         let s = degrees.to_radians().sin();
         (1.0 - e * e) * (s / (1.0 - e * e * s * s) - ((1.0 - e * s) / (1.0 + e * s)).ln() / (2.0 * e))

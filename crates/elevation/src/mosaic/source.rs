@@ -195,16 +195,12 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
     format!("{year:04}{month:02}{day:02}")
 }
 
-/// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
-pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
-    if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
-        return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
-    }
-    let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
-    let Some(first) = sources.first() else { return Err(Error::usage("no raster was named", "name at least one")) };
-    let (bands, kind, wkt) = (first.bands, first.kind, first.wkt.clone());
-    let reference = crate::crs::Crs::parse(&wkt).ok();
-    for source in &sources {
+/// All sources need one form: bands, sample type, scale, palette and CRS.
+fn check_alike(sources: &[Source]) -> Result<()> {
+    let Some(head) = sources.first() else { return Err(Error::usage("no raster was named", "name at least one")) };
+    let (bands, kind, wkt) = (head.bands, head.kind, &head.wkt);
+    let reference = crate::crs::Crs::parse(wkt).ok();
+    for source in sources {
         if source.bands != bands || source.kind != kind {
             let what = format!(
                 "{} bands of {}, while {} has {bands} of {}",
@@ -235,7 +231,7 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
                 "bring them to colours with gdal_translate -expand rgb",
             ));
         }
-        let same = source.wkt == wkt
+        let same = source.wkt == *wkt
             || crate::crs::Crs::parse(&source.wkt).ok().map(|c| c.label())
                 == reference.as_ref().map(crate::crs::Crs::label);
         if !same {
@@ -256,6 +252,16 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
             });
         }
     }
+    Ok(())
+}
+
+/// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
+pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
+    if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
+        return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
+    }
+    let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
+    check_alike(&sources)?;
     let origin = sources[0].grid;
     let (step_x, step_y) = resolution.map_or((origin.step_x, origin.step_y), |r| (r, -r));
     let bounds = sources

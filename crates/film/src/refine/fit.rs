@@ -115,7 +115,7 @@ impl<const L: usize> Part<L> {
     fn changes(&self, mut gain: [f32; L]) -> [f32; L] {
         for i in 0..L {
             let (x, y) = (self.mark[1][i], self.mark[2][i]);
-            gain[i] *= gain[i] * (x * x + y * y);
+            gain[i] = gain[i] * gain[i] * (x * x + y * y);
         }
         gain
     }

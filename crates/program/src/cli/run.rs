@@ -15,7 +15,7 @@ use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
 use autoref_stream::matching::diagnosis::Diagnosis;
-use autoref_stream::matching::{Effort, Evidence, Pattern};
+use autoref_stream::matching::{Effort, Evidence, Pattern, Priors, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{ColourSearch, MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{FoundMark, Job, Orientation, Outcome, Refine, Run, georeference};
@@ -184,18 +184,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         looked = looked.again(args.second_pass, &learned, &in_any_hue)?;
     }
     let Looked { mut run, second, colours } = looked;
-    let known = diagnosis::known_place(info, &list);
-    tracing::info_span!("gross-error diagnosis").in_scope(|| {
-        diagnosis::examine(
-            &mut run.outcome,
-            &run.scan.candidates,
-            &list,
-            &priors[0],
-            known,
-            (&args.matching, &time_limit),
-            &args.gcps.working_crs.force,
-        );
-    });
+    diagnose(args, &mut run, &list, (info, &priors[0]), &time_limit);
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates.clone());
     if let (Outcome::Solved(orientation), Some(solved)) = (&run.outcome, document.result.solved_mut()) {
         solved.not_found = reasons(Some(source.as_ref()), orientation, &list.gcps, &run.scan.candidates)?;
@@ -221,6 +210,21 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// Looks for gross errors of the list.
+fn diagnose(
+    args: &RunArgs,
+    run: &mut Run,
+    list: &GcpList,
+    (info, priors): (&RasterInfo, &Priors),
+    time_limit: &TimeLimit,
+) {
+    let known = diagnosis::known_place(info, list);
+    let (matching, forced) = ((&args.matching, time_limit), &args.gcps.working_crs.force);
+    tracing::info_span!("gross-error diagnosis").in_scope(|| {
+        diagnosis::examine(&mut run.outcome, &run.scan.candidates, list, priors, known, matching, forced);
+    });
 }
 
 /// Adds what the search over colours found, and what is unusual about a picture that was refused.
