@@ -17,7 +17,7 @@ use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, solve,
 };
 use crate::camera::{Camera, Parameter};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::intersect::intersect_seen;
 use crate::pose::Pose;
 use crate::read::Reconstruction;
@@ -135,7 +135,8 @@ const SCREENINGS: usize = 5;
 /// Adjusts.
 ///
 /// # Errors
-/// When the datum is not fixed: fewer than three GCPs seen in two photographs each and no rough poses.
+/// When the datum is not fixed: fewer than three GCPs seen in two photographs each and no rough poses. When the block
+/// collapses: a focal length that is not positive.
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
     let mut notes = model.notes.clone();
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
@@ -190,6 +191,12 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
         notes.push(
             "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),
         );
+    }
+    if let Some(camera) = problem.cameras.iter().map(|c| &c.camera).find(|c| c.f_px().is_nan() || c.f_px() <= 0.0) {
+        return Err(Error::no_result(
+            format!("the block collapses: its focal length would be {:.0} px", camera.f_px()),
+            "check the coordinates and the CRS of the table and of the list, and the focal length",
+        ));
     }
     notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
     let end = End { problem, factored, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };

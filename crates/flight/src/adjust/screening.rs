@@ -23,6 +23,8 @@ pub(super) struct Screened {
 /// is, bent.
 pub(super) const GROSS: f64 = 8.0;
 pub(super) const MONSTROUS: f64 = 50.0;
+/// Times the spread within which rays of one point meet.
+const MEET: f64 = 4.0;
 /// Of more of the measurements nothing says that it is they that are wrong.
 const MOST: f64 = 0.4;
 /// GCPs that fix a block.
@@ -60,9 +62,11 @@ impl Screened {
             if far.is_empty() {
                 continue;
             }
-            let elsewhere = own.len() >= 2
-                && far.len() == own.len()
-                && rays_meet(problem, &own, times * spread.max(problem.observations[own[0].index].sigma_px));
+            // With what was set aside of it before: a wrong survey shows in one image after another.
+            let mut all: Vec<Observation> = own.iter().map(|s| problem.observations[s.index]).collect();
+            all.extend(self.images.iter().filter(|o| o.point == point));
+            let whole = far.len() == own.len() || all.len() >= 3;
+            let elsewhere = all.len() >= 2 && whole && rays_meet(problem, &all, MEET * spread.max(all[0].sigma_px));
             if elsewhere { surveys.push(point) } else { images.extend(far.iter().map(|s| s.index)) }
         }
         let touched = |s: &&Seen| surveys.contains(&s.point) || images.contains(&s.index);
@@ -72,11 +76,14 @@ impl Screened {
         if wrong == 0 || wrong as f64 > MOST * seen.len() as f64 || left.len() < FEWEST {
             return false;
         }
-        for point in surveys {
-            self.surveys.extend(problem.points[point].survey.take().map(|survey| (point, survey)));
-        }
         images.sort_unstable();
         self.images.extend(images.into_iter().rev().map(|index| problem.observations.remove(index)));
+        for point in surveys {
+            self.surveys.extend(problem.points[point].survey.take().map(|survey| (point, survey)));
+            let (right, others) = self.images.iter().partition(|o| o.point == point);
+            self.images = others;
+            problem.observations.extend::<Vec<Observation>>(right);
+        }
         true
     }
 
@@ -146,12 +153,11 @@ fn measured(problem: &Problem, ties: usize) -> Vec<Seen> {
 }
 
 /// Whether the rays of measurements meet, to so many pixels.
-fn rays_meet(problem: &Problem, seen: &[&Seen], most_px: f64) -> bool {
+fn rays_meet(problem: &Problem, seen: &[Observation], most_px: f64) -> bool {
     let cameras: Vec<_> = problem.cameras.iter().map(|c| c.camera.clone()).collect();
-    let of = |s: &&Seen| &problem.observations[s.index];
     let poses: Vec<(usize, Pose)> =
-        seen.iter().map(|s| (problem.frames[of(s).frame].camera, problem.frames[of(s).frame].pose)).collect();
-    let pixels: Vec<[f64; 2]> = seen.iter().map(|s| of(s).pixel).collect();
+        seen.iter().map(|o| (problem.frames[o.frame].camera, problem.frames[o.frame].pose)).collect();
+    let pixels: Vec<[f64; 2]> = seen.iter().map(|o| o.pixel).collect();
     let Some(at) = intersect(&cameras, &poses, &pixels) else { return false };
     poses.iter().zip(&pixels).all(|((camera, pose), pixel)| {
         let local = pose.to_camera(&at);

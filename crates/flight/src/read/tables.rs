@@ -278,6 +278,17 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
     Ok((crs.filter(|_| !heading), points))
 }
 
+/// Whether a list begins as OpenDroneMap's do: a CRS alone in its first line, and under it nothing, or rows that go on
+/// behind three coordinates.
+pub fn begins_as_image_points(text: &str) -> bool {
+    let mut lines =
+        text.trim_start_matches('\u{feff}').lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#'));
+    let Some(first) = lines.next().map(str::to_lowercase) else { return false };
+    let alone =
+        first == "local" || first.starts_with("epsg:") || first.starts_with("+proj") || first.starts_with("wgs84");
+    alone && lines.next().is_none_or(|row| split(row).len() >= 5)
+}
+
 fn split(line: &str) -> Vec<String> {
     let at_tabs = fields(line, Some('\t'));
     if at_tabs.len() >= 5 {

@@ -188,6 +188,16 @@ fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
 
 fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
+    let sigmas = [
+        ("sigma-tie", args.sigma_tie),
+        ("sigma-image", Some(args.points.sigma_image)),
+        ("sigma-ground", args.points.sigma_ground),
+        ("sigma-position", Some(args.sigma_position)),
+        ("sigma-direction", Some(args.sigma_direction)),
+    ];
+    if let Some((name, _)) = sigmas.iter().find(|(_, sigma)| sigma.is_some_and(|s| s.is_nan() || s <= 0.0)) {
+        bail!("--{name}: a positive number is expected");
+    }
     let model = read::reconstruction(&args.reconstruction)?;
     let control = args.points.load(Some(&model))?;
     let notes = control.notes(&model, &args.points, &args.reconstruction)?;

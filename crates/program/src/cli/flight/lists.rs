@@ -318,7 +318,11 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
         return of_opensfm(list, model);
     }
-    if let Ok((line, measured)) = tables::image_points(list)
+    let measured = match tables::image_points(list) {
+        Err(error) if tables::begins_as_image_points(&start) => return Err(error.into()),
+        other => other,
+    };
+    if let Ok((line, measured)) = measured
         && measured.iter().all(|p| p.xyz.is_some())
     {
         let stated = match (stated, line, crs) {
