@@ -112,8 +112,8 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         Resampled { source, target, x, y, interpolation, voids: Voids::Spread }
     }
 
-    /// The same, with single cells without a height bridged: places nearest to one have no height, but others do, though
-    /// they are interpolated from it.
+    /// The same, with single cells without a height bridged: places nearest to one have no height, but others do,
+    /// though they are interpolated from it.
     pub fn mended(self) -> Self {
         Resampled { voids: Voids::Mended, ..self }
     }

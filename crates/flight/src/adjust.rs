@@ -153,8 +153,8 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     let dropped_ties = world.ties.len() - ties;
     let tie_observations = problem.observations.iter().filter(|o| o.point < ties).count();
 
-    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested; what is
-    // grossly wrong with them goes before.
+    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested;
+    // what is grossly wrong with them goes before.
     for o in &mut problem.observations {
         o.trust = Trust::Robust;
     }

@@ -22,10 +22,10 @@ pub(super) fn score_block_px(grid: &Grid) -> u64 {
 
 /// The covariance of the parameters from what each block of cells moves the solution by (the sandwich of P. Huber, *The
 /// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals
-/// that hang together within a block count as what they are. A block moves it by what the others say without it (R. Bell
-/// and D. McCaffrey, *Bias reduction in standard errors for linear regression with multi-stage samples*, 2002), so that
-/// steep ground in a few blocks is not taken for certain. What hangs together over the blocks' borders is added from
-/// neighbours; blocks are doubled while that shows more than chance does.
+/// that hang together within a block count as what they are. A block moves it by what the others say without it (R.
+/// Bell and D. McCaffrey, *Bias reduction in standard errors for linear regression with multi-stage samples*, 2002), so
+/// that steep ground in a few blocks is not taken for certain. What hangs together over the blocks' borders is added
+/// from neighbours; blocks are doubled while that shows more than chance does.
 pub(super) fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
     const FEWEST: usize = 40;
     let (first, n, parameters) = (free.first(), free.count(), sums.parameters());

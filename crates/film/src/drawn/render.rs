@@ -456,7 +456,8 @@ impl Painter {
 const PLACES: usize = 64;
 
 /// A Gaussian of σ 0.7 px as places that count alike, each with its opposite, on a spiral of the golden angle: the edge
-/// of a straight line, however it lies, passes them one after another. On a lattice it would move by the lattice's step.
+/// of a straight line, however it lies, passes them one after another. On a lattice it would move by the lattice's
+/// step.
 fn kernel() -> [(f64, f64); PLACES] {
     const SIGMA_PX: f64 = 0.7;
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());

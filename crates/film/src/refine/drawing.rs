@@ -39,7 +39,8 @@ impl Drawing {
         Drawing { width, height, values, known, squares, uneven: vec![true; squares * rows] }
     }
 
-    /// The same for shapes with edges but no finer detail, where `ink` and `point` agree but at edges; `point` is quick.
+    /// The same for shapes with edges but no finer detail, where `ink` and `point` agree but at edges; `point` is
+    /// quick.
     pub fn by_lattice(
         width: usize,
         height: usize,

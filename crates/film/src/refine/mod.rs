@@ -260,8 +260,8 @@ mod tests {
         assert!(off < 0.25, "{off} px");
     }
 
-    /// A line of two pixels has edges that a picture drawn place by place would move by an eighth of one. The blur is not quite the
-    /// model's.
+    /// A line of two pixels has edges that a picture drawn place by place would move by an eighth of one. The blur is
+    /// not quite the model's.
     #[test]
     fn thin_crosses_lie_where_they_are() {
         let model = Model::Drawn(MarkKind::Cross { arm_mm: 0.9, line_mm: 0.06, gap_mm: 0.0, lines_deg: 0.0 });

@@ -88,8 +88,8 @@ impl Surface {
             (sample.map_or(0.0, |(value, _)| value), known)
         };
         let ink = |x: usize, y: usize| point(x, y, (0.0, 0.0));
-        // A line that is a quarter of a pixel too wide leaves its edges over, and a fit that trusts edges that fit takes
-        // one of them for the line: what is drawn is how much of each place is covered.
+        // A line that is a quarter of a pixel too wide leaves its edges over, and a fit that trusts edges that fit
+        // takes one of them for the line: what is drawn is how much of each place is covered.
         let covered = |x: usize, y: usize| {
             let (value, known) = ink(x, y);
             let same = |&corner: &(f64, f64)| point(x, y, corner).0 == value;

@@ -19,8 +19,8 @@ pub(super) struct Screened {
     images: Vec<Observation>,
 }
 
-/// Times the spread of all that is grossly wrong in a block that was adjusted robustly, and in one that was placed as it
-/// is, bent.
+/// Times the spread of all that is grossly wrong in a block that was adjusted robustly, and in one that was placed as
+/// it is, bent.
 pub(super) const GROSS: f64 = 8.0;
 pub(super) const MONSTROUS: f64 = 50.0;
 /// Times the spread within which rays of one point meet.

@@ -107,7 +107,8 @@ impl Crs {
         Ok(way.accuracy)
     }
 
-    /// The operation for points around these, to be used many times: PROJ's search for it takes far longer than its use.
+    /// The operation for points around these, to be used many times: PROJ's search for it takes far longer than its
+    /// use.
     ///
     /// # Errors
     /// When PROJ knows no operation that is good enough with the grids that are installed.

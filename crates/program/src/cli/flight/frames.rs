@@ -52,8 +52,8 @@ pub fn usable(
     Ok((kept, left_out))
 }
 
-/// The folder from which COLMAP reads the frames: `folder` itself, or one below `out` in which colour frames of more than
-/// eight bits, which COLMAP cannot read, are grey ones of eight, beside links to the others.
+/// The folder from which COLMAP reads the frames: `folder` itself, or one below `out` in which colour frames of more
+/// than eight bits, which COLMAP cannot read, are grey ones of eight, beside links to the others.
 ///
 /// # Errors
 /// When a frame cannot be read, or the folder not be written.
