@@ -192,30 +192,31 @@ fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
     assert!(old.share() > 0.5 && new.share() > old.share(), "{old:?} {new:?}");
 }
 
-/// The other kinds; how their frames are turned is given, since their positions are symmetric.
-fn other_kind(camera: &str, pixel_um: f64, mark_count: u64) {
+/// The other kinds. Drawn pictures and the finder's own drawing of a mark share no lattice: of marks without an image
+/// in them nothing but grain is left. How their frames are turned is given, since their positions are symmetric.
+fn other_kind(camera: &str, pixel_um: f64, mark_count: u64, most_rmse_px: f64) {
     let frames = if large() { 1_000 / mark_count + 25 } else { 4 };
     let t = trial(camera, pixel_um, frames, &FindOptions::default());
     assert_eq!(t.unflagged, 0, "{camera}");
     assert!(t.share() >= 0.995, "{camera}: {t:?}");
-    assert!(t.rmse_px() <= 0.3, "{camera}: {t:?}");
+    assert!(t.rmse_px() <= most_rmse_px, "{camera}: {t:?}");
 }
 
 #[test]
 fn ring_crosses_are_found() {
-    other_kind("wild-15-4", 42.0, 8);
+    other_kind("wild-15-4", 42.0, 8, 0.06);
 }
 
 #[test]
 fn crosses_are_found() {
-    other_kind("rmk-cross", 30.0, 4);
-    other_kind("arc-cross", 25.0, 4);
+    other_kind("rmk-cross", 30.0, 4, 0.06);
+    other_kind("arc-cross", 25.0, 4, 0.06);
 }
 
 #[test]
 fn dots_are_found() {
-    other_kind("rmk-dot", 30.0, 4);
-    other_kind("corner-dot-ring", 30.0, 4);
+    other_kind("rmk-dot", 30.0, 4, 0.06);
+    other_kind("corner-dot-ring", 30.0, 4, 0.06);
 }
 
 /// A quarter of a pixel from being cut: decimated pictures of the mark reach beyond the scan's edge there.
@@ -238,7 +239,7 @@ fn whole_marks_at_the_edge_of_the_scan_are_found() {
 
 #[test]
 fn notches_are_found() {
-    other_kind("side-notch", 40.0, 4);
+    other_kind("side-notch", 40.0, 4, 0.3);
 }
 
 #[test]

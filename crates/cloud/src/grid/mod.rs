@@ -224,6 +224,30 @@ pub struct GridReport {
     pub seconds: f64,
 }
 
+/// Refuses a grid whose planes the disk does not hold: one point far away is enough for that.
+fn check_scratch(path: &Path, frame: &Frame, options: &Options, dimensions: usize) -> Result<()> {
+    const VALUE_BYTES: u64 = 8;
+    let cells = (frame.columns as u64).saturating_mul(frame.rows as u64);
+    let planes = (dimensions * (1 + options.stats.len())) as u64;
+    let needed = cells.saturating_mul(planes * VALUE_BYTES);
+    match autoref_raster::free_disk_bytes(&options.scratch) {
+        Some(free) if needed > free => Err(Error::usage(
+            format!(
+                "{}: {} × {} cells of {} m would take {:.0} GB of scratch data; {} has {:.0} GB free",
+                path.display(),
+                frame.columns,
+                frame.rows,
+                frame.cell_m,
+                needed as f64 / 1e9,
+                options.scratch.display(),
+                free as f64 / 1e9
+            ),
+            "raise --cell, or take out points that lie far away (cloud clean --crop)",
+        )),
+        _ => Ok(()),
+    }
+}
+
 /// Reads all points of a cloud in map coordinates; answers how many were left out.
 fn each_point(
     path: &Path,
@@ -451,6 +475,7 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
         remedy: "raise --cell or --memory, or clean the cloud first".into(),
     };
     let frame = Frame::new(min, max, options.cell_m, options.manner).ok_or_else(|| too_wide(u64::MAX))?;
+    check_scratch(path, &frame, options, sources.len())?;
     let budget = options.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20);
     let cell_bytes = Strip::cell_bytes(&options.stats) * sources.len() as u64;
     let row_bytes = frame.columns as u64 * cell_bytes;

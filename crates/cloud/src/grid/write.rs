@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::Crs;
-use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
 use super::plane::Plane;
@@ -121,7 +121,12 @@ impl Grid<'_> {
     fn write(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
         let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
         let plain = path.with_extension("plain.tif");
-        let made = self.write_plain(&plain, bands).and_then(|()| {
+        // Places and times need more digits than a single has.
+        let made = match self.dimension {
+            "x" | "y" | "gps_time" => self.write_plain::<f64>(&plain, bands, |value| value),
+            _ => self.write_plain::<f32>(&plain, bands, |value| value as f32),
+        };
+        let made = made.and_then(|()| {
             let cog = DriverManager::get_driver_by_name("COG").map_err(failed)?;
             let source = Dataset::open(&plain).map_err(failed)?;
             let settings = RasterCreationOptions::from_iter([
@@ -137,14 +142,19 @@ impl Grid<'_> {
         made
     }
 
-    fn write_plain(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
+    fn write_plain<T: GdalType + Copy>(
+        &self,
+        path: &Path,
+        bands: &[(Content, String)],
+        cast: impl Fn(f64) -> T,
+    ) -> Result<()> {
         let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
         let settings =
             RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
         let (columns, rows) = (self.frame.columns, self.frame.rows);
         let mut file = driver
-            .create_with_band_type_with_options::<f32, _>(path, columns, rows, bands.len(), &settings)
+            .create_with_band_type_with_options::<T, _>(path, columns, rows, bands.len(), &settings)
             .map_err(failed)?;
         let cell = self.frame.cell_m;
         file.set_geo_transform(&[self.frame.west, cell, 0.0, self.frame.north, 0.0, -cell]).map_err(failed)?;
@@ -160,8 +170,8 @@ impl Grid<'_> {
             for begin in (0..rows).step_by(ROWS) {
                 let count = ROWS.min(rows - begin);
                 let values = self.rows(content, begin, count).map_err(|e| scratch(self.options, e))?;
-                let values: Vec<f32> =
-                    values.into_iter().map(|value| if value.is_nan() { NODATA as f32 } else { value as f32 }).collect();
+                let values: Vec<T> =
+                    values.into_iter().map(|value| cast(if value.is_nan() { NODATA } else { value })).collect();
                 let mut buffer = Buffer::new((columns, count), values);
                 band.write((0, begin as isize), (columns, count), &mut buffer).map_err(failed)?;
             }

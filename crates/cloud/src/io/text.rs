@@ -1,4 +1,5 @@
-//! Tables of text: x, y, z and further columns, separated by blanks, tabs, commas or semicolons.
+//! Tables of text: x, y, z and further columns, separated by semicolons, tabs, commas or blanks, whichever comes first
+//! in this order; beside semicolons and tabs a comma is a decimal one.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -25,11 +26,19 @@ struct TextReader {
 /// Calls `take` with each word of a line, up to the first that it does not take.
 fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> Option<()> {
     let mut bare = |word: &'a str| take(word.trim_matches('"'));
-    if line.contains(',') || line.contains(';') {
-        line.split([',', ';']).try_for_each(|word| bare(word.trim()))
-    } else {
-        line.split_whitespace().try_for_each(bare)
+    match [';', '\t', ','].into_iter().find(|cut| line.contains(*cut)) {
+        // Tables in columns have blanks beside their tabs.
+        Some('\t') => line.split('\t').map(str::trim).filter(|word| !word.is_empty()).try_for_each(|word| {
+            if word.contains(' ') { word.split_whitespace().try_for_each(&mut bare) } else { bare(word) }
+        }),
+        Some(cut) => line.split(cut).try_for_each(|word| bare(word.trim())),
+        None => line.split_whitespace().try_for_each(bare),
     }
+}
+
+/// The number that a word is.
+fn number(word: &str) -> Option<f64> {
+    word.parse().ok().or_else(|| word.contains(',').then(|| word.replacen(',', ".", 1).parse().ok()).flatten())
 }
 
 fn words(line: &str) -> Vec<&str> {
@@ -45,7 +54,7 @@ fn words(line: &str) -> Vec<&str> {
 fn numbers(line: &str, raw: &mut Vec<u8>) -> Option<usize> {
     let mut count = 0;
     each_word(line, |word| {
-        raw.extend_from_slice(&word.parse::<f64>().ok()?.to_le_bytes());
+        raw.extend_from_slice(&number(word)?.to_le_bytes());
         count += 1;
         Some(())
     })?;
@@ -103,7 +112,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         };
         let text = text.trim_start_matches('#').trim();
         let row = words(text);
-        if row.iter().all(|word| word.parse::<f64>().is_ok()) {
+        if row.iter().all(|word| number(word).is_some()) {
             // PTS files begin with the number of points.
             if row.len() == 1 && names.is_none() && row[0].parse::<u64>().is_ok() {
                 continue;
@@ -112,11 +121,16 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             line = before.1;
             break row.len();
         }
-        if names.is_some() || row.len() < 3 || row.iter().any(|word| word.parse::<f64>().is_ok()) {
+        if names.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
             let what = format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z");
             return Err(Error::format(path, format!("line {line}"), what));
         }
-        names = Some(row.iter().map(|word| word.to_ascii_lowercase()).collect());
+        // What noise is told by, under the names that tables give it.
+        let named = |word: &&str| match word.to_ascii_lowercase().as_str() {
+            "class" | "scalar_classification" => "classification".to_string(),
+            other => other.to_string(),
+        };
+        names = Some(row.iter().map(named).collect());
     };
     if !(3..=MOST_COLUMNS).contains(&columns) {
         return Err(Error::format(
@@ -180,7 +194,7 @@ impl PointReader for TextReader {
 /// What is wrong with a row.
 fn mistake(text: &str, columns: usize) -> String {
     let row = words(text);
-    match row.iter().find(|word| word.parse::<f64>().is_err()) {
+    match row.iter().find(|word| number(word).is_none()) {
         Some(word) if row.len() == columns => format!("`{word}` is no number"),
         _ => format!("{} values, the lines before have {columns}", row.len()),
     }
