@@ -23,6 +23,17 @@ pub struct Room<'a> {
     pub scratch: Option<&'a Path>,
 }
 
+impl Room<'_> {
+    /// A file without a name for so many bytes: it goes when the program does. `None` where there is no folder, no room
+    /// or more than `most_bytes` to keep.
+    pub(crate) fn file(&self, bytes: u64, most_bytes: u64) -> Option<File> {
+        let folder = self.scratch?;
+        // Others need the disk too.
+        let free = autoref_raster::free_disk_bytes(folder).unwrap_or(0);
+        if bytes > most_bytes.min(free / 2) { None } else { tempfile::tempfile_in(folder).ok() }
+    }
+}
+
 /// Larger copies are not made on disk.
 const MOST_BYTES: u64 = 16 << 30;
 
@@ -60,9 +71,8 @@ impl Kept {
         if cells(source) <= room.held_cells {
             return Ok(Held::of(source, cut)?.map(Kept::InMemory));
         }
-        let Some(folder) = room.scratch else { return Ok(None) };
         for number in [Number::Single, Number::Double] {
-            match Spooled::of(source, folder, number, cut)? {
+            match Spooled::of(source, room, number, cut)? {
                 Copied::Whole(spooled) => return Ok(Some(Kept::OnDisk(spooled))),
                 Copied::NoRoom => return Ok(None),
                 Copied::Rounded => {}
@@ -197,15 +207,10 @@ pub struct Spooled {
 }
 
 impl Spooled {
-    fn of(source: &dyn Heights, folder: &Path, number: Number, cut: stream::Means) -> Result<Copied> {
+    fn of(source: &dyn Heights, room: &Room<'_>, number: Number, cut: stream::Means) -> Result<Copied> {
         let grid = source.grid();
         let bytes = cells(source).saturating_mul(number.bytes() as u64);
-        // Others need the disk too.
-        let free = autoref_raster::free_disk_bytes(folder).unwrap_or(0);
-        if bytes > MOST_BYTES.min(free / 2) {
-            return Ok(Copied::NoRoom);
-        }
-        let Ok(file) = tempfile::tempfile_in(folder) else { return Ok(Copied::NoRoom) };
+        let Some(file) = room.file(bytes, MOST_BYTES) else { return Ok(Copied::NoRoom) };
         let spooled = Spooled { grid, number, file };
         let tiles = cut.tiles(grid.width, grid.height);
         let start = || (Vec::new(), Vec::new(), State::Good);

@@ -1,7 +1,7 @@
 //! What the first pass saw of each cell, kept for the others: in memory or on disk.
 //!
-//! Statistics take two further passes and the variogram a part of one. They need no model any more, and neither is
-//! decoded, resampled or derived again.
+//! Statistics take two further passes and the variogram a part of one. Where there is room they need no model any more,
+//! and neither is decoded, resampled or derived again.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -81,12 +81,8 @@ impl Recorder {
         let store = if bytes / 4 <= room.held_cells {
             Store::Memory(Mutex::new(vec![Record::NONE; cells as usize]))
         } else {
-            let file = room.scratch.and_then(|folder| {
-                // Others need the disk too.
-                let free = autoref_raster::free_disk_bytes(folder).unwrap_or(0);
-                (bytes <= MOST_BYTES.min(free / 2)).then(|| tempfile::tempfile_in(folder).ok()).flatten()
-            });
-            file.map_or(Store::None, |file| Store::Disk { file, failed: AtomicBool::new(false) })
+            room.file(bytes, MOST_BYTES)
+                .map_or(Store::None, |file| Store::Disk { file, failed: AtomicBool::new(false) })
         };
         Recorder { store, width: grid.width }
     }
@@ -123,16 +119,16 @@ impl Recorder {
 
     /// All cells, once each window was put.
     pub(super) fn finish<'a>(self, scan: &'a Scan<'a>) -> Observed<'a> {
-        let kept = match self.store {
-            Store::Memory(all) => Kept::Memory(all.into_inner().unwrap_or_else(PoisonError::into_inner)),
-            Store::Disk { file, failed } if !failed.load(Ordering::Relaxed) => Kept::Disk(file),
-            Store::Disk { .. } | Store::None => Kept::Nothing,
+        let records = match self.store {
+            Store::Memory(all) => Records::Memory(all.into_inner().unwrap_or_else(PoisonError::into_inner)),
+            Store::Disk { file, failed } if !failed.load(Ordering::Relaxed) => Records::Disk(file),
+            Store::Disk { .. } | Store::None => Records::Nothing,
         };
-        Observed { scan, kept }
+        Observed { scan, records }
     }
 }
 
-enum Kept {
+enum Records {
     Memory(Vec<Record>),
     Disk(File),
     Nothing,
@@ -141,13 +137,13 @@ enum Kept {
 /// All cells of a comparison.
 pub(super) struct Observed<'a> {
     pub(super) scan: &'a Scan<'a>,
-    kept: Kept,
+    records: Records,
 }
 
 impl Observed<'_> {
     /// All common cells of a window, row by row: what [`Scan::cells`] showed.
     pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell<'_>)) -> Result<()> {
-        if matches!(self.kept, Kept::Nothing) {
+        if matches!(self.records, Records::Nothing) {
             return self.scan.cells(window, buffers, see);
         }
         let (grid, columns) = (&self.scan.grid, window.width as usize);
@@ -157,9 +153,9 @@ impl Observed<'_> {
                 self.scan.mark_zones(window.x, y, columns, &mut buffers.zones);
             }
             let from = y * grid.width + window.x;
-            let row = match &self.kept {
-                Kept::Memory(all) => &all[from as usize..from as usize + columns],
-                Kept::Disk(file) => {
+            let row = match &self.records {
+                Records::Memory(all) => &all[from as usize..from as usize + columns],
+                Records::Disk(file) => {
                     buffers.bytes.resize(columns * RECORD_BYTES, 0);
                     file.read_exact_at(&mut buffers.bytes, from * RECORD_BYTES as u64)
                         .map_err(|e| Error::io(Path::new("the differences kept on disk"), "read", e))?;
@@ -167,7 +163,7 @@ impl Observed<'_> {
                     buffers.records.extend(buffers.bytes.as_chunks::<RECORD_BYTES>().0.iter().map(Record::get));
                     &buffers.records
                 }
-                Kept::Nothing => &[],
+                Records::Nothing => &[],
             };
             for (column, record) in row.iter().enumerate() {
                 if !record.difference.is_nan() {

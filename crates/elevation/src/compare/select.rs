@@ -105,7 +105,7 @@ pub fn distributions<S: Send>(
             sorted[first..end].iter().map(|&(number, count)| (numbers.value(number as u32, centre), count)).collect();
         plan.as_ref().map_or_else(
             || Distribution { quantiles: vec![f64::NAN; shares.len()], median: f64::NAN, median_distance: f64::NAN },
-            |plan| plan.solve(&values, centre),
+            |plan| plan.solve(&values),
         )
     };
     Ok((plans.iter().enumerate().map(of_group).collect(), states))
@@ -218,7 +218,7 @@ impl Plan {
     }
 
     /// From the wanted values in their order, each with how often it came.
-    fn solve(&self, values: &[(f64, u64)], centre: f32) -> Distribution {
+    fn solve(&self, values: &[(f64, u64)]) -> Distribution {
         debug_assert_eq!(self.spans.iter().map(|s| s.1).sum::<u64>(), values.iter().map(|v| v.1).sum::<u64>());
         // Rank of the first value of a kind among the wanted ones.
         let ranks: Vec<u64> = values
@@ -257,7 +257,7 @@ impl Plan {
             f64::NAN
         };
         let median_distance = self.median.between(distance_at);
-        debug_assert!(median_distance.is_finite(), "about {centre}");
+        debug_assert!(median_distance.is_finite(), "half of the values are counted");
         Distribution { quantiles, median, median_distance }
     }
 }

@@ -147,8 +147,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let f = fields(line, cut);
         let value = |i: usize| -> Result<Option<f64>> {
             let Some(text) = at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
-            let number = text.parse::<f64>().or_else(|_| text.replace(',', ".").parse());
-            number.ok().filter(|v: &f64| v.is_finite()).map(Some).ok_or_else(|| {
+            decimal(text).map(Some).ok_or_else(|| {
                 Error::format(path, format!("row {row}"), format!("`{text}` is no number for {}", COLUMNS[i].0))
             })
         };
@@ -199,7 +198,7 @@ const CHECK_PREFIX: &str = "CHK-";
 fn name_and_role(name: &str, role: &str) -> (String, bool) {
     const CHECKS: [&str; 6] = ["check", "checkpoint", "3dcheckpoint", "cp", "kontrollpunkt", "kontroll"];
     let role: String = role.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect();
-    let prefixed = name.strip_prefix(CHECK_PREFIX);
+    let prefixed = name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty());
     (prefixed.unwrap_or(name).to_string(), prefixed.is_some() || CHECKS.contains(&role.as_str()))
 }
 
@@ -302,12 +301,14 @@ fn column_at(heads: &[String], i: usize) -> Option<usize> {
     heads.iter().position(|h| COLUMNS[i].1.contains(&h.as_str()))
 }
 
+/// A finite number, its decimals after a point or a comma.
+fn decimal(text: &str) -> Option<f64> {
+    text.parse().or_else(|_| text.replacen(',', ".", 1).parse()).ok().filter(|v: &f64| v.is_finite())
+}
+
 fn number(path: &Path, row: usize, f: &[String], c: usize) -> Result<f64> {
     let text = f.get(c).map_or("", String::as_str);
-    text.parse::<f64>()
-        .or_else(|_| text.replacen(',', ".", 1).parse())
-        .ok()
-        .filter(|v| v.is_finite())
+    decimal(text)
         .ok_or_else(|| Error::format(path, format!("row {row}"), format!("`{text}` in column {} is no number", c + 1)))
 }
 
