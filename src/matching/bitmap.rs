@@ -14,10 +14,11 @@ const NEEDLESS_LOOK: f64 = 0.03;
 pub(super) struct Bitmap {
     pub radius_px: f64,
     /// A multiplication costs less than a division; building and asking use the same one, so that no cell is missed.
-    cells_per_px: f64,
-    columns: usize,
+    pub cells_per_px: f64,
+    pub columns: usize,
     origin: PixelPoint,
-    bits: Vec<u64>,
+    /// Row by row, and one empty word.
+    pub bits: Vec<u64>,
 }
 
 impl Bitmap {
@@ -55,7 +56,7 @@ impl Bitmap {
             cells_per_px: 1.0 / cell_px,
             columns,
             origin: field.origin(),
-            bits: vec![0; (columns * rows).div_ceil(64)],
+            bits: vec![0; (columns * rows).div_ceil(64) + 1],
         };
         for p in field.points() {
             let (x, y) = (p.x - bitmap.origin.x, p.y - bitmap.origin.y);

@@ -117,7 +117,7 @@ impl Search<'_> {
 }
 
 /// 1σ of a coordinate, pixels, from the squares of the residuals.
-fn root_mean_square(similarity: &Similarity, pairs: &[Pair]) -> f64 {
+pub(super) fn root_mean_square(similarity: &Similarity, pairs: &[Pair]) -> f64 {
     let square = |pair: &Pair| {
         let p = similarity.invert(pair.map);
         (p.x - pair.pixel.x).powi(2) + (p.y - pair.pixel.y).powi(2)

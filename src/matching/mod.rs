@@ -35,6 +35,7 @@ mod explain;
 mod far;
 pub mod field;
 mod grow;
+mod looks;
 mod mirrored;
 mod names;
 mod rivals;
@@ -42,6 +43,7 @@ pub mod robust;
 mod screening;
 mod search;
 mod settle;
+mod sharpen;
 mod time_limit;
 pub mod tpp;
 

@@ -12,7 +12,7 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
-use crate::matching::search::Search;
+use crate::matching::search::{GcpPair, Search};
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
 
@@ -205,6 +205,19 @@ impl Found {
         }
     }
 
+    /// The pattern that would be believed, without marks that stand beside their points.
+    fn sharpen(&mut self, search: &Search, pairs: &[GcpPair], limit: f64) {
+        let believed = self.best.as_ref().filter(|best| best.log10_false_alarms <= limit);
+        let Some(sharper) = believed.and_then(|best| search.sharper(best, pairs, self.effort.hypotheses_possible))
+        else {
+            return;
+        };
+        if self.runner_up.as_ref().is_some_and(|other| search.same_claim(other, &sharper)) {
+            self.runner_up = None;
+        }
+        self.best = Some(sharper);
+    }
+
     pub fn take(&mut self, pattern: Pattern, search: &Search) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
@@ -325,6 +338,7 @@ impl RobustMatcher {
         }
         // A rival that takes the first place must answer the same questions.
         for _ in 0..MOST_CHALLENGES {
+            found.sharpen(&search, &pairs, limit);
             let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
             let (rivals, tried) = search.rivals(&best, &pairs, (done, found.effort.hypotheses_tried));
             found.effort.hypotheses_tried += tried;

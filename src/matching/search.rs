@@ -10,6 +10,7 @@ use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::evidence::{CLOSEST_PX, LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
+use crate::matching::looks::Looking;
 use crate::matching::names::Names;
 use crate::matching::screening::Screening;
 use autoref_raster::coords::{MapPoint, PixelPoint};
@@ -23,7 +24,7 @@ const SEARCH_TOLERANCE_PX: (f64, f64) = (1.5, 5.0);
 /// How often a chance candidate may lie within the tolerance: where they crowd, the tolerance gives way.
 const CHANCE_HIT: f64 = 0.02;
 /// Hypotheses of one GCP pair that are refined.
-const REFINED_PER_PAIR: usize = 6;
+pub(super) const REFINED_PER_PAIR: usize = 6;
 /// From so many candidates on, pairs of GCPs are weighed before they are tried.
 const CROWD: usize = 3000;
 /// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
@@ -61,19 +62,37 @@ impl GcpPair {
 
 /// What a hypothesis must hit to be scored.
 #[derive(Clone, Copy)]
-struct Demand {
-    fewest: usize,
-    first_looks: usize,
+pub(super) struct Demand {
+    pub fewest: usize,
+    pub first_looks: usize,
+}
+
+/// From the first GCP of a pair to the second, metres.
+#[derive(Clone, Copy)]
+pub(super) struct Span {
+    east: f64,
+    north: f64,
+    square: f64,
+}
+
+impl Span {
+    /// The factor z of pixels = from + z · (map offset), real and imaginary part: z = (to − from) / (b − a), with up
+    /// along the imaginary axis.
+    #[inline(always)]
+    pub fn factor(self, from: PixelPoint, to: PixelPoint) -> (f64, f64) {
+        let (x, y) = (to.x - from.x, -(to.y - from.y));
+        ((x * self.east + y * self.north) / self.square, (y * self.east - x * self.north) / self.square)
+    }
 }
 
 /// Another GCP as seen from a pair: its offset from `a`, and tolerance.
 #[derive(Clone, Copy)]
-struct Target {
+pub(super) struct Target {
     gcp: usize,
-    east: f64,
-    north: f64,
+    pub east: f64,
+    pub north: f64,
     radius_px: f64,
-    bitmap: usize,
+    pub bitmap: usize,
 }
 
 #[derive(Clone, Copy)]
@@ -85,7 +104,7 @@ pub(super) struct Hypothesis {
 
 pub(super) struct Search<'a> {
     pub field: Field,
-    bitmaps: Vec<Bitmap>,
+    pub(super) bitmaps: Vec<Bitmap>,
     pub gcps: &'a [MapPoint],
     priors: &'a Priors,
     pub log10_tests: f64,
@@ -240,7 +259,8 @@ impl<'a> Search<'a> {
         let (mut telling, rest): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| {
             let surprise = |t: &Target| -(-(-density * std::f64::consts::PI * t.radius_px * t.radius_px).exp_m1()).ln();
             // Less what choosing the hits costs, and a fifth for marks that are covered.
-            let worth: f64 = self.targets(pair).iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
+            let worth: f64 =
+                self.targets(pair, self.tolerance_px).iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
             worth > pair.cost.max(1.0).ln()
         });
         telling.extend(rest);
@@ -251,8 +271,19 @@ impl<'a> Search<'a> {
     /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks`
     /// see [`Screening`].
     pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, u64) {
-        let targets = self.targets(pair);
-        let fewest = self.fewest_hits(&targets);
+        self.try_pair_within(self.tolerance_px, pair, first_looks, budget)
+    }
+
+    /// The same with another tolerance for the error of one mark, pixels.
+    pub fn try_pair_within(
+        &self,
+        tolerance_px: f64,
+        pair: &GcpPair,
+        first_looks: usize,
+        budget: u64,
+    ) -> (Vec<Hypothesis>, u64) {
+        let targets = self.targets(pair, tolerance_px);
+        let fewest = self.fewest_hits(&targets, tolerance_px);
         if targets.len() < fewest {
             return (Vec::new(), 0);
         }
@@ -294,7 +325,7 @@ impl<'a> Search<'a> {
         let from = self.field.points()[i];
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            if i != j && self.allows(j, pair.b) && self.turn_and_scale(pair, from, to).is_some() {
+            if i != j && self.allows(j, pair.b) && self.may_span(pair, from, to) {
                 visit(j, to);
             }
         });
@@ -302,17 +333,20 @@ impl<'a> Search<'a> {
 
     /// The same with no other points than these at the two ends of the pair.
     pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize]) -> (Vec<Hypothesis>, u64) {
-        let targets = self.targets(pair);
-        let demand = Demand { fewest: self.fewest_hits(&targets), first_looks: Screening::EVERY_LOOK };
+        let targets = self.targets(pair, self.tolerance_px);
+        let demand =
+            Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks: Screening::EVERY_LOOK };
         let (mut all, mut tried) = (Vec::new(), 0);
         for (&i, &j) in points.iter().flat_map(|i| points.iter().map(move |j| (i, j))).filter(|(i, j)| i != j) {
             if !self.allows(i, pair.a) || !self.allows(j, pair.b) {
                 continue;
             }
             let (from, to) = (self.field.points()[i], self.field.points()[j]);
-            let Some(z) = self.turn_and_scale(pair, from, to) else { continue };
+            if !self.may_span(pair, from, to) {
+                continue;
+            }
             tried += 1;
-            let score = self.verify((i, j), z, &targets, demand);
+            let score = self.verify((i, j), self.span(pair).factor(from, to), &targets, demand);
             all.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
         }
         keep_best(&mut all);
@@ -320,7 +354,7 @@ impl<'a> Search<'a> {
     }
 
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
-    fn targets(&self, pair: &GcpPair) -> Vec<Target> {
+    fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
         let density = self.field.points().len() as f64 / self.field.area_px2();
         // Farther from the pair than the image is long it cannot be in the image.
@@ -330,7 +364,7 @@ impl<'a> Search<'a> {
             .filter_map(|k| {
                 let gcp = self.gcps[k];
                 let (east, north) = (gcp.easting - a.easting, gcp.northing - a.northing);
-                let radius_px = self.tolerance_px * spread_from_pair(a, b, gcp);
+                let radius_px = tolerance_px * spread_from_pair(a, b, gcp);
                 let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
                 let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
                 (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
@@ -347,10 +381,10 @@ impl<'a> Search<'a> {
     }
 
     /// Fewer further hits than this could never be believed, however close they are.
-    fn fewest_hits(&self, targets: &[Target]) -> usize {
+    fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
         let density = self.field.points().len() as f64 / self.field.area_px2();
         let closest = |t: &Target| {
-            let radius = t.radius_px / self.tolerance_px * CLOSEST_PX;
+            let radius = t.radius_px / tolerance_px * CLOSEST_PX;
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
         };
         let probabilities: Vec<f64> = targets.iter().map(closest).collect();
@@ -366,46 +400,41 @@ impl<'a> Search<'a> {
             return (Vec::new(), 0);
         }
         let from = self.field.points()[i];
-        let mut best = Vec::new();
         let mut tried = 0;
         // Most points have no second end at all.
         let in_reach = OnceCell::new();
+        let mut looking = None;
         let (left, right, up, down) = self.sector(pair);
         self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            let Some(z) = self.turn_and_scale(pair, from, to).filter(|_| i != j && self.allows(j, pair.b)) else {
+            if i == j || !self.allows(j, pair.b) || !self.may_span(pair, from, to) {
                 return;
-            };
+            }
             let targets = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
             if targets.len() < demand.fewest {
                 return;
             }
             tried += 1;
-            if let Some(score) = self.verify((i, j), z, targets, demand) {
-                best.push(Hypothesis { score, i: i as u32, j: j as u32 });
-                if best.len() >= 4 * REFINED_PER_PAIR {
-                    keep_best(&mut best);
-                }
-            }
+            looking.get_or_insert_with(|| Looking::new(self, pair, demand, i)).take(targets, j);
         });
-        keep_best(&mut best);
+        let best = looking.zip(in_reach.get()).map_or_else(Vec::new, |(looking, targets)| looking.best(targets));
         (best, tried)
     }
 
-    /// The factor z of pixels = from + z · (map offset), real and imaginary part, when the priors allow it:
-    /// z = (to − from) / (b − a).
+    /// Whether the priors allow points at these places to be a pair.
     #[inline]
-    fn turn_and_scale(&self, pair: &GcpPair, from: PixelPoint, to: PixelPoint) -> Option<(f64, f64)> {
+    fn may_span(&self, pair: &GcpPair, from: PixelPoint, to: PixelPoint) -> bool {
         let (low, high) = pair.reach_px;
-        let (x, y) = (to.x - from.x, -(to.y - from.y));
+        let (x, y) = (to.x - from.x, to.y - from.y);
         let d2 = x * x + y * y;
-        if d2 < low * low || d2 > high * high {
-            return None;
-        }
+        d2 >= low * low
+            && d2 <= high * high
+            && (self.priors.rotation_deg.is_none() || self.turned_right(self.span(pair).factor(from, to)))
+    }
+
+    pub(super) fn span(&self, pair: &GcpPair) -> Span {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
-        let (de, dn) = (b.easting - a.easting, b.northing - a.northing);
-        let square = de * de + dn * dn;
-        let (z_re, z_im) = ((x * de + y * dn) / square, (y * de - x * dn) / square);
-        self.turned_right(z_re, z_im).then_some((z_re, z_im))
+        let (east, north) = (b.easting - a.easting, b.northing - a.northing);
+        Span { east, north, square: east * east + north * north }
     }
 
     /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale
@@ -449,7 +478,7 @@ impl<'a> Search<'a> {
     }
 
     /// Whether the rotation prior allows map → pixel factor z; the image's rotation is its negative.
-    fn turned_right(&self, z_re: f64, z_im: f64) -> bool {
+    fn turned_right(&self, (z_re, z_im): (f64, f64)) -> bool {
         self.priors.rotation_deg.is_none_or(|(centre, half)| {
             let rotation = (-z_im).atan2(z_re).to_degrees();
             let off = (rotation - centre).rem_euclid(360.0);
@@ -460,8 +489,13 @@ impl<'a> Search<'a> {
     /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all
     /// GCPs into one clump.
-    #[inline]
-    fn verify(&self, ends: (usize, usize), z: (f64, f64), targets: &[Target], demand: Demand) -> Option<f64> {
+    pub(super) fn verify(
+        &self,
+        ends: (usize, usize),
+        z: (f64, f64),
+        targets: &[Target],
+        demand: Demand,
+    ) -> Option<f64> {
         let Demand { fewest, first_looks } = demand;
         let from = self.field.points()[ends.0];
         let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
@@ -496,7 +530,7 @@ impl<'a> Search<'a> {
     }
 }
 
-fn keep_best(hypotheses: &mut Vec<Hypothesis>) {
+pub(super) fn keep_best(hypotheses: &mut Vec<Hypothesis>) {
     // A total order, so that the result does not depend on which thread came first.
     hypotheses.sort_by(|s, t| t.score.total_cmp(&s.score).then((s.i, s.j).cmp(&(t.i, t.j))));
     hypotheses.truncate(REFINED_PER_PAIR);

@@ -1,0 +1,198 @@
+//! Many hypotheses about one pair of GCPs at once: which of them may hit as many others as they must.
+//!
+//! A hypothesis is dropped after a few looks into bitmaps. One at a time most of that is waiting for branches; here a
+//! look is taken for several hypotheses together, without a branch. It answers as [`may_hold`](crate::matching::bitmap::Bitmap::may_hold) does, so what it
+//! drops would be dropped anyway.
+
+use crate::matching::search::{Demand, GcpPair, Hypothesis, REFINED_PER_PAIR, Search, Span, Target, keep_best};
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::simd::{Kernel, widest};
+
+/// Hypotheses that a look is taken for together.
+const LANES: usize = 8;
+/// Hypotheses of a batch.
+const BATCH: usize = 64;
+
+/// Hypotheses with one first end on their way through the looks: the first few, all, and the nearest candidates.
+pub(super) struct Looking<'s> {
+    fresh: Batch,
+    later: Later<'s>,
+}
+
+impl<'s> Looking<'s> {
+    /// With point `i` at the first end of the pair.
+    pub fn new(search: &'s Search<'s>, pair: &GcpPair, demand: Demand, i: usize) -> Self {
+        let view = View { search, span: search.span(pair), i };
+        Looking { fresh: Batch::new(), later: Later { view, demand, noticed: Batch::new(), best: Vec::new() } }
+    }
+
+    /// The hypothesis with point `j` at the second end.
+    #[inline]
+    pub fn take(&mut self, targets: &[Target], j: usize) {
+        if self.later.demand.first_looks >= targets.len() {
+            self.later.take(targets, j);
+        } else if self.fresh.push(j) == BATCH {
+            self.first_looks(targets);
+        }
+    }
+
+    #[inline(never)]
+    fn first_looks(&mut self, targets: &[Target]) {
+        let Looking { fresh, later } = self;
+        let view = later.view;
+        fresh.drain_noticed(&view, &targets[..later.demand.first_looks], 1, |j| later.take(targets, j));
+    }
+
+    /// The most surprising of all that were taken, best first.
+    pub fn best(mut self, targets: &[Target]) -> Vec<Hypothesis> {
+        if self.fresh.len > 0 {
+            self.first_looks(targets);
+        }
+        self.later.all_looks(targets);
+        keep_best(&mut self.later.best);
+        self.later.best
+    }
+}
+
+/// What the first looks left.
+struct Later<'s> {
+    view: View<'s>,
+    demand: Demand,
+    noticed: Batch,
+    best: Vec<Hypothesis>,
+}
+
+impl Later<'_> {
+    #[inline]
+    fn take(&mut self, targets: &[Target], j: usize) {
+        if self.noticed.push(j) == BATCH {
+            self.all_looks(targets);
+        }
+    }
+
+    #[inline(never)]
+    fn all_looks(&mut self, targets: &[Target]) {
+        let Later { view, demand, noticed, best } = self;
+        let View { search, span, i } = *view;
+        let points = search.field.points();
+        noticed.drain_noticed(view, targets, demand.fewest, |j| {
+            let z = span.factor(points[i], points[j]);
+            if let Some(score) = search.verify((i, j), z, targets, *demand) {
+                best.push(Hypothesis { score, i: i as u32, j: j as u32 });
+                if best.len() >= 4 * REFINED_PER_PAIR {
+                    keep_best(best);
+                }
+            }
+        });
+    }
+}
+
+/// Second ends that wait for a look.
+struct Batch {
+    len: usize,
+    ends: [u32; BATCH],
+}
+
+impl Batch {
+    fn new() -> Batch {
+        Batch { len: 0, ends: [0; BATCH] }
+    }
+
+    /// Adds one; gives how many there are.
+    ///
+    /// # Panics
+    /// When the batch is full.
+    #[inline]
+    fn push(&mut self, end: usize) -> usize {
+        self.ends[self.len] = end as u32;
+        self.len += 1;
+        self.len
+    }
+
+    /// Empties the batch; calls `each` with the second ends of the hypotheses of which at least `fewest` of these
+    /// targets may have a candidate, in their order.
+    #[inline(always)]
+    fn drain_noticed(&mut self, view: &View<'_>, targets: &[Target], fewest: usize, mut each: impl FnMut(usize)) {
+        let counts = widest(Looks { view, targets, batch: self });
+        for (end, count) in self.ends[..self.len].iter().zip(counts) {
+            if count as usize >= fewest {
+                each(*end as usize);
+            }
+        }
+        self.len = 0;
+    }
+}
+
+/// The field as seen from point `i` at the first end of a pair.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    search: &'a Search<'a>,
+    span: Span,
+    i: usize,
+}
+
+/// Counts of each hypothesis the targets that may have a candidate.
+struct Looks<'a> {
+    view: &'a View<'a>,
+    targets: &'a [Target],
+    batch: &'a Batch,
+}
+
+/// From here on doubles are whole numbers, and the lower half of their bits says which.
+const INTEGERS: f64 = (1u64 << 52) as f64;
+
+/// The whole number below; also where processors have no instruction for it.
+#[inline(always)]
+fn floor(v: f64) -> f64 {
+    let nearest = (v + INTEGERS) - INTEGERS;
+    nearest - if nearest > v { 1.0 } else { 0.0 }
+}
+
+impl Kernel for Looks<'_> {
+    type Output = [u32; BATCH];
+
+    #[inline(always)]
+    fn run(self) -> [u32; BATCH] {
+        let Looks { view: View { search, span, i }, targets, batch } = self;
+        let (field, points) = (&search.field, search.field.points());
+        let (from, origin) = (points[*i], field.origin());
+        let (right, bottom) = (origin.x + field.width_px, origin.y + field.height_px);
+        let mut counts = [0u32; BATCH];
+        for (ends, counts) in
+            batch.ends[..batch.len.next_multiple_of(LANES)].chunks_exact(LANES).zip(counts.chunks_exact_mut(LANES))
+        {
+            let (mut x_px, mut y_px) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                let to = points[ends[lane] as usize];
+                (x_px[lane], y_px[lane]) = (to.x, to.y);
+            }
+            let (mut z_re, mut z_im) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                let to = PixelPoint { x: x_px[lane], y: y_px[lane] };
+                (z_re[lane], z_im[lane]) = span.factor(from, to);
+            }
+            for target in targets {
+                let bitmap = &search.bitmaps[target.bitmap];
+                let (cells_per_px, columns, words) = (bitmap.cells_per_px, bitmap.columns as f64, &bitmap.bits[..]);
+                // The last word of a bitmap is empty.
+                let (last, nowhere) = (words.len() - 1, (words.len() * 64 - 1) as f64);
+                let mut bits = [0u32; LANES];
+                for lane in 0..LANES {
+                    let (re, im) = (z_re[lane], z_im[lane]);
+                    let x = from.x + re * target.east - im * target.north;
+                    let y = from.y - (re * target.north + im * target.east);
+                    let inside = (x >= origin.x) & (y >= origin.y) & (x <= right) & (y <= bottom);
+                    let column = floor((x - origin.x) * cells_per_px);
+                    let row = floor((y - origin.y) * cells_per_px);
+                    let bit = if inside { row * columns + column } else { nowhere };
+                    bits[lane] = (bit + INTEGERS).to_bits() as u32;
+                }
+                for lane in 0..LANES {
+                    let word = words[(bits[lane] as usize / 64).min(last)];
+                    counts[lane] += (word >> (bits[lane] % 64)) as u32 & 1;
+                }
+            }
+        }
+        counts
+    }
+}
