@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
+use super::figure::{Figure, figure};
 use super::fit::Fit;
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
@@ -88,9 +89,23 @@ pub fn examine(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
+    match figure_of(region, pixels, classifier, profile) {
+        Figure::Is(candidate) => return Some(*candidate),
+        Figure::Elsewhere => return None,
+        Figure::No => {}
+    }
     let patch = near(pixels, region);
     let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
     examine_whole(&scene, pixels, region, classifier, profile, gates)
+}
+
+/// Whether a region is a painted figure, or a part of one.
+pub(super) fn figure_of(region: &Region, pixels: &dyn Pixels, classifier: &Classifier, profile: &Profile) -> Figure {
+    if profile.examine.centre != CentreMode::Fit || profile.filters != Filters::default() {
+        return Figure::No;
+    }
+    let patch = pixels.whole();
+    Scene::new(region, &patch, classifier, true).map_or(Figure::No, |scene| figure(&scene, profile))
 }
 
 /// The same for a region whose scene is there.
@@ -393,7 +408,7 @@ pub fn measure(
 
 /// 98 % of the marks that the look at the ring misses stand out more, and 85 % of what has a mark's colour but is none
 /// less.
-const LEAST_CONTRAST: f64 = 4.0;
+pub(super) const LEAST_CONTRAST: f64 = 4.0;
 
 /// Turned down, though it stands out a little.
 fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> bool {

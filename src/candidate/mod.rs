@@ -17,6 +17,7 @@ pub(crate) mod descent;
 mod drawn;
 mod even;
 pub mod examine;
+mod figure;
 pub mod fit;
 pub mod gates;
 mod jpeg_fit;

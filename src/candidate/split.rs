@@ -4,7 +4,8 @@
 //! region goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine_part, examine_whole, measure_scene, near};
+use super::examine::{examine_part, examine_whole, figure_of, measure_scene, near};
+use super::figure::Figure;
 use super::gates::Gates;
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
@@ -28,6 +29,11 @@ pub fn examine_parts(
     profile: &Profile,
     gates: &Gates,
 ) -> Vec<Candidate> {
+    match figure_of(region, pixels, classifier, profile) {
+        Figure::Is(candidate) => return vec![*candidate],
+        Figure::Elsewhere => return Vec::new(),
+        Figure::No => {}
+    }
     let inner = near(pixels, region);
     let Some(scene) = Scene::new(region, &inner, classifier, true) else { return Vec::new() };
     let single = gates.single(region);

@@ -568,3 +568,34 @@ fn six_of_twenty_in_a_corner() {
         assert!(score.right * 50 >= 49 * score.trials, "{score:?}");
     }
 }
+
+/// Two to four marks stand beside their points among six or more that stand on them: the sharp pattern is taken, not the
+/// loose one of all.
+#[test]
+fn a_few_marks_beside_their_points() {
+    for (what, seed, scale_known) in [("a few beside their points", 21, true), ("the same without a scale", 22, false)]
+    {
+        let score = run(what, seed, 40, |random| {
+            let (exact, beside) = (6 + random.below(7), 2 + random.below(3));
+            let beside = beside.min(exact - 4);
+            let clutter = random.below(4);
+            let usual = usual(random, exact, 22 - exact, clutter);
+            let gcps = list(usual.listed.clone());
+            let off: Vec<PixelPoint> = usual.points[exact..exact + beside]
+                .iter()
+                .map(|p| {
+                    let (angle, by_px) = (random.uniform(0.0, std::f64::consts::TAU), random.uniform(6.0, 30.0));
+                    shifted(p, by_px * angle.cos(), by_px * angle.sin())
+                })
+                .collect();
+            let marks = usual.marks();
+            let shown: Vec<PixelPoint> = marks.iter().chain(&off).copied().collect();
+            let mut case = usual.case(random, gcps, &[]);
+            case.candidates.extend(seen(random, &shown, 0.04));
+            let gsd_m_per_px = case.priors.gsd_m_per_px.filter(|_| scale_known);
+            Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, allowed_px: 1.0, ..case }
+        });
+        assert_eq!((score.wrong, score.astray), (0, 0));
+        assert!(score.right * 50 >= 49 * score.trials, "{score:?}");
+    }
+}

@@ -56,18 +56,22 @@ pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     crate::kdtree::distance2(a, b).sqrt()
 }
 
-/// Rings, counted by the even-odd rule: holes are rings inside others.
+/// A closed line of corners.
+pub type Ring = Vec<[f64; 2]>;
+
+/// Areas, which may overlap: a place inside any of them is inside. The rings of one count by the even-odd rule: holes
+/// are rings inside others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
-    rings: Vec<Vec<[f64; 2]>>,
+    areas: Vec<Vec<Ring>>,
     min: [f64; 2],
     max: [f64; 2],
 }
 
 impl Polygon {
-    pub fn new(rings: Vec<Vec<[f64; 2]>>) -> Polygon {
-        let mut polygon = Polygon { rings, min: [f64::INFINITY; 2], max: [f64::NEG_INFINITY; 2] };
-        for corner in polygon.rings.iter().flatten() {
+    pub fn new(areas: Vec<Vec<Ring>>) -> Polygon {
+        let mut polygon = Polygon { areas, min: [f64::INFINITY; 2], max: [f64::NEG_INFINITY; 2] };
+        for corner in polygon.areas.iter().flatten().flatten() {
             for axis in 0..2 {
                 polygon.min[axis] = polygon.min[axis].min(corner[axis]);
                 polygon.max[axis] = polygon.max[axis].max(corner[axis]);
@@ -76,22 +80,18 @@ impl Polygon {
         polygon
     }
 
-    /// Whether a ray towards the east crosses the rings an odd number of times.
+    /// Whether a ray towards the east crosses the rings of an area an odd number of times.
     pub fn contains(&self, place: [f64; 2]) -> bool {
         let [x, y] = place;
         if x < self.min[0] || x > self.max[0] || y < self.min[1] || y > self.max[1] {
             return false;
         }
-        let mut inside = false;
-        for ring in &self.rings {
+        let crossed = |ring: &Ring| {
             let ends = ring.iter().zip(ring.iter().cycle().skip(1)).take(ring.len());
-            for (a, b) in ends {
-                if (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0] {
-                    inside = !inside;
-                }
-            }
-        }
-        inside
+            ends.filter(|(a, b)| (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0])
+                .count()
+        };
+        self.areas.iter().any(|rings| rings.iter().map(crossed).sum::<usize>() % 2 == 1)
     }
 }
 
@@ -110,7 +110,14 @@ mod tests {
     #[test]
     fn holes_are_outside() {
         let square = |low: f64, high: f64| vec![[low, low], [high, low], [high, high], [low, high]];
-        let polygon = Polygon::new(vec![square(0.0, 10.0), square(4.0, 6.0)]);
+        let polygon = Polygon::new(vec![vec![square(0.0, 10.0), square(4.0, 6.0)]]);
         assert!(polygon.contains([1.0, 5.0]) && !polygon.contains([5.0, 5.0]) && !polygon.contains([11.0, 5.0]));
+    }
+
+    #[test]
+    fn a_place_in_two_areas_is_inside() {
+        let square = |low: f64, high: f64| vec![[low, low], [high, low], [high, high], [low, high]];
+        let polygon = Polygon::new(vec![vec![square(0.0, 4.0)], vec![square(2.0, 6.0)]]);
+        assert!([1.0, 3.0, 5.0].iter().all(|&at| polygon.contains([at, at])) && !polygon.contains([1.0, 5.0]));
     }
 }

@@ -56,7 +56,7 @@ pub fn check_heights(model: &Path) -> Result<()> {
 /// # Errors
 /// GDAL's own words, when it cannot.
 pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
-    let dataset = crate::model::open_dataset(model)?;
+    let dataset = crate::model::open_heights(model)?;
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
@@ -197,7 +197,7 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
         return Err(Error::usage("--interval is no positive length", "give the height between two lines"));
     }
     let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
-    let source = crate::model::open_dataset(model)?;
+    let source = crate::model::open_heights(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     let driver = DriverManager::get_driver_by_name(line_driver(out)?).map_err(failed)?;
     let mut dataset = driver.create_vector_only(out).map_err(failed)?;

@@ -141,6 +141,11 @@ impl Model {
         self.block
     }
 
+    /// A height in metres is the stored number times the first plus the second.
+    pub fn metres(&self) -> (f64, f64) {
+        (self.scale.0 * self.metres_per_value, self.scale.1 * self.metres_per_value)
+    }
+
     pub fn metres_per_value(&self) -> f64 {
         self.metres_per_value
     }
@@ -277,12 +282,52 @@ fn metres_of(name: &str) -> Option<f64> {
 /// # Errors
 /// When GDAL cannot open it.
 pub fn open_dataset(path: &Path) -> Result<Dataset> {
+    open_named(path, path)
+}
+
+/// Opens a model for GDAL's own functions, which know nothing of a band's scale and offset: where it has them, through
+/// a virtual raster that applies them.
+///
+/// # Errors
+/// As [`open_dataset`].
+pub fn open_heights(path: &Path) -> Result<Dataset> {
+    /// Nothing on Earth is as high.
+    const VOID: f64 = -1e30;
+    let dataset = open_dataset(path)?;
+    let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
+    let (ratio, offset) = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+    if (ratio, offset) == (1.0, 0.0) {
+        return Ok(dataset);
+    }
+    let (width, height) = dataset.raster_size();
+    let whole = format!("xOff=\"0\" yOff=\"0\" xSize=\"{width}\" ySize=\"{height}\"");
+    let place = dataset.geo_transform().map_or(String::new(), |t| {
+        format!("<GeoTransform>{}</GeoTransform>", t.map(|v| format!("{v:.17e}")).join(","))
+    });
+    let nodata = band.no_data_value().map_or(String::new(), |v| format!("<NODATA>{v:.17e}</NODATA>"));
+    let xml = format!(
+        "<VRTDataset rasterXSize=\"{width}\" rasterYSize=\"{height}\"><SRS>{}</SRS>{place}\
+         <VRTRasterBand dataType=\"Float64\" band=\"1\"><NoDataValue>{VOID:e}</NoDataValue><ComplexSource>\
+         <SourceFilename relativeToVRT=\"0\">{}</SourceFilename><SourceBand>1</SourceBand><SrcRect {whole}/>\
+         <DstRect {whole}/>{nodata}<ScaleOffset>{offset:.17e}</ScaleOffset><ScaleRatio>{ratio:.17e}</ScaleRatio>\
+         </ComplexSource></VRTRasterBand></VRTDataset>",
+        escaped(&dataset.projection()),
+        escaped(&path.to_string_lossy()),
+    );
+    open_named(Path::new(&xml), path)
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
     let flags = GdalOpenFlags::GDAL_OF_READONLY
         | GdalOpenFlags::GDAL_OF_RASTER
         | GdalOpenFlags::GDAL_OF_INTERNAL
         | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
     let options = DatasetOptions { open_flags: flags, ..Default::default() };
-    Dataset::open_ex(path, options).map_err(|e| {
+    Dataset::open_ex(name, options).map_err(|e| {
         use gdal::errors::GdalError;
         let text = match &e {
             GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => msg.clone(),

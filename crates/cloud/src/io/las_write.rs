@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use autoref_raster::crs::Crs;
 use laz::{LasZipCompressor, LazItemRecordBuilder, LazVlr};
 
 use super::las_header::{self, LasHeader, VLR_HEADER_BYTES, Vlr};
@@ -19,11 +20,59 @@ enum Sink {
 
 /// How a point of another format becomes a record.
 struct Recipe {
-    intensity: Option<Field>,
     class: Option<Field>,
     gps_time: Option<Field>,
     colours: Option<[Field; 3]>,
+    /// What the point format knows, and where it goes.
+    known: Vec<(Field, Place)>,
     extra: Vec<Field>,
+}
+
+/// Where a whole number lies in a record of point format 6, 7 or 8.
+#[derive(Clone, Copy)]
+struct Place {
+    byte: usize,
+    bytes: usize,
+    /// Bits to the right of it, and how many it has.
+    right: u32,
+    bits: u32,
+    signed: bool,
+    /// The number is the value divided by this.
+    unit: f64,
+}
+
+impl Place {
+    const fn word(byte: usize, bytes: usize) -> Place {
+        Place { byte, bytes, right: 0, bits: 8 * bytes as u32, signed: false, unit: 1.0 }
+    }
+
+    const fn bits(byte: usize, right: u32, bits: u32) -> Place {
+        Place { byte, bytes: 1, right, bits, signed: false, unit: 1.0 }
+    }
+}
+
+/// What point formats 6 to 8 know, by the names that other formats give it (without underscores).
+const KNOWN: [(&[&str], Place); 15] = [
+    (&["intensity", "grey", "gray"], Place::word(12, 2)),
+    (&["returnnumber"], Place::bits(14, 0, 4)),
+    (&["numberofreturns"], Place::bits(14, 4, 4)),
+    (&["synthetic"], Place::bits(15, 0, 1)),
+    (&["keypoint"], Place::bits(15, 1, 1)),
+    (&["withheld"], Place::bits(15, 2, 1)),
+    (&["overlap"], Place::bits(15, 3, 1)),
+    (&["scannerchannel"], Place::bits(15, 4, 2)),
+    (&["scandirectionflag"], Place::bits(15, 6, 1)),
+    (&["edgeofflightline"], Place::bits(15, 7, 1)),
+    (&["userdata"], Place::word(17, 1)),
+    (&["scanangle"], Place { signed: true, unit: 0.006, ..Place::word(18, 2) }),
+    (&["scananglerank"], Place { signed: true, unit: 0.006, ..Place::word(18, 2) }),
+    (&["pointsourceid"], Place::word(20, 2)),
+    (&["nir", "infrared"], Place::word(36, 2)),
+];
+
+/// A name as it is compared: CloudCompare writes `scalar_` before it.
+fn plain_name(name: &str) -> String {
+    name.strip_prefix("scalar_").unwrap_or(name).replace('_', "")
 }
 
 struct LasWriter {
@@ -47,7 +96,7 @@ struct LasWriter {
 
 pub(super) fn create(path: &Path, target: &Target<'_>, format: Format) -> Result<Box<dyn PointWriter>> {
     let plan = match &target.source.las {
-        Some(las) => keep(las, target),
+        Some(las) => keep(path, las, target)?,
         None => make(path, target)?,
     };
     let Plan { mut head, mut vlrs, point_format, record_bytes, scale, offset, recipe } = plan;
@@ -118,7 +167,7 @@ struct Plan {
 
 /// The plan for a LAS source: everything as it came, but for what belongs to packing, indices and waveforms in the
 /// file.
-fn keep(las: &LasHeader, target: &Target<'_>) -> Plan {
+fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<Plan> {
     let mut head = las.raw.clone();
     // Version 1.0 has a mark before its points that later versions do not.
     head[25] = las.minor.max(2);
@@ -153,31 +202,44 @@ fn keep(las: &LasHeader, target: &Target<'_>) -> Plan {
             }
         }
     }
-    add_crs(&mut head, &mut vlrs, target);
+    add_crs(path, &mut head, &mut vlrs, target)?;
     let offset = [0, 1, 2].map(|axis| las.offset[axis] + target.shift[axis]);
-    Plan { head, vlrs, point_format: las.point_format, record_bytes, scale: las.scale, offset, recipe: None }
+    Ok(Plan { head, vlrs, point_format: las.point_format, record_bytes, scale: las.scale, offset, recipe: None })
 }
 
 /// The plan for other sources.
 fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     let schema = &target.source.schema;
-    let named = |names: &[&str]| names.iter().find_map(|name| schema.field(name)).cloned();
+    let named = |names: &[&str]| {
+        let is_one = |field: &&Field| names.contains(&plain_name(&field.name).as_str());
+        schema.fields.iter().find(is_one).cloned()
+    };
     let colours = match (named(&["red", "r"]), named(&["green", "g"]), named(&["blue", "b"])) {
         (Some(red), Some(green), Some(blue)) => Some([red, green, blue]),
         _ => None,
     };
-    let intensity = named(&["intensity", "scalar_intensity", "grey", "gray"]);
-    let class = named(&["classification", "scalar_classification", "class"]);
-    let gps_time = named(&["gps_time", "gpstime", "scalar_gpstime"]);
+    let class = named(&["classification", "class"]);
+    let gps_time = named(&["gpstime"]);
+    let mut known: Vec<(Field, Place)> = Vec::new();
+    for (names, place) in KNOWN {
+        // The near infrared has room beside colours only; one angle is enough.
+        let room = place.byte < 30 || colours.is_some();
+        if let Some(field) = named(names).filter(|_| room && known.iter().all(|(_, other)| !same_place(other, &place)))
+        {
+            known.push((field, place));
+        }
+    }
     let mut taken = vec!["x".to_string(), "y".into(), "z".into()];
-    taken.extend([&intensity, &class, &gps_time].into_iter().flatten().map(|field| field.name.clone()));
+    taken.extend([&class, &gps_time].into_iter().flatten().map(|field| field.name.clone()));
     taken.extend(colours.iter().flatten().map(|field| field.name.clone()));
+    taken.extend(known.iter().map(|(field, _)| field.name.clone()));
     if target.with_range {
         taken.push("range".into());
     }
     let extra: Vec<Field> = schema.fields.iter().filter(|field| !taken.contains(&field.name)).cloned().collect();
 
-    let point_format = if colours.is_some() { 7 } else { 6 };
+    let with_nir = known.iter().any(|(_, place)| place.byte == 36);
+    let point_format = if with_nir { 8 } else { 6 + usize::from(colours.is_some()) };
     let mut record_bytes = las_header::RECORD_BYTES[point_format];
     let mut described = Vec::new();
     for field in &extra {
@@ -204,12 +266,12 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     put(&mut head, 94, &375u16.to_le_bytes());
     // The coordinate reference system is WKT.
     head[6] = 0x10;
-    add_crs(&mut head, &mut vlrs, target);
+    add_crs(path, &mut head, &mut vlrs, target)?;
     let extent = (0..3).map(|axis| target.max[axis] - target.min[axis]).fold(0.0, f64::max);
     let scale = [step(extent, target.source.precision); 3];
     let offset =
         [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
-    let recipe = Recipe { intensity, class, gps_time, colours, extra };
+    let recipe = Recipe { class, gps_time, colours, known, extra };
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
 }
 
@@ -223,13 +285,26 @@ fn step(extent: f64, precision: Precision) -> f64 {
     10f64.powi(least.max(wanted) as i32)
 }
 
-fn add_crs(head: &mut [u8], vlrs: &mut Vec<Vlr>, target: &Target<'_>) {
-    let wkt = target.crs_wkt.filter(|_| target.source.las.as_ref().is_none_or(|las| las.crs().is_none()));
-    if let Some(wkt) = wkt.filter(|wkt| wkt.len() < 65_000) {
-        head[6] |= 0x10;
-        let content = [wkt.as_bytes(), &[0]].concat();
-        vlrs.push(vlr_of("LASF_Projection", 2112, "OGC coordinate system WKT", content));
+/// The reference system of the source, where its records do not hold it yet, or the one that was given.
+fn add_crs(path: &Path, head: &mut [u8], vlrs: &mut Vec<Vlr>, target: &Target<'_>) -> Result<()> {
+    let wkt = match (&target.source.las, &target.source.crs) {
+        (Some(las), _) if las.crs().is_some() => None,
+        (None, Some(named)) => Some(Crs::parse(named)?.wkt().to_string()),
+        _ => target.crs_wkt.map(str::to_string),
+    };
+    let Some(wkt) = wkt else { return Ok(()) };
+    if wkt.len() >= 65_000 {
+        let what = format!("a reference system of {} bytes of WKT", wkt.len());
+        return Err(Error::unsupported(path, what, "name the output .ply"));
     }
+    head[6] |= 0x10;
+    let content = [wkt.as_bytes(), &[0]].concat();
+    vlrs.push(vlr_of("LASF_Projection", 2112, "OGC coordinate system WKT", content));
+    Ok(())
+}
+
+fn same_place(one: &Place, other: &Place) -> bool {
+    (one.byte, one.right) == (other.byte, other.right)
 }
 
 fn vlr_of(user_id: &str, record_id: u16, description: &str, content: Vec<u8>) -> Vlr {
@@ -243,6 +318,22 @@ fn vlr_of(user_id: &str, record_id: u16, description: &str, content: Vec<u8>) ->
 
 fn put(bytes: &mut [u8], at: usize, what: &[u8]) {
     bytes[at..at + what.len()].copy_from_slice(what);
+}
+
+/// The value of a field as a whole number of `unit`.
+///
+/// # Errors
+/// When it has not so many bits.
+fn whole(path: &Path, field: &Field, raw: &[u8], unit: f64, bits: u32, signed: bool) -> Result<i64> {
+    let value = field.value(raw);
+    let number = (value / unit).round();
+    let span = (1u64 << bits) as f64;
+    let (least, most) = if signed { (-span / 2.0, span / 2.0 - 1.0) } else { (0.0, span - 1.0) };
+    if !(least..=most).contains(&number) {
+        let what = format!("`{}` of {value} in the {bits} bits that LAS has for it", field.name);
+        return Err(Error::unsupported(path, what, "name the output .ply"));
+    }
+    Ok(number as i64)
 }
 
 impl LasWriter {
@@ -279,17 +370,29 @@ impl LasWriter {
         for axis in 0..3 {
             put(&mut self.record, 4 * axis, &steps[axis].to_le_bytes());
         }
-        let value = |field: &Option<Field>| field.as_ref().map_or(0.0, |field| field.value(point.raw));
-        put(&mut self.record, 12, &(value(&recipe.intensity).round() as u16).to_le_bytes());
-        // The only return of a pulse.
+        // The only return of a pulse, unless the source knows better.
         self.record[14] = 0x11;
-        self.record[16] = point.class.unwrap_or(value(&recipe.class) as u8);
-        put(&mut self.record, 22, &value(&recipe.gps_time).to_le_bytes());
+        for (field, place) in &recipe.known {
+            let number = whole(&self.path, field, point.raw, place.unit, place.bits, place.signed)?;
+            let mask = (1u64 << place.bits) - 1;
+            let mut word = [0; 8];
+            word[..place.bytes].copy_from_slice(&self.record[place.byte..place.byte + place.bytes]);
+            let kept = u64::from_le_bytes(word) & !(mask << place.right);
+            let word = kept | ((number as u64 & mask) << place.right);
+            put(&mut self.record, place.byte, &word.to_le_bytes()[..place.bytes]);
+        }
+        self.record[16] = match (point.class, &recipe.class) {
+            (Some(class), _) => class,
+            (None, Some(field)) => whole(&self.path, field, point.raw, 1.0, 8, false)? as u8,
+            (None, None) => 0,
+        };
+        let time = recipe.gps_time.as_ref().map_or(0.0, |field| field.value(point.raw));
+        put(&mut self.record, 22, &time.to_le_bytes());
         if let Some(colours) = &recipe.colours {
             for (index, field) in colours.iter().enumerate() {
                 // Eight bits are spread over sixteen, as the specification asks.
                 let spread = if matches!(field.kind, Kind::U8) { 257.0 } else { 1.0 };
-                let value = (field.value(point.raw) * spread).round() as u16;
+                let value = whole(&self.path, field, point.raw, 1.0 / spread, 16, false)? as u16;
                 put(&mut self.record, 30 + 2 * index, &value.to_le_bytes());
             }
         }

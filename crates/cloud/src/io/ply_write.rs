@@ -4,9 +4,14 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use autoref_raster::crs::Crs;
+
 use super::{OutPoint, PointWriter, Target};
 use crate::error::{Error, Result};
 use crate::schema::{Field, Kind};
+
+/// Larger whole numbers are not all doubles.
+const WHOLE_UP_TO: f64 = 9_007_199_254_740_992.0;
 
 struct PlyWriter {
     path: PathBuf,
@@ -31,6 +36,9 @@ pub(super) fn create(path: &Path, target: &Target<'_>) -> Result<Box<dyn PointWr
         head += &format!("comment shift {e} {n} {h}\n");
     }
     if let Some(crs) = target.source.crs.as_deref().or(target.crs_wkt) {
+        // A code where there is one: headers are ASCII, and WKT writes ° in its areas.
+        let crs = Crs::parse(crs).map(|crs| crs.label()).unwrap_or_else(|_| crs.to_string());
+        let crs: String = crs.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect();
         let line: String = crs.split_whitespace().collect::<Vec<_>>().join(" ");
         head += &format!("comment crs {line}\n");
     }
@@ -89,7 +97,13 @@ impl PointWriter for PlyWriter {
                 match stored_kind(field) {
                     Kind::U8 if field.bits.is_some() => self.line.push(field.value(point.raw) as u8),
                     kind if kind.ply_name() == "double" => {
-                        self.line.extend_from_slice(&field.value(point.raw).to_le_bytes());
+                        let value = field.value(point.raw);
+                        if matches!(kind, Kind::U64 | Kind::I64) && value.abs() > WHOLE_UP_TO {
+                            let what =
+                                format!("`{}` of {value} in PLY, which has no whole numbers of 64 bits", field.name);
+                            return Err(Error::unsupported(&self.path, what, "name the output .laz"));
+                        }
+                        self.line.extend_from_slice(&value.to_le_bytes());
                     }
                     kind => self.line.extend_from_slice(&point.raw[field.offset..field.offset + kind.size()]),
                 }

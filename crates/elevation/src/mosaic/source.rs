@@ -374,6 +374,7 @@ impl Opened {
             ..source.grid
         };
         for band in 1..=source.bands {
+            let colour = source.colours.get(band - 1);
             let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
             let band = dataset.rasterband(band).map_err(failed)?;
             let mut values = vec![0.0; size.0 * size.1];
@@ -383,6 +384,10 @@ impl Opened {
                 if void || !value.is_finite() {
                     *value = f64::NAN;
                 }
+            }
+            // What is transparent is not there: its opacity is no part of a median or a mean either.
+            if colour == Some(&ColorInterpretation::AlphaBand) {
+                values.iter_mut().filter(|value| **value == 0.0).for_each(|value| *value = f64::NAN);
             }
             if source.masked {
                 let at = (part.x as isize, part.y as isize);

@@ -204,7 +204,8 @@ fn name_and_role(name: &str, role: &str) -> (String, bool) {
 
 /// Reads points measured in images from text: OpenDroneMap's `gcp_list.txt` (a CRS, then `x y z px py image [name]`),
 /// rows of `x y z px py` for one image with or without a heading, or a table with the columns `name`, `image`, `px`,
-/// `py` (`u`, `v`). Returns the CRS line when there is one.
+/// `py` (`u`, `v`). Pixels count from the outer corner of the first pixel; under the CRS of an OpenDroneMap list from
+/// its centre, and half a pixel is added. Returns the CRS line when there is one.
 ///
 /// # Errors
 /// When a row is no point; the message names it.
@@ -259,6 +260,10 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         f.len() >= 5 && f[..5].iter().all(|w| w.parse::<f64>().is_ok())
     };
     let crs = (!numeric(first)).then(|| first.to_string());
+    let heading = crs.as_deref().is_some_and(|l| split(l).len() >= 5 && !l.contains('+') && !l.contains('['));
+    // OpenDroneMap counts from the centre of the first pixel; `local` is our own word, and counts as we do.
+    let of_odm = crs.as_deref().is_some_and(|l| !heading && !l.eq_ignore_ascii_case("local"));
+    let first_px = if of_odm { 0.5 } else { 0.0 };
     for (row, line) in &lines[usize::from(crs.is_some())..] {
         let f = split(line);
         if f.len() < 5 {
@@ -267,13 +272,12 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         let v: Vec<f64> = (0..5).map(|c| number(path, *row, &f, c)).collect::<Result<_>>()?;
         let xyz = Some([v[0], v[1], v[2]]);
         let (name, check) = name_and_role(&f.get(6).cloned().unwrap_or_else(|| named(&points, xyz)), "");
-        let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), [v[3], v[4]]);
+        let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), [v[3] + first_px, v[4] + first_px]);
         points.push(ImagePoint { image, name, xyz, pixel, check, sigma: None });
     }
     if points.is_empty() {
         return Err(Error::format(path, "the list", "has no rows"));
     }
-    let heading = crs.as_deref().is_some_and(|l| split(l).len() >= 5 && !l.contains('+') && !l.contains('['));
     Ok((crs.filter(|_| !heading), points))
 }
 

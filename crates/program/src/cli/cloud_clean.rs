@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
-use autoref_cloud::crop::{Crop, Polygon};
+use autoref_cloud::crop::{Crop, Polygon, Ring};
 use autoref_cloud::{io, isolated, page, params, smrf};
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
@@ -364,7 +364,7 @@ fn print(report: &Value) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// All rings of all polygons of a vector file.
+/// All polygons of a vector file.
 fn polygons(path: &Path) -> anyhow::Result<Polygon> {
     autoref_raster::initialise_gdal(64 << 20);
     let options = gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
@@ -377,31 +377,36 @@ fn polygons(path: &Path) -> anyhow::Result<Polygon> {
             path.display()
         )
     })?;
-    let mut rings = Vec::new();
+    let mut areas = Vec::new();
     for mut layer in dataset.layers() {
         for feature in layer.features() {
             if let Some(geometry) = feature.geometry() {
-                collect(geometry, &mut rings);
+                collect(geometry, &mut areas);
             }
         }
     }
-    if rings.is_empty() {
+    if areas.is_empty() {
         bail!("--crop {}: it has no polygon", path.display());
     }
-    Ok(Polygon::new(rings))
+    Ok(Polygon::new(areas))
 }
 
-fn collect(geometry: &Geometry, rings: &mut Vec<Vec<[f64; 2]>>) {
-    for index in 0..geometry.geometry_count() {
-        let part = geometry.get_geometry(index);
+/// The polygons of a geometry, each with its holes.
+fn collect(geometry: &Geometry, areas: &mut Vec<Vec<Ring>>) {
+    let parts: Vec<_> = (0..geometry.geometry_count()).map(|index| geometry.get_geometry(index)).collect();
+    let mut rings = Vec::new();
+    for part in &parts {
         if part.geometry_count() > 0 {
-            collect(&part, rings);
-        } else {
-            let mut points = Vec::new();
-            part.get_points(&mut points);
-            if points.len() >= 3 {
-                rings.push(points.into_iter().map(|(x, y, _)| [x, y]).collect());
-            }
+            collect(part, areas);
+            continue;
         }
+        let mut points = Vec::new();
+        part.get_points(&mut points);
+        if points.len() >= 3 {
+            rings.push(points.into_iter().map(|(x, y, _)| [x, y]).collect());
+        }
+    }
+    if !rings.is_empty() {
+        areas.push(rings);
     }
 }

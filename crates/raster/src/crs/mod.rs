@@ -252,7 +252,7 @@ impl Crs {
         if !(-80.0..=84.0).contains(&latitude_deg) || !longitude_deg.is_finite() {
             return Err(Error::usage(
                 format!("latitude {latitude_deg:.3}° lies outside the zones of UTM"),
-                "give a projected --to-crs, for example EPSG:3995 or EPSG:3031; or the columns are exchanged",
+                "give a projected CRS (--to-crs or --crs), for example EPSG:3995 or EPSG:3031; or the columns are exchanged",
             ));
         }
         let zone = utm_zone_number(longitude_deg, latitude_deg);

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_flight::Error;
-use autoref_raster::crs::{Coordinate, Crs};
+use autoref_flight::read::tables::CameraRow;
+use autoref_raster::crs::Crs;
 use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
+use super::lists::{on_map, some_of};
 use super::views::{Grey, LARGEST_PX};
 
 /// The frames that can be read and are of the size that most have, and a line about each of the others. `seen` is shown
@@ -137,9 +139,10 @@ fn principal_mm(film: &autoref_film::Camera) -> [f64; 2] {
 #[derive(Clone, Debug, Default)]
 pub struct Told {
     pub f_px: Option<f64>,
-    /// Longitude and latitude in degrees, height in metres.
-    pub place: Option<[f64; 3]>,
-    /// Yaw, pitch and roll, degrees.
+    /// Longitude and latitude, degrees.
+    pub place: Option<[f64; 2]>,
+    pub height_m: Option<f64>,
+    /// Yaw from true north, pitch and roll, degrees.
     pub angles_deg: [Option<f64>; 3],
 }
 
@@ -178,46 +181,80 @@ pub fn told(frame: &Path) -> Told {
     let by_sensor = || Some(positive(number("FocalLength"))? * per_mm()?);
     // 35 mm film is 36 mm wide.
     let f_px = positive(number("FocalLengthIn35mmFilm")).map(|f| f / 36.0 * w.max(h) as f64).or_else(by_sensor);
-    let degrees = |name: &str, negative: &str| {
+    // A hemisphere that is not named is not guessed.
+    let degrees = |name: &str, [positive, negative]: [&str; 2]| {
         let n = numbers(&tag(name)?);
         let value = n.first()? + n.get(1).unwrap_or(&0.0) / 60.0 + n.get(2).unwrap_or(&0.0) / 3600.0;
-        let sign = if tag(&format!("{name}Ref")).is_some_and(|r| r.trim() == negative) { -1.0 } else { 1.0 };
+        let hemisphere = tag(&format!("{name}Ref"))?.trim().to_uppercase();
+        let sign = match hemisphere {
+            h if h == positive => 1.0,
+            h if h == negative => -1.0,
+            _ => return None,
+        };
         Some(sign * value).filter(|v| v.is_finite())
     };
-    let height = number("GPSAltitude").unwrap_or(0.0);
-    let below = tag("GPSAltitudeRef").is_some_and(|r| r.trim().ends_with('1'));
-    let place = degrees("GPSLongitude", "W").zip(degrees("GPSLatitude", "S"));
-    // A receiver without a fix writes zeros.
-    let place = place.filter(|p| *p != (0.0, 0.0)).map(|(x, y)| [x, y, if below { -height } else { height }]);
     let packet = set.metadata_domain("xml:XMP").map(|lines| lines.join("\n")).unwrap_or_default();
+    let below = tag("GPSAltitudeRef").is_some_and(|r| r.trim().ends_with('1'));
+    let height = number("GPSAltitude").filter(|h| h.is_finite() && *h != 0.0).map(|h| if below { -h } else { h });
+    let height_m = height.or_else(|| of_xmp(&packet, "drone-dji:AbsoluteAltitude"));
+    let place = degrees("GPSLongitude", ["E", "W"]).zip(degrees("GPSLatitude", ["N", "S"]));
+    // A receiver without a fix writes zeros.
+    let place = place.filter(|p| *p != (0.0, 0.0)).map(|(x, y)| [x, y]);
     let gimbal = |which: &str| of_xmp(&packet, &format!("drone-dji:Gimbal{which}Degree"));
-    let angles_deg = [gimbal("Yaw").or_else(|| number("GPSImgDirection")), gimbal("Pitch"), gimbal("Roll")];
-    Told { f_px, place, angles_deg }
+    // Of a direction from magnetic north nobody says how far that is from true north.
+    let magnetic = tag("GPSImgDirectionRef").is_some_and(|r| r.trim().eq_ignore_ascii_case("M"));
+    let direction = || number("GPSImgDirection").filter(|_| !magnetic);
+    Told { f_px, place, height_m, angles_deg: [gimbal("Yaw").or_else(direction), gimbal("Pitch"), gimbal("Roll")] }
 }
 
-/// The table of rough positions that frames tell, in `crs`, or in the UTM zone of the first; with the CRS.
+/// A table of rough positions, and what is to be said of it.
+pub struct RoughTable {
+    pub text: String,
+    pub crs: Crs,
+    pub warnings: Vec<String>,
+}
+
+/// The table of rough positions that frames tell, in `crs`, or in the UTM zone of the first; directions count from the
+/// grid's north. Where a frame tells no height, the median of the others' stands in; `None` where fewer than two tell
+/// their place, or none a height.
 ///
 /// # Errors
 /// When a position does not lie in the CRS.
-pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option<(String, Crs)>> {
-    let placed: Vec<(&String, &Told, [f64; 3])> =
+pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option<RoughTable>> {
+    let placed: Vec<(&String, &Told, [f64; 2])> =
         names.iter().zip(told).filter_map(|(name, t)| Some((name, t, t.place?))).collect();
-    if placed.len() < 2 {
-        return Ok(None);
-    }
+    let mut heights: Vec<f64> = placed.iter().filter_map(|(_, t, _)| t.height_m).collect();
+    heights.sort_by(f64::total_cmp);
+    let usual_m = heights.get(heights.len() / 2).copied();
+    let (Some(usual_m), true) = (usual_m, placed.len() >= 2) else { return Ok(None) };
     let earth = Crs::from_epsg(4326)?;
     let crs = match crs {
         Some(crs) => crs,
         None => earth.utm_zone(placed[0].2[0], placed[0].2[1])?,
     };
-    let mut text = "name,x,y,z,yaw,pitch,roll\n".to_string();
-    for (name, told, place) in placed {
-        let mut at = [Coordinate { x: place[0], y: place[1], height: None }];
-        earth.transform(&mut at, &crs, 100.0)?;
-        let angles = told.angles_deg.map(|a| a.map_or(String::new(), |a| a.to_string())).join(",");
-        text += &format!("\"{name}\",{:.3},{:.3},{:.3},{angles}\n", at[0].x, at[0].y, place[2]);
+    let mut warnings = Vec::new();
+    let without: Vec<String> =
+        placed.iter().filter(|(_, t, _)| t.height_m.is_none()).map(|(name, ..)| (*name).clone()).collect();
+    if !without.is_empty() {
+        warnings.push(format!("no altitude in {}: {usual_m:.1} m, the median, stands in", some_of(&without)));
     }
-    Ok(Some((text, crs)))
+    let row = |(name, told, [x, y]): &(&String, &Told, [f64; 2])| CameraRow {
+        name: (*name).clone(),
+        xyz: [*x, *y, told.height_m.unwrap_or(usual_m)],
+        geographic: true,
+        yaw_deg: told.angles_deg[0],
+        ..CameraRow::default()
+    };
+    let rows = on_map(placed.iter().map(row).collect(), Path::new("EXIF"), Some(&crs))?;
+    let mut text = "name,x,y,z,yaw,pitch,roll\n".to_string();
+    for (row, (name, told, _)) in rows.iter().zip(&placed) {
+        let yaw = row.yaw_deg.map_or(String::new(), |a| format!("{:.3}", a.rem_euclid(360.0)));
+        let [pitch, roll] =
+            [told.angles_deg[1], told.angles_deg[2]].map(|a| a.map_or(String::new(), |a| a.to_string()));
+        let [x, y, z] = row.xyz;
+        text += &format!("\"{name}\",{x:.3},{y:.3},{z:.3},{yaw},{pitch},{roll}\n");
+    }
+    Ok(Some(RoughTable { text, crs, warnings }))
 }
 
 #[cfg(test)]
@@ -237,14 +274,20 @@ mod tests {
 
     #[test]
     fn positions_become_metres() {
-        let told = |x: f64| Told { place: Some([x, 78.5, 500.0]), angles_deg: [Some(90.0), None, None], f_px: None };
+        let told = |x: f64| Told {
+            place: Some([x, 78.5]),
+            height_m: (x < 15.05).then_some(500.0),
+            angles_deg: [Some(90.0), None, None],
+            f_px: None,
+        };
         let names = ["a.jpg".to_string(), "b.jpg".to_string()];
-        let (text, crs) = table(&names, &[told(15.0), told(15.1)], None).expect("inside").expect("two");
-        assert_eq!(crs.label(), "EPSG:32633");
-        assert!(
-            text.lines().nth(1).is_some_and(|l| l.starts_with("\"a.jpg\",500000.000,") && l.ends_with("500.000,90,,")),
-            "{text}"
-        );
+        let made = table(&names, &[told(15.0), told(15.1)], None).expect("inside").expect("two");
+        assert_eq!(made.crs.label(), "EPSG:32633");
+        let line = |n: usize| made.text.lines().nth(n).unwrap_or_default();
+        assert!(line(1).starts_with("\"a.jpg\",500000.000,") && line(1).ends_with("500.000,90.000,,"), "{}", made.text);
+        // The second tells no height, and true north is 0.1° · sin 78.5° to the left of the grid's there.
+        assert!(line(2).ends_with(",500.000,89.902,,"), "{}", made.text);
+        assert!(made.warnings.len() == 1 && made.warnings[0].contains("b.jpg"), "{:?}", made.warnings);
         assert!(table(&names[..1], &[told(15.0)], None).expect("inside").is_none());
     }
 }

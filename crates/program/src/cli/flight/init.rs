@@ -130,6 +130,9 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// Focal lengths of one camera do not differ by more.
+const ONE_FOCAL: f64 = 1.03;
+
 /// The camera that the command line, resampled film or EXIF states.
 fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<CameraPart> {
     let pp_px = args.pp_px.as_ref().map(|p| [p[0], p[1]]);
@@ -144,6 +147,13 @@ fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<C
     let f_px = all.get(all.len() / 2).copied();
     if let Some(f_px) = f_px {
         eprintln!("EXIF: focal length {f_px:.1} px");
+        let (least, most) = (all[0], all[all.len() - 1]);
+        if most > ONE_FOCAL * least {
+            eprintln!(
+                "EXIF: the frames' focal lengths lie between {least:.1} and {most:.1} px; frames of another zoom are \
+                 another camera: leave them out"
+            );
+        }
     }
     Ok(CameraPart { f_px, pp_px, focal: if f_px.is_some() { Focal::Rough } else { Focal::Held } })
 }
@@ -167,7 +177,14 @@ fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Resul
         return Ok((args.crs.clone(), None));
     }
     let stated = known.is_some();
-    let Some((text, crs)) = frames::table(names, told, known)? else { return Ok((args.crs.clone(), None)) };
+    let Some(made) = frames::table(names, told, known)? else {
+        if told.iter().any(|t| t.place.is_some()) {
+            eprintln!("EXIF: fewer than two frames tell place and altitude; give --cameras, or points in the frames");
+        }
+        return Ok((args.crs.clone(), None));
+    };
+    let frames::RoughTable { text, crs, warnings } = made;
+    warnings.iter().for_each(|warning| eprintln!("EXIF: {warning}"));
     let stem = args.output.file_stem().unwrap_or_default().to_string_lossy();
     let path = args.output.with_file_name(format!("{stem}_gps.csv"));
     check_output(Some(&path), Existing::of_flag(args.overwrite))?;

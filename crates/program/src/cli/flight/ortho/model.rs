@@ -17,6 +17,8 @@ pub(in crate::cli) struct Dem {
     dataset: Dataset,
     pub grid: Grid,
     pub(super) crs: Option<Crs>,
+    /// A height in metres is the stored number times the first plus the second.
+    metres: (f64, f64),
 }
 
 pub(super) fn open(path: &Path) -> Result<Dataset> {
@@ -42,7 +44,9 @@ impl Dem {
             let remedy = "project it first (gdalwarp -t_srs)";
             return Err(RasterError::unsupported(path, "an elevation model in degrees", remedy).into());
         }
-        Ok(Dem { dataset, grid, crs })
+        // What the elevation commands make of scale, offset and unit.
+        let metres = autoref_elevation::model::Model::open(path)?.metres();
+        Ok(Dem { dataset, grid, crs, metres })
     }
 
     /// Heights of a window, thinned to at most `most` cells.
@@ -61,6 +65,9 @@ impl Dem {
         for h in &mut heights {
             if Some(*h) == nodata || !h.is_finite() {
                 *h = f32::NAN;
+            }
+            if self.metres != (1.0, 0.0) {
+                *h = (f64::from(*h) * self.metres.0 + self.metres.1) as f32;
             }
         }
         let g = &self.grid;
