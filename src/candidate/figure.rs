@@ -13,6 +13,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::Candidate;
 use super::examine::LEAST_CONTRAST;
+use super::hull::{convex_hull, edges, twice_area};
 use super::paint_share::{Across, plateau, ring_ground};
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
@@ -21,10 +22,12 @@ use super::split::region_of;
 use crate::profile::{Profile, Shape};
 use autoref_raster::coords::PixelPoint;
 
-/// Paint so near touches, as a share of the side of the smaller piece: the corners of two fields meet where both are
+/// Paint so near touches, as a share of the side of a field: the corners of two fields meet where both are
 /// half ground, and blur draws them apart. At least and at most so many pixels.
 const TOUCH_OF_SIDE: f64 = 0.7;
 const TOUCH_PX: (f64, f64) = (2.0, 6.0);
+/// The areas of two fields differ by no larger a factor.
+const MOST_UNLIKE: f64 = 1.6;
 /// Fewer pixels are symmetric by chance.
 const LEAST_AREA_PX: usize = 40;
 /// Share of its convex hull that a figure fills at most: a square or a disc fills all of it, an hourglass half.
@@ -42,6 +45,10 @@ const TOGETHER: f64 = 4.0;
 /// A standard deviation of the middle is hardly less, pixels.
 const LEAST_SIGMA_PX: f64 = 0.03;
 const ROUNDS: usize = 8;
+/// The middle moves no farther from where it was looked for.
+const MOST_MOVED_PX: f64 = 2.0;
+/// So far from the patch's edge shares are still told, wherever the middle moves.
+const SHOWN_PX: f64 = 2.0 * MOST_MOVED_PX + 2.0;
 
 /// What a region is a part of.
 pub(super) enum Figure {
@@ -53,13 +60,15 @@ pub(super) enum Figure {
 
 /// Whether the scene's own paint, with what touches it, is a figure.
 pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
-    let all = with_touching(scene);
+    let all = with_other_field(scene);
     let alone = all == scene.own;
-    if all.count() < LEAST_AREA_PX || all.at_edge() || filled(&all, scene.width) > MOST_FILL {
+    if all.count() < LEAST_AREA_PX || scene.own.at_edge() || filled(&all, scene.width) > MOST_FILL {
         return Figure::No;
     }
+    // Of a large chequer the patch of one field shows only a part of the other: the middle is where they meet.
+    let start = if all.at_edge() { meeting(&scene.own, &all, scene.width) } else { centroid(&all, scene.width) };
     let whole = scene.with_own(all.clone(), &scene.paint());
-    let Some(candidate) = symmetric(&whole) else { return Figure::No };
+    let Some(candidate) = symmetric(&whole, &scene.own, start) else { return Figure::No };
     let stands = alone || all.first() == scene.own.first();
     let likely = candidate.score.is_some_and(|score| score >= profile.examine.min_score);
     if stands && likely && matches!(profile.shape, Shape::Any | Shape::Cross) {
@@ -69,59 +78,34 @@ pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
     }
 }
 
-/// The own paint and every piece that touches it, or touches one that does.
-fn with_touching(scene: &Scene<'_>) -> PixelSet {
-    let mut all = scene.own.clone();
-    if scene.other.is_empty() {
-        return all;
-    }
-    let touch_px = |pixels: usize| (TOUCH_OF_SIDE * (pixels as f64).sqrt()).clamp(TOUCH_PX.0, TOUCH_PX.1) as usize;
-    let mut left = scene.other.and(&all.grown(touch_px(all.count())));
-    while let Some(first) = left.first() {
-        let piece = scene.other.piece(first);
-        left = left.minus(&piece);
-        let touch_px = touch_px(all.count().min(piece.count()));
-        if !piece.and(&all.grown(touch_px)).is_empty() {
-            all = all.or(&piece);
-            left = left.or(&scene.other.and(&piece.grown(touch_px))).minus(&all);
-        }
-    }
-    all
+/// The own paint, with the other field where just one piece of about its size touches it. In a crowd of marks each
+/// stands for itself.
+fn with_other_field(scene: &Scene<'_>) -> PixelSet {
+    let own = scene.own.count() as f64;
+    let touch_px = (TOUCH_OF_SIDE * own.sqrt()).clamp(TOUCH_PX.0, TOUCH_PX.1) as usize;
+    let near = scene.other.and(&scene.own.grown(touch_px));
+    let Some(first) = near.first() else { return scene.own.clone() };
+    let piece = scene.other.piece(first);
+    let size = piece.count() as f64;
+    let alike = size < MOST_UNLIKE * own && (own < MOST_UNLIKE * size || piece.at_edge());
+    if alike && near.minus(&piece).is_empty() { scene.own.or(&piece) } else { scene.own.clone() }
 }
 
 /// The share of its convex hull that a set fills: 1 when all pixels whose middle lies in the hull are there (G. Pick,
-/// "Geometrisches zur Zahlenlehre", 1899; the hull by A. M. Andrew, "Another efficient algorithm for convex hulls in
-/// two dimensions", 1979).
+/// "Geometrisches zur Zahlenlehre", 1899).
 fn filled(set: &PixelSet, width: usize) -> f64 {
     // First and last pixel of every row.
-    let mut rows: Vec<[i64; 3]> = Vec::new();
+    let mut rows: Vec<[(i64, i64); 2]> = Vec::new();
     set.for_each(|i| {
-        let (x, y) = ((i % width) as i64, (i / width) as i64);
+        let p = ((i % width) as i64, (i / width) as i64);
         match rows.last_mut() {
-            Some(row) if row[0] == y => row[2] = x,
-            _ => rows.push([y, x, x]),
+            Some([first, last]) if first.1 == p.1 => *last = p,
+            _ => rows.push([p, p]),
         }
     });
-    let cross = |o: [i64; 2], a: [i64; 2], b: [i64; 2]| (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
-    let chain = |side: usize, turn: i64| {
-        let mut hull: Vec<[i64; 2]> = Vec::new();
-        for row in &rows {
-            let p = [row[side], row[0]];
-            while hull.len() >= 2 && turn * cross(hull[hull.len() - 2], hull[hull.len() - 1], p) <= 0 {
-                hull.pop();
-            }
-            hull.push(p);
-        }
-        hull
-    };
-    let mut hull = chain(1, -1);
-    hull.extend(chain(2, 1).into_iter().rev());
-    let (mut twice_area, mut on_border) = (0i64, 0i64);
-    for (a, b) in hull.iter().zip(hull.iter().cycle().skip(1)) {
-        twice_area += a[0] * b[1] - b[0] * a[1];
-        on_border += common_divisor((a[0] - b[0]).abs(), (a[1] - b[1]).abs());
-    }
-    let inside = (twice_area.abs() + on_border) as f64 / 2.0 + 1.0;
+    let hull = convex_hull(rows.into_iter().flatten().collect());
+    let on_border: i64 = edges(&hull).map(|(a, b)| common_divisor((a.0 - b.0).abs(), (a.1 - b.1).abs())).sum();
+    let inside = (twice_area(&hull) + on_border) as f64 / 2.0 + 1.0;
     set.count() as f64 / inside
 }
 
@@ -130,7 +114,7 @@ fn common_divisor(a: i64, b: i64) -> i64 {
 }
 
 /// The figure's middle, when it is one.
-fn symmetric(scene: &Scene<'_>) -> Option<Candidate> {
+fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<Candidate> {
     let paint = plateau(scene);
     let across = Across::between(&ring_ground(scene)?, paint);
     if across.contrast < LEAST_CONTRAST {
@@ -138,16 +122,19 @@ fn symmetric(scene: &Scene<'_>) -> Option<Candidate> {
     }
     let shares: Vec<f64> = across.shares(scene).into_iter().map(|share| share.clamp(-0.5, 1.5)).collect();
     let picture = Picture { shares: &shares, width: scene.width, height: scene.height };
-    let (mut n, mut middle) = (0.0, Vector2::zeros());
-    scene.own.for_each(|i| {
-        n += 1.0;
-        middle += centre_of(i, scene.width);
-    });
-    middle /= n;
-    let places: Vec<Vector2<f64>> =
-        scene.own.grown(BESIDE_PX).and(&scene.valid).iter().map(|i| centre_of(i, scene.width)).collect();
-    let turned = picture.turned_half(&places, middle)?;
-    let reach = scene.own.iter().map(|i| (centre_of(i, scene.width) - turned.middle).norm()).fold(0.0, f64::max);
+    // What the patch shows of both sides.
+    let shown = |p: &Vector2<f64>| {
+        let q = 2.0 * start - p;
+        let within = |v: f64, size: usize| (SHOWN_PX..=size as f64 - SHOWN_PX).contains(&v);
+        [*p, q].iter().all(|p| within(p.x, scene.width) && within(p.y, scene.height))
+    };
+    let beside = scene.own.grown(BESIDE_PX).and(&scene.valid);
+    let places: Vec<Vector2<f64>> = beside.iter().map(|i| centre_of(i, scene.width)).filter(shown).collect();
+    if places.len() < LEAST_AREA_PX {
+        return None;
+    }
+    let turned = picture.turned_half(&places, start)?;
+    let reach = part.iter().map(|i| (centre_of(i, scene.width) - turned.middle).norm()).fold(0.0, f64::max);
     let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, QUARTER_REACH * reach).collect();
     let quarter = picture.correlation(&near, |p| {
         let d = p - turned.middle;
@@ -164,12 +151,25 @@ fn symmetric(scene: &Scene<'_>) -> Option<Candidate> {
         centre: PixelPoint { x: window.x as f64 + turned.middle.x, y: window.y as f64 + turned.middle.y },
         covariance_px2: Some(turned.covariance_px2),
         score: Some(score),
-        area_px: Some(n),
+        area_px: Some(scene.own.count() as f64),
         size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
         elevation_m: None,
         code: None,
         paint: Some(byte),
     })
+}
+
+fn centroid(set: &PixelSet, width: usize) -> Vector2<f64> {
+    let sum = set.iter().map(|i| centre_of(i, width)).fold(Vector2::zeros(), |sum, p| sum + p);
+    sum / set.count() as f64
+}
+
+/// Half-way between the part and the rest of a set, where they are nearest to each other.
+fn meeting(part: &PixelSet, all: &PixelSet, width: usize) -> Vector2<f64> {
+    let rest: Vec<Vector2<f64>> = all.minus(part).iter().map(|i| centre_of(i, width)).collect();
+    let pairs = part.iter().map(|i| centre_of(i, width)).flat_map(|p| rest.iter().map(move |q| (p, *q)));
+    let nearest = pairs.min_by(|a, b| (a.0 - a.1).norm_squared().total_cmp(&(b.0 - b.1).norm_squared()));
+    nearest.map_or_else(|| centroid(all, width), |(p, q)| (p + q) / 2.0)
 }
 
 fn centre_of(i: usize, width: usize) -> Vector2<f64> {
@@ -249,7 +249,7 @@ impl Picture<'_> {
             }
             let step = normal.cholesky()?.solve(&right);
             middle += step;
-            if (middle - start).norm() > 2.0 {
+            if (middle - start).norm() > MOST_MOVED_PX {
                 return None;
             }
             if step.norm() < 1e-4 {
@@ -300,11 +300,11 @@ mod tests {
     #[test]
     fn figures_have_their_middle_and_halves_have_none() {
         let chequer = |x: f64, y: f64| x.abs().max(y.abs()) < 10.0 && x * y > 0.0;
-        let apart = |x: f64, y: f64| chequer(x, y) && x.abs().min(y.abs()) > 0.6;
+        let apart = |x: f64, y: f64| chequer(x, y) && x.hypot(y) > 2.0;
         let cross = |x: f64, y: f64| x.abs().max(y.abs()) < 12.0 && x.abs().min(y.abs()) < 4.0;
-        let hourglass = |x: f64, y: f64| y.abs() < 11.0 && x.abs() <= y.abs();
-        for wanted in [&chequer as &dyn Fn(f64, f64) -> bool, &apart, &cross, &hourglass] {
-            let Figure::Is(found) = look(wanted) else { panic!("a figure") };
+        let ring = |x: f64, y: f64| (5.0..11.0).contains(&x.hypot(y));
+        for wanted in [&chequer as &dyn Fn(f64, f64) -> bool, &apart, &cross, &ring] {
+            let Figure::Is(found) = look(wanted) else { panic!("{} % filled", 100.0 * filled_by(wanted)) };
             assert!((found.centre.x - 24.0).hypot(found.centre.y - 24.0) < 0.02, "{:?}", found.centre);
         }
         for wanted in [
@@ -322,7 +322,7 @@ mod tests {
     fn the_lower_field_of_a_chequer_leaves_it_to_the_upper() {
         let apart = |i: usize| {
             let (x, y) = ((i % 48) as f64 - 23.5, (i / 48) as f64 - 23.5);
-            x.abs().max(y.abs()) < 10.0 && x * y > 0.0 && x.abs().min(y.abs()) > 0.6
+            x.abs().max(y.abs()) < 10.0 && x * y > 0.0 && x.hypot(y) > 2.0
         };
         let set = PixelSet::from_fn(48, 48, apart);
         let patch = patch_of(|i| colour(i, set.has(i)));

@@ -20,6 +20,7 @@ pub mod examine;
 mod figure;
 pub mod fit;
 pub mod gates;
+mod hull;
 mod jpeg_fit;
 mod jpeg_steps;
 pub mod kernels;

@@ -2,6 +2,7 @@
 //! density, plain centres, candidates too close to each other, and the order of the list.
 
 use super::Candidate;
+use super::hull::{convex_hull, twice_area};
 use super::scene::Scene;
 use crate::profile::colour::lab_from_srgb;
 use crate::profile::{CentreMode, Density, Ordering, Profile, Property, Rule, Shape, TooClose};
@@ -144,34 +145,15 @@ fn spread(scene: &Scene<'_>) -> f64 {
     (square / (3.0 * n)).sqrt()
 }
 
-/// Area over the area of the convex hull of the pixels' squares (hull by A. M. Andrew's monotone chain, 1979).
+/// Area over the area of the convex hull of the pixels' squares.
 fn solidity(scene: &Scene<'_>) -> f64 {
-    let mut corners: Vec<(i64, i64)> = scene
+    let corners = scene
         .own
         .iter()
         .map(|i| ((i % scene.width) as i64, (i / scene.width) as i64))
         .flat_map(|(x, y)| [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)])
         .collect();
-    corners.sort_unstable();
-    corners.dedup();
-    let area = scene.own.count() as f64;
-    let turn = |a: (i64, i64), b: (i64, i64), c: (i64, i64)| (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
-    let chain = |points: &mut dyn Iterator<Item = (i64, i64)>| {
-        let mut hull: Vec<(i64, i64)> = Vec::new();
-        for p in points {
-            while hull.len() >= 2 && turn(hull[hull.len() - 2], hull[hull.len() - 1], p) <= 0 {
-                hull.pop();
-            }
-            hull.push(p);
-        }
-        hull.pop();
-        hull
-    };
-    let mut hull = chain(&mut corners.iter().copied());
-    hull.extend(chain(&mut corners.iter().rev().copied()));
-    let twice: i64 =
-        (0..hull.len()).map(|i| (hull[i], hull[(i + 1) % hull.len()])).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum();
-    area / (twice.abs() as f64 / 2.0).max(1.0)
+    scene.own.count() as f64 / (twice_area(&convex_hull(corners)) as f64 / 2.0).max(1.0)
 }
 
 /// What is done to the whole list at the end: candidates too close to each other, and the order. The list must come in

@@ -1,8 +1,8 @@
 //! Many hypotheses about one pair of GCPs at once: which of them may hit as many others as they must.
 //!
 //! A hypothesis is dropped after a few looks into bitmaps. One at a time most of that is waiting for branches; here a
-//! look is taken for several hypotheses together, without a branch. It answers as [`may_hold`](crate::matching::bitmap::Bitmap::may_hold) does, so what it
-//! drops would be dropped anyway.
+//! look is taken for several hypotheses together, without a branch. It answers as
+//! [`may_hold`](crate::matching::bitmap::Bitmap::may_hold) does, so what it drops would be dropped anyway.
 
 use crate::matching::search::{Demand, GcpPair, Hypothesis, REFINED_PER_PAIR, Search, Span, Target, keep_best};
 use autoref_raster::coords::PixelPoint;

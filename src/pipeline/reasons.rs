@@ -174,6 +174,8 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     const TRACE: f64 = 0.08;
     /// Hues that lie further apart are other paints, radians.
     const HUES: f64 = 0.45;
+    /// A colour that lies no farther beside the line from ground to paint is ground that paint shows on.
+    const MIXED: f64 = 0.3;
     let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
     let distance = |i: usize| ((i % width) as f64 + 0.5 + x0 - at.x).hypot((i / width) as f64 + 0.5 + y0 - at.y);
     let ring: Vec<[u16; 3]> = (0..patch.rgb.len())
@@ -212,7 +214,8 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     let hex = hex(&colour);
     let share = paint.map_or(0.0, |paint| share_of(&ground, &colour, paint));
     let apart = paint.map_or(0.0, |paint| hues_apart(&colour, paint));
-    let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && share < 0.6 {
+    let mixed = paint.is_none_or(|paint| off_line(&ground, &colour, paint) < MIXED);
+    let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && !mixed {
         (Reason::OtherColour, format!("what stands out there is {hex}"))
     } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
         (
@@ -230,6 +233,13 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
 fn share_of(ground: &Ground, colour: &Vector3<f64>, paint: [u8; 3]) -> f64 {
     let whole = Vector3::from(paint.map(f64::from)) - ground.mean;
     ((colour - ground.mean).dot(&whole) / whole.norm_squared().max(1.0)).clamp(0.0, 1.0)
+}
+
+/// How far beside the line from the ground to the paint the colour lies, as a share of its distance from the ground.
+fn off_line(ground: &Ground, colour: &Vector3<f64>, paint: [u8; 3]) -> f64 {
+    let (step, whole) = (colour - ground.mean, Vector3::from(paint.map(f64::from)) - ground.mean);
+    let along = step.dot(&whole).max(0.0) / whole.norm_squared().max(1.0);
+    (step - along * whole).norm() / step.norm().max(1.0)
 }
 
 /// Angle between the hues of two colours, radians; of colours without hue none.

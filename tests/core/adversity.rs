@@ -569,8 +569,8 @@ fn six_of_twenty_in_a_corner() {
     }
 }
 
-/// Two to four marks stand beside their points among six or more that stand on them: the sharp pattern is taken, not the
-/// loose one of all.
+/// Two to four marks stand beside their points among six or more that stand on them: the sharp pattern is taken, not
+/// the loose one of all.
 #[test]
 fn a_few_marks_beside_their_points() {
     for (what, seed, scale_known) in [("a few beside their points", 21, true), ("the same without a scale", 22, false)]
@@ -596,6 +596,6 @@ fn a_few_marks_beside_their_points() {
             Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, allowed_px: 1.0, ..case }
         });
         assert_eq!((score.wrong, score.astray), (0, 0));
-        assert!(score.right * 50 >= 49 * score.trials, "{score:?}");
+        assert!(score.right * 20 >= 19 * score.trials, "{score:?}");
     }
 }

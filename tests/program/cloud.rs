@@ -140,6 +140,62 @@ fn every_order_of_ply_becomes_the_same_cloud_and_keeps_what_it_carries() {
 }
 
 #[test]
+fn what_las_knows_goes_to_its_own_place() {
+    let folder = Folder::new();
+    let head = "ply\nformat ascii 1.0\ncomment crs EPSG:25833\nelement vertex 3\nproperty double x\nproperty double y\n\
+                property double z\nproperty uchar return_number\nproperty uchar number_of_returns\n\
+                property ushort point_source_id\nproperty float scan_angle\nproperty uchar withheld\n\
+                property ushort intensity\nproperty uchar classification\nend_header\n";
+    let rows = "1 1 1 2 3 77 -12 1 70 2\n2 1 2 1 3 78 30 0 80 1\n1 2 3 3 3 79 0 0 90 5\n";
+    let path = folder.put("a.ply", format!("{head}{rows}"));
+    let (las, back) = (folder.text("a.las"), folder.text("b.ply"));
+    done(&["clean", &path, "-o", &las, "--z=-9,9", "--json"]);
+    let found = info(&las);
+    let dimensions: Vec<&str> = found["dimensions"]
+        .as_array()
+        .expect("names")
+        .iter()
+        .filter_map(|d| d["name"].as_str().or(d.as_str()))
+        .collect();
+    for name in ["return_number", "point_source_id", "scan_angle", "withheld"] {
+        assert_eq!(dimensions.iter().filter(|d| **d == name).count(), 1, "{dimensions:?}");
+    }
+    assert!(found["crs"].to_string().contains("25833"), "{found}");
+    let grids = folder.text("grids");
+    done(&[
+        "grid",
+        &las,
+        "-o",
+        &grids,
+        "--cell",
+        "1",
+        "--stat",
+        "max",
+        "--dimension",
+        "return_number,point_source_id,withheld",
+        "--json",
+    ]);
+    let values = |name: &str| -> Vec<f64> {
+        let set = gdal::Dataset::open(folder.at("grids").join(name)).expect("a grid");
+        let size = set.raster_size();
+        let band = set.rasterband(1).expect("a band");
+        band.read_as::<f64>((0, 0), size, size, None).expect("values").data().to_vec()
+    };
+    let has = |name: &str, wanted: f64| assert!(values(name).contains(&wanted), "{name}: {:?}", values(name));
+    has("a_return_number_max.tif", 3.0);
+    has("a_point_source_id_max.tif", 79.0);
+    has("a_withheld_max.tif", 1.0);
+    done(&["clean", &las, "-o", &back, "--z=-9,9", "--json"]);
+    let text = std::fs::read(folder.at("b.ply")).expect("written");
+    assert!(String::from_utf8_lossy(&text).contains("comment crs EPSG:25833\n"));
+    // What has no room is refused, not cut.
+    let wide = folder.put("wide.xyz", "x y z intensity\n1 1 1 70000\n2 2 2 5\n");
+    refused(&["clean", &wide, "-o", &folder.text("wide.las"), "--z=-9,9"], "70000", &folder.at("wide.las"));
+    let twice = folder.put("twice.xyz", "x y z z\n1 2 3 1\n");
+    refused(&["clean", &twice, "-o", &folder.text("t.ply"), "--z=-9,9"], "there twice", &folder.at("t.ply"));
+}
+
+#[test]
 fn crops_cameras_and_several_clouds_and_resume() {
     let folder = Folder::new();
     let (a, b) = (folder.put("a.ply", ply(&ground(), Order::Little)), folder.put("b.ply", ply(&ground(), Order::Big)));

@@ -220,10 +220,14 @@ fn lines_are_counted_whatever_their_format() {
 }
 
 fn mosaic(inputs: &[PathBuf], out: &Path) {
+    mosaic_by(Choice::First, inputs, out);
+}
+
+fn mosaic_by(choice: Choice, inputs: &[PathBuf], out: &Path) {
     let job = MosaicJob {
         inputs,
         out,
-        choice: Choice::First,
+        choice,
         resolution: None,
         resampling: Interpolation::Bilinear,
         use_index: None,
@@ -276,4 +280,42 @@ fn what_is_transparent_or_masked_never_wins() {
         let mask = mask.expect("values").data().to_vec();
         assert_eq!([mask[5 * 50 + 4], mask[5 * 50 + 15], mask[5 * 50 + 45]], [0, 255, 255], "{bands} bands");
     }
+}
+
+#[test]
+fn the_opacity_of_what_is_not_there_is_no_part_of_a_median_or_a_mean() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("mosaic.tif");
+    let inputs = [("a", 50, false), ("b", 90, true), ("c", 90, true)]
+        .map(|(name, value, half)| picture(&folder.path().join(format!("{name}.tif")), 0.0, 4, value, half));
+    for choice in [Choice::Median, Choice::Feather] {
+        mosaic_by(choice, &inputs, &out);
+        let (colour, opacity) = (read(&out, 1), read(&out, 4));
+        assert_eq!((colour[5 * 40 + 10], opacity[5 * 40 + 10]), (50.0, 255.0));
+        assert_eq!(opacity[5 * 40 + 30], 255.0);
+    }
+}
+
+#[test]
+fn drawings_of_a_scaled_model_are_those_of_its_heights() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (plain, scaled) = (folder.path().join("plain.tif"), folder.path().join("scaled & stored.tif"));
+    let stored: Vec<i16> = hills(0.0, 0.0).iter().map(|z| ((f64::from(*z) - 400.0) / 0.02).round() as i16).collect();
+    model(&plain, "EPSG:32633", stored.iter().map(|v| (f64::from(*v) * 0.02 + 400.0) as f32).collect(), -10.0);
+    let set = create::<i16>(&scaled, (SIDE, SIDE), 1, "EPSG:32633", [500_000.0, 10.0, 0.0, 8_700_000.0, 0.0, -10.0]);
+    put(&set, 1, stored);
+    let mut band = set.rasterband(1).expect("a band");
+    band.set_scale(0.02).and_then(|()| band.set_offset(400.0)).expect("labelled");
+    drop(set);
+    let drawing = derive::Drawing { kind: "slope", options: Vec::new(), colours: None };
+    let drawn = [&plain, &scaled].map(|model| {
+        let out = folder.path().join("slope.tif");
+        derive::draw(model, &out, &drawing).expect("drawn");
+        read(&out, 1)
+    });
+    let apart = drawn[0].iter().zip(&drawn[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-3, "{apart}");
+    let lines = [&plain, &scaled]
+        .map(|model| derive::contour(model, &folder.path().join("lines.gpkg"), 50.0, 0.0).expect("lines"));
+    assert!(lines[0] > 0 && lines[0] == lines[1], "{lines:?}");
 }

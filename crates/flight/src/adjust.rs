@@ -200,7 +200,9 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     }
     notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
     let end = End { problem, factored, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
-    Ok(outcome::outcome(&world, points, &control, end))
+    let mut adjusted = outcome::outcome(&world, points, &control, end);
+    adjusted.notes.extend(snooping::rays_apart(&adjusted.points, options.sigma_image_px));
+    Ok(adjusted)
 }
 
 fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> (Problem, Vec<usize>) {

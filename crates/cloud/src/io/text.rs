@@ -147,9 +147,6 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         let what = format!("{columns} numbers below a head of {} columns", names.len());
         return Err(Error::format(path, format!("line {}", line + 1), what));
     }
-    if let Some(twice) = (1..names.len()).find(|&index| names[..index].contains(&names[index])) {
-        return Err(Error::format(path, "head", format!("the column `{}` is there twice", names[twice])));
-    }
     let mut axes = [0; 3];
     let known: [&[&str]; 3] =
         [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
@@ -157,6 +154,9 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
             Error::format(path, "head", format!("no column `{}` among {}", words[0].to_uppercase(), names.join(", ")))
         })?;
+    }
+    if let Some(twice) = (1..names.len()).find(|&index| names[..index].contains(&names[index])) {
+        return Err(Error::format(path, "head", format!("the column `{}` is there twice", names[twice])));
     }
     let mut schema = Schema::default();
     for (index, name) in names.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
-use super::{AdjustOptions, Blunder, GroundPoint};
+use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
 use crate::bundle::{Factored, Loss, Options, Problem, Summary, factor, solve};
 use crate::error::Result;
 use crate::read::Reconstruction;
@@ -78,6 +78,20 @@ pub(super) fn contradictions(
              cameras further off than their standard deviations say"
         ));
     }
+    for (index, photograph) in world.photographs.iter().enumerate() {
+        let here = || control.iter().filter(|p| p.seen.iter().any(|(frame, _)| *frame == index));
+        let called_wrong = |p: &&&GroundPoint| {
+            blunders.iter().any(|b| b.gcp == p.name && b.photograph.is_none_or(|frame| frame == index))
+        };
+        let (all, wrong) = (here().count(), here().filter(called_wrong).count());
+        if all > 0 && all == wrong {
+            notes.push(format!(
+                "{}: all {all} GCPs measured in it are called wrong: it may be the frame that is, and nothing else tests \
+                 it",
+                photograph.name
+            ));
+        }
+    }
     for (frame, photograph) in problem.frames.iter().zip(&world.photographs) {
         let Some((at, sigma)) = frame.position else { continue };
         let off = (frame.pose.centre - at).component_div(&sigma).amax();
@@ -89,6 +103,26 @@ pub(super) fn contradictions(
         }
     }
     notes
+}
+
+/// Check points whose rays do not meet: they, or the block where they lie, are wrong.
+pub(super) fn rays_apart(points: &[AdjustedPoint], sigma_image_px: f64) -> Option<String> {
+    /// Standard deviations of an image point.
+    const APART: f64 = 10.0;
+    let miss_px = |p: &AdjustedPoint| p.image.iter().map(|(_, r)| r[0].hypot(r[1])).fold(0.0, f64::max);
+    let seen: Vec<(f64, &str)> = points
+        .iter()
+        .filter(|p| p.role == Role::Check && p.residual.is_some())
+        .map(|p| (miss_px(p), p.name.as_str()))
+        .collect();
+    let apart = seen.iter().filter(|(px, _)| *px > APART * sigma_image_px);
+    let (worst_px, name) = apart.clone().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(format!(
+        "{} of {} check points have rays that do not meet (worst {name}, {worst_px:.0} px): their measurements are wrong, \
+         or the block is where they lie",
+        apart.count(),
+        seen.len()
+    ))
 }
 
 enum Worst {
