@@ -146,7 +146,7 @@ fn what_las_knows_goes_to_its_own_place() {
                 property double z\nproperty uchar return_number\nproperty uchar number_of_returns\n\
                 property ushort point_source_id\nproperty float scan_angle\nproperty uchar withheld\n\
                 property ushort intensity\nproperty uchar classification\nend_header\n";
-    let rows = "1 1 1 2 3 77 -12 1 70 2\n2 1 2 1 3 78 30 0 80 1\n1 2 3 3 3 79 0 0 90 5\n";
+    let rows = "1.2 1.2 1 2 3 77 -12 1 70 2\n2.4 1.1 2 1 3 78 30 0 80 1\n1.3 2.2 3 3 3 79 0 0 90 5\n";
     let path = folder.put("a.ply", format!("{head}{rows}"));
     let (las, back) = (folder.text("a.las"), folder.text("b.ply"));
     done(&["clean", &path, "-o", &las, "--z=-9,9", "--json"]);
