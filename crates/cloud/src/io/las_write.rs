@@ -94,10 +94,10 @@ struct LasWriter {
     max: [i32; 3],
 }
 
-pub(super) fn create(path: &Path, target: &Target<'_>, format: Format) -> Result<Box<dyn PointWriter>> {
+pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: Format) -> Result<Box<dyn PointWriter>> {
     let plan = match &target.source.las {
-        Some(las) => keep(path, las, target)?,
-        None => make(path, target)?,
+        Some(las) => keep(named, las, target)?,
+        None => make(named, target)?,
     };
     let Plan { mut head, mut vlrs, point_format, record_bytes, scale, offset, recipe } = plan;
     let packed = if format == Format::Laz {
@@ -138,7 +138,7 @@ pub(super) fn create(path: &Path, target: &Target<'_>, format: Format) -> Result
         )),
     };
     Ok(Box::new(LasWriter {
-        path: path.to_path_buf(),
+        path: named.to_path_buf(),
         sink,
         head,
         point_format,

@@ -147,8 +147,8 @@ pub struct Target<'a> {
 /// An extension that is not written, a file that cannot be created, coordinates that the format cannot hold.
 pub fn create(path: &Path, named: &Path, target: &Target<'_>) -> Result<Box<dyn PointWriter>> {
     match format_of(named)? {
-        Format::Ply => ply_write::create(path, target),
-        format => las_write::create(path, target, format),
+        Format::Ply => ply_write::create(path, named, target),
+        format => las_write::create(path, named, target, format),
     }
 }
 

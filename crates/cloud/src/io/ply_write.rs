@@ -26,7 +26,7 @@ struct PlyWriter {
     line: Vec<u8>,
 }
 
-pub(super) fn create(path: &Path, target: &Target<'_>) -> Result<Box<dyn PointWriter>> {
+pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>) -> Result<Box<dyn PointWriter>> {
     let file = File::create(path).map_err(|e| Error::io(path, "create", e))?;
     let mut file = BufWriter::with_capacity(1 << 20, file);
     let schema = &target.source.schema;
@@ -64,7 +64,7 @@ pub(super) fn create(path: &Path, target: &Target<'_>) -> Result<Box<dyn PointWr
     head += "end_header\n";
     file.write_all(head.as_bytes()).map_err(|e| Error::io(path, "write", e))?;
     Ok(Box::new(PlyWriter {
-        path: path.to_path_buf(),
+        path: named.to_path_buf(),
         file,
         with_axes,
         fields,
