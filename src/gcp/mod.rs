@@ -24,7 +24,7 @@ mod qgis;
 mod raw;
 mod read;
 mod select;
-mod text;
+pub(crate) mod text;
 mod working_crs;
 mod xml;
 

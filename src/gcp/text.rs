@@ -4,7 +4,7 @@ use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
 
 /// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its
 /// letters, as old survey software and Excel write; line ends of any system. `None` for files that are no text.
-pub(super) fn decode(bytes: &[u8]) -> Option<String> {
+pub(crate) fn decode(bytes: &[u8]) -> Option<String> {
     let wide = |pairs: &[u8], big: bool| -> String {
         let units = pairs.chunks_exact(2).map(|pair| {
             let pair = [pair[0], pair[1]];

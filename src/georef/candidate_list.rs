@@ -6,10 +6,12 @@
 //! order is free. Numbers are written in the shortest form that reads back to the same value, so that two lists are
 //! equal when their bytes are.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::Path;
 
 use crate::candidate::{Candidate, Code};
+use crate::gcp::text::decode;
+use autoref_raster::bounded;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 
@@ -90,14 +92,15 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
 /// # Errors
 /// When the file cannot be read, lacks `x` or `y`, or has a value that is no number; the message names the row.
 pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
-    autoref_raster::bounded::refuse_endless(path)?;
-    let delimiter = delimiter(path)?;
+    let bytes = bounded::read(path, "a list of candidates", bounded::DOCUMENT_BYTES)?;
+    let text = decode(&bytes).ok_or_else(|| Error::format(path, "begin", "this is no text"))?;
+    let (table, skipped) = without_spreadsheet_line(&text);
+    let delimiter = delimiter(&text);
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
         .delimiter(delimiter)
-        .from_path(path)
-        .map_err(|e| csv_error(path, &e))?;
+        .from_reader(table.as_bytes());
     let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
     let column = |name: &str| headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
     let (places, code_place) = (COLUMNS.map(column), column(CODE));
@@ -109,12 +112,14 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     let mut candidates = Vec::new();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(|e| csv_error(path, &e))?;
-        let row = index + 2;
+        let row = index + 2 + skipped;
         let mut values = [None; 10];
         for ((value, place), name) in values.iter_mut().zip(places).zip(COLUMNS) {
             let Some(text) = place.and_then(|i| record.get(i)).filter(|text| !text.is_empty()) else { continue };
-            // A German spreadsheet writes semicolons and decimal commas.
-            let plain = if delimiter == b',' { text.to_owned() } else { text.replace(',', ".") };
+            // A German spreadsheet writes semicolons and decimal commas; between commas they are quoted, where a comma
+            // before three digits may as well part the thousands.
+            let thousands = delimiter == b',' && text.rsplit_once(',').is_some_and(|(_, digits)| digits.len() == 3);
+            let plain = if thousands { text.to_owned() } else { text.replacen(',', ".", 1) };
             let number = plain.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
                 Error::format(path, format!("row {row}"), format!("`{text}` in column `{name}` is not a number"))
             })?;
@@ -143,18 +148,25 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     Ok(candidates)
 }
 
+/// The table without a first line `sep=;`, which spreadsheets write for each other, and how many lines that was.
+fn without_spreadsheet_line(text: &str) -> (&str, usize) {
+    match text.split_once('\n') {
+        Some((first, rest)) if spreadsheet_delimiter(first).is_some() => (rest, 1),
+        _ => (text, 0),
+    }
+}
+
+fn spreadsheet_delimiter(line: &str) -> Option<u8> {
+    let stated = line.trim().trim_matches('"').strip_prefix("sep=")?.as_bytes();
+    (stated.len() <= 1).then(|| stated.first().copied().unwrap_or(b'\t'))
+}
+
 /// What stands between the columns, by the first line that is no comment: a comma, or what spreadsheets write in
 /// countries with a decimal comma.
-fn delimiter(path: &Path) -> Result<u8> {
-    use std::io::BufRead;
-    let file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
-    for line in std::io::BufReader::new(file.take(1 << 16)).split(b'\n') {
-        let line = line.map_err(|e| Error::io(path, "read", e))?;
-        if !line.starts_with(b"#") && !line.is_empty() {
-            return Ok([b';', b'\t'].into_iter().find(|d| line.contains(d)).unwrap_or(b','));
-        }
-    }
-    Ok(b',')
+fn delimiter(text: &str) -> u8 {
+    let first = text.lines().find(|line| !line.starts_with('#') && !line.is_empty()).unwrap_or_default();
+    let found = || ";\t".bytes().find(|d| first.as_bytes().contains(d));
+    spreadsheet_delimiter(first).or_else(found).unwrap_or(b',')
 }
 
 fn csv_error(path: &Path, error: &csv::Error) -> Error {
@@ -198,6 +210,23 @@ mod tests {
         let mut json = Vec::new();
         write_geojson(&[coded], &mut json).expect("writable");
         assert!(String::from_utf8_lossy(&json).contains("\"code\":\"aruco-4x4-50:17\""));
+    }
+
+    #[test]
+    fn tables_of_spreadsheets_read_alike() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("list.csv");
+        let wide: Vec<u8> =
+            [0xFEFF].into_iter().chain("x;y\n1,5;2\n".encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        let tables: [&[u8]; 5] =
+            [b"x,y\n1.5,2\n", b"sep=;\nx;y\n1,5;2\n", b"x,y\n\"1,5\",2\n", &wide, b"# H\xf6he\nx\ty\n1,5\t2\n"];
+        for table in tables {
+            std::fs::write(&path, table).expect("writable");
+            let read = read_csv(&path).expect("a list");
+            assert_eq!((read.len(), read[0].centre), (1, PixelPoint { x: 1.5, y: 2.0 }));
+        }
+        std::fs::write(&path, "x,y\n\"1,500\",2\n").expect("writable");
+        assert!(read_csv(&path).expect_err("thousands or a decimal comma").to_string().contains("`1,500`"));
     }
 
     #[test]

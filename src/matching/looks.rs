@@ -196,3 +196,60 @@ impl Kernel for Looks<'_> {
         counts
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::candidate::Candidate;
+    use crate::matching::Priors;
+    use autoref_raster::coords::MapPoint;
+    use autoref_raster::random::SplitMix64;
+
+    #[test]
+    fn looks_at_many_answer_as_one_at_a_time() {
+        let mut random = SplitMix64(11);
+        let mut unit = || random.unit();
+        let candidate = |x: f64, y: f64| Candidate {
+            centre: PixelPoint { x, y },
+            covariance_px2: None,
+            score: None,
+            area_px: None,
+            size_px: None,
+            elevation_m: None,
+            code: None,
+            paint: None,
+        };
+        let candidates: Vec<Candidate> = (0..300).map(|_| candidate(2000.0 * unit(), 1500.0 * unit())).collect();
+        let gcps: Vec<MapPoint> =
+            (0..12).map(|_| MapPoint { easting: 60.0 * unit(), northing: 45.0 * unit() }).collect();
+        let priors = Priors { image_size_px: Some((2000.0, 1500.0)), ..Priors::default() };
+        let all: Vec<&Candidate> = candidates.iter().collect();
+        let (search, pairs, _) = Search::new(&all, &gcps, &priors, 0.0).expect("hypotheses are possible");
+        let mut hits = 0;
+        for pair in &pairs[..20] {
+            let (targets, i) = (search.targets(pair, search.tolerance_px), pair.a);
+            let view = View { search: &search, span: search.span(pair), i };
+            let mut batch = Batch::new();
+            (0..BATCH - 3).map(|k| 20 + 4 * k).for_each(|j| {
+                batch.push(j);
+            });
+            let look = || Looks { view: &view, targets: &targets, batch: &batch };
+            let counts = [look().run(), widest(look())];
+            for (lane, j) in batch.ends[..batch.len].iter().enumerate() {
+                let from = search.field.points()[i];
+                let z = view.span.factor(from, search.field.points()[*j as usize]);
+                let may = |target: &&Target| {
+                    let p = PixelPoint {
+                        x: from.x + z.0 * target.east - z.1 * target.north,
+                        y: from.y - (z.0 * target.north + z.1 * target.east),
+                    };
+                    search.field.contains(p) && search.bitmaps[target.bitmap].may_hold(p)
+                };
+                let expected = targets.iter().filter(may).count() as u32;
+                assert_eq!([counts[0][lane], counts[1][lane]], [expected; 2]);
+                hits += expected;
+            }
+        }
+        assert!(hits > 100, "{hits}");
+    }
+}

@@ -354,7 +354,7 @@ impl<'a> Search<'a> {
     }
 
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
-    fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
+    pub(super) fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
         let density = self.field.points().len() as f64 / self.field.area_px2();
         // Farther from the pair than the image is long it cannot be in the image.

@@ -80,7 +80,7 @@ impl Search<'_> {
         let noise_px = root_mean_square(&pattern.similarity, &loose);
         let by_chance = -(-farthest_px * farthest_px / (2.0 * noise_px * noise_px)).exp_m1();
         // The pair that tells, the others that agree with it, and how closely.
-        let choices = log10_choose(m, 2.0) + log10_choose(m - 2.0, k - 2.0) + (CORE_LEVELS).log10();
+        let choices = log10_choose(m, 2.0) + log10_choose(m - 2.0, k - 2.0) + CORE_LEVELS.log10();
         Some(choices + (k - 2.0) * by_chance.log10())
     }
 

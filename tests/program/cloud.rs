@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use autoref_raster::crs::{Coordinate, Crs};
 use serde_json::Value;
 
 fn cloud(arguments: &[&str]) -> Output {
@@ -210,6 +211,32 @@ fn crops_cameras_and_several_clouds_and_resume() {
     let shift = ["--shift", "600000,8600000,0"];
     let report = done(&[&["clean", &a, "-o", &out, "--crop", &crop, "--drop", "noise", "--json"], &shift[..]].concat());
     assert_eq!(report["points_kept"], 96, "10 × 10 points less 2 × 2");
+    // The same square in degrees, for a cloud whose reference system is known; and the map's coordinates still.
+    let zone = Crs::parse("EPSG:32633").expect("a zone");
+    let corner = |x: f64, y: f64| {
+        let mut place = [Coordinate { x: 600_000.0 + x, y: 8_600_000.0 + y, height: None }];
+        let world = Crs::from_epsg(4326).expect("the world");
+        zone.transform(&mut place, &world, 2.0).expect("a place on the Earth");
+        format!("[{:.9},{:.9}]", place[0].x, place[0].y)
+    };
+    let ring = |low: f64, high: f64| {
+        let corners = [(low, low), (high, low), (high, high), (low, high), (low, low)];
+        corners.map(|(x, y)| corner(x, y)).join(",")
+    };
+    let degrees = folder.put(
+        "degrees.geojson",
+        format!(
+            r#"{{"type":"FeatureCollection","features":[{{"type":"Feature","properties":{{}},"geometry":
+            {{"type":"Polygon","coordinates":[[{}],[{}]]}}}}]}}"#,
+            ring(-0.01, 10.01),
+            ring(3.99, 6.01)
+        ),
+    );
+    for crop in [&crop, &degrees] {
+        let how = ["clean", &a, "-o", &out, "--crop", crop, "--drop", "noise", "--crs", "EPSG:32633", "--overwrite"];
+        let report = done(&[&how[..], &["--json"], &shift[..]].concat());
+        assert_eq!(report["points_kept"], 96, "{crop}");
+    }
 
     // Cameras in map coordinates; that of `b` sees nothing: its height over z = 0 is 5 m.
     let cameras = folder.put("cameras.csv", "cloud,E,N,H\na,600010,8600010,3000\nb.ply,600010,8600010,5\n");
@@ -318,6 +345,26 @@ fn wide_and_thin_clouds_end_soon() {
     let path = folder.put("thin.xyz", text);
     let report = done(&["clean", &path, "-o", &folder.text("out.laz"), "--ground", "cell=8", "--json"]);
     assert_eq!(report["points_kept"], 40);
+}
+
+#[test]
+fn tables_are_read_as_programs_write_them() {
+    let folder = Folder::new();
+    for (name, text) in [
+        ("ends.csv", "X;Y;Z;Intensity;\n1,5;2;3;9;\n4;5;6;8;\n"),
+        ("remark.xyz", "# flown in 2017, 2 lines\n1.5 2 3 9\n4 5 6 8\n"),
+        ("sentence.xyz", "# x y and z in metres\n# metres\n1.5 2 3 9\n4 5 6 8\n"),
+        ("compare.txt", "//X Y Z Intensity\n1.5 2 3 9\n// half way\n4 5 6 8\n"),
+        ("hash.txt", "#x,y,z,intensity\n1.5,2,3,9\n4,5,6,8\n"),
+    ] {
+        let path = folder.put(name, text);
+        let out = folder.text("out.ply");
+        let report = done(&["clean", &path, "-o", &out, "--json", "--overwrite"]);
+        assert_eq!(report["points_kept"], 2, "{name}");
+        let head = std::fs::read(&out).expect("written");
+        let named = String::from_utf8_lossy(&head).contains(" intensity\n");
+        assert_eq!(named, !text.starts_with("# "), "{name}: a head is read, a sentence is none");
+    }
 }
 
 #[test]

@@ -6,7 +6,8 @@ use std::process::{Command, Output};
 
 use autoref_synth::{SynthSpec, random_gcps};
 
-use super::flight::{Place, write_dem};
+use super::flight::Place;
+use super::orthorectify::write_dem;
 
 /// The program in `folder`, where a stand-in for COLMAP may lie in `bin`; its scratch files go to `tmp` beside it, when
 /// that is there.

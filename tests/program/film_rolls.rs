@@ -92,7 +92,7 @@ fn memory_does_not_grow_with_the_roll_and_a_frame_takes_a_moment() {
 fn resampling_holds_no_frame_in_memory() {
     let folder = tempfile::tempdir().expect("a folder");
     let camera = "svalbard-zeiss-1936";
-    let (pixel_um, mm) = if large() { ("13.77", "0.0135") } else { ("45", "0.045") };
+    let (pixel_um, mm) = if large() { ("13.77", "0.0135") } else { ("60", "0.06") };
     let drawn = folder.path().join("drawn");
     draw(&drawn, camera, &["--pixel-um", pixel_um, "--tiles", "512"]);
     let tiled = drawn.join(format!("{camera}-1.tif"));
@@ -332,8 +332,8 @@ fn a_template_learned_from_a_roll_finds_the_marks_of_other_frames() {
     let folder = tempfile::tempdir().expect("a folder");
     let (scans, others, out) = (folder.path().join("scans"), folder.path().join("others"), folder.path().join("out"));
     let camera = "svalbard-zeiss-1936";
-    draw(&scans, camera, &["--pixel-um", "50", "--frames", "4"]);
-    draw(&others, camera, &["--pixel-um", "48", "--frames", "2", "--seed", "20", "--offset-mm", "0.1,-0.1"]);
+    draw(&scans, camera, &["--pixel-um", "60", "--frames", "4"]);
+    draw(&others, camera, &["--pixel-um", "57", "--frames", "2", "--seed", "20", "--offset-mm", "0.1,-0.1"]);
     // A scan that cannot be read does not stop the learning.
     std::fs::write(scans.join("zz-broken.tif"), b"no picture").expect("writable");
     let learned = folder.path().join("learned");

@@ -91,6 +91,7 @@ pub fn read_zones(path: &Path, wkt: &str) -> Result<Zones> {
 }
 
 /// Polygons of any vector file with their names and rings, in the CRS of `wkt` where both it and the file name one.
+/// Corners that cannot be degrees are taken for map coordinates, whatever a geographic CRS of the file says.
 ///
 /// # Errors
 /// When the file cannot be read, holds no polygon, or cannot be transformed.
@@ -107,7 +108,10 @@ pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
             let Some(geometry) = feature.geometry() else { continue };
             let mut rings = Vec::new();
             collect_rings(geometry, &mut rings);
-            if let (Some(from), Some(to)) = (&own, &target) {
+            // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.
+            let degrees = |&(x, y): &(f64, f64)| x.abs() <= 360.0 && y.abs() <= 90.0;
+            let own = own.as_ref().filter(|crs| !crs.is_geographic() || rings.iter().flatten().all(degrees));
+            if let (Some(from), Some(to)) = (own, &target) {
                 for ring in &mut rings {
                     let mut points: Vec<_> =
                         ring.iter().map(|&(x, y)| crate::crs::Coordinate { x, y, height: None }).collect();

@@ -10,6 +10,7 @@ pub mod align;
 pub mod compare;
 pub mod couple;
 pub mod derive;
+mod escape;
 pub mod exact;
 pub mod files;
 pub mod footprint;

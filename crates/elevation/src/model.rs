@@ -9,6 +9,7 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 use crate::coords::GeoTransform;
 use crate::crs::Crs;
 use crate::error::{Error, Result};
+use crate::escape::escaped;
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
 use crate::masked;
@@ -315,10 +316,6 @@ pub fn open_heights(path: &Path) -> Result<Dataset> {
         escaped(&path.to_string_lossy()),
     );
     open_named(Path::new(&xml), path)
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 fn open_named(name: &Path, path: &Path) -> Result<Dataset> {

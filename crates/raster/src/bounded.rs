@@ -14,14 +14,20 @@ pub const DOCUMENT_BYTES: u64 = 512 << 20;
 /// The bytes of a file that is `what`, at most `most_bytes`.
 ///
 /// # Errors
-/// [`Error::Io`] when it cannot be read, [`Error::Unsupported`] for a pipe or a device, which may never end,
+/// [`Error::Io`] when it cannot be read to its end, [`Error::Unsupported`] for a pipe or a device, which may never end,
 /// [`Error::Limit`] when it is larger.
 pub fn read(path: &Path, what: &str, most_bytes: u64) -> Result<Vec<u8>> {
     refuse_endless(path)?;
     let file = File::open(path).map_err(|e| Error::io(path, "read", e))?;
     let mut bytes = Vec::new();
+    let stated = file.metadata().map_or(0, |m| m.len());
     // One byte more than is allowed tells a file that grows while it is read.
     file.take(most_bytes + 1).read_to_end(&mut bytes).map_err(|e| Error::io(path, "read", e))?;
+    // A list that ends early would pass for a whole one of fewer rows.
+    if (bytes.len() as u64) < stated.min(most_bytes) {
+        let what = format!("the file ended after {} of {stated} bytes", bytes.len());
+        return Err(Error::io(path, "read", std::io::Error::new(std::io::ErrorKind::UnexpectedEof, what)));
+    }
     if bytes.len() as u64 > most_bytes {
         let needed = std::fs::metadata(path).map_or(bytes.len() as u64, |m| m.len().max(bytes.len() as u64));
         return Err(Error::Limit {

@@ -11,13 +11,14 @@ use autoref_raster::{RasterSource, ReaderChoice};
 use serde::Serialize;
 
 use crate::bits::BitMask;
+use crate::by_hand::{self, FullMask};
 use crate::classify::{Classes, Classifier, Cleaner, classify};
 use crate::clean::Cleaning;
 use crate::knn::Neighbours;
 use crate::light::Correction;
 use crate::model::{self, Labels};
 use crate::reduce::{Reading, Reduced, plane_memory, reduce_frame};
-use crate::shapes::{Lesson, Meaning, Shape};
+use crate::shapes::{Lesson, Shape};
 use crate::unlike::UNLIKE_SHARE;
 use crate::write::{self, MaskCompression};
 
@@ -308,7 +309,7 @@ fn file_mark(path: &Path) -> String {
 }
 
 /// Rises when a method gives other masks than before.
-const METHODS: u32 = 2;
+const METHODS: u32 = 3;
 
 /// Changes when the frame or anything that its mask depends on changes.
 fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
@@ -372,15 +373,16 @@ pub fn mask_frame(
     };
     let memory = plane_memory(&reading);
     let mut classes = classify(&reduced, classifier, &cleaner, memory)?;
-    by_hand(frame, &reduced, given, &mut classes)?;
+    let told_apart = by_hand::speaks_of(frame, given).then(|| classes.keep.clone());
+    by_hand::lay_over(frame, &reduced, given, &mut classes)?;
     if !options.extras.probability {
         classes.probability = None;
     }
+    let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
     let report = report(frame, &names, &reduced, &classes, options, fingerprint);
     let mut transaction = Transaction::new();
     let size = [reduced.width as usize, reduced.height as usize];
-    transaction
-        .stage(&names.mask, |path| write::mask(path, &classes.keep, size, reduced.factor, options.compression))?;
+    transaction.stage(&names.mask, |path| write::mask(path, &full, options.compression))?;
     let mask_name = names.mask.file_name().unwrap_or_default().to_string_lossy();
     transaction.stage_bytes(&names.xml, write::micmac_xml(&mask_name, size).as_bytes())?;
     let name = frame.file_name().unwrap_or_default().to_string_lossy();
@@ -390,7 +392,7 @@ pub fn mask_frame(
         transaction.stage(&names.probability, |path| write::grey_plane(path, size, reduced.factor, plane))?;
     }
     if options.extras.colmap {
-        transaction.stage(&names.colmap, |path| write::colmap(path, &classes.keep, size, reduced.factor))?;
+        transaction.stage(&names.colmap, |path| write::colmap(path, &full))?;
     }
     if options.extras.explain {
         crate::explain::stage(&mut transaction, &names, &reduced, classifier, memory)?;
@@ -427,46 +429,6 @@ fn again(frame: &Path, names: &Names, earlier: &serde_json::Value, fingerprint: 
         reduce: earlier["reduce"].as_u64().unwrap_or(4) as usize,
         fingerprint,
     }
-}
-
-/// Global masks, what was marked as keep, and what was mended, in this order.
-fn by_hand(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Classes) -> Result<()> {
-    let paint = |shapes: &[Shape], only: Option<Meaning>, classes: &mut Classes| {
-        let mut labels: Option<Labels> = None;
-        for shape in shapes.iter().filter(|s| s.is_of(frame) && only.is_none_or(|only| only == s.meaning)) {
-            labels.get_or_insert_with(|| Labels::new(reduced)).paint(shape, reduced.factor);
-        }
-        let Some(labels) = labels else { return };
-        for (i, &value) in labels.values.iter().enumerate().filter(|(_, value)| **value != 255) {
-            let (x, y) = (i % labels.width, i / labels.width);
-            classes.keep.set(x, y, value == 1);
-            classes.unsure.set(x, y, false);
-        }
-    };
-    // A sample that names no frame is of the only frame there is.
-    paint(&given.samples, Some(Meaning::Keep), classes);
-    for lesson in given.lessons.iter().filter(|lesson| same_file(&lesson.frame, frame)) {
-        let mut labels = Labels::new(reduced);
-        labels.read_mask(&lesson.mask, reduced)?;
-        for (i, _) in labels.values.iter().enumerate().filter(|(_, value)| **value == 1) {
-            classes.keep.set(i % labels.width, i / labels.width, true);
-        }
-    }
-    paint(&given.global, None, classes);
-    if let Some(path) = &given.global_mask {
-        let mut labels = Labels::new(reduced);
-        labels.read_mask(path, reduced)?;
-        for (i, _) in labels.values.iter().enumerate().filter(|(_, value)| **value == 0) {
-            classes.keep.set(i % labels.width, i / labels.width, false);
-        }
-    }
-    paint(&given.mended, None, classes);
-    classes.keep.and(&reduced.valid);
-    Ok(())
-}
-
-fn same_file(a: &Path, b: &Path) -> bool {
-    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 fn report(

@@ -7,11 +7,13 @@
 pub mod area;
 pub mod batch;
 pub mod bits;
+pub mod by_hand;
 pub mod classify;
 pub mod clean;
 pub mod entropy;
 pub mod explain;
 pub mod features;
+mod fill;
 pub mod forest;
 pub mod knn;
 pub mod light;

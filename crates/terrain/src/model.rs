@@ -10,11 +10,12 @@ use rayon::prelude::*;
 use crate::classify::Learned;
 use crate::entropy::{RADIUS_PX, entropy};
 use crate::features::{FEATURES, FrameScale, HALO_PX, Measured, PLANES, Surroundings, Tally, measure};
+use crate::fill::Fill;
 use crate::forest::{Example, Forest, Growth};
 use crate::knn::Sample;
 use crate::plane::Plane;
 use crate::reduce::Reduced;
-use crate::shapes::{Meaning, Shape};
+use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
 use crate::unlike::Known;
 
 /// Features and class of pixels of licensed photographs (`docs/masks.md` names them): [`FEATURES`] bytes and one of 0
@@ -98,27 +99,14 @@ pub struct Labels {
 impl Labels {
     pub fn new(reduced: &Reduced) -> Labels {
         let (width, height) = (reduced.grey.width(), reduced.grey.height());
-        Labels { width, height, values: vec![255; width * height] }
+        Labels { width, height, values: vec![SAYS_NOTHING; width * height] }
     }
 
     /// Paints the shape: pixels whose centre lies in it. Later shapes win.
     pub fn paint(&mut self, shape: &Shape, factor: usize) {
-        let value = match shape.meaning {
-            Meaning::Keep => 1,
-            Meaning::Mask => 0,
-            Meaning::Unknown => 255,
-        };
-        let factor = factor as f64;
-        let [left, top, right, bottom] = shape.bounds().map(|v| v / factor);
-        let range = |low: f64, high: f64, length: usize| {
-            (low.floor().max(0.0) as usize).min(length)..(high.ceil().max(0.0) as usize).min(length)
-        };
-        for y in range(top, bottom, self.height) {
-            for x in range(left, right, self.width) {
-                if shape.contains([(x as f64 + 0.5) * factor, (y as f64 + 0.5) * factor]) {
-                    self.values[y * self.width + x] = value;
-                }
-            }
+        let mut fill = Fill::new(shape, factor);
+        for (y, row) in self.values.chunks_exact_mut(self.width.max(1)).enumerate() {
+            fill.row(y, self.width, |start, end| row[start..end].fill(shape.meaning.label()));
         }
     }
 

@@ -15,6 +15,20 @@ pub enum Meaning {
     Unknown,
 }
 
+impl Meaning {
+    /// As masks hold it.
+    pub fn label(self) -> u8 {
+        match self {
+            Meaning::Keep => 1,
+            Meaning::Mask => 0,
+            Meaning::Unknown => SAYS_NOTHING,
+        }
+    }
+}
+
+/// The value of masks that says nothing.
+pub const SAYS_NOTHING: u8 = 255;
+
 /// Classes by name; `keep:NAME` and `mask:NAME` name others.
 const KEEP: [&str; 12] = [
     "keep",

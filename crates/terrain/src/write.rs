@@ -6,7 +6,7 @@ use autoref_raster::error::{Error, Result};
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 
-use crate::bits::BitMask;
+use crate::by_hand::FullMask;
 
 /// How masks are compressed; both are lossless.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,21 +46,17 @@ fn write_rows(
     dataset.close().map_err(failed)
 }
 
-/// Writes `mask`, whose pixels stand for `factor` × `factor` of the frame's, at the frame's size: 1 bit a pixel, 1 =
-/// keep.
+/// Writes `mask` at the frame's size: 1 bit a pixel, 1 = keep.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn mask(path: &Path, mask: &BitMask, size: [usize; 2], factor: usize, compression: MaskCompression) -> Result<()> {
+/// When the file cannot be written, or a mask that a person gave cannot be read.
+pub fn mask(path: &Path, mask: &FullMask<'_>, compression: MaskCompression) -> Result<()> {
     let compress = match compression {
         MaskCompression::CcittG4 => "COMPRESS=CCITTFAX4",
         MaskCompression::Deflate => "COMPRESS=DEFLATE",
     };
-    write_rows(path, size, &["NBITS=1", compress], |y, line| {
-        line.fill(0);
-        mask.runs(y / factor, true, |start, end| line[start * factor..(end * factor).min(size[0])].fill(1));
-        Ok(())
-    })
+    let mut rows = mask.rows()?;
+    write_rows(path, mask.size, &["NBITS=1", compress], |y, line| rows.row(y, line))
 }
 
 /// Writes values at the reduced scale at the frame's size, 8 bits a pixel.
@@ -101,8 +97,9 @@ pub fn grey_plane(path: &Path, size: [usize; 2], factor: usize, plane: &crate::p
 /// Writes a mask as COLMAP reads it: 8-bit PNG, black where no features are wanted.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn colmap(path: &Path, mask: &BitMask, [width, height]: [usize; 2], factor: usize) -> Result<()> {
+/// When the file cannot be written, or a mask that a person gave cannot be read.
+pub fn colmap(path: &Path, mask: &FullMask<'_>) -> Result<()> {
+    let [width, height] = mask.size;
     let failed = |e: png::EncodingError| Error::io(path, "write", std::io::Error::other(e));
     let file = std::fs::File::create(path).map_err(|e| Error::io(path, "create", e))?;
     let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), width as u32, height as u32);
@@ -110,10 +107,11 @@ pub fn colmap(path: &Path, mask: &BitMask, [width, height]: [usize; 2], factor: 
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header().map_err(failed)?;
     let mut stream = writer.stream_writer().map_err(failed)?;
+    let mut rows = mask.rows()?;
     let mut line = vec![0; width];
     for y in 0..height {
-        line.fill(0);
-        mask.runs(y / factor, true, |start, end| line[start * factor..(end * factor).min(width)].fill(255));
+        rows.row(y, &mut line)?;
+        line.iter_mut().for_each(|value| *value *= 255);
         std::io::Write::write_all(&mut stream, &line).map_err(|e| Error::io(path, "write", e))?;
     }
     stream.finish().map_err(failed)

@@ -169,6 +169,43 @@ fn what_a_person_says_holds() {
 }
 
 #[test]
+fn what_a_person_says_holds_to_the_pixel() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("a.tif");
+    draw(&frame, 1, 1.0, &[]);
+    let options = Options { reduce: 4, extras: Extras { colmap: true, ..Extras::default() }, ..options(Method::Auto) };
+    let before = run(&frame, folder.path(), &samples(), &options);
+    let lattice = folder.path().join("global.tif");
+    let masked_by_raster = |x: usize, y: usize| (x + y) % 7 == 0;
+    write_mask(&lattice, |x, y| u8::from(!masked_by_raster(x, y)));
+    let mut given = samples();
+    given.global = vec![parse_sample("mask:text=101,99,101,41").unwrap()];
+    given.global_mask = Some(lattice);
+    given.mended = vec![parse_sample("keep=901.5,301.5,3,7").unwrap(), parse_sample("mask=903,303,99,1").unwrap()];
+    let mask = run(&frame, folder.path(), &given, &options);
+    let within = |x: usize, y: usize, [left, top, w, h]: [f64; 4]| {
+        let (x, y) = (x as f64 + 0.5, y as f64 + 0.5);
+        (left..left + w).contains(&x) && (top..top + h).contains(&y)
+    };
+    // A sample is kept whatever the classifier says; none lies where something else is said here.
+    for (i, (now, before)) in mask.iter().zip(&before).enumerate() {
+        let (x, y) = (i % SIZE.0, i / SIZE.0);
+        let expected = if within(x, y, [903.0, 303.0, 99.0, 1.0]) {
+            0
+        } else if within(x, y, [901.5, 301.5, 3.0, 7.0]) {
+            1
+        } else if within(x, y, [101.0, 99.0, 101.0, 41.0]) || masked_by_raster(x, y) {
+            0
+        } else {
+            *before
+        };
+        assert_eq!(*now, expected, "{x}, {y}");
+    }
+    let colmap = read(&folder.path().join("a.tif.png"));
+    assert!(colmap.iter().zip(&mask).all(|(png, bit)| *png == 255 * bit));
+}
+
+#[test]
 fn done_frames_are_left_alone_until_something_changes() {
     let folder = tempfile::tempdir().unwrap();
     let frame = folder.path().join("a.tif");

@@ -52,7 +52,7 @@ impl Place {
 }
 
 /// What point formats 6 to 8 know, by the names that other formats give it (without underscores).
-const KNOWN: [(&[&str], Place); 15] = [
+const KNOWN: [(&[&str], Place); 14] = [
     (&["intensity", "grey", "gray"], Place::word(12, 2)),
     (&["returnnumber"], Place::bits(14, 0, 4)),
     (&["numberofreturns"], Place::bits(14, 4, 4)),
@@ -64,8 +64,7 @@ const KNOWN: [(&[&str], Place); 15] = [
     (&["scandirectionflag"], Place::bits(15, 6, 1)),
     (&["edgeofflightline"], Place::bits(15, 7, 1)),
     (&["userdata"], Place::word(17, 1)),
-    (&["scanangle"], Place { signed: true, unit: 0.006, ..Place::word(18, 2) }),
-    (&["scananglerank"], Place { signed: true, unit: 0.006, ..Place::word(18, 2) }),
+    (&["scanangle", "scananglerank"], Place { signed: true, unit: 0.006, ..Place::word(18, 2) }),
     (&["pointsourceid"], Place::word(20, 2)),
     (&["nir", "infrared"], Place::word(36, 2)),
 ];
@@ -211,8 +210,7 @@ fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<Plan> {
 fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     let schema = &target.source.schema;
     let named = |names: &[&str]| {
-        let is_one = |field: &&Field| names.contains(&plain_name(&field.name).as_str());
-        schema.fields.iter().find(is_one).cloned()
+        names.iter().find_map(|name| schema.fields.iter().find(|field| plain_name(&field.name) == *name)).cloned()
     };
     let colours = match (named(&["red", "r"]), named(&["green", "g"]), named(&["blue", "b"])) {
         (Some(red), Some(green), Some(blue)) => Some([red, green, blue]),
@@ -220,15 +218,13 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     };
     let class = named(&["classification", "class"]);
     let gps_time = named(&["gpstime"]);
-    let mut known: Vec<(Field, Place)> = Vec::new();
-    for (names, place) in KNOWN {
-        // The near infrared has room beside colours only; one angle is enough.
-        let room = place.byte < 30 || colours.is_some();
-        if let Some(field) = named(names).filter(|_| room && known.iter().all(|(_, other)| !same_place(other, &place)))
-        {
-            known.push((field, place));
-        }
-    }
+    // The near infrared has room beside colours only.
+    let has_room = |place: &Place| place.byte < 30 || colours.is_some();
+    let known: Vec<(Field, Place)> = KNOWN
+        .into_iter()
+        .filter(|(_, place)| has_room(place))
+        .filter_map(|(names, place)| Some((named(names)?, place)))
+        .collect();
     let mut taken = vec!["x".to_string(), "y".into(), "z".into()];
     taken.extend([&class, &gps_time].into_iter().flatten().map(|field| field.name.clone()));
     taken.extend(colours.iter().flatten().map(|field| field.name.clone()));
@@ -301,10 +297,6 @@ fn add_crs(path: &Path, head: &mut [u8], vlrs: &mut Vec<Vlr>, target: &Target<'_
     let content = [wkt.as_bytes(), &[0]].concat();
     vlrs.push(vlr_of("LASF_Projection", 2112, "OGC coordinate system WKT", content));
     Ok(())
-}
-
-fn same_place(one: &Place, other: &Place) -> bool {
-    (one.byte, one.right) == (other.byte, other.right)
 }
 
 fn vlr_of(user_id: &str, record_id: u16, description: &str, content: Vec<u8>) -> Vlr {

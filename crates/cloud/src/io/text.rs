@@ -31,7 +31,8 @@ fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> 
         Some('\t') => line.split('\t').map(str::trim).filter(|word| !word.is_empty()).try_for_each(|word| {
             if word.contains(' ') { word.split_whitespace().try_for_each(&mut bare) } else { bare(word) }
         }),
-        Some(cut) => line.split(cut).try_for_each(|word| bare(word.trim())),
+        // Some programs end every row with the separator.
+        Some(cut) => line.strip_suffix(cut).unwrap_or(line).split(cut).try_for_each(|word| bare(word.trim())),
         None => line.split_whitespace().try_for_each(bare),
     }
 }
@@ -61,9 +62,17 @@ fn numbers(line: &str, raw: &mut Vec<u8>) -> Option<usize> {
     Some(count)
 }
 
-fn is_remark(line: &str) -> bool {
-    let line = line.trim();
-    line.is_empty() || line.starts_with("//")
+/// What follows the sign of a remark, which may be the head of the table.
+fn remark(line: &str) -> Option<&str> {
+    line.strip_prefix("//").or_else(|| line.strip_prefix('#')).map(|rest| rest.trim_start_matches(['#', '/']).trim())
+}
+
+/// Names of x, y and z.
+const AXES: [&[&str]; 3] =
+    [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
+
+fn names_all_axes(row: &[&str]) -> bool {
+    AXES.iter().all(|axis| row.iter().any(|word| axis.contains(&word.to_ascii_lowercase().as_str())))
 }
 
 /// The next line with content, in `bytes`.
@@ -87,7 +96,7 @@ fn next_line<'a>(
         if let Cow::Owned(text) = String::from_utf8_lossy(bytes) {
             *bytes = text.into_bytes();
         }
-        if !is_remark(content(bytes)) {
+        if !content(bytes).is_empty() {
             return Ok(Some(content(bytes)));
         }
     }
@@ -105,13 +114,18 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let mut line = 0;
     let mut bytes = Vec::new();
     let mut names: Option<Vec<String>> = None;
+    let mut in_remark = false;
     let columns = loop {
         let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, line);
         let Some(text) = next_line(path, &mut file, &mut line, &mut bytes)? else {
             break names.as_ref().map_or(3, Vec::len);
         };
-        let text = text.trim_start_matches('#').trim();
-        let row = words(text);
+        let row = match remark(text) {
+            // Other remarks say nothing of the table.
+            Some(rest) if names.is_some() || !names_all_axes(&words(rest)) => continue,
+            Some(rest) => words(rest),
+            None => words(text),
+        };
         if row.iter().all(|word| number(word).is_some()) {
             // PTS files begin with the number of points.
             if row.len() == 1 && names.is_none() && row[0].parse::<u64>().is_ok() {
@@ -131,6 +145,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             other => other.to_string(),
         };
         names = Some(row.iter().map(named).collect());
+        in_remark = remark(text).is_some();
     };
     if !(3..=MOST_COLUMNS).contains(&columns) {
         return Err(Error::format(
@@ -139,7 +154,8 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             format!("{columns} columns; x, y, z are needed"),
         ));
     }
-    let names = names.unwrap_or_else(|| {
+    // A sentence about x, y and z is no head.
+    let names = names.filter(|names| !in_remark || names.len() == columns).unwrap_or_else(|| {
         let axes = ["x", "y", "z"].map(String::from);
         axes.into_iter().chain((4..=columns).map(|number| format!("column_{number}"))).collect()
     });
@@ -148,9 +164,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         return Err(Error::format(path, format!("line {}", line + 1), what));
     }
     let mut axes = [0; 3];
-    let known: [&[&str]; 3] =
-        [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
-    for (place, words) in axes.iter_mut().zip(known) {
+    for (place, words) in axes.iter_mut().zip(AXES) {
         *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
             Error::format(path, "head", format!("no column `{}` among {}", words[0].to_uppercase(), names.join(", ")))
         })?;
@@ -181,7 +195,7 @@ impl PointReader for TextReader {
         batch.clear();
         while batch.len() < limit {
             let Some(text) = next_line(&self.path, &mut self.file, &mut self.line, &mut self.bytes)? else { break };
-            if text.starts_with('#') {
+            if remark(text).is_some() {
                 continue;
             }
             let begin = batch.raw.len();

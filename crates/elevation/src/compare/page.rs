@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::error::{Error, Result};
+use crate::escape::escaped;
 
 use super::{Statistics, Summary};
 
@@ -15,10 +16,6 @@ use super::{Statistics, Summary};
 pub fn write_page(folder: &Path, summary: &Summary, map: &serde_json::Value) -> Result<()> {
     let path = folder.join("report.html");
     std::fs::write(&path, page(summary, map)).map_err(|e| Error::io(&path, "write", e))
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// Without the folder.

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use crate::escape::escaped;
 use crate::grid::Grid;
 
 use super::{Balance, DifferenceMap, Overlap};
@@ -11,10 +12,6 @@ use super::{Balance, DifferenceMap, Overlap};
 const MOST_ROWS: usize = 300;
 /// Bars of the drawing at most.
 const MOST_BARS: usize = 60;
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
 
 fn name(path: &Path) -> String {
     escaped(&path.file_name().unwrap_or_default().to_string_lossy())

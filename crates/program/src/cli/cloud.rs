@@ -71,8 +71,8 @@ impl MeansArgs {
         Ok(self.shift.as_deref().map(|text| params::numbers("--shift", text, "E,N,H")).transpose()?)
     }
 
-    /// Checks memory and clouds, starts the threads; answers the WKT of --crs.
-    pub fn begin(&self, clouds: &[PathBuf]) -> anyhow::Result<Option<String>> {
+    /// Checks memory and clouds, starts the threads.
+    pub fn begin(&self, clouds: &[PathBuf]) -> anyhow::Result<Begun> {
         if self.memory.0 < SMALLEST_BUDGET_BYTES {
             bail!("--memory is {} bytes; give 112M or more", self.memory.0);
         }
@@ -80,11 +80,14 @@ impl MeansArgs {
         // Fails only when a pool exists already, which then serves.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(common::threads(self.threads)).build_global();
         let asked = self.crs.as_deref().map(Crs::parse).transpose()?;
+        let mut of_clouds = asked.clone();
         let mut first: Option<(&Path, String)> = asked.as_ref().map(|crs| (Path::new("--crs"), crs.label()));
         for cloud in clouds {
             let (header, _) = io::open(cloud)?;
             let Some(text) = header.crs else { continue };
-            let label = Crs::parse(&text).map_or(text, |crs| crs.label());
+            let crs = Crs::parse(&text).ok();
+            let label = crs.as_ref().map_or(text, Crs::label);
+            of_clouds = of_clouds.or(crs);
             match &first {
                 Some((other, known)) if *known != label => bail!(
                     "{}: its reference system is {}, that of {} is {}; give clouds of one system at a time",
@@ -97,8 +100,16 @@ impl MeansArgs {
                 None => first = Some((cloud, label)),
             }
         }
-        Ok(asked.map(|crs| crs.wkt().to_string()))
+        Ok(Begun { asked, of_clouds })
     }
+}
+
+/// The reference systems of a run.
+pub struct Begun {
+    /// That of --crs.
+    pub asked: Option<Crs>,
+    /// What the clouds are in, by themselves or by --crs.
+    pub of_clouds: Option<Crs>,
 }
 
 /// A reference system by its name, where it has no code.

@@ -9,11 +9,12 @@ use autoref_cloud::crop::{Crop, Polygon, Ring};
 use autoref_cloud::{io, isolated, page, params, smrf};
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::Error;
 use clap::Args;
-use gdal::vector::{Geometry, LayerAccess};
 use serde_json::{Value, json};
 
-use super::cloud::{Cameras, MeansArgs, stem};
+use super::cloud::{Begun, Cameras, MeansArgs, stem};
 
 /// Classify noise and ground, step by step in the order written; every step is done only when it is asked for.
 ///
@@ -41,7 +42,7 @@ pub struct CleanArgs {
     /// Smallest angle under which the camera may see a point at z = 0, degrees.
     #[arg(long, value_name = "DEG", default_value_t = 10.0, help_heading = "Steps")]
     elevation_angle: f64,
-    /// Keep points inside the polygons of a vector file, in the clouds' reference system.
+    /// Keep points inside the polygons of a vector file, which are brought into the clouds' reference system.
     #[arg(long, value_name = "FILE", help_heading = "Steps")]
     crop: Vec<String>,
     /// Statistical outliers: mean distance to the k nearest at or above mean + m standard deviations.
@@ -121,11 +122,12 @@ impl CleanArgs {
         steps.into_iter().map(|(_, name, value)| (name, value)).collect()
     }
 
-    fn steps(&self) -> anyhow::Result<Vec<Written>> {
-        self.in_order().into_iter().map(|(name, value)| self.step(name, &value)).collect()
+    /// The steps as written; polygons are brought into `crs`, that of the clouds.
+    fn steps(&self, crs: Option<&Crs>) -> anyhow::Result<Vec<Written>> {
+        self.in_order().into_iter().map(|(name, value)| self.step(name, &value, crs)).collect()
     }
 
-    fn step(&self, name: &str, value: &str) -> anyhow::Result<Written> {
+    fn step(&self, name: &str, value: &str, crs: Option<&Crs>) -> anyhow::Result<Written> {
         let step = match name {
             "z" => {
                 let [min_m, max_m] = params::numbers("--z", value, "MIN,MAX")?;
@@ -135,7 +137,7 @@ impl CleanArgs {
                 Step::Crop(Crop::Height { min_m, max_m })
             }
             "range_from" => return Ok(Written::Range(Cameras::read(value)?)),
-            "crop" => Step::Crop(Crop::Polygon(polygons(Path::new(value))?)),
+            "crop" => Step::Crop(Crop::Polygon(polygons(Path::new(value), crs)?)),
             "outliers" => {
                 let [k, m] = params::read("--outliers", value, [("k", 8.0), ("m", 2.0)])?;
                 let neighbours = params::whole("--outliers", "k", k, 1)?;
@@ -202,13 +204,13 @@ fn beside(target: &Path, what: &str) -> PathBuf {
 }
 
 pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
-    let written = args.steps()?;
     for name in &args.drop {
         if !["noise", "object"].contains(&name.trim()) {
             bail!("--drop: `{name}` is no class; choose among noise and object");
         }
     }
-    let crs_wkt = args.means.begin(&args.clouds)?;
+    let Begun { asked, of_clouds } = args.means.begin(&args.clouds)?;
+    let written = args.steps(of_clouds.as_ref())?;
     let targets = args.targets()?;
     let mut plan = Plan {
         steps: Vec::new(),
@@ -219,7 +221,7 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
         memory_bytes: args.means.memory.0,
         tile_points: args.tile.map(|points| points as usize),
         scratch: PathBuf::new(),
-        crs_wkt,
+        crs_wkt: asked.map(|crs| crs.wkt().to_string()),
     };
     let parameters = json!({
         "steps": args.in_order(),
@@ -364,49 +366,18 @@ fn print(report: &Value) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// All polygons of a vector file.
-fn polygons(path: &Path) -> anyhow::Result<Polygon> {
-    autoref_raster::initialise_gdal(64 << 20);
-    let options = gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
+/// All polygons of a vector file, in the reference system of the clouds.
+fn polygons(path: &Path, crs: Option<&Crs>) -> anyhow::Result<Polygon> {
     if !path.exists() {
         bail!("--crop {}: there is no such file", path.display());
     }
-    let dataset = gdal::Dataset::open_ex(path, options).map_err(|_| {
-        anyhow::anyhow!(
+    let areas = autoref_elevation::files::read_areas(path, crs.map_or("", Crs::wkt)).map_err(|e| match e {
+        Error::Gdal { .. } => anyhow::anyhow!(
             "--crop {}: GDAL knows no vector file in it; give GeoPackage, GeoJSON or a shapefile",
             path.display()
-        )
+        ),
+        other => anyhow::Error::from(other).context("--crop"),
     })?;
-    let mut areas = Vec::new();
-    for mut layer in dataset.layers() {
-        for feature in layer.features() {
-            if let Some(geometry) = feature.geometry() {
-                collect(geometry, &mut areas);
-            }
-        }
-    }
-    if areas.is_empty() {
-        bail!("--crop {}: it has no polygon", path.display());
-    }
-    Ok(Polygon::new(areas))
-}
-
-/// The polygons of a geometry, each with its holes.
-fn collect(geometry: &Geometry, areas: &mut Vec<Vec<Ring>>) {
-    let parts: Vec<_> = (0..geometry.geometry_count()).map(|index| geometry.get_geometry(index)).collect();
-    let mut rings = Vec::new();
-    for part in &parts {
-        if part.geometry_count() > 0 {
-            collect(part, areas);
-            continue;
-        }
-        let mut points = Vec::new();
-        part.get_points(&mut points);
-        if points.len() >= 3 {
-            rings.push(points.into_iter().map(|(x, y, _)| [x, y]).collect());
-        }
-    }
-    if !rings.is_empty() {
-        areas.push(rings);
-    }
+    let corners = |ring: Vec<(f64, f64)>| -> Ring { ring.into_iter().map(|(x, y)| [x, y]).collect() };
+    Ok(Polygon::new(areas.into_iter().map(|(_, rings)| rings.into_iter().map(corners).collect()).collect()))
 }

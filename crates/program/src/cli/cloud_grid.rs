@@ -113,7 +113,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     }
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
-    let crs_wkt = args.means.begin(&args.clouds)?;
+    let crs_wkt = args.means.begin(&args.clouds)?.asked.map(|crs| crs.wkt().to_string());
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
     let fill = usize::from(args.fill);

@@ -121,7 +121,7 @@ fn paint(text: &str) -> Result<String, String> {
 pub struct MatchArgs {
     /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. Default: from the image's georeference
     /// or resolution, else unknown.
-    #[arg(long, value_name = "M", help_heading = "Matching")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true, help_heading = "Matching")]
     pub gsd: Option<Gsd>,
     /// The image's top points north within DEG degrees.
     #[arg(long, value_name = "DEG", num_args = 0..=1, default_missing_value = "15", help_heading = "Matching")]
@@ -282,10 +282,10 @@ impl FromStr for Gsd {
     fn from_str(text: &str) -> Result<Self, String> {
         let number = |t: &str| {
             let t = t.trim().trim_end_matches('m').trim();
-            t.parse::<f64>()
-                .ok()
-                .filter(|v| *v > 0.0 && v.is_finite())
-                .ok_or(format!("`{t}` is no positive length in metres"))
+            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| {
+                let hint = if t.contains(',') { "; write a decimal point" } else { "" };
+                format!("`{t}` is no positive length in metres{hint}")
+            })
         };
         let range = if let Some((low, high)) = text.split_once("..") {
             Gsd(number(low)?, number(high)?)

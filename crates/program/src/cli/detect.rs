@@ -29,7 +29,7 @@ pub struct DetectArgs {
     #[arg(long)]
     pub quiet: bool,
     /// Ground size of a pixel in metres, for profiles that give mark sizes in metres.
-    #[arg(long, value_name = "M", help_heading = "Marks")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true, help_heading = "Marks")]
     pub gsd: Option<Gsd>,
     #[command(flatten)]
     pub marks: MarkArgs,

@@ -12,7 +12,7 @@ use autoref_stream::segment::classify::Classifier;
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 
-use super::common::SampleArgs;
+use super::common::{PaintArg, SampleArgs};
 
 /// Write the colour distance under a profile as a one-band 32-bit float GeoTIFF.
 #[derive(Debug, clap::Args)]
@@ -22,6 +22,8 @@ pub struct Args {
     /// A shipped profile or a TOML file.
     #[arg(long, default_value = "orange", value_name = "NAME|FILE")]
     profile: String,
+    #[command(flatten)]
+    paint: PaintArg,
     /// Divide by the profile's limit: up to 1 is paint. Without it the distance is in standard deviations.
     #[arg(long)]
     normalised: bool,
@@ -40,7 +42,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<()> {
     atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
-    let profile = Profile::load(&args.profile)?;
+    let profile = Profile::load(args.paint.paint.as_deref().unwrap_or(&args.profile))?;
     let source = args.samples.open(&args.image, 128 << 20)?;
     let info = source.info();
     let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;

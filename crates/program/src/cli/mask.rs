@@ -75,21 +75,21 @@ pub struct MaskArgs {
     /// 3000 px.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=16), help_heading = "Method")]
     reduce: Option<u8>,
-    /// Nearest neighbours that vote (thesis-2017); odd.
-    #[arg(short, long, value_name = "N", default_value_t = 3, help_heading = "Method")]
-    k: usize,
-    /// Entropy, bit, above which a pixel is kept (threshold).
-    #[arg(long, value_name = "BIT", default_value_t = 4.0, help_heading = "Method")]
-    threshold: f64,
-    /// Discs of the closings, px of the analysis (thesis-2017, threshold).
-    #[arg(long, value_name = "PX,…", value_delimiter = ',', default_values_t = (1..=10).map(|i| 3 * i), help_heading = "Method")]
-    closings: Vec<usize>,
-    /// Disc of the dilations and erosions, px of the analysis (thesis-2017, threshold).
-    #[arg(long, value_name = "PX", default_value_t = 15, help_heading = "Method")]
-    disc: usize,
-    /// Erosions between the dilations (thesis-2017, threshold).
-    #[arg(long, value_name = "N", default_value_t = 2, help_heading = "Method")]
-    erosions: usize,
+    /// Nearest neighbours that vote (thesis-2017); odd. Default: 3.
+    #[arg(short, long, value_name = "N", help_heading = "Method")]
+    k: Option<usize>,
+    /// Entropy, bit, above which a pixel is kept (threshold). Default: 4.
+    #[arg(long, value_name = "BIT", help_heading = "Method")]
+    threshold: Option<f64>,
+    /// Discs of the closings, px of the analysis (thesis-2017, threshold). Default: 3,6,9,…,30.
+    #[arg(long, value_name = "PX,…", value_delimiter = ',', help_heading = "Method")]
+    closings: Option<Vec<usize>>,
+    /// Disc of the dilations and erosions, px of the analysis (thesis-2017, threshold). Default: 15.
+    #[arg(long, value_name = "PX", help_heading = "Method")]
+    disc: Option<usize>,
+    /// Erosions between the dilations (thesis-2017, threshold). Default: 2.
+    #[arg(long, value_name = "N", help_heading = "Method")]
+    erosions: Option<usize>,
     /// Areas under this share of the image change class. Default: 0.02; auto 0.0025.
     #[arg(long, value_name = "SHARE", help_heading = "Method")]
     least_area: Option<f64>,
@@ -143,13 +143,17 @@ impl MaskArgs {
         if self.tile.is_some_and(|tile| !(64..=16_384).contains(&tile)) {
             bail!("--tile must be between 64 and 16384 px");
         }
-        if !(0.0..=8.0).contains(&self.threshold) {
+        self.refuse_options_of_other_methods()?;
+        let (threshold, k) = (self.threshold.unwrap_or(4.0), self.k.unwrap_or(3));
+        let closings = self.closings.clone().unwrap_or_else(|| (1..=10).map(|i| 3 * i).collect());
+        let (disc, erosions) = (self.disc.unwrap_or(15), self.erosions.unwrap_or(2));
+        if !(0.0..=8.0).contains(&threshold) {
             bail!("--threshold must be between 0 and 8 bits");
         }
-        if self.k == 0 || self.k.is_multiple_of(2) || self.k > 99 {
+        if k == 0 || k.is_multiple_of(2) || k > 99 {
             bail!("--k must be odd and below 100, so that every vote has a majority");
         }
-        if self.closings.iter().chain([&self.disc]).any(|size| !(1..=255).contains(size)) || self.erosions > 20 {
+        if closings.iter().chain([&disc]).any(|size| !(1..=255).contains(size)) || erosions > 20 {
             bail!("--closings and --disc must be between 1 and 255 px, --erosions at most 20");
         }
         let share = |default: f64| self.least_area.unwrap_or(default);
@@ -166,14 +170,9 @@ impl MaskArgs {
                 MethodArg::Threshold => Method::Threshold,
             },
             reduce: self.reduce.map_or(0, usize::from),
-            neighbours: self.k,
-            threshold_bit: self.threshold,
-            cleaning: Cleaning {
-                closings: self.closings.clone(),
-                disc: self.disc,
-                erosions: self.erosions,
-                least_area_share: share(0.02),
-            },
+            neighbours: k,
+            threshold_bit: threshold,
+            cleaning: Cleaning { closings, disc, erosions, least_area_share: share(0.02) },
             auto_area_share: share(0.0025),
             compression: match self.compress {
                 CompressArg::G4 => MaskCompression::CcittG4,
@@ -187,6 +186,30 @@ impl MaskArgs {
             overwrite: self.overwrite,
             resume: self.resume,
         })
+    }
+
+    /// An option that would change nothing is a mistake about the method.
+    fn refuse_options_of_other_methods(&self) -> anyhow::Result<()> {
+        use MethodArg::{Auto, Thesis2017, Threshold};
+        let given = [
+            ("-k", self.k.is_some(), &[Thesis2017][..]),
+            ("--threshold", self.threshold.is_some(), &[Threshold]),
+            ("--closings", self.closings.is_some(), &[Thesis2017, Threshold]),
+            ("--disc", self.disc.is_some(), &[Thesis2017, Threshold]),
+            ("--erosions", self.erosions.is_some(), &[Thesis2017, Threshold]),
+            ("--probability", self.probability, &[Auto]),
+        ];
+        let name = |method: MethodArg| method.to_possible_value().expect("no method is hidden").get_name().to_string();
+        for (option, _, methods) in given.iter().filter(|(_, given, methods)| *given && !methods.contains(&self.method))
+        {
+            let methods: Vec<String> = methods.iter().map(|method| name(*method)).collect();
+            bail!(
+                "{option} does nothing with --method {}; it is of --method {}",
+                name(self.method),
+                methods.join(" and ")
+            );
+        }
+        Ok(())
     }
 
     fn given(&self) -> anyhow::Result<Given> {
@@ -249,6 +272,9 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let options = args.options()?;
     let given = args.given()?;
     let frames = all_frames(&args.frames)?;
+    if args.method == MethodArg::Threshold && !(given.samples.is_empty() && given.lessons.is_empty()) {
+        eprintln!("note: --method threshold learns nothing; of what teaches only the ground to be kept counts");
+    }
     let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;
     pool.install(|| {

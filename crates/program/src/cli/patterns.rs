@@ -123,7 +123,7 @@ pub struct Args {
     #[arg(long, value_name = "A,B,…", value_delimiter = ',')]
     pub names: Vec<String>,
     /// Ground size of a pixel, metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
     pub gsd: Option<Gsd>,
     /// No pattern is believed when chance alone would produce more that are as good.
     #[arg(long, value_name = "P", default_value_t = 1e-4)]

@@ -28,7 +28,7 @@ pub struct PlanArgs {
     pub lose: u64,
     /// Ground size of a pixel of the flight, metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. With it the scale counts as
     /// known.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
     pub gsd: Option<Gsd>,
     /// Side or diameter of the marks that are planned, in metres (0.3m) or pixels.
     #[arg(long, value_name = "SIZE")]

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use autoref_elevation::grid::Grid;
+use autoref_elevation::masked::has_mask;
 use autoref_elevation::output::{self, Form};
 use autoref_flight::ortho::{Place, View};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
@@ -29,8 +30,41 @@ pub(super) struct Job<'a> {
 
 /// Bands of the frame that are drawn, and what a pixel that is seen has in the alpha band beside them, if there is one.
 struct Bands {
-    of_frame: Vec<usize>,
+    of_frame: Vec<Drawn>,
     alpha: Option<f32>,
+    /// The frame has an alpha band or a mask.
+    masked: bool,
+}
+
+/// A band of the frame, or one colour of its palette.
+struct Drawn {
+    band: usize,
+    /// The colour of each number; NaN where it is transparent.
+    colours: Option<Vec<f32>>,
+}
+
+impl Bands {
+    fn of(path: &Path, frame: &Dataset, alpha: Option<f32>) -> RasterResult<Bands> {
+        let mut of_frame = Vec::new();
+        let failed = |e| RasterError::gdal(path, e);
+        for number in 1..=frame.raster_count() {
+            let band = frame.rasterband(number).map_err(failed)?;
+            match (band.color_interpretation(), band.color_table()) {
+                (ColorInterpretation::AlphaBand, _) => {}
+                (ColorInterpretation::PaletteIndex, Some(table)) => {
+                    let entry = |i| table.entry_as_rgb(i).map_or([0; 4], |c| [c.r, c.g, c.b, c.a]);
+                    let entries: Vec<[i16; 4]> = (0..table.entry_count()).map(entry).collect();
+                    for colour in 0..3 {
+                        let of = |e: &[i16; 4]| if e[3] == 0 { f32::NAN } else { f32::from(e[colour]) };
+                        of_frame.push(Drawn { band: number, colours: Some(entries.iter().map(of).collect()) });
+                    }
+                }
+                _ => of_frame.push(Drawn { band: number, colours: None }),
+            }
+        }
+        let masked = has_mask(path, &frame.rasterband(1).map_err(failed)?)?;
+        Ok(Bands { of_frame, alpha, masked })
+    }
 }
 
 /// A number of the frame and back; rounding where the type is whole.
@@ -62,11 +96,7 @@ impl Job<'_> {
     /// Writes the orthophoto with an alpha band of `alpha` where it is seen, or without one with NaN where it is not.
     pub fn write<T: Sample>(&self, out: &Path, wkt: &str, alpha: Option<f32>) -> anyhow::Result<u64> {
         let frame = open(&self.args.frame)?;
-        let of_frame = (1..=frame.raster_count()).filter(|b| {
-            let interpretation = frame.rasterband(*b).map(|b| b.color_interpretation());
-            !matches!(interpretation, Ok(ColorInterpretation::AlphaBand))
-        });
-        let bands = Bands { of_frame: of_frame.collect(), alpha };
+        let bands = Bands::of(&self.args.frame, &frame, alpha)?;
         drop(frame);
         let form = Form {
             grid: self.grid,
@@ -193,12 +223,29 @@ impl Job<'_> {
     fn planes(&self, frame: &Dataset, bands: &Bands, window: Window) -> RasterResult<Vec<Plane>> {
         let failed = |e| RasterError::gdal(&self.args.frame, e);
         let (corner, size) = ([window.x as f32, window.y as f32], (window.width as usize, window.height as usize));
-        let plane = |b: &usize| {
-            let band = frame.rasterband(*b).map_err(failed)?;
-            let read: Buffer<f32> =
-                band.read_as((window.x as isize, window.y as isize), size, size, None).map_err(failed)?;
+        let at = (window.x as isize, window.y as isize);
+        let there: Option<Buffer<u8>> = match bands.masked {
+            true => {
+                let band = frame.rasterband(1).map_err(failed)?;
+                Some(band.open_mask_band().and_then(|mask| mask.read_as(at, size, size, None)).map_err(failed)?)
+            }
+            false => None,
+        };
+        let plane = |drawn: &Drawn| {
+            let band = frame.rasterband(drawn.band).map_err(failed)?;
+            let read: Buffer<f32> = band.read_as(at, size, size, None).map_err(failed)?;
             let nodata = band.no_data_value().map(|v| v as f32);
-            Ok(Plane { corner, size, values: read.into_shape_and_vec().1, nodata })
+            let mut values = read.into_shape_and_vec().1;
+            let shown = |v: f32| match &drawn.colours {
+                _ if Some(v) == nodata => f32::NAN,
+                Some(colours) => colours.get(v as usize).copied().unwrap_or(f32::NAN),
+                None => v,
+            };
+            values.iter_mut().for_each(|v| *v = shown(*v));
+            if let Some(there) = &there {
+                values.iter_mut().zip(there.data()).filter(|(_, t)| **t == 0).for_each(|(v, _)| *v = f32::NAN);
+            }
+            Ok(Plane { corner, size, values })
         };
         bands.of_frame.iter().map(plane).collect()
     }
@@ -241,8 +288,8 @@ fn halves(part: Window) -> [Window; 2] {
 struct Plane {
     corner: [f32; 2],
     size: (usize, usize),
+    /// NaN where the frame holds nothing.
     values: Vec<f32>,
-    nodata: Option<f32>,
 }
 
 impl Plane {
@@ -251,7 +298,7 @@ impl Plane {
         let (mut sum, mut weight) = (0.0f32, 0.0f32);
         for p in samples.iter().filter(|p| !p[0].is_nan()) {
             let at = [p[0] - self.corner[0], p[1] - self.corner[1]];
-            if let Some(v) = cubic(&self.values, self.size, at, self.nodata) {
+            if let Some(v) = cubic(&self.values, self.size, at) {
                 sum += v;
                 weight += 1.0;
             }
@@ -261,10 +308,9 @@ impl Plane {
 }
 
 /// Keys' cubic convolution (1981, a = −1/2) at a place that counts from the outer corner; the nearest pixel beside
-/// nodata. Beyond the window's border its last pixels go on: windows reach further than the kernel except at the
-/// frame's own border.
-fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2], nodata: Option<f32>) -> Option<f32> {
-    let valid = |v: f32| !v.is_nan() && Some(v) != nodata;
+/// pixels that hold nothing. Beyond the window's border its last pixels go on: windows reach further than the kernel
+/// except at the frame's own border.
+fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2]) -> Option<f32> {
     let (u, v) = (at[0] - 0.5, at[1] - 0.5);
     let (i, j) = (u.floor(), v.floor());
     let weights = |t: f32| {
@@ -278,9 +324,9 @@ fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2], nodata: Option<f32>)
     for (b, wy) in wy.iter().enumerate() {
         for (a, wx) in wx.iter().enumerate() {
             let value = pixel(i + a as f32 - 1.0, j + b as f32 - 1.0);
-            if !valid(value) {
+            if value.is_nan() {
                 let nearest = pixel((u + 0.5).floor(), (v + 0.5).floor());
-                return valid(nearest).then_some(nearest);
+                return (!nearest.is_nan()).then_some(nearest);
             }
             (low, high) = (low.min(value), high.max(value));
             sum += wx * wy * value;

@@ -4,13 +4,14 @@ use std::path::Path;
 
 use anyhow::Result;
 use autoref_elevation::grid::Grid;
+use autoref_elevation::masked::has_mask;
 use autoref_flight::Error;
 use autoref_flight::ortho::Surface;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error as RasterError;
 use autoref_raster::window::Window;
 use gdal::Dataset;
-use gdal::raster::ResampleAlg;
+use gdal::raster::{Buffer, ResampleAlg};
 
 /// The model's part that matters, and what it is called.
 pub(in crate::cli) struct Dem {
@@ -62,6 +63,13 @@ impl Dem {
             .into_shape_and_vec()
             .1;
         let nodata = band.no_data_value().map(|v| v as f32);
+        if has_mask(path, &band)? {
+            let there: Buffer<u8> = band
+                .open_mask_band()
+                .and_then(|mask| mask.read_as(from.0, from.1, size, how))
+                .map_err(|e| RasterError::gdal(path, e))?;
+            heights.iter_mut().zip(there.data()).filter(|(_, t)| **t == 0).for_each(|(h, _)| *h = f32::NAN);
+        }
         for h in &mut heights {
             if Some(*h) == nodata || !h.is_finite() {
                 *h = f32::NAN;

@@ -1,0 +1,180 @@
+//! What a person said of a frame, laid over the classifier's mask: at the reduced scale for shares and outlines, to the
+//! pixel for the masks that are written.
+
+use std::path::Path;
+
+use autoref_raster::error::{Error, Result};
+use gdal::Dataset;
+use gdal::raster::ResampleAlg;
+
+use crate::batch::Given;
+use crate::bits::BitMask;
+use crate::classify::Classes;
+use crate::fill::Fill;
+use crate::model::Labels;
+use crate::reduce::Reduced;
+use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
+
+/// One word of a person, over all that lies before it.
+enum Layer<'a> {
+    /// Later shapes win among themselves.
+    Shapes(Vec<&'a Shape>),
+    /// A raster of the frame's size; its pixels of this meaning count.
+    Raster(&'a Path, Meaning),
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// What was marked as keep, global masks, and what was mended, in this order.
+fn layers<'a>(frame: &Path, given: &'a Given) -> Vec<Layer<'a>> {
+    let of = |shapes: &'a [Shape]| -> Vec<&'a Shape> { shapes.iter().filter(|shape| shape.is_of(frame)).collect() };
+    // A sample that names no frame is of the only frame there is.
+    let mut samples = of(&given.samples);
+    samples.retain(|shape| shape.meaning == Meaning::Keep);
+    let lessons = given.lessons.iter().filter(|lesson| same_file(&lesson.frame, frame));
+    let mut layers = vec![Layer::Shapes(samples)];
+    layers.extend(lessons.map(|lesson| Layer::Raster(&lesson.mask, Meaning::Keep)));
+    layers.push(Layer::Shapes(of(&given.global)));
+    layers.extend(given.global_mask.as_deref().map(|path| Layer::Raster(path, Meaning::Mask)));
+    layers.push(Layer::Shapes(of(&given.mended)));
+    layers.retain(|layer| !matches!(layer, Layer::Shapes(shapes) if shapes.is_empty()));
+    layers
+}
+
+/// Does anything of `given` speak of `frame`?
+pub fn speaks_of(frame: &Path, given: &Given) -> bool {
+    !layers(frame, given).is_empty()
+}
+
+/// Lays what a person said over `classes`, at the reduced scale.
+///
+/// # Errors
+/// When a mask cannot be read or has another size than the frame.
+pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Classes) -> Result<()> {
+    for layer in layers(frame, given) {
+        let mut labels = Labels::new(reduced);
+        match &layer {
+            Layer::Shapes(shapes) => shapes.iter().for_each(|shape| labels.paint(shape, reduced.factor)),
+            Layer::Raster(path, meaning) => {
+                labels.read_mask(path, reduced)?;
+                let counts = meaning.label();
+                labels.values.iter_mut().filter(|value| **value != counts).for_each(|value| *value = SAYS_NOTHING);
+            }
+        }
+        for (i, &value) in labels.values.iter().enumerate().filter(|(_, value)| **value != SAYS_NOTHING) {
+            let (x, y) = (i % labels.width, i / labels.width);
+            classes.keep.set(x, y, value == 1);
+            if matches!(layer, Layer::Shapes(_)) {
+                classes.unsure.set(x, y, false);
+            }
+        }
+    }
+    classes.keep.and(&reduced.valid);
+    Ok(())
+}
+
+/// A mask at the frame's size: the classifier's cells, and what a person said to the pixel.
+pub struct FullMask<'a> {
+    pub cells: &'a BitMask,
+    /// Cells that hold anything.
+    pub valid: &'a BitMask,
+    /// Width and height of the frame, px.
+    pub size: [usize; 2],
+    /// Pixels of the frame that a cell stands for, along a side.
+    pub factor: usize,
+    layers: Vec<Layer<'a>>,
+}
+
+/// A [`Layer`] while rows are taken from it.
+enum Open<'a> {
+    Shapes(Vec<(u8, Fill)>),
+    Raster(&'a Path, Box<Dataset>, u8),
+}
+
+impl<'a> FullMask<'a> {
+    /// The mask of `cells`, the classifier's, with what `given` says of `frame`.
+    pub fn new(frame: &Path, cells: &'a BitMask, reduced: &'a Reduced, given: &'a Given) -> FullMask<'a> {
+        FullMask {
+            cells,
+            valid: &reduced.valid,
+            size: [reduced.width as usize, reduced.height as usize],
+            factor: reduced.factor,
+            layers: layers(frame, given),
+        }
+    }
+
+    /// Rows of the mask from the top, 1 = keep.
+    ///
+    /// # Errors
+    /// When a mask that a person gave cannot be opened.
+    pub fn rows(&self) -> Result<FullRows<'_>> {
+        let open = |layer: &Layer<'a>| -> Result<Open<'a>> {
+            Ok(match layer {
+                Layer::Shapes(shapes) => {
+                    Open::Shapes(shapes.iter().map(|shape| (shape.meaning.label(), Fill::new(shape, 1))).collect())
+                }
+                Layer::Raster(path, meaning) => {
+                    let (_, dataset) = autoref_raster::open_dataset(path, 0)?;
+                    Open::Raster(path, Box::new(dataset), meaning.label())
+                }
+            })
+        };
+        let open = self.layers.iter().map(open).collect::<Result<_>>()?;
+        Ok(FullRows { mask: self, open, labels: vec![SAYS_NOTHING; self.size[0]] })
+    }
+}
+
+/// Rows of a [`FullMask`].
+pub struct FullRows<'a> {
+    mask: &'a FullMask<'a>,
+    open: Vec<Open<'a>>,
+    labels: Vec<u8>,
+}
+
+impl FullRows<'_> {
+    /// Writes row `y` into `line`, 1 = keep. Rows are asked for from the top.
+    ///
+    /// # Errors
+    /// When a mask that a person gave cannot be read.
+    ///
+    /// # Panics
+    /// When `line` is not as wide as the frame.
+    pub fn row(&mut self, y: usize, line: &mut [u8]) -> Result<()> {
+        let FullMask { cells, valid, factor, .. } = *self.mask;
+        let width = line.len();
+        assert_eq!(width, self.mask.size[0], "a row of the frame");
+        line.fill(0);
+        let pixels = |start: usize, end: usize| start * factor..(end * factor).min(width);
+        cells.runs(y / factor, true, |start, end| line[pixels(start, end)].fill(1));
+        for layer in &mut self.open {
+            match layer {
+                Open::Shapes(fills) => {
+                    self.labels.fill(SAYS_NOTHING);
+                    for (label, fill) in fills {
+                        fill.row(y, width, |start, end| self.labels[start..end].fill(*label));
+                    }
+                    line.iter_mut()
+                        .zip(&self.labels)
+                        .filter(|(_, label)| **label != SAYS_NOTHING)
+                        .for_each(|(value, label)| *value = *label);
+                }
+                Open::Raster(path, dataset, label) => {
+                    let failed = |e| Error::gdal(*path, e);
+                    let band = dataset.rasterband(1).map_err(failed)?;
+                    let row = band
+                        .read_as::<f64>((0, y as isize), (width, 1), (width, 1), None::<ResampleAlg>)
+                        .map_err(failed)?;
+                    let counts = f64::from(*label);
+                    line.iter_mut()
+                        .zip(row.data())
+                        .filter(|(_, given)| **given == counts)
+                        .for_each(|(value, _)| *value = *label);
+                }
+            }
+        }
+        valid.runs(y / factor, false, |start, end| line[pixels(start, end)].fill(0));
+        Ok(())
+    }
+}

@@ -1,0 +1,299 @@
+//! `flight solve` through the program: resumed after a failure and a kill, stage by stage, by COLMAP itself where it is
+//! installed, and by pycolmap.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+use super::flight::{F_PX, Place, autoref, expect, has_the_keys, json, said, text, write_program};
+use crate::common::{large, skipped};
+
+#[test]
+fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let bin = place.stand_in();
+    let solve = |out: &str, bin: &Path, words: &[(&str, &str)]| {
+        autoref(&["flight", "solve", text(&toml), "-o", text(&place.at(out)), "--json"], Some(bin), words)
+    };
+    let whole = solve("whole", &bin, &[]);
+    expect(&whole, 0, &[]);
+    let document = json(&whole);
+    has_the_keys(&document);
+    assert_eq!((&document["frames_registered"], &document["frames_listed"]), (&5.into(), &5.into()));
+    let cameras = |out: &str| std::fs::read(place.at(out).join("cameras.json")).expect("written");
+    for command in ["feature_extractor", "matches_importer", "mapper"] {
+        let out = format!("failed-{command}");
+        expect(&solve(&out, &bin, &[("STAND_IN_FAILS", command)]), 2, &[command, "exit status: 3", ".log"]);
+        assert!(!place.at(&out).join("cameras.json").exists());
+        expect(&solve(&out, &bin, &[]), 0, &[]);
+        assert_eq!(cameras(&out), cameras("whole"), "{command}");
+        let out = format!("killed-{command}");
+        assert_eq!(solve(&out, &bin, &[("STAND_IN_KILLS", command)]).status.code(), None, "killed");
+        expect(&solve(&out, &bin, &[]), 0, &[]);
+        assert_eq!(cameras(&out), cameras("whole"), "{command}");
+    }
+    every_stage_says_what_it_found(&place, &toml, &bin);
+    let again = solve("whole", &bin, &[]);
+    expect(&again, 0, &["ties: taken from before", "features.db: taken from before", "sparse: taken from before"]);
+    assert_eq!(again.stdout, whole.stdout);
+    // COLMAP is not there.
+    std::fs::create_dir(place.at("bare")).expect("a folder");
+    let none = solve("none", &place.at("bare"), &[("AUTOREF_PYTHON", "no-such-python")]);
+    if Path::new("/bin/colmap").exists() {
+        // Where /bin is /usr/bin, COLMAP itself answers: these frames have nothing to match.
+        expect(&none, 1, &["no two frames"]);
+    } else {
+        expect(&none, 2, &["`colmap` is not there, nor pycolmap", "apt-get install colmap"]);
+    }
+    let missing = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .args(["flight", "solve", text(&toml), "-o", text(&place.at("none")), "--overwrite"])
+        .env("PATH", place.at("bare"))
+        .env_remove("AUTOREF_PYTHON")
+        .output()
+        .expect("the program starts");
+    expect(&missing, 2, &["`colmap` is not there, nor pycolmap", "apt-get install colmap", "pip install pycolmap"]);
+    // A mask that cannot be this camera's.
+    place.write("mask.pgm", "P5\n1 1\n255\n\u{1}");
+    let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nglobal = \"mask.pgm\"\n";
+    let masked = place.write("masked.toml", &masked);
+    expect(
+        &autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("masked"))], Some(&bin), &[]),
+        2,
+        &["mask.pgm: the mask has 1 x 1 pixels, the frame f0.png"],
+    );
+    // Masks of other frames than these: one is left out, all of them stop the run.
+    std::fs::create_dir(place.at("masks")).expect("a folder");
+    let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nfolder = \"masks\"\n";
+    let masked = place.write("others.toml", &masked);
+    let others = || autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("others"))], Some(&bin), &[]);
+    place.write("masks/f0_Masq.tif", "P5\n1 1\n255\n\u{1}");
+    expect(&others(), 0, &["f0_Masq.tif: left out: the mask has 1 x 1 pixels"]);
+    (1..5).for_each(|i| drop(place.write(&format!("masks/f{i}_Masq.tif"), "P5\n1 1\n255\n\u{1}")));
+    expect(&others(), 2, &["masks: none of the 5 masks fits the frames of", "autoref-stream mask"]);
+    // A frame that went missing is one frame less, and the stages are worked anew.
+    std::fs::remove_file(place.at("frames").join("f4.png")).expect("removed");
+    let fewer = solve("whole", &bin, &[]);
+    assert!(!said(&fewer).contains("features.db: taken"), "{}", said(&fewer));
+    for i in 1..4 {
+        std::fs::remove_file(place.at("frames").join(format!("f{i}.png"))).expect("removed");
+    }
+    expect(&solve("one", &bin, &[]), 2, &["frames: 1 frames match"]);
+    let typo = place.write("typo.toml", "[frames]\nfolder = \"frames\"\npattern = [\"*.png\"]\nmask = 1\n");
+    expect(
+        &autoref(&["flight", "solve", text(&typo), "-o", text(&place.at("typo"))], None, &[]),
+        2,
+        &["typo.toml", "mask"],
+    );
+}
+
+/// Stage by stage, each with a document and a page; the last is what a run in one go gives.
+fn every_stage_says_what_it_found(place: &Place, toml: &Path, bin: &Path) {
+    let out = place.at("stages");
+    let stages = out.join("stages");
+    for (number, stage) in ["interior", "pairs", "ties", "relative", "gcp"].into_iter().enumerate() {
+        let arguments = ["flight", "solve", text(toml), "-o", text(&out), "--until", stage, "--json"];
+        let output = autoref(&arguments, Some(bin), &[]);
+        expect(&output, 0, &[]);
+        let found = json(&output);
+        assert_eq!(found["stage"], stage);
+        let file = std::fs::read(stages.join(format!("{stage}.json"))).expect("written");
+        assert_eq!(serde_json::from_slice::<Value>(&file).expect("JSON"), found);
+        let page = std::fs::read_to_string(stages.join(format!("{stage}.html"))).expect("written");
+        assert!(page.starts_with("<!doctype html>") && page.contains(&format!("{stage}.json")), "{page}");
+        let contents = std::fs::read_to_string(stages.join("index.html")).expect("written");
+        assert_eq!(contents.matches("not yet").count(), 5 - number, "{contents}");
+        assert!(!out.join("cameras.json").exists());
+        let frames = |key: &str| found[key].as_array().map_or(0, Vec::len);
+        match stage {
+            "interior" => assert_eq!((frames("frames"), &found["focal"]), (5, &"held".into())),
+            "pairs" => assert_eq!((frames("frames"), frames("pairs"), frames("lines")), (5, 9, 1)),
+            "ties" => assert_eq!((frames("frames"), frames("pairs")), (5, 0)),
+            "relative" => {
+                assert_eq!((&found["frames_registered"], &found["made_by"]), (&5.into(), &"COLMAP's mapper".into()));
+                assert!(found["reprojection_rms_px"].as_f64() < Some(0.1), "{found}");
+                let model = autoref_flight::read::reconstruction(&out.join("relative")).expect("COLMAP's text model");
+                assert_eq!(model.photographs.len(), 5);
+            }
+            _ => {
+                let worst = found["gcp_statistics"]["d"]["max"].as_f64().expect("control points");
+                assert!(worst < 1.0, "{worst} m after seven parameters of a true block");
+            }
+        }
+    }
+    let arguments = ["flight", "solve", text(toml), "-o", text(&out), "--json"];
+    expect(&autoref(&arguments, Some(bin), &[]), 0, &["sparse: taken from before"]);
+    let cameras = |out: &Path| std::fs::read(out.join("cameras.json")).expect("written");
+    assert_eq!(cameras(&out), cameras(&place.at("whole")));
+    let picture = std::fs::read(stages.join("frames/f0.png.png")).expect("a small picture");
+    assert!(picture.starts_with(b"\x89PNG"));
+}
+
+/// The same commands by an interpreter of Python, of which only what it is asked and how it ends is looked at here.
+#[test]
+fn pycolmap_is_asked_what_colmap_is() {
+    let place = Place::new();
+    place.five_frames();
+    let (toml, bin) = (place.init(), place.stand_in());
+    let python = |name: &str, script: &str| {
+        let path = place.at(name);
+        write_program(&path, &format!("#!/bin/sh\n{script}\n"));
+        text(&path).to_string()
+    };
+    let solve = |out: &str, engine: &str, python: &str| {
+        let out = place.at(out);
+        let arguments = ["flight", "solve", text(&toml), "-o", text(&out), "--engine", engine];
+        autoref(&arguments, Some(&bin), &[("AUTOREF_PYTHON", python)])
+    };
+    let cameras = |out: &str| std::fs::read(place.at(out).join("cameras.json")).expect("written");
+    expect(&solve("colmap", "colmap", "no-such-python"), 0, &[]);
+    let whole =
+        python("python-whole", &format!("[ \"$1\" = -c ] || exit 5; shift 2; exec {}/colmap \"$@\"", bin.display()));
+    expect(&solve("pycolmap", "pycolmap", &whole), 0, &[]);
+    assert_eq!(cameras("pycolmap"), cameras("colmap"));
+    let old = python("python-old", "echo pycolmap 3.1 is older than version 4; exit 72");
+    expect(&solve("old", "pycolmap", &old), 2, &["pycolmap 3.1 is older", "pip install --upgrade pycolmap"]);
+    for without in [python("python-without", "exit 71"), "no-such-python".to_string()] {
+        expect(&solve("without", "pycolmap", &without), 2, &["pycolmap is not there", "AUTOREF_PYTHON"]);
+    }
+    let broken = python("python-broken", "exit 3");
+    expect(&solve("broken", "pycolmap", &broken), 2, &["pycolmap's feature_extractor", "exit status: 3", ".log"]);
+}
+
+/// A project whose GCPs are as good as they are drawn, with few features.
+fn sharpened(project: &str) -> String {
+    project
+        .replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1")
+        .replace("sigma_image_px = 5.0", "sigma_image_px = 0.5")
+        .replace("features = 6000", "features = 1500")
+}
+
+fn without_table(project: &str) -> String {
+    let (before, after) = project.split_once("[rough]").expect("there is a table");
+    format!("{before}[{}", after.split_once("\n[").expect("another part").1)
+}
+
+/// Drawn frames become cameras by pycolmap too, with a table and without.
+#[test]
+fn frames_become_cameras_by_pycolmap() {
+    let python = std::env::var("AUTOREF_PYTHON").unwrap_or_else(|_| "python3".into());
+    let there = Command::new(&python).args(["-c", "import pycolmap"]).output();
+    if !there.is_ok_and(|output| output.status.success()) {
+        skipped("no pycolmap in AUTOREF_PYTHON: no frames were solved by it");
+        return;
+    }
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let toml = place.init();
+    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    for project in [&sharp, &without_table(&sharp)] {
+        std::fs::write(&toml, project).expect("written");
+        let out = place.at("out");
+        let arguments =
+            ["flight", "solve", text(&toml), "-o", text(&out), "--engine", "pycolmap", "--overwrite", "--json"];
+        let output = autoref(&arguments, None, &[]);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        assert_eq!(document["frames_registered"], 5);
+        let worst = place.flight.worst_camera_m(&document);
+        assert!(worst < 4.0, "{worst:.2} m");
+    }
+}
+
+/// Killed in the middle by COLMAP itself: what was done before is kept, and the end is the same. The stand-in of
+/// [`Place::stand_in`] is killed at every stage.
+fn killed_and_resumed(place: &Place, document: &Value, solve: impl Fn(&str, &[(&str, &str)], Option<&Path>) -> Output) {
+    let bin = place.at("killer");
+    std::fs::create_dir_all(&bin).expect("a folder");
+    let script =
+        "#!/bin/sh\nif [ \"$1\" = matches_importer ]; then kill -9 $PPID; exit 0; fi\nexec \"$COLMAP\" \"$@\"\n";
+    write_program(&bin.join("colmap"), script);
+    let path = std::env::var("PATH").unwrap_or_default();
+    let real = std::env::split_paths(&path).map(|p| p.join("colmap")).find(|p| p.is_file()).expect("it answered");
+    assert_eq!(solve("killed", &[("COLMAP", text(&real))], Some(&bin)).status.code(), None, "killed");
+    let resumed = solve("killed", &[], None);
+    expect(&resumed, 0, &["rough_ties: taken from before", "rough_features.db: taken from before"]);
+    let again = json(&resumed);
+    assert_eq!(again["frames_registered"], document["frames_registered"]);
+    let cameras = |document: &Value| document["cameras"].as_array().expect("cameras").clone();
+    for (a, b) in cameras(&again).into_iter().zip(cameras(document)) {
+        for axis in ["e", "n", "h"] {
+            let apart = a[axis].as_f64().expect("a number") - b[axis].as_f64().expect("a number");
+            assert!(apart.abs() < 1e-3, "{axis} of {}: {apart:.6} m", a["name"]);
+        }
+    }
+}
+
+/// From drawn frames to cameras, by COLMAP itself; with AUTOREF_LARGE=1 also killed before it checks the ties and
+/// resumed: the same cameras.
+#[test]
+fn frames_become_cameras() {
+    if Command::new("colmap").arg("help").output().is_err() {
+        skipped("`colmap` is not installed: no frames were solved");
+        return;
+    }
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let toml = place.init();
+    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    let list = sharp.replace("sigma_ground_m = 0.1", "sigma_ground_m = 0.1\ncheck = [\"G1\", \"G6\"]");
+    std::fs::write(&toml, list).expect("written");
+    let solve = |out: &str, words: &[(&str, &str)], bin: Option<&Path>| {
+        autoref(&["flight", "solve", text(&toml), "-o", text(&place.at(out)), "--json"], bin, words)
+    };
+    let output = solve("out", &[], None);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    has_the_keys(&document);
+    assert_eq!((&document["frames_registered"], &document["frames_listed"]), (&5.into(), &5.into()));
+    assert!(document["reprojection_rms_px"].as_f64().is_some_and(|r| r < 1.0), "{}", document["reprojection_rms_px"]);
+    let pairs = document["pairs"].as_array().expect("a list");
+    let tied = |pair: &Value| pair["frames"].as_array().map_or(0, Vec::len) == 2 && pair["ties"].as_u64() > Some(20);
+    assert!(pairs.iter().filter(|pair| tied(pair)).count() >= 4, "{pairs:?}");
+    let lines = document["lines"].as_array().expect("a list");
+    let frames = |line: &Value| line["frames"].as_array().map_or(0, Vec::len);
+    assert_eq!(lines.iter().map(frames).collect::<Vec<_>>(), [5], "{lines:?}");
+    assert_eq!(lines[0]["gcp_statistics"], document["gcp_statistics"]);
+    let differences = document["rough_differences"]["frames"].as_array().expect("a list");
+    assert!(differences.len() == 5 && differences.iter().all(|d| d["d_m"].as_f64() < Some(30.0)), "{differences:?}");
+    let outlines: Value =
+        serde_json::from_slice(&std::fs::read(place.at("out").join("footprints.geojson")).expect("written"))
+            .expect("JSON");
+    for (feature, camera) in
+        outlines["features"].as_array().expect("a list").iter().zip(&place.flight.model.photographs)
+    {
+        assert_eq!(feature["properties"]["name"], camera.name.as_str());
+        assert_eq!(feature["geometry"]["coordinates"][0].as_array().map(Vec::len), Some(49), "{feature}");
+    }
+    let page = std::fs::read_to_string(place.at("out").join("flight.html")).expect("written");
+    assert!(page.contains("G1") && page.contains("f4.png") && page.contains("rough table"));
+    let worst = place.flight.worst_camera_m(&document);
+    let check = document["check_point_statistics"]["d"]["rms"].as_f64().expect("check points");
+    let f = document["cameras"][0]["f_px"].as_f64().expect("a number");
+    assert!(worst < 4.0 && check < 1.0 && (f / F_PX - 1.0).abs() < 0.01, "{worst:.2} m, {check:.2} m, f {f:.2}");
+    if large() {
+        killed_and_resumed(&place, &document, solve);
+    }
+    // Without a table COLMAP's mapper orients them.
+    let project = std::fs::read_to_string(&toml).expect("there");
+    std::fs::write(&toml, without_table(&project)).expect("written");
+    let plain = solve("plain", &[], None);
+    expect(&plain, 0, &[]);
+    let (document, worst) = (json(&plain), place.flight.worst_camera_m(&json(&plain)));
+    assert_eq!(document["frames_registered"], 5);
+    assert!(worst < 4.0 && document.get("pairs").is_none(), "{worst:.2} m");
+    // COLMAP's binary model, cut at many places.
+    let sparse = place.at("plain").join("sparse").join("0");
+    let gcps = place.at("gcps.txt");
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        let whole = std::fs::read(sparse.join(name)).expect("there");
+        for part in [0, 3, 30, 60, 99] {
+            std::fs::write(sparse.join(name), &whole[..whole.len() * part / 100]).expect("written");
+            let output = autoref(&["flight", "adjust", text(&sparse), "--gcps", text(&gcps)], None, &[]);
+            expect(&output, 2, &[name]);
+        }
+        std::fs::write(sparse.join(name), &whole).expect("written");
+    }
+}

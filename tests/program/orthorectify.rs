@@ -1,0 +1,212 @@
+//! `flight orthorectify` through the program: drawn frames over a drawn model, and neighbours of two real blocks.
+
+use std::path::Path;
+
+use super::flight::{Place, SIDE, autoref, brightness, expect, ground, json, text};
+use crate::common::data;
+
+/// A raster of floats on a plane.
+pub(super) fn write_dem(
+    path: &Path,
+    size: (usize, usize),
+    corner: [f64; 2],
+    cell: f64,
+    height: impl Fn(f64, f64) -> f64,
+) {
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let mut file = driver.create_with_band_type::<f32, _>(path, size.0, size.1, 1).expect("a new file");
+    file.set_geo_transform(&[corner[0], cell, 0.0, corner[1], 0.0, -cell]).expect("kept");
+    let at = |k: usize| ((k % size.0) as f64 + 0.5, (k / size.0) as f64 + 0.5);
+    let heights = (0..size.0 * size.1).map(|k| height(corner[0] + at(k).0 * cell, corner[1] - at(k).1 * cell) as f32);
+    let mut buffer = gdal::raster::Buffer::new(size, heights.collect());
+    file.rasterband(1).expect("a band").write((0, 0), size, &mut buffer).expect("written");
+    file.close().expect("written");
+}
+
+/// First band and last (alpha) of an orthophoto with its geotransform.
+fn ortho(path: &Path) -> (Vec<u8>, Vec<u8>, (usize, usize), [f64; 6]) {
+    let file = gdal::Dataset::open(path).expect("it opens");
+    let size = file.raster_size();
+    let read = |b: usize| {
+        file.rasterband(b).expect("a band").read_as::<u8>((0, 0), size, size, None).expect("read").data().to_vec()
+    };
+    (read(1), read(file.raster_count()), size, file.geo_transform().expect("georeferenced"))
+}
+
+/// The same picture as numbers of a palette: red as the number, green the other way round.
+fn with_palette(grey: &Path, out: &Path) {
+    let set = gdal::Dataset::open(grey).expect("it opens");
+    let size = set.raster_size();
+    let mut numbers: gdal::raster::Buffer<u8> =
+        set.rasterband(1).expect("a band").read_as((0, 0), size, size, None).expect("read");
+    let driver = |name| gdal::DriverManager::get_driver_by_name(name).expect("there");
+    let copy = driver("MEM").create_with_band_type::<u8, _>("", size.0, size.1, 1).expect("in memory");
+    let mut band = copy.rasterband(1).expect("a band");
+    band.write((0, 0), size, &mut numbers).expect("written");
+    let mut table = gdal::raster::ColorTable::new(gdal::raster::PaletteInterpretation::Rgba);
+    for r in 0..256i16 {
+        let entry = gdal::raster::ColorEntry::rgba(r, 255 - r, 7, 255);
+        table.set_color_entry(r as u16, &entry);
+    }
+    band.set_color_table(&table);
+    copy.create_copy(&driver("PNG"), out, &Default::default()).expect("a PNG").close().expect("written");
+}
+
+fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
+    let sum = |f: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();
+    let (a, b) = (sum(&|p| (p.0 - mean.0).powi(2)), sum(&|p| (p.1 - mean.1).powi(2)));
+    sum(&|p| (p.0 - mean.0) * (p.1 - mean.1)) / (a * b).sqrt()
+}
+
+#[test]
+fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    place.flight.write_model(&place.at("model"));
+    let (frame, dem, cameras) = (place.at("frames").join("f2.png"), place.at("dem.tif"), place.at("cameras.json"));
+    // A tower that the frame does not show stands in the model: it covers itself and its shadow, the rest stays as it
+    // was.
+    let tower = |x: f64, y: f64| f64::from(u8::from((1290.0..1300.0).contains(&x) && (1990.0..2010.0).contains(&y)));
+    write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
+    let towered = place.at("towered.tif");
+    write_dem(&towered, (400, 250), [800.0, 2250.0], 2.0, |x, y| ground(x, y) + 120.0 * tower(x, y));
+    let adjust = [
+        "flight",
+        "adjust",
+        text(&place.at("model")),
+        "--gcps",
+        text(&place.at("gcps.txt")),
+        "--sigma-ground",
+        "0.01",
+        "--free",
+        "none",
+        "-o",
+        text(&cameras),
+        "--crs",
+        "local",
+    ]
+    .map(str::to_string);
+    expect(&autoref(&adjust.each_ref().map(String::as_str), None, &[]), 0, &[]);
+    let run = |dem: &Path, name: &str, more: &[&str]| {
+        let out = place.at(name);
+        let some = [
+            "flight",
+            "orthorectify",
+            text(&frame),
+            "--dem",
+            text(dem),
+            "--cameras",
+            text(&cameras),
+            "-o",
+            text(&out),
+            "--json",
+        ];
+        (autoref(&[&some, more].concat(), None, &[]), out)
+    };
+    let (output, out) = run(&dem, "a.tif", &[]);
+    expect(&output, 0, &[]);
+    let gsd = json(&output)["gsd"].as_f64().expect("a number");
+    assert!((gsd - 0.8).abs() < 0.1, "{gsd}");
+    let (grey, alpha, size, transform) = ortho(&out);
+    let truth = |k: usize| {
+        (
+            transform[0] + transform[1] * ((k % size.0) as f64 + 0.5),
+            transform[3] + transform[5] * ((k / size.0) as f64 + 0.5),
+        )
+    };
+    let pairs: Vec<(f64, f64)> = (0..grey.len())
+        .filter(|k| alpha[*k] == 255)
+        .map(|k| (f64::from(grey[k]), f64::from(brightness(truth(k).0, truth(k).1))))
+        .collect();
+    let found = correlation(&pairs);
+    assert!(found > 0.97 && pairs.len() > SIDE * SIDE * 9 / 10, "{found:.4} of {} pixels", pairs.len());
+    // Any tiling, the same bytes.
+    let bytes = std::fs::read(&out).expect("there");
+    for (name, more) in
+        [("b.tif", ["--tile", "64", "--threads", "1"]), ("c.tif", ["--tile", "300", "--memory", "112M"])]
+    {
+        let (output, other) = run(&dem, name, &more);
+        expect(&output, 0, &[]);
+        assert!(std::fs::read(other).expect("there") == bytes, "{name}");
+    }
+    // A frame whose numbers stand for colours is drawn in them.
+    let drawn = place.at("palette");
+    std::fs::create_dir(&drawn).expect("writable");
+    with_palette(&frame, &drawn.join("f2.png"));
+    let coloured = place.at("p.tif");
+    let drawn = drawn.join("f2.png");
+    let palette = ["flight", "orthorectify", text(&drawn), "--dem", text(&dem), "--cameras", text(&cameras), "-o"];
+    expect(&autoref(&[&palette[..], &[text(&coloured)]].concat(), None, &[]), 0, &[]);
+    let file = gdal::Dataset::open(&coloured).expect("it opens");
+    assert_eq!(file.raster_count(), 4, "three colours and alpha");
+    let green: gdal::raster::Buffer<u8> = file.rasterband(2).unwrap().read_as((0, 0), size, size, None).expect("read");
+    assert_eq!(ortho(&coloured).0, grey);
+    let off = |k: &usize| (i16::from(green.data()[*k]) - (255 - i16::from(grey[*k]))).abs() > 1;
+    assert!(!(0..grey.len()).filter(|k| alpha[*k] == 255).any(|k| off(&k)));
+    // Behind the tower, seen from the camera at x = 1160, nothing is seen; before it, all.
+    let (output, out) = run(&towered, "t.tif", &[]);
+    expect(&output, 0, &[]);
+    let (_, hidden, size, transform) = ortho(&out);
+    let at = |x: f64, y: f64| {
+        hidden[((y - transform[3]) / transform[5]) as usize * size.0 + ((x - transform[0]) / transform[1]) as usize]
+    };
+    assert_eq!((at(1315.0, 2000.0), at(1270.0, 2000.0), at(1315.0, 2060.0)), (0, 255, 255));
+    // What cannot be.
+    expect(&run(&dem, "a.tif", &[]).0, 2, &["a.tif exists", "--overwrite"]);
+    expect(&run(&place.at("no.tif"), "x.tif", &[]).0, 2, &["no.tif"]);
+    let far = place.at("far.tif");
+    write_dem(&far, (20, 20), [90_000.0, 90_000.0], 2.0, |_, _| 0.0);
+    expect(&run(&far, "x.tif", &[]).0, 1, &["far.tif", "none of its rays"]);
+    expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
+    let other = place.at("frames").join("q.png");
+    std::fs::copy(&frame, &other).expect("copied");
+    let x = place.at("x.tif");
+    let unknown =
+        ["flight", "orthorectify", text(&other), "--dem", text(&dem), "--cameras", text(&cameras), "-o", text(&x)];
+    expect(&autoref(&unknown, None, &[]), 2, &["cameras.json", "q.png"]);
+    assert!(!place.at("x.tif").exists());
+}
+
+/// Two frames of an aerial camera and two of a drone: their orthophotos agree where they overlap.
+#[test]
+fn orthophotos_of_neighbours_agree() {
+    let Some(frames) = data("frames") else { return };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let case = |name: &str, images: [&str; 2], dem: &str, more: &[&str]| {
+        let run = |image: &str| {
+            let out = folder.path().join(format!("{name}-{image}.tif"));
+            let (frame, dem) = (frames.join(name).join(image), frames.join(name).join(dem));
+            let some = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "-o", text(&out)];
+            expect(&autoref(&[&some, more].concat(), None, &[]), 0, &[]);
+            ortho(&out)
+        };
+        let (a, b) = (run(images[0]), run(images[1]));
+        let cell = a.3[1];
+        let off = [((a.3[0] - b.3[0]) / cell).round() as i64, ((b.3[3] - a.3[3]) / cell).round() as i64];
+        let mut pairs = Vec::new();
+        for k in 0..a.0.len() {
+            let (x, y) = ((k % a.2.0) as i64 + off[0], (k / a.2.0) as i64 + off[1]);
+            if (0..b.2.0 as i64).contains(&x) && (0..b.2.1 as i64).contains(&y) {
+                let other = y as usize * b.2.0 + x as usize;
+                if a.1[k] == 255 && b.1[other] == 255 {
+                    pairs.push((f64::from(a.0[k]), f64::from(b.0[other])));
+                }
+            }
+        }
+        let found = correlation(&pairs);
+        eprintln!("{name}: correlation {found:.4} of {} pixels of {cell}", pairs.len());
+        assert!(found > 0.75 && pairs.len() > 10_000, "{name}: {found:.3} of {}", pairs.len());
+    };
+    let table = frames.join("ngi/camera_pos_ori.txt");
+    let ngi = ["3324c_2015_1004_05_0182_RGB.tif", "3324c_2015_1004_05_0184_RGB.tif"];
+    case("ngi", ngi, "dem.tif", &["--cameras", text(&table), "--f-px", "833.3333", "--gsd", "8"]);
+    let (table, camera) = (frames.join("odm/odm_xyz_opk.csv"), frames.join("odm/reconstruction.json"));
+    case(
+        "odm",
+        ["100_0005_0018.tif", "100_0005_0136.tif"],
+        "dsm.tif",
+        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.6"],
+    );
+}
