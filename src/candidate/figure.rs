@@ -40,6 +40,8 @@ const LEAST_QUARTER: f64 = 0.9;
 /// The quarter turn is looked at so far out, as a share of the farthest paint: a chequer's corners have nothing to turn
 /// into.
 const QUARTER_REACH: f64 = 0.7;
+/// Where the patch ends before that, at least so far.
+const LEAST_QUARTER_REACH: f64 = 0.25;
 /// Noise of neighbouring pixels goes together.
 const TOGETHER: f64 = 4.0;
 /// A standard deviation of the middle is hardly less, pixels.
@@ -135,7 +137,11 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     }
     let turned = picture.turned_half(&places, start)?;
     let reach = part.iter().map(|i| (centre_of(i, scene.width) - turned.middle).norm()).fold(0.0, f64::max);
-    let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, QUARTER_REACH * reach).collect();
+    let look_px = (QUARTER_REACH * reach).min(border_distance(scene, turned.middle) - 1.5);
+    if look_px < LEAST_QUARTER_REACH * reach {
+        return None;
+    }
+    let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, look_px).collect();
     let quarter = picture.correlation(&near, |p| {
         let d = p - turned.middle;
         turned.middle + Vector2::new(-d.y, d.x)
@@ -174,6 +180,12 @@ fn meeting(part: &PixelSet, all: &PixelSet, width: usize) -> Vector2<f64> {
 
 fn centre_of(i: usize, width: usize) -> Vector2<f64> {
     Vector2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5)
+}
+
+/// How far the patch goes on around a place in every direction, pixels.
+fn border_distance(scene: &Scene<'_>, p: Vector2<f64>) -> f64 {
+    let [w, h] = [scene.width, scene.height].map(|side| side as f64);
+    [p.x, p.y, w - p.x, h - p.y].into_iter().fold(f64::INFINITY, f64::min)
 }
 
 fn places_within<'s>(

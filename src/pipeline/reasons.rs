@@ -166,6 +166,9 @@ pub fn reasons(
     Ok(all)
 }
 
+/// With at least this share of the paint's contrast it is not for faintness that a mark was not found.
+const FULL: f64 = 0.7;
+
 /// What the window shows about its place.
 fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option<[u8; 3]>) -> NotFound {
     /// What stands out less is ground; as in the examination.
@@ -217,6 +220,13 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     let mixed = paint.is_none_or(|paint| off_line(&ground, &colour, paint) < MIXED);
     let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && !mixed {
         (Reason::OtherColour, format!("what stands out there is {hex}"))
+    } else if contrast >= LEAST_CONTRAST && share >= FULL {
+        let what = format!(
+            "the marks' paint is there, {:.0} % of its contrast, but no whole mark: covered in part, cut, or beside its \
+             surveyed place",
+            100.0 * share
+        );
+        (Reason::Hidden, what)
     } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
         (
             Reason::Faint,

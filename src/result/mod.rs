@@ -2,6 +2,7 @@
 //! `docs/result.schema.json` is the JSON Schema of it.
 
 mod document;
+mod misfit;
 
 use std::path::Path;
 
@@ -15,6 +16,8 @@ use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
 use autoref_solve::{Similarity, Solution};
+
+pub use misfit::Misfit;
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;

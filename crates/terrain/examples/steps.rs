@@ -45,8 +45,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             out
         }
         "dilate" => bytes(dilate(&mask(), &Kernel::ellipse(number()? as usize))),
-        "erode" => bytes(erode(&mask(), &Kernel::ellipse(number()? as usize))),
-        "close" => bytes(close(&mask(), &Kernel::ellipse(number()? as usize))),
+        "erode" => bytes(erode(mask(), &Kernel::ellipse(number()? as usize))),
+        "close" => bytes(close(mask(), &Kernel::ellipse(number()? as usize))),
         "clean" => bytes(clean(mask(), &Cleaning::default())),
         "holes" | "objects" => {
             let mut mask = mask();

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use autoref_raster::atomic::Transaction;
-use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::memory_plan::cache_share_bytes;
 use autoref_raster::{RasterSource, ReaderChoice};
@@ -18,6 +17,7 @@ use crate::knn::Neighbours;
 use crate::light::Correction;
 use crate::model::{self, Labels};
 use crate::reduce::{Reading, Reduced, plane_memory, reduce_frame};
+use crate::resume::{self, Names};
 use crate::shapes::{Lesson, Shape};
 use crate::unlike::UNLIKE_SHARE;
 use crate::write::{self, MaskCompression};
@@ -97,6 +97,8 @@ pub struct Report {
     pub probability: Option<PathBuf>,
     pub method: &'static str,
     pub reduce: usize,
+    /// Names of the files that were written, in the folder of the masks.
+    pub outputs: Vec<String>,
     pub fingerprint: String,
 }
 
@@ -162,8 +164,15 @@ impl Options {
     }
 }
 
+/// What a run has been taught.
+pub struct Taught {
+    pub classifier: Classifier,
+    /// Changes when a frame or a mask that teaches changes.
+    pub(crate) mark: String,
+}
+
 /// A frame that something is taught from.
-struct Taught {
+struct TeachingFrame {
     path: PathBuf,
     reduced: Reduced,
     labels: Labels,
@@ -193,7 +202,7 @@ fn frame_of(shape: &Shape, frames: &[PathBuf]) -> Result<PathBuf> {
 ///
 /// # Errors
 /// When a frame or mask cannot be read, a sample lies outside its frame, or a class has no samples.
-pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Classifier> {
+pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Taught> {
     let _span = tracing::info_span!("teach").entered();
     let mut by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)> = Vec::new();
     let entry = |path: &Path, list: &mut Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>| -> usize {
@@ -216,6 +225,14 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Cla
             ));
         }
     }
+    let marks = by_frame.iter().flat_map(|(frame, _, mask)| [Some(frame.as_path()), *mask]);
+    let mark = marks.flatten().map(resume::file_mark).collect::<Vec<_>>().join(" ");
+    let classifier = learn(by_frame, options)?;
+    Ok(Taught { classifier, mark })
+}
+
+/// Makes the classifier of what teaches, frame by frame: samples, and a mask.
+fn learn(by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>, options: &Options) -> Result<Classifier> {
     if options.method == Method::Threshold {
         return Ok(Classifier::Threshold(options.threshold_bit));
     }
@@ -234,8 +251,15 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Cla
             samples.extend(model::thesis_samples(&reduced, &shapes)?);
             samples.extend(model::labelled_samples(&reduced, &labels)?);
         } else {
-            shapes.iter().for_each(|shape| labels.paint(shape, reduced.factor));
-            taught.push(Taught { path, reduced, labels });
+            for shape in shapes {
+                if labels.paint(shape, reduced.factor) == 0 {
+                    return Err(Error::usage(
+                        format!("{}: the sample {} holds no pixel's centre", path.display(), shape.place),
+                        format!("make it larger; a pixel of the analysis is {0} × {0} px", reduced.factor),
+                    ));
+                }
+            }
+            taught.push(TeachingFrame { path, reduced, labels });
         }
     }
     if options.method == Method::Thesis2017 {
@@ -261,103 +285,20 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Cla
     Ok(Classifier::Forest(Box::new(model::learn(&pairs)?)))
 }
 
-/// Paths of a frame's outputs.
-pub struct Names {
-    pub mask: PathBuf,
-    pub xml: PathBuf,
-    pub report: PathBuf,
-    pub outlines: PathBuf,
-    pub probability: PathBuf,
-    pub colmap: PathBuf,
-    pub class: PathBuf,
-    pub entropy: PathBuf,
-    pub distance: PathBuf,
-    pub scatter: PathBuf,
-}
-
-impl Names {
-    pub fn of(frame: &Path, folder: &Path) -> Names {
-        let stem = frame.file_stem().unwrap_or(frame.as_os_str()).to_string_lossy().into_owned();
-        let name = frame.file_name().unwrap_or(frame.as_os_str()).to_string_lossy().into_owned();
-        let path = |end: &str| folder.join(format!("{stem}{end}"));
-        Names {
-            mask: path("_Masq.tif"),
-            xml: path("_Masq.xml"),
-            report: path("_Masq.json"),
-            outlines: path("_Masq.geojson"),
-            probability: path("_Prob.tif"),
-            colmap: folder.join(format!("{name}.png")),
-            class: path("_Class.tif"),
-            entropy: path("_Entropy.tif"),
-            distance: path("_Distance.tif"),
-            scatter: path("_Scatter.svg"),
-        }
-    }
-}
-
-/// FNV-1a, for fingerprints.
-fn fnv(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
-fn file_mark(path: &Path) -> String {
-    let mark = |data: std::fs::Metadata| {
-        let time = data.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
-        format!("{} {:?}", data.len(), time)
-    };
-    std::fs::metadata(path).map(mark).unwrap_or_default()
-}
-
-/// Rises when a method gives other masks than before.
-const METHODS: u32 = 3;
-
-/// Changes when the frame or anything that its mask depends on changes.
-fn fingerprint(frame: &Path, given: &Given, options: &Options) -> String {
-    let lessons: Vec<String> =
-        given.lessons.iter().map(|l| format!("{} {}", file_mark(&l.frame), file_mark(&l.mask))).collect();
-    let global = given.global_mask.as_deref().map(file_mark);
-    let what = format!(
-        "{METHODS} {} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {lessons:?} {global:?} {given:?}",
-        env!("CARGO_PKG_VERSION"),
-        file_mark(frame),
-        options.method,
-        options.reduce,
-        options.neighbours,
-        options.threshold_bit,
-        options.cleaning,
-        options.auto_area_share,
-        options.compression,
-        options.extras,
-        options.corrections,
-    );
-    format!("{:016x}", fnv(&what))
-}
-
-/// The report of an earlier run, when its mask is there and nothing has changed.
-fn done_before(names: &Names, fingerprint: &str) -> Option<serde_json::Value> {
-    let text = bounded::read_to_string(&names.report, "a report", bounded::DOCUMENT_BYTES).ok()?;
-    let report: serde_json::Value = serde_json::from_str(&text).ok()?;
-    (report["fingerprint"] == fingerprint && names.mask.is_file()).then_some(report)
-}
-
 /// Makes the mask of one frame.
 ///
 /// # Errors
 /// When the frame cannot be read or an output cannot be written; nothing is left half-written.
-pub fn mask_frame(
-    frame: &Path,
-    folder: &Path,
-    classifier: &Classifier,
-    given: &Given,
-    options: &Options,
-) -> Result<Done> {
+pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, options: &Options) -> Result<Done> {
     let _span = tracing::info_span!("frame").entered();
+    let classifier = &taught.classifier;
     let names = Names::of(frame, folder);
-    let fingerprint = fingerprint(frame, given, options);
+    let fingerprint = resume::fingerprint(frame, taught, given, options);
+    let earlier = resume::earlier(&names);
     if options.resume
-        && let Some(report) = done_before(&names, &fingerprint)
+        && let Some(earlier) = earlier.as_ref().filter(|earlier| earlier.is_whole(&names, &fingerprint))
     {
-        return Ok(Done { report: again(frame, &names, &report, fingerprint), picture: None });
+        return Ok(Done { report: earlier.report(&names), picture: None });
     }
     // With --resume, what is there belongs to a frame that has changed, or to a run that was stopped.
     autoref_raster::atomic::check_outputs(
@@ -378,8 +319,10 @@ pub fn mask_frame(
     if !options.extras.probability {
         classes.probability = None;
     }
-    let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
     let report = report(frame, &names, &reduced, &classes, options, fingerprint);
+    // Its share is told; a mask less while the outlines are traced.
+    classes.unsure = BitMask::new(0, 0);
+    let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
     let mut transaction = Transaction::new();
     let size = [reduced.width as usize, reduced.height as usize];
     transaction.stage(&names.mask, |path| write::mask(path, &full, options.compression))?;
@@ -387,7 +330,8 @@ pub fn mask_frame(
     transaction.stage_bytes(&names.xml, write::micmac_xml(&mask_name, size).as_bytes())?;
     let name = frame.file_name().unwrap_or_default().to_string_lossy();
     let outlines = crate::outline::polygons(&classes.keep, size, reduced.factor, &name);
-    transaction.stage_bytes(&names.outlines, outlines.to_string().as_bytes())?;
+    transaction.stage_bytes(&names.outlines, outlines.as_bytes())?;
+    drop(outlines);
     if let Some(plane) = &classes.probability {
         transaction.stage(&names.probability, |path| write::grey_plane(path, size, reduced.factor, plane))?;
     }
@@ -400,35 +344,10 @@ pub fn mask_frame(
     let json = serde_json::to_string_pretty(&report).expect("a report is plain data");
     transaction.stage_bytes(&names.report, json.as_bytes())?;
     transaction.commit()?;
-    Ok(Done { report, picture: Some((reduced, classes.keep)) })
-}
-
-/// The report of a frame that is done, as it was.
-fn again(frame: &Path, names: &Names, earlier: &serde_json::Value, fingerprint: String) -> Report {
-    let number = |value: &serde_json::Value| value.as_f64().unwrap_or(0.0);
-    let classes = &earlier["classes"];
-    let words = earlier["warnings"].as_array().cloned().unwrap_or_default();
-    let methods = [Method::Thesis2017, Method::Threshold, Method::Auto].map(Method::name);
-    Report {
-        frame: frame.into(),
-        status: "unchanged",
-        width: earlier["width"].as_u64().unwrap_or(0),
-        height: earlier["height"].as_u64().unwrap_or(0),
-        keep_share: number(&earlier["keep_share"]),
-        classes: Shares {
-            keep: number(&classes["keep"]),
-            mask: number(&classes["mask"]),
-            empty: number(&classes["empty"]),
-        },
-        unsure_share: number(&earlier["unsure_share"]),
-        unlike_share: earlier["unlike_share"].as_f64(),
-        warnings: words.iter().filter_map(|w| w.as_str().map(String::from)).collect(),
-        mask: names.mask.clone(),
-        probability: names.probability.is_file().then(|| names.probability.clone()),
-        method: methods.into_iter().find(|name| earlier["method"] == *name).unwrap_or("auto"),
-        reduce: earlier["reduce"].as_u64().unwrap_or(4) as usize,
-        fingerprint,
+    if let Some(earlier) = earlier {
+        earlier.remove_what_is_stale(&names, &report)?;
     }
+    Ok(Done { report, picture: Some((reduced, classes.keep)) })
 }
 
 fn report(
@@ -474,15 +393,21 @@ fn report(
         probability: classes.probability.as_ref().map(|_| names.probability.clone()),
         method: options.method.name(),
         reduce: reduced.factor,
+        outputs: names.written(options, classes.probability.is_some()),
         fingerprint,
     }
 }
 
-/// The first row with ground, when at least a twentieth of the rows above hold none and most columns begin so.
+/// The first row with ground, when at least a twentieth of the rows above hold none and most columns begin so. Ground
+/// under a sky reaches both sides of the frame; a margin all around does not let it.
 fn horizon(keep: &BitMask) -> Option<usize> {
     let count = |y: usize| -> u32 { keep.row(y).iter().map(|word| word.count_ones()).sum() };
     let first = (0..keep.height()).find(|&y| count(y) > 0)?;
     let below: u64 = (first..keep.height()).map(|y| u64::from(count(y))).sum();
     let ground = below as f64 / (keep.width() * (keep.height() - first)) as f64;
-    (first * 20 >= keep.height() && ground > 0.2).then_some(first)
+    let margin = keep.width() / 50;
+    let reaches =
+        |columns: std::ops::Range<usize>| (first..keep.height()).any(|y| columns.clone().any(|x| keep.get(x, y)));
+    let sides = reaches(0..margin + 1) && reaches(keep.width() - margin - 1..keep.width());
+    (first * 20 >= keep.height() && ground > 0.2 && sides).then_some(first)
 }

@@ -11,7 +11,7 @@ use crate::batch::Given;
 use crate::bits::BitMask;
 use crate::classify::Classes;
 use crate::fill::Fill;
-use crate::model::Labels;
+use crate::labelled::LabelledMask;
 use crate::reduce::Reduced;
 use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
 
@@ -51,28 +51,43 @@ pub fn speaks_of(frame: &Path, given: &Given) -> bool {
 /// Lays what a person said over `classes`, at the reduced scale.
 ///
 /// # Errors
-/// When a mask cannot be read or has another size than the frame.
+/// When a mask cannot be read, or has another size than the frame or other values than 0, 1 and 255.
 pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Classes) -> Result<()> {
+    let (width, height) = (reduced.grey.width(), reduced.grey.height());
+    let mut row = vec![SAYS_NOTHING; width];
     for layer in layers(frame, given) {
-        let mut labels = Labels::new(reduced);
-        match &layer {
-            Layer::Shapes(shapes) => shapes.iter().for_each(|shape| labels.paint(shape, reduced.factor)),
-            Layer::Raster(path, meaning) => {
-                labels.read_mask(path, reduced)?;
-                let counts = meaning.label();
-                labels.values.iter_mut().filter(|value| **value != counts).for_each(|value| *value = SAYS_NOTHING);
+        match layer {
+            Layer::Shapes(shapes) => {
+                let mut fills: Vec<(u8, Fill)> =
+                    shapes.iter().map(|shape| (shape.meaning.label(), Fill::new(shape, reduced.factor))).collect();
+                for y in 0..height {
+                    fill_labels(&mut fills, y, &mut row);
+                    for (x, &label) in row.iter().enumerate().filter(|(_, label)| **label != SAYS_NOTHING) {
+                        classes.keep.set(x, y, label == 1);
+                        classes.unsure.set(x, y, false);
+                    }
+                }
             }
-        }
-        for (i, &value) in labels.values.iter().enumerate().filter(|(_, value)| **value != SAYS_NOTHING) {
-            let (x, y) = (i % labels.width, i / labels.width);
-            classes.keep.set(x, y, value == 1);
-            if matches!(layer, Layer::Shapes(_)) {
-                classes.unsure.set(x, y, false);
+            Layer::Raster(path, meaning) => {
+                let labelled = LabelledMask::open(path, reduced)?;
+                labelled.each_row(reduced, |y, labels| {
+                    for (x, _) in labels.iter().enumerate().filter(|(_, label)| **label == meaning.label()) {
+                        classes.keep.set(x, y, meaning == Meaning::Keep);
+                    }
+                })?;
             }
         }
     }
     classes.keep.and(&reduced.valid);
     Ok(())
+}
+
+/// The labels of a row; later shapes win.
+fn fill_labels(fills: &mut [(u8, Fill)], y: usize, row: &mut [u8]) {
+    row.fill(SAYS_NOTHING);
+    for (label, fill) in fills {
+        fill.row(y, row.len(), |start, end| row[start..end].fill(*label));
+    }
 }
 
 /// A mask at the frame's size: the classifier's cells, and what a person said to the pixel.
@@ -151,10 +166,7 @@ impl FullRows<'_> {
         for layer in &mut self.open {
             match layer {
                 Open::Shapes(fills) => {
-                    self.labels.fill(SAYS_NOTHING);
-                    for (label, fill) in fills {
-                        fill.row(y, width, |start, end| self.labels[start..end].fill(*label));
-                    }
+                    fill_labels(fills, y, &mut self.labels);
                     line.iter_mut()
                         .zip(&self.labels)
                         .filter(|(_, label)| **label != SAYS_NOTHING)

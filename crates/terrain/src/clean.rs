@@ -27,13 +27,13 @@ impl Default for Cleaning {
 /// Closings, dilation, small background to foreground, erosions, small foreground to background, dilation.
 pub fn clean(mut mask: BitMask, options: &Cleaning) -> BitMask {
     for &size in &options.closings {
-        mask = close(&mask, &Kernel::ellipse(size));
+        mask = close(mask, &Kernel::ellipse(size));
     }
     let disc = Kernel::ellipse(options.disc);
     mask = dilate(&mask, &disc);
     flip_small(&mut mask, false, options.least_area_share);
     for _ in 0..options.erosions {
-        mask = erode(&mask, &disc);
+        mask = erode(mask, &disc);
     }
     flip_small(&mut mask, true, options.least_area_share);
     dilate(&mask, &disc)

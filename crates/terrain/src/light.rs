@@ -150,7 +150,15 @@ mod tests {
         let mut grey = Plane::new(width, height, 1 << 20).expect("a plane");
         grey.write(&Window::whole(width as u64, height as u64), &pixels).expect("written");
         let valid = BitMask::from_fn(width, height, |_, _| true);
-        Reduced { grey, valid, width: width as u64, height: height as u64, factor: 1, white_steps: 255.0 }
+        Reduced {
+            grey,
+            valid,
+            width: width as u64,
+            height: height as u64,
+            factor: 1,
+            white_steps: 255.0,
+            smooth: false,
+        }
     }
 
     #[test]

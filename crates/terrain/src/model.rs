@@ -4,7 +4,6 @@ use std::path::Path;
 
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::{TileGrid, Window};
-use gdal::raster::ResampleAlg;
 use rayon::prelude::*;
 
 use crate::classify::Learned;
@@ -13,6 +12,7 @@ use crate::features::{FEATURES, FrameScale, HALO_PX, Measured, PLANES, Surroundi
 use crate::fill::Fill;
 use crate::forest::{Example, Forest, Growth};
 use crate::knn::Sample;
+use crate::labelled::LabelledMask;
 use crate::plane::Plane;
 use crate::reduce::Reduced;
 use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
@@ -102,63 +102,39 @@ impl Labels {
         Labels { width, height, values: vec![SAYS_NOTHING; width * height] }
     }
 
-    /// Paints the shape: pixels whose centre lies in it. Later shapes win.
-    pub fn paint(&mut self, shape: &Shape, factor: usize) {
-        let mut fill = Fill::new(shape, factor);
+    /// Paints the shape: pixels whose centre lies in it. Later shapes win. Answers how many pixels that are.
+    pub fn paint(&mut self, shape: &Shape, factor: usize) -> usize {
+        let (mut fill, mut count) = (Fill::new(shape, factor), 0);
         for (y, row) in self.values.chunks_exact_mut(self.width.max(1)).enumerate() {
-            fill.row(y, self.width, |start, end| row[start..end].fill(shape.meaning.label()));
+            fill.row(y, self.width, |start, end| {
+                row[start..end].fill(shape.meaning.label());
+                count += end - start;
+            });
         }
+        count
     }
 
-    /// Takes over a mask of the frame's size: 1 keep, 0 mask, 255 unknown.
+    /// Takes over a mask of the frame's size that teaches.
     ///
     /// # Errors
-    /// When it cannot be read, has another size or other values, or says nothing.
+    /// Those of [`LabelledMask`]; when it says nothing.
     pub fn read_mask(&mut self, path: &Path, reduced: &Reduced) -> Result<()> {
-        let (_, dataset) = autoref_raster::open_dataset(path, 0)?;
-        let size = dataset.raster_size();
-        if size != (reduced.width as usize, reduced.height as usize) {
-            return Err(Error::usage(
-                format!(
-                    "{}: {} × {} px, but its frame has {} × {} px",
-                    path.display(),
-                    size.0,
-                    size.1,
-                    reduced.width,
-                    reduced.height
-                ),
-                "give a mask of its frame's size",
-            ));
-        }
-        let failed = |e| Error::gdal(path, e);
-        let band = dataset.rasterband(1).map_err(failed)?;
-        let factor = reduced.factor;
-        for y in 0..self.height {
-            let from = (y * factor + factor / 2).min(size.1 - 1);
-            let row = band
-                .read_as::<f64>((0, from as isize), (size.0, 1), (size.0, 1), None::<ResampleAlg>)
-                .map_err(failed)?;
-            for x in 0..self.width {
-                let at = (x * factor + factor / 2).min(size.0 - 1);
-                self.values[y * self.width + x] = match row.data()[at] {
-                    0.0 => 0,
-                    1.0 => 1,
-                    255.0 => 255,
-                    other => {
-                        return Err(Error::format(
-                            path,
-                            format!("pixel {at}, {from}"),
-                            format!("the value {other}; a teaching mask holds 1 (keep), 0 (mask) and 255 (unknown)"),
-                        ));
-                    }
-                };
-            }
-        }
-        if self.values.iter().all(|v| *v == 255) {
+        let mask = LabelledMask::open(path, reduced)?;
+        let width = self.width;
+        let values = &mut self.values;
+        let [masked, kept, unsaid] =
+            mask.each_row(reduced, |y, labels| values[y * width..(y + 1) * width].copy_from_slice(labels))?;
+        if masked + kept == 0 {
             return Err(Error::usage(
                 format!("{}: every pixel is 255, unknown", path.display()),
                 "1 means keep, 0 mask",
             ));
+        }
+        if kept == 0 && unsaid > 0 {
+            tracing::warn!(
+                "{}: its values are 0 and 255, so that it teaches what to mask only; write 1 for what is to be kept",
+                path.display()
+            );
         }
         Ok(())
     }

@@ -23,6 +23,8 @@ pub struct Reduced {
     pub factor: usize,
     /// Grey levels that the sample type's white is above its black: 255 of 8-bit frames, more where levels were spread.
     pub white_steps: f64,
+    /// Smoothed before it was reduced.
+    pub smooth: bool,
 }
 
 /// How a frame is read.
@@ -96,16 +98,16 @@ fn each_row(block: &Block, mut see: impl FnMut(u64, u64, PixelRow)) {
     }
 }
 
-/// Grey values of a row: of colour 0.299 R + 0.587 G + 0.114 B in 14 bits, rounded, as OpenCV's `COLOR_RGB2GRAY`.
+/// Grey values of a row: of colour 0.299 R + 0.587 G + 0.114 B in 15 bits, rounded, as OpenCV's `COLOR_RGB2GRAY`.
 fn for_grey(row: &PixelRow, info: &RasterInfo, mut see: impl FnMut(usize, u16, bool)) {
     let nodata = info.nodata_sample();
     let [r, g, b] = info.rgb;
     let mut one = |i: usize, pixel: &dyn Fn(usize) -> u16| {
         let (red, green, blue) = (pixel(r), pixel(g), pixel(b));
-        let sum = 4899 * u32::from(red) + 9617 * u32::from(green) + 1868 * u32::from(blue);
+        let sum = 9798 * u32::from(red) + 19_235 * u32::from(green) + 3735 * u32::from(blue);
         let empty =
             info.alpha.is_some_and(|alpha| pixel(alpha) == 0) || nodata.is_some_and(|n| [red, green, blue] == [n; 3]);
-        see(i, ((sum + 8192) >> 14) as u16, !empty);
+        see(i, ((sum + 16_384) >> 15) as u16, !empty);
     };
     for i in 0..row.len {
         let first = i * row.pixel_stride;
@@ -209,6 +211,7 @@ pub fn reduce_frame(source: &Arc<dyn RasterSource>, reading: &Reading) -> Result
         height,
         factor: reading.factor,
         white_steps: levels.white_steps(info.white.into()),
+        smooth: reading.smooth,
     })
 }
 

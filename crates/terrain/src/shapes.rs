@@ -196,7 +196,9 @@ struct TomlSample {
 /// # Errors
 /// When the file cannot be read or says something else; the message names the place.
 pub fn read(path: &Path) -> Result<Vec<Shape>> {
-    let text = bounded::read_to_string(path, "a list of outlines", bounded::TEXT_BYTES)?;
+    let bytes = bounded::read(path, "a list of outlines", bounded::TEXT_BYTES)?;
+    let text = String::from_utf8(bytes)
+        .map_err(|_| Error::format(path, "begin", "this is no text; polygons are given as GeoJSON or TOML"))?;
     let toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
     if toml { from_toml(path, &text) } else { from_geojson(path, &text) }
 }

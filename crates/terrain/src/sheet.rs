@@ -10,6 +10,7 @@ use autoref_raster::window::Window;
 use crate::batch::{Done, Report};
 use crate::bits::BitMask;
 use crate::reduce::Reduced;
+use crate::resume::{self, Names};
 
 /// Longer side of a picture, px.
 const SIDE_PX: usize = 640;
@@ -17,7 +18,8 @@ const SIDE_PX: usize = 640;
 /// Collects frames; [`Sheet::finish`] writes `masks.html`. The pictures are in the folder `previews`.
 pub struct Sheet {
     folder: PathBuf,
-    entries: Vec<String>,
+    /// Stems of the frames with their figures.
+    entries: Vec<(String, String)>,
 }
 
 impl Sheet {
@@ -31,45 +33,67 @@ impl Sheet {
     /// When the picture cannot be written.
     pub fn add(&mut self, done: &Done) -> Result<()> {
         let stem = done.report.frame.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let name = format!("previews/{stem}.png");
         if let Some((reduced, mask)) = &done.picture {
-            let previews = self.folder.join("previews");
-            std::fs::create_dir_all(&previews).map_err(|e| Error::io(&previews, "make the folder", e))?;
-            atomic::write(&self.folder.join(&name), &picture(reduced, mask)?)?;
+            let path = Names::of(&done.report.frame, &self.folder).preview;
+            let previews = path.parent().expect("it lies in the folder of pictures");
+            std::fs::create_dir_all(previews).map_err(|e| Error::io(previews, "make the folder", e))?;
+            atomic::write(&path, &picture(reduced, mask)?)?;
         }
-        let scatter = Some(format!("{stem}_Scatter.svg")).filter(|name| self.folder.join(name).is_file());
-        self.entries.push(entry(&done.report, &name, scatter.as_deref()));
+        let entry = self.entry(&done.report);
+        self.entries.push((stem, entry));
         Ok(())
     }
 
-    /// Writes the page.
+    /// Writes the page, with the frames of earlier runs whose masks are in the folder too.
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn finish(self) -> Result<()> {
-        let page = include_str!("sheet.html").replace("<!-- frames -->", &self.entries.concat());
+    pub fn finish(mut self) -> Result<()> {
+        let stems: Vec<String> = self.entries.iter().map(|(stem, _)| stem.clone()).collect();
+        for report in resume::others(&self.folder, &stems) {
+            let stem = report.frame.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let entry = self.entry(&report);
+            self.entries.push((stem, entry));
+        }
+        self.entries.sort();
+        let figures: String = self.entries.iter().map(|(_, figure)| figure.as_str()).collect();
+        let page = include_str!("sheet.html").replace("<!-- frames -->", &figures);
         atomic::write(&self.folder.join("masks.html"), page.as_bytes())
     }
+
+    /// The figure of a frame, with the pictures that are there.
+    fn entry(&self, report: &Report) -> String {
+        let names = Names::of(&report.frame, &self.folder);
+        let address = |path: &Path| {
+            let inside = path.strip_prefix(&self.folder).expect("it lies in the folder");
+            path.is_file().then(|| in_address(&inside.to_string_lossy()))
+        };
+        let scatter = report.outputs.iter().any(|name| name.ends_with("_Scatter.svg"));
+        entry(report, address(&names.preview), address(&names.scatter).filter(|_| scatter))
+    }
+}
+
+/// A relative path as pages name it.
+fn in_address(path: &str) -> String {
+    escaped(&path.replace('%', "%25").replace('#', "%23").replace('?', "%3F"))
 }
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
-fn entry(report: &Report, picture: &str, scatter: Option<&str>) -> String {
+fn entry(report: &Report, picture: Option<String>, scatter: Option<String>) -> String {
     let frame = report.frame.file_name().unwrap_or_default().to_string_lossy();
     let warnings: String = report.warnings.iter().map(|w| format!("<li>{}</li>", escaped(w))).collect();
     let plot = scatter
-        .map(|name| {
-            format!("<img loading=\"lazy\" src=\"{}\" alt=\"Entropy against intensity by class\">", escaped(name))
-        })
+        .map(|name| format!("<img loading=\"lazy\" src=\"{name}\" alt=\"Entropy against intensity by class\">"))
         .unwrap_or_default();
     format!(
         "<figure data-frame=\"{frame}\" data-width=\"{}\" data-height=\"{}\"><div><img loading=\"lazy\" src=\"{}\" alt=\"\"><svg viewBox=\"0 0 {} {}\"></svg></div><figcaption><b>{frame}</b> \
          {} · kept {:.1} % · masked {:.1} % · empty {:.1} % · unsure {:.1} %<ul>{warnings}</ul></figcaption>{plot}</figure>\n",
         report.width,
         report.height,
-        escaped(picture),
+        picture.unwrap_or_default(),
         report.width,
         report.height,
         report.method,

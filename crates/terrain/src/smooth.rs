@@ -49,6 +49,16 @@ pub fn gaussian(image: &[u8], width: usize, height: usize) -> Vec<u8> {
     blurred
 }
 
+/// What [`gaussian`] makes, without rounding, of an image whose rows (or columns) are these values throughout.
+pub fn gaussian_line(values: &[f32]) -> Vec<f32> {
+    let smoothed = |i: usize| {
+        let at = |offset: i64| f64::from(values[mirror(i as i64 + offset, values.len())]);
+        let taps = GAUSSIAN_5_SIGMA_1_1.iter().zip(-2..);
+        (taps.map(|(weight, offset)| f64::from(*weight) * at(offset)).sum::<f64>() / 256.0) as f32
+    };
+    (0..values.len()).map(smoothed).collect()
+}
+
 /// `−1 → 1`, `n → n − 2`: OpenCV's BORDER_REFLECT_101.
 fn mirror(position: i64, length: usize) -> usize {
     if length == 1 {

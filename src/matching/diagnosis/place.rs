@@ -73,6 +73,9 @@ fn told_feet(international: f64, survey: f64) -> Vec<Diagnosis> {
     vec![Diagnosis { mistake, certainty: Certainty::Claimed, gcps: Vec::new(), message, log10_false_alarms: None }]
 }
 
+/// Greatest over least of a scale that is known closely.
+const CLOSE_SCALE: f64 = 1.3;
+
 /// The scale by the pattern is 3.28 times, or a 3.28th of, what was known before.
 fn scale_alone(given: &GrossErrors<'_>, pattern: &Pattern) -> Option<Diagnosis> {
     let (low, high) = given.priors.gsd_m_per_px?;
@@ -90,9 +93,11 @@ fn scale_alone(given: &GrossErrors<'_>, pattern: &Pattern) -> Option<Diagnosis> 
     } else {
         return None;
     };
+    // A scale that is known to a few percent is 3.28 times another by that mistake only.
+    let certainty = if high < CLOSE_SCALE * low { Certainty::Claimed } else { Certainty::Possible };
     Some(Diagnosis {
         mistake,
-        certainty: Certainty::Possible,
+        certainty,
         gcps: Vec::new(),
         message: format!("a pixel is {ratio:.4} times as large as the image says: {what}?"),
         log10_false_alarms: None,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::result::{RunResult, SolvedRun};
+use autoref_stream::result::{Misfit, RunResult, SolvedRun};
 use clap::Args;
 
 /// Survey errors and the statement.
@@ -58,6 +58,8 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
     solved.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
+    let misfit = Misfit::of(solved);
+    result.warnings.extend(misfit.map(|misfit| misfit.note()));
 }
 
 /// The image's size, or how far the candidates reach.

@@ -250,7 +250,8 @@ fn all_frames(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
                 bail!("{}: no image in this folder; give TIFF, JPEG or PNG files", path.display());
             }
             found.sort();
-            frames.extend(found);
+            let others: Vec<PathBuf> = found.iter().filter(|path| !is_output(path, &found)).cloned().collect();
+            frames.extend(others);
         } else {
             frames.push(path.clone());
         }
@@ -268,6 +269,16 @@ fn all_frames(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     Ok(frames)
 }
 
+/// Was it written beside the frames by an earlier run?
+fn is_output(path: &Path, all: &[PathBuf]) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let ends = ["_Masq.tif", "_Prob.tif", "_Class.tif", "_Entropy.tif", "_Distance.tif"];
+    let of_frame = |stem: &str| path.with_file_name(format!("{stem}_Masq.json")).is_file();
+    let for_colmap = |frame: &str| all.iter().any(|other| other.file_name().is_some_and(|name| name == frame));
+    ends.iter().filter_map(|end| name.strip_suffix(end)).any(of_frame)
+        || name.strip_suffix(".png").is_some_and(for_colmap)
+}
+
 pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let options = args.options()?;
     let given = args.given()?;
@@ -278,7 +289,7 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;
     pool.install(|| {
-        let classifier = teach(&frames, &given, &options)?;
+        let taught = teach(&frames, &given, &options)?;
         std::fs::create_dir_all(&args.output)
             .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
         let bar = if args.quiet || args.json { ProgressBar::hidden() } else { ProgressBar::new(frames.len() as u64) };
@@ -292,7 +303,7 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
                     .of(frame)
                     .map(|shapes| Given { global: [&given.global[..], &shapes[..]].concat(), ..given.clone() }),
             };
-            match shown.and_then(|given| mask_frame(frame, &args.output, &classifier, &given, &options)) {
+            match shown.and_then(|given| mask_frame(frame, &args.output, &taught, &given, &options)) {
                 Ok(done) => {
                     sheet.add(&done)?;
                     tell(args, &bar, &done.report)?;

@@ -32,7 +32,7 @@ pub struct CameraArgs {
     #[arg(long, value_name = "X,Y,X,Y", value_parser = parse_box, allow_hyphen_values = true, requires = "camera", help_heading = "By hand")]
     mask_box: Vec<Box4>,
     /// Mask this much around every mark, millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 3.0, help_heading = "By hand")]
+    #[arg(long, value_name = "MM", default_value_t = 3.0, requires = "camera", help_heading = "By hand")]
     mask_marks_mm: f64,
 }
 
@@ -113,9 +113,51 @@ impl CameraMask {
                 "mend its marks, or mask it without --camera",
             )
         })?;
+        let source = autoref_raster::open(frame, ReaderChoice::Auto, 0, 16 << 20)?;
+        let found = [source.info().width, source.info().height];
+        if found != [result.width, result.height] {
+            let what = format!(
+                "{}: {} × {} px, but its result of --fiducials is of {} × {} px",
+                frame.display(),
+                found[0],
+                found[1],
+                result.width,
+                result.height
+            );
+            return Err(Error::usage(what, "give the result of this scan"));
+        }
         let sign = self.camera.y_sign();
-        let size = [result.width as f64, result.height as f64];
+        self.check_marks(frame, result, |[x, y]| interior.to_pixel([x, sign * y]))?;
+        let size = found.map(|v| v as f64);
         Ok(self.polygons(frame, size, |[x, y]| interior.to_pixel([x, sign * y]).map(|PixelPoint { x, y }| [x, y])))
+    }
+
+    /// The result's marks lie where the camera's do.
+    fn check_marks(
+        &self,
+        frame: &Path,
+        result: &FrameResult,
+        to_pixel: impl Fn([f64; 2]) -> Option<PixelPoint>,
+    ) -> Result<()> {
+        let expected: Vec<PixelPoint> = self.camera.film_points().iter().filter_map(|mm| to_pixel(*mm)).collect();
+        // A tenth of the way between two marks tells one camera from another.
+        let size_px = (result.width.max(result.height)) as f64;
+        let beside = |centre: &PixelPoint| {
+            let far = |mark: &PixelPoint| (mark.x - centre.x).hypot(mark.y - centre.y);
+            expected.iter().map(far).fold(f64::INFINITY, f64::min) > size_px / 50.0
+        };
+        let centres: Vec<PixelPoint> = result.marks.iter().filter_map(|mark| mark.centre).collect();
+        if centres.iter().filter(|centre| beside(centre)).count() * 2 > centres.len() {
+            return Err(Error::usage(
+                format!(
+                    "{}: the marks of its result of --fiducials do not lie where those of {} do",
+                    frame.display(),
+                    self.camera.name
+                ),
+                "give --camera as `fiducials` had it",
+            ));
+        }
+        Ok(())
     }
 
     fn of_resampled(&self, frame: &Path) -> Result<Vec<Shape>> {

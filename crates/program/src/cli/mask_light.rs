@@ -10,6 +10,7 @@ use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_terrain::light::{self, Correction};
 use autoref_terrain::reduce::Reduced;
+use autoref_terrain::smooth::gaussian_line;
 use clap::ValueEnum;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -65,20 +66,21 @@ fn remove_bands(source: &dyn RasterSource, reduced: &mut Reduced, which: Banding
         _ => Window::new(w / 20, 0, w - 2 * (w / 20), h),
     };
     let bands = banding::find(source, region, which)?;
-    let (factor, steps) = (reduced.factor as u64, reduced.white_steps);
-    // The bands at every reduced row or column are what they take from zero.
-    let zeros = |width: usize, height: usize| {
-        let mut grey = Grey { width, height, data: vec![0.0; width * height], origin: [0, 0], factor };
+    let (factor, steps) = (reduced.factor, reduced.white_steps);
+    // The bands at every row or column are what they take from zero; they were smoothed and reduced with the frame.
+    let taken = |width: u64, height: u64| -> Vec<f64> {
+        let (width, height) = (width as usize, height as usize);
+        let mut grey = Grey { width, height, data: vec![0.0; width * height], origin: [0, 0], factor: 1 };
         bands.remove(&mut grey);
-        grey.data
+        let line = if reduced.smooth { gaussian_line(&grey.data) } else { grey.data };
+        line.chunks(factor).map(|part| part.iter().map(|v| f64::from(*v)).sum::<f64>() / part.len() as f64).collect()
     };
-    let (width, height) = (reduced.grey.width(), reduced.grey.height());
     if which == Banding::Columns {
-        let taken = zeros(width, 1);
-        light::change_levels(reduced, |x, _, level| level + steps * f64::from(taken[x]))
+        let taken = taken(w, 1);
+        light::change_levels(reduced, |x, _, level| level + steps * taken[x])
     } else {
-        let taken = zeros(1, height);
-        light::change_levels(reduced, |_, y, level| level + steps * f64::from(taken[y]))
+        let taken = taken(1, h);
+        light::change_levels(reduced, |_, y, level| level + steps * taken[y])
     }
 }
 

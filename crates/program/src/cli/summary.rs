@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{RefusedRun, RunOutcome, RunResult, SolvedRun};
+use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
 
 use crate::cli::{accuracy, solving};
 
@@ -89,6 +89,9 @@ fn verdict(result: &RunResult, run: &SolvedRun) -> String {
     }
     if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
         return format!("solved, but a point does not fit: look at it before you trust the rest{chance}");
+    }
+    if let Some(misfit) = Misfit::of(run) {
+        return misfit.verdict();
     }
     let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
     if let Some(tested) = horizontal {

@@ -1,0 +1,195 @@
+//! What a run leaves beside a mask, and what a later run makes of it: done frames are left alone, stale files go.
+
+use std::path::{Path, PathBuf};
+
+use autoref_raster::bounded;
+use autoref_raster::error::{Error, Result};
+
+use crate::batch::{Extras, Given, Method, Options, Report, Shares, Taught};
+
+/// Paths of a frame's outputs.
+pub struct Names {
+    pub mask: PathBuf,
+    pub xml: PathBuf,
+    pub report: PathBuf,
+    pub outlines: PathBuf,
+    pub probability: PathBuf,
+    pub colmap: PathBuf,
+    pub class: PathBuf,
+    pub entropy: PathBuf,
+    pub distance: PathBuf,
+    pub scatter: PathBuf,
+    /// The small picture of the contact sheet.
+    pub preview: PathBuf,
+}
+
+impl Names {
+    pub fn of(frame: &Path, folder: &Path) -> Names {
+        let stem = frame.file_stem().unwrap_or(frame.as_os_str()).to_string_lossy();
+        let name = frame.file_name().unwrap_or(frame.as_os_str()).to_string_lossy();
+        Names::of_stem(&stem, &name, folder)
+    }
+
+    /// Of the frame that is called `name`, without its extension `stem`.
+    fn of_stem(stem: &str, name: &str, folder: &Path) -> Names {
+        let path = |end: &str| folder.join(format!("{stem}{end}"));
+        Names {
+            mask: path("_Masq.tif"),
+            xml: path("_Masq.xml"),
+            report: path("_Masq.json"),
+            outlines: path("_Masq.geojson"),
+            probability: path("_Prob.tif"),
+            colmap: folder.join(format!("{name}.png")),
+            class: path("_Class.tif"),
+            entropy: path("_Entropy.tif"),
+            distance: path("_Distance.tif"),
+            scatter: path("_Scatter.svg"),
+            preview: folder.join("previews").join(format!("{stem}.png")),
+        }
+    }
+
+    /// Everything that a run may write for the frame, but for the sheet's.
+    fn all(&self) -> [&PathBuf; 10] {
+        let Names { mask, xml, report, outlines, probability, colmap, class, entropy, distance, scatter, preview: _ } =
+            self;
+        [mask, xml, report, outlines, probability, colmap, class, entropy, distance, scatter]
+    }
+
+    /// Names of the files that a run with these options writes.
+    pub(crate) fn written(&self, options: &Options, has_probability: bool) -> Vec<String> {
+        let Extras { explain, colmap, .. } = options.extras;
+        let mut files = vec![&self.mask, &self.xml, &self.report, &self.outlines];
+        files.extend(has_probability.then_some(&self.probability));
+        files.extend(colmap.then_some(&self.colmap));
+        if explain {
+            files.extend([&self.class, &self.entropy, &self.scatter]);
+            files.extend((options.method == Method::Thesis2017).then_some(&self.distance));
+        }
+        files.into_iter().map(|path| name_of(path)).collect()
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// FNV-1a, for fingerprints.
+fn fnv(text: &str) -> u64 {
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+pub(crate) fn file_mark(path: &Path) -> String {
+    let mark = |data: std::fs::Metadata| {
+        let time = data.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
+        format!("{} {:?}", data.len(), time)
+    };
+    std::fs::metadata(path).map(mark).unwrap_or_default()
+}
+
+/// Rises when a method gives other masks than before.
+const METHODS: u32 = 3;
+
+/// Changes when the frame or anything that its mask depends on changes.
+pub(crate) fn fingerprint(frame: &Path, taught: &Taught, given: &Given, options: &Options) -> String {
+    let global = given.global_mask.as_deref().map(file_mark);
+    let what = format!(
+        "{METHODS} {} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {:?} {global:?} {given:?}",
+        env!("CARGO_PKG_VERSION"),
+        file_mark(frame),
+        options.method,
+        options.reduce,
+        options.neighbours,
+        options.threshold_bit,
+        options.cleaning,
+        options.auto_area_share,
+        options.compression,
+        options.extras,
+        options.corrections,
+        taught.mark,
+    );
+    format!("{:016x}", fnv(&what))
+}
+
+/// The report of an earlier run.
+pub(crate) struct Earlier(serde_json::Value);
+
+/// Reports of earlier runs in a folder whose masks are there, but for those of the frames with these stems.
+pub(crate) fn others(folder: &Path, but: &[String]) -> Vec<Report> {
+    let files = std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| entry.ok().map(|e| e.file_name()));
+    let mut stems: Vec<String> = files
+        .filter_map(|name| Some(name.to_str()?.strip_suffix("_Masq.json")?.to_string()))
+        .filter(|stem| !but.contains(stem))
+        .collect();
+    stems.sort();
+    let report = |stem: String| {
+        let of_stem = Names::of_stem(&stem, &stem, folder);
+        let report = earlier(&of_stem)?.report(&of_stem);
+        of_stem.mask.is_file().then_some(report)
+    };
+    stems.into_iter().filter_map(report).collect()
+}
+
+/// What an earlier run said of a frame, when it left a report.
+pub(crate) fn earlier(names: &Names) -> Option<Earlier> {
+    let text = bounded::read_to_string(&names.report, "a report", bounded::DOCUMENT_BYTES).ok()?;
+    serde_json::from_str(&text).ok().map(Earlier)
+}
+
+impl Earlier {
+    fn outputs(&self) -> impl Iterator<Item = &str> {
+        self.0["outputs"].as_array().into_iter().flatten().filter_map(|name| name.as_str())
+    }
+
+    /// Was it made from the same, and is everything still there that was written?
+    pub(crate) fn is_whole(&self, names: &Names, fingerprint: &str) -> bool {
+        let all = names.all();
+        let there = |path: &Path| std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() > 0);
+        let written = |name: &str| all.iter().any(|path| name_of(path) == name && there(path));
+        self.0["fingerprint"] == fingerprint && self.outputs().count() > 0 && self.outputs().all(written)
+    }
+
+    /// Removes what the earlier run wrote and this one did not: it shows another mask.
+    ///
+    /// # Errors
+    /// When a file cannot be removed.
+    pub(crate) fn remove_what_is_stale(&self, names: &Names, report: &Report) -> Result<()> {
+        for name in self.outputs().filter(|name| !report.outputs.iter().any(|now| now == name)) {
+            let Some(path) = names.all().into_iter().find(|path| name_of(path) == name) else { continue };
+            match std::fs::remove_file(path) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(Error::io(path, "remove", e)),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The report as it was.
+    pub(crate) fn report(&self, names: &Names) -> Report {
+        let earlier = &self.0;
+        let number = |value: &serde_json::Value| value.as_f64().unwrap_or(0.0);
+        let classes = &earlier["classes"];
+        let words = earlier["warnings"].as_array().cloned().unwrap_or_default();
+        let methods = [Method::Thesis2017, Method::Threshold, Method::Auto].map(Method::name);
+        Report {
+            frame: earlier["frame"].as_str().unwrap_or_default().into(),
+            status: "unchanged",
+            width: earlier["width"].as_u64().unwrap_or(0),
+            height: earlier["height"].as_u64().unwrap_or(0),
+            keep_share: number(&earlier["keep_share"]),
+            classes: Shares {
+                keep: number(&classes["keep"]),
+                mask: number(&classes["mask"]),
+                empty: number(&classes["empty"]),
+            },
+            unsure_share: number(&earlier["unsure_share"]),
+            unlike_share: earlier["unlike_share"].as_f64(),
+            warnings: words.iter().filter_map(|w| w.as_str().map(String::from)).collect(),
+            mask: names.mask.clone(),
+            probability: names.probability.is_file().then(|| names.probability.clone()),
+            method: methods.into_iter().find(|name| earlier["method"] == *name).unwrap_or("auto"),
+            reduce: earlier["reduce"].as_u64().unwrap_or(4) as usize,
+            outputs: self.outputs().map(String::from).collect(),
+            fingerprint: earlier["fingerprint"].as_str().unwrap_or_default().into(),
+        }
+    }
+}
