@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         } else {
             4
         };
-        let reading = Reading { factor, smooth: factor > 1, tile_px: 0, memory_budget_bytes: 1 << 30 };
+        let reading = Reading { factor, smooth: factor > 1, tile_px: 0, memory_budget_bytes: 1 << 30, masks_beside: 0 };
         let reduced = reduce_frame(&source, &reading)?;
         let mut labels = Labels::new(&reduced);
         labels.read_mask(&lesson.mask, &reduced)?;

@@ -153,12 +153,13 @@ impl Options {
             smooth: factor > 1 || self.method != Method::Auto,
             tile_px: self.tile_px,
             memory_budget_bytes: self.memory_budget_bytes,
+            masks_beside: 0,
         }
     }
 
     /// The frame at the reduced scale, its light corrected.
-    fn reduced(&self, source: &Arc<dyn RasterSource>) -> Result<Reduced> {
-        let mut reduced = reduce_frame(source, &self.reading(source.as_ref()))?;
+    fn reduced(&self, source: &Arc<dyn RasterSource>, reading: &Reading) -> Result<Reduced> {
+        let mut reduced = reduce_frame(source, reading)?;
         self.corrections.iter().try_for_each(|c| (c.change)(source.as_ref(), &mut reduced))?;
         Ok(reduced)
     }
@@ -242,7 +243,7 @@ fn learn(by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>, options: &Options
         let source = options.open(&path)?;
         let info = source.info();
         shapes.iter().try_for_each(|shape| shape.check_inside(&path, info.width, info.height))?;
-        let reduced = options.reduced(&source)?;
+        let reduced = options.reduced(&source, &options.reading(source.as_ref()))?;
         let mut labels = Labels::new(&reduced);
         if let Some(mask) = mask {
             labels.read_mask(mask, &reduced)?;
@@ -306,8 +307,9 @@ pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, o
         autoref_raster::atomic::Existing::of_flag(options.overwrite || options.resume),
     )?;
     let source = options.open(frame)?;
-    let reading = options.reading(source.as_ref());
-    let reduced = options.reduced(&source)?;
+    let masks_beside = u64::from(by_hand::speaks_of(frame, given)) + 2 * u64::from(options.extras.explain);
+    let reading = Reading { masks_beside, ..options.reading(source.as_ref()) };
+    let reduced = options.reduced(&source, &reading)?;
     let cleaner = match options.method {
         Method::Auto => Cleaner::Areas(options.auto_area_share),
         _ => Cleaner::Thesis(options.cleaning.clone()),
@@ -321,7 +323,7 @@ pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, o
     }
     let report = report(frame, &names, &reduced, &classes, options, fingerprint);
     // Its share is told; a mask less while the outlines are traced.
-    classes.unsure = BitMask::new(0, 0);
+    classes.unsure = None;
     let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
     let mut transaction = Transaction::new();
     let size = [reduced.width as usize, reduced.height as usize];
@@ -358,7 +360,7 @@ fn report(
     options: &Options,
     fingerprint: String,
 ) -> Report {
-    let (keep, unsure) = (classes.keep.share(), classes.unsure.share());
+    let (keep, unsure) = (classes.keep.share(), classes.unsure.as_ref().map_or(0.0, BitMask::share));
     let empty = 1.0 - reduced.valid.share();
     let mut warnings = Vec::new();
     if keep < 0.02 {

@@ -64,7 +64,9 @@ pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Cl
                     fill_labels(&mut fills, y, &mut row);
                     for (x, &label) in row.iter().enumerate().filter(|(_, label)| **label != SAYS_NOTHING) {
                         classes.keep.set(x, y, label == 1);
-                        classes.unsure.set(x, y, false);
+                        if let Some(unsure) = &mut classes.unsure {
+                            unsure.set(x, y, false);
+                        }
                     }
                 }
             }

@@ -59,7 +59,8 @@ const VOTE_PASSES: usize = 3;
 /// A frame's classes at the reduced scale.
 pub struct Classes {
     pub keep: BitMask,
-    pub unsure: BitMask,
+    /// Where the votes are divided, where the method has votes.
+    pub unsure: Option<BitMask>,
     /// Probability of keep, 0…255, where the method has one.
     pub probability: Option<Plane>,
     /// Share of the frame that is far from all that was taught, where the method knows.
@@ -72,7 +73,8 @@ pub struct Classes {
 /// When a scratch file fails.
 pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, memory_bytes: u64) -> Result<Classes> {
     let (width, height) = (reduced.grey.width(), reduced.grey.height());
-    let (mut keep, mut unsure) = (BitMask::new(width, height), BitMask::new(width, height));
+    let mut keep = BitMask::new(width, height);
+    let mut unsure = matches!(classifier, Classifier::Forest(_)).then(|| BitMask::new(width, height));
     let scale = match classifier {
         Classifier::Forest(_) => Some(frame_scale(reduced)?),
         _ => None,
@@ -101,7 +103,9 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
                 let x = core.x as usize + i % core.width as usize;
                 let y = core.y as usize + i / core.width as usize;
                 keep.set(x, y, vote > KEEP_ABOVE);
-                unsure.set(x, y, UNSURE.contains(&vote));
+                if let Some(unsure) = &mut unsure {
+                    unsure.set(x, y, UNSURE.contains(&vote));
+                }
             }
             if let Some(plane) = &mut probability {
                 plane.write(&core, &votes)?;
@@ -110,7 +114,9 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     }
     // What holds nothing is no ground; it must not be closed over either.
     keep.and(&reduced.valid);
-    unsure.and(&reduced.valid);
+    if let Some(unsure) = &mut unsure {
+        unsure.and(&reduced.valid);
+    }
     keep = match cleaner {
         Cleaner::Thesis(cleaning) => clean(keep, cleaning),
         Cleaner::Nothing => keep,

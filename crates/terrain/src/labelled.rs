@@ -37,8 +37,8 @@ impl LabelledMask {
         Ok(LabelledMask { path: path.into(), dataset })
     }
 
-    /// Calls `see(y, labels)` for the rows of the reduced frame: of each pixel the label in the middle of what it stands
-    /// for. Answers how often each label is there at full size: mask, keep, nothing.
+    /// Calls `see(y, labels)` for the rows of the reduced frame: of each pixel the label in the middle of what it
+    /// stands for. Answers how often each label is there at full size: mask, keep, nothing.
     ///
     /// # Errors
     /// When it cannot be read or holds another value anywhere.

@@ -36,6 +36,8 @@ pub struct Reading {
     /// Side of a tile, px of the frame; 0 lets the memory decide.
     pub tile_px: u64,
     pub memory_budget_bytes: u64,
+    /// Masks that are held beside those of the method.
+    pub masks_beside: u64,
 }
 
 /// Samples to 8 bits: of wider ones what lies between the 0.1st and the 99.9th percentile is spread out.
@@ -248,12 +250,13 @@ pub fn plane_memory(reading: &Reading) -> u64 {
     reading.memory_budget_bytes.saturating_sub(96 << 20) / 8
 }
 
-/// Masks that are held at a time, and what everything else takes.
-const MASKS_HELD: u64 = 4;
-const BASE_BYTES: u64 = 48 << 20;
+/// Masks that are held at a time: what holds anything, and two of what is kept, or that and what is unsure. And what
+/// everything else takes.
+const MASKS_HELD: u64 = 3;
+const BASE_BYTES: u64 = 64 << 20;
 
 fn check_memory(path: &Path, width: u64, height: u64, reading: &Reading) -> Result<()> {
-    let needed = BASE_BYTES + MASKS_HELD * BitMask::bytes_for(width, height);
+    let needed = BASE_BYTES + (MASKS_HELD + reading.masks_beside) * BitMask::bytes_for(width, height);
     if needed <= reading.memory_budget_bytes {
         return Ok(());
     }
