@@ -72,9 +72,9 @@ impl Profile {
     pub fn any_paint() -> Profile {
         let mut wheel: Vec<[u8; 3]> = vec![[200, 25, 30], [34, 113, 179], [0, 60, 200], [87, 166, 57], [255, 105, 180]];
         for sixth in 0..6u8 {
-            // Four hues in each sixth of the circle.
-            for step in 0..4u8 {
-                let (rising, falling) = (step * 64, 255 - step * 64);
+            // Eight hues in each sixth of the circle: between fewer there are paints that no cloud holds.
+            for step in 0..8u8 {
+                let (rising, falling) = (step * 32, 255 - step * 32);
                 wheel.push(match sixth {
                     0 => [255, rising, 0],
                     1 => [falling, 255, 0],
@@ -89,7 +89,7 @@ impl Profile {
         for paint in wheel {
             let mixing = Mixing { fading: (0.0, 0.2), max_blur_share: 0.1, min_light: 0.45 };
             let mut spec = cloud(&population(&[paint], mixing, 1500));
-            (0..3).for_each(|k| spec.covariance[k][k] += 16.0);
+            (0..3).for_each(|k| spec.covariance[k][k] += 36.0);
             profile.colour.clouds.push(spec);
         }
         profile.colour.limit = 2.7;

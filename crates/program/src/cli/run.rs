@@ -252,7 +252,8 @@ struct Looked {
 }
 
 impl Looked {
-    /// Looks again with the colours that the image taught, and where that is refused, for paint of any hue.
+    /// Looks again with the colours that the image taught, and where that is refused or fits badly, for paint of any
+    /// hue.
     ///
     /// # Errors
     /// When the image cannot be read.
@@ -264,12 +265,33 @@ impl Looked {
         } else {
             look_closer(learned, self.run)?
         };
-        if matches!(run.outcome, Outcome::Refused(_)) {
-            let (run, colours) = colour_search(in_any_hue, run)?;
-            return Ok(Looked { run, second, colours });
+        match &run.outcome {
+            Outcome::Refused(_) => {
+                let (run, colours) = colour_search(in_any_hue, run)?;
+                Ok(Looked { run, second, colours })
+            }
+            // The profile may have taken parts of marks of another paint.
+            Outcome::Solved(found) if residuals_px(found) >= PARTS_PX => {
+                let (other, colours) = colour_search(in_any_hue, run.clone())?;
+                let better = matches!(&other.outcome, Outcome::Solved(other)
+                    if other.marks.len() >= found.marks.len() && residuals_px(other) < PARTS_LEAVE * residuals_px(found));
+                let (run, colours) = if better { (other, colours) } else { (run, None) };
+                Ok(Looked { run, second, colours })
+            }
+            Outcome::Solved(_) => Ok(Looked { run, second, colours: None }),
         }
-        Ok(Looked { run, second, colours: None })
     }
+}
+
+/// Residuals of this size may come of parts of marks, pixels; whole marks leave less than this share of them.
+const PARTS_PX: f64 = 2.0;
+const PARTS_LEAVE: f64 = 0.5;
+
+/// RMS of the residuals, for the degrees of freedom that are left.
+fn residuals_px(found: &Orientation) -> f64 {
+    let pairs = &found.solution.pairs;
+    let square: f64 = pairs.iter().map(|pair| pair.residual_px.powi(2)).sum();
+    (square / (pairs.len() as f64 - 2.0).max(1.0)).sqrt()
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
