@@ -331,6 +331,18 @@ mod tests {
     }
 
     #[test]
+    fn a_chequer_that_the_patch_cuts_has_its_middle() {
+        // Fields of 24 px of which the patch shows one, and 21 px of the other.
+        let field = |i: usize, from: usize| (i % 48).min(i / 48) >= from && (i % 48).max(i / 48) < from + 24;
+        let set = PixelSet::from_fn(48, 48, |i| field(i, 3) || field(i, 27));
+        let patch = patch_of(|i| colour(i, set.has(i)));
+        let upper = PixelSet::from_fn(48, 48, |i| field(i, 3));
+        let found = figure(&Scene::of_pixels(&patch, upper, &set), &Profile::builtin("orange").expect("shipped"));
+        let Figure::Is(found) = found else { panic!("a field is no mark") };
+        assert!((found.centre.x - 27.0).hypot(found.centre.y - 27.0) < 0.05, "{:?}", found.centre);
+    }
+
+    #[test]
     fn the_lower_field_of_a_chequer_leaves_it_to_the_upper() {
         let apart = |i: usize| {
             let (x, y) = ((i % 48) as f64 - 23.5, (i / 48) as f64 - 23.5);

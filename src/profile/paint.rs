@@ -87,7 +87,7 @@ impl Profile {
         }
         let mut profile = of("any paint", "Saturated colours of any hue, and white".into(), &[[255; 3], [240; 3]]);
         for paint in wheel {
-            let mixing = Mixing { fading: (0.0, 0.2), max_blur_share: 0.1, min_light: 0.45 };
+            let mixing = Mixing { fading: (0.0, 0.2), max_blur_share: 0.1, min_light: 0.25 };
             let mut spec = cloud(&population(&[paint], mixing, 1500));
             (0..3).for_each(|k| spec.covariance[k][k] += 36.0);
             profile.colour.clouds.push(spec);
@@ -225,5 +225,23 @@ mod tests {
             assert!(Profile::of_hex(bad).is_none(), "{bad}");
         }
         Profile::any_paint().validate().expect("usable");
+    }
+
+    /// Between the hues of the wheel there is no paint that the search over colours does not see.
+    #[test]
+    fn any_paint_holds_every_hue_bright_and_in_shade() {
+        let test = PaintTest::new(&Profile::any_paint()).expect("valid");
+        for degrees in (0..360).step_by(3) {
+            for (saturation, light) in [(1.0, 1.0), (0.9, 0.95), (0.9, 0.6), (0.9, 0.4)] {
+                let sixth = f64::from(degrees) / 60.0;
+                let channel = |shift: f64| {
+                    let k = (shift + sixth) % 6.0;
+                    255.0 * light * (1.0 - saturation * k.min(4.0 - k).clamp(0.0, 1.0))
+                };
+                let colour = [5.0, 3.0, 1.0].map(|shift| channel(shift).round() as u8);
+                assert!(test.is_paint(colour), "hue {degrees}°, {saturation}, {light}: {colour:?}");
+            }
+        }
+        assert!(!test.is_paint([110, 100, 85]), "bare ground");
     }
 }

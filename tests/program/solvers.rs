@@ -272,3 +272,42 @@ fn patterns_are_shown_and_thresholds_tried() {
     refused(&["-o", &picture], &["patterns.svg", "--overwrite"]);
     refused(&["-o", &gcps, "--overwrite"], &["b1_lerkendal_gcps.csv"]);
 }
+
+/// Ten marks in the image, each moved by `moved`, and the list of what they are; a true scale of 50 mm.
+fn verdict(moved: impl Fn(f64, f64) -> [f64; 2]) -> (String, Value) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut marks, mut list) = ("x,y\n".to_string(), "name,easting,northing\n".to_string());
+    for i in 0..10u32 {
+        let (x, y) = (f64::from(i * 733 % 4000) + 100.0, f64::from(i * 1129 % 3000) + 100.0);
+        let [dx, dy] = moved(x, y);
+        marks += &format!("{:.3},{:.3}\n", x + dx, y + dy);
+        list += &format!("P{i},{:.4},{:.4}\n", 600_000.0 + 0.05 * x, 5_800_000.0 - 0.05 * y);
+    }
+    let path = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).expect("writable");
+        path.to_str().expect("plain").to_string()
+    };
+    let (marks, list) = (path("marks.csv", &marks), path("list.csv", &list));
+    let out = path("o.json", "");
+    let arguments = ["solve", &marks, "--gcps", &list, "-o", &out, "--overwrite", "--gsd", "0.05"];
+    let finished = program(&arguments);
+    assert_eq!(finished.status.code(), Some(0), "{}", String::from_utf8_lossy(&finished.stderr));
+    let said = [finished.stdout, finished.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
+    let line = said.lines().find(|line| line.starts_with("Verdict")).expect("a verdict").to_string();
+    (line, serde_json::from_str(&std::fs::read_to_string(out).expect("written")).expect("JSON"))
+}
+
+#[test]
+fn a_verdict_says_when_points_do_not_fit_as_those_of_an_orthophoto() {
+    let wiggle = |x: f64, y: f64, px: f64| [px * (x * 0.37 + y).sin(), px * (y * 0.53 - x).cos()];
+    let told = |result: &Value, words: &str| {
+        result["warnings"].as_array().expect("warnings").iter().any(|w| w.as_str().is_some_and(|w| w.contains(words)))
+    };
+    let (line, result) = verdict(|x, y| wiggle(x, y, 0.1));
+    assert!(line.contains("agree with each other") && !told(&result, "residuals"), "{line}");
+    let (line, result) = verdict(|x, y| [wiggle(x, y, 0.1)[0], 0.003 * y]);
+    assert!(line.contains("stretched") && told(&result, "--model affine"), "{line}");
+    let (line, result) = verdict(|x, y| wiggle(x, y, 6.0));
+    assert!(line.contains("fit badly") && told(&result, "parts of marks"), "{line}");
+}

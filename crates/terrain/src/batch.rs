@@ -130,7 +130,8 @@ impl Method {
 
 impl Options {
     fn open(&self, path: &Path) -> Result<Arc<dyn RasterSource>> {
-        let source = autoref_raster::open(path, self.reader, 0, cache_share_bytes(self.memory_budget_bytes))?;
+        // A frame is read once; only a margin of two pixels is decoded again.
+        let source = autoref_raster::open(path, self.reader, 0, cache_share_bytes(self.memory_budget_bytes) / 2)?;
         if source.info().width == 0 || source.info().height == 0 {
             return Err(Error::format(path, "header", "the frame has no pixels"));
         }

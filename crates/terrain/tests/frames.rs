@@ -224,6 +224,46 @@ fn done_frames_are_left_alone_until_something_changes() {
 }
 
 #[test]
+fn what_is_stale_or_gone_is_noticed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (frame, teacher) = (at("a.tif"), at("b.tif"));
+    draw(&frame, 1, 1.0, &[]);
+    draw(&teacher, 1, 1.0, &[]);
+    let text = |what: &str| format!("{what}@{}", teacher.display());
+    let given = Given {
+        samples: vec![
+            parse_sample(&text("ground=50,50,200,200")).unwrap(),
+            parse_sample(&text("water=900,50,200,200")).unwrap(),
+        ],
+        ..Given::default()
+    };
+    let run = |options: &Options| {
+        let taught = teach(std::slice::from_ref(&frame), &given, options).unwrap();
+        mask_frame(&frame, folder.path(), &taught, &given, options).unwrap().report.status
+    };
+    let mut all = options(Method::Thesis2017);
+    all.resume = true;
+    all.extras = Extras { explain: true, colmap: true, ..Extras::default() };
+    assert_eq!([run(&all), run(&all)], ["done", "unchanged"]);
+    // What is gone is made again.
+    std::fs::remove_file(at("a_Entropy.tif")).unwrap();
+    assert_eq!([run(&all), run(&all)], ["done", "unchanged"]);
+    assert!(at("a_Entropy.tif").is_file());
+    std::fs::write(at("a_Masq.tif"), "").unwrap();
+    assert_eq!(run(&all), "done");
+    // A frame that teaches has changed.
+    draw(&teacher, 1, 0.8, &["TILED=YES"]);
+    assert_eq!(run(&all), "done");
+    // Pictures of another mask do not stay beside a new one; files of others do.
+    std::fs::write(at("mine.png"), "mine").unwrap();
+    all.extras = Extras::default();
+    assert_eq!(run(&all), "done");
+    let left = ["a.tif.png", "a_Entropy.tif", "a_Class.tif", "a_Distance.tif", "a_Scatter.svg"];
+    assert!(left.iter().all(|name| !at(name).exists()) && at("mine.png").is_file() && at("a_Masq.xml").is_file());
+}
+
+#[test]
 fn faults_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
