@@ -200,8 +200,8 @@ impl MaskArgs {
             ("--probability", self.probability, &[Auto]),
         ];
         let name = |method: MethodArg| method.to_possible_value().expect("no method is hidden").get_name().to_string();
-        for (option, _, methods) in given.iter().filter(|(_, given, methods)| *given && !methods.contains(&self.method))
-        {
+        let idle = given.iter().find(|(_, given, methods)| *given && !methods.contains(&self.method));
+        if let Some((option, _, methods)) = idle {
             let methods: Vec<String> = methods.iter().map(|method| name(*method)).collect();
             bail!(
                 "{option} does nothing with --method {}; it is of --method {}",

@@ -140,7 +140,7 @@ impl CameraMask {
         to_pixel: impl Fn([f64; 2]) -> Option<PixelPoint>,
     ) -> Result<()> {
         let expected: Vec<PixelPoint> = self.camera.film_points().iter().filter_map(|mm| to_pixel(*mm)).collect();
-        // A tenth of the way between two marks tells one camera from another.
+        // Marks of another camera lie farther from these than a fiftieth of the frame.
         let size_px = (result.width.max(result.height)) as f64;
         let beside = |centre: &PixelPoint| {
             let far = |mark: &PixelPoint| (mark.x - centre.x).hypot(mark.y - centre.y);
