@@ -176,7 +176,7 @@ fn what_a_person_says_holds_to_the_pixel() {
     let options = Options { reduce: 4, extras: Extras { colmap: true, ..Extras::default() }, ..options(Method::Auto) };
     let before = run(&frame, folder.path(), &samples(), &options);
     let lattice = folder.path().join("global.tif");
-    let masked_by_raster = |x: usize, y: usize| (x + y) % 7 == 0;
+    let masked_by_raster = |x: usize, y: usize| (x + y).is_multiple_of(7);
     write_mask(&lattice, |x, y| u8::from(!masked_by_raster(x, y)));
     let mut given = samples();
     given.global = vec![parse_sample("mask:text=101,99,101,41").unwrap()];
