@@ -117,7 +117,7 @@ impl Labels {
     /// Takes over a mask of the frame's size that teaches.
     ///
     /// # Errors
-    /// Those of [`LabelledMask`]; when it says nothing.
+    /// When it cannot be read, has another size than the frame or other values than 0, 1 and 255, or says nothing.
     pub fn read_mask(&mut self, path: &Path, reduced: &Reduced) -> Result<()> {
         let mask = LabelledMask::open(path, reduced)?;
         let width = self.width;
