@@ -164,16 +164,7 @@ fn scikit(pictures: &[&Picture]) -> Option<Vec<Vec<Candidate>>> {
         let fields: Vec<&str> = line.split('\t').collect();
         let index = names.iter().position(|n| n.as_os_str() == fields[0]).expect("a name it was given");
         let number = |i: usize| fields[i].parse::<f64>().expect("a number");
-        lists[index].push(Candidate {
-            centre: PixelPoint { x: number(1), y: number(2) },
-            covariance_px2: None,
-            score: None,
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        });
+        lists[index].push(Candidate::at(PixelPoint { x: number(1), y: number(2) }));
     }
     Some(lists)
 }

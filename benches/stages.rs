@@ -95,19 +95,6 @@ fn merge(c: &mut Criterion) {
     group.finish();
 }
 
-fn candidate(centre: PixelPoint) -> Candidate {
-    Candidate {
-        centre,
-        covariance_px2: None,
-        score: None,
-        area_px: None,
-        size_px: None,
-        elevation_m: None,
-        code: None,
-        paint: None,
-    }
-}
-
 const TRUTH: GeoTransform = GeoTransform([570_000.0, 0.029, 0.006, 7_032_000.0, 0.006, -0.029]);
 
 /// Fourteen of twenty points among three hundred other candidates.
@@ -120,8 +107,8 @@ fn scene() -> (Vec<Candidate>, Vec<Gcp>) {
         Gcp::control(format!("P{i}"), ground.easting, ground.northing)
     });
     let gcps = gcps.collect();
-    let mut candidates: Vec<Candidate> = points[..14].iter().copied().map(candidate).collect();
-    candidates.extend((0..300).map(|_| candidate(place())));
+    let mut candidates: Vec<Candidate> = points[..14].iter().copied().map(Candidate::at).collect();
+    candidates.extend((0..300).map(|_| Candidate::at(place())));
     (candidates, gcps)
 }
 

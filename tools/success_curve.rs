@@ -74,16 +74,7 @@ fn case(random: &mut Random, visible: usize, false_candidates: usize, sigma_px: 
         if marked.len() < visible {
             continue;
         }
-        let bare = |x: f64, y: f64| Candidate {
-            centre: PixelPoint { x, y },
-            covariance_px2: None,
-            score: None,
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        };
+        let bare = |x: f64, y: f64| Candidate::at(PixelPoint { x, y });
         let mut candidates: Vec<Candidate> = marked
             .iter()
             .map(|&i| bare(pixels[i].x + sigma_px * random.normal(), pixels[i].y + sigma_px * random.normal()))

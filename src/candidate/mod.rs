@@ -69,6 +69,20 @@ pub struct Candidate {
 }
 
 impl Candidate {
+    /// One of which only the place is known.
+    pub fn at(centre: PixelPoint) -> Candidate {
+        Candidate {
+            centre,
+            covariance_px2: None,
+            score: None,
+            area_px: None,
+            size_px: None,
+            elevation_m: None,
+            code: None,
+            paint: None,
+        }
+    }
+
     /// Probability that it is a mark, when mark and background are as likely beforehand: 1 / (1 + e^−score). `None`
     /// without a score.
     pub fn probability(&self) -> Option<f64> {

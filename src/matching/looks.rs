@@ -209,16 +209,7 @@ mod tests {
     fn looks_at_many_answer_as_one_at_a_time() {
         let mut random = SplitMix64(11);
         let mut unit = || random.unit();
-        let candidate = |x: f64, y: f64| Candidate {
-            centre: PixelPoint { x, y },
-            covariance_px2: None,
-            score: None,
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        };
+        let candidate = |x: f64, y: f64| Candidate::at(PixelPoint { x, y });
         let candidates: Vec<Candidate> = (0..300).map(|_| candidate(2000.0 * unit(), 1500.0 * unit())).collect();
         let gcps: Vec<MapPoint> =
             (0..12).map(|_| MapPoint { easting: 60.0 * unit(), northing: 45.0 * unit() }).collect();

@@ -11,7 +11,7 @@ const USUAL_SURVEY_M: f64 = 0.02;
 /// Residuals beyond this many times what is expected of them do not come of noise.
 const TIMES: f64 = 3.0;
 /// Less is no misfit, pixels: orthophotos are hardly truer.
-const LEAST_PX: f64 = 2.0;
+pub const LEAST_MISFIT_PX: f64 = 2.0;
 /// Residuals from which a stretched image is told, pixels.
 const LEAST_STRETCH_PX: f64 = 0.5;
 /// An affine transform explains them when it leaves less than this share at points that it has not seen: fewest points,
@@ -37,8 +37,7 @@ impl Misfit {
         if rows.len() < 4 || run.chosen_model.is_some() || scale.is_nan() || scale <= 0.0 {
             return None;
         }
-        let square: f64 = rows.iter().map(|row| row.residual_px.powi(2)).sum();
-        let rmse_px = (square / (n - 2.0)).sqrt();
+        let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px));
         if rmse_px >= LEAST_STRETCH_PX
             && let Some(affine_px) = affine_px(run)
         {
@@ -47,7 +46,7 @@ impl Misfit {
                 return Some(Misfit::Stretched { rmse_px, affine_px });
             }
         }
-        if rmse_px < LEAST_PX {
+        if rmse_px < LEAST_MISFIT_PX {
             return None;
         }
         let expected = rows.iter().map(|row| {
@@ -91,6 +90,12 @@ impl Misfit {
             ),
         }
     }
+}
+
+/// RMS of the lengths of the residuals of a similarity, for the degrees of freedom that are left.
+pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>) -> f64 {
+    let (n, square) = residuals_px.fold((0.0, 0.0), |(n, sum), residual| (n + 1.0, sum + residual * residual));
+    (square / f64::max(n - 2.0, 1.0)).sqrt()
 }
 
 /// RMSE of an affine transform at points that were left out of it, pixels.

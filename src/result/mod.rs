@@ -17,7 +17,7 @@ use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
 use autoref_solve::{Similarity, Solution};
 
-pub use misfit::Misfit;
+pub use misfit::{LEAST_MISFIT_PX, Misfit, residual_rms_px};
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;

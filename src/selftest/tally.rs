@@ -133,16 +133,7 @@ mod tests {
     use super::*;
 
     fn found_at_origin() -> Candidate {
-        Candidate {
-            centre: PixelPoint { x: 0.0, y: 0.0 },
-            covariance_px2: None,
-            score: None,
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        }
+        Candidate::at(PixelPoint { x: 0.0, y: 0.0 })
     }
 
     #[test]

@@ -88,14 +88,5 @@ pub fn thesis_candidates(relative: &str) -> Option<Vec<Candidate>> {
 
 /// A candidate of which only the place is known.
 pub fn bare_candidate(x: f64, y: f64) -> Candidate {
-    Candidate {
-        centre: PixelPoint { x, y },
-        covariance_px2: None,
-        score: None,
-        area_px: None,
-        size_px: None,
-        elevation_m: None,
-        code: None,
-        paint: None,
-    }
+    Candidate::at(PixelPoint { x, y })
 }

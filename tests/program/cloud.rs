@@ -238,6 +238,18 @@ fn crops_cameras_and_several_clouds_and_resume() {
         assert_eq!(report["points_kept"], 96, "{crop}");
     }
 
+    // The parts of one geometry may overlap.
+    let twice = folder.put(
+        "twice.geojson",
+        r#"{"type":"FeatureCollection","features":[{"type":"Feature","properties":{},"geometry":
+        {"type":"GeometryCollection","geometries":[{"type":"Polygon","coordinates":
+        [[[600000,8600000],[600006,8600000],[600006,8600004],[600000,8600004],[600000,8600000]]]},
+        {"type":"Polygon","coordinates":
+        [[[600004,8600000],[600010,8600000],[600010,8600004],[600004,8600004],[600004,8600000]]]}]}}]}"#,
+    );
+    let how = ["clean", &a, "-o", &out, "--crop", &twice, "--drop", "noise", "--overwrite", "--json"];
+    assert_eq!(done(&[&how[..], &shift[..]].concat())["points_kept"], 40);
+
     // Cameras in map coordinates; that of `b` sees nothing: its height over z = 0 is 5 m.
     let cameras = folder.put("cameras.csv", "cloud,E,N,H\na,600010,8600010,3000\nb.ply,600010,8600010,5\n");
     let many = folder.text("many");

@@ -96,37 +96,47 @@ pub fn read_zones(path: &Path, wkt: &str) -> Result<Zones> {
 /// # Errors
 /// When the file cannot be read, holds no polygon, or cannot be transformed.
 pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
+    let flat = |(name, polygons): (String, Vec<Vec<Ring>>)| (name, polygons.into_iter().flatten().collect());
+    Ok(read_polygons(path, wkt)?.into_iter().map(flat).collect())
+}
+
+/// The same, each polygon of an area with its own rings: they may overlap.
+///
+/// # Errors
+/// Those of [`read_areas`].
+pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring>>)>> {
     autoref_raster::bounded::refuse_endless(path)?;
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
     let dataset = Dataset::open_ex(path, DatasetOptions { open_flags: flags, ..Default::default() }).map_err(failed)?;
-    let mut areas: Vec<(String, Vec<Ring>)> = Vec::new();
+    let mut areas: Vec<(String, Vec<Vec<Ring>>)> = Vec::new();
     let target = (!wkt.is_empty()).then(|| crate::crs::Crs::parse(wkt)).transpose()?;
     for mut layer in dataset.layers() {
         let own = layer.spatial_ref().and_then(|s| s.to_wkt().ok()).map(|w| crate::crs::Crs::parse(&w)).transpose()?;
         for feature in layer.features() {
             let Some(geometry) = feature.geometry() else { continue };
-            let mut rings = Vec::new();
-            collect_rings(geometry, &mut rings);
+            let mut polygons: Vec<Vec<Ring>> = Vec::new();
+            collect_polygons(geometry, &mut polygons);
             // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.
             let degrees = |&(x, y): &(f64, f64)| x.abs() <= 360.0 && y.abs() <= 90.0;
-            let own = own.as_ref().filter(|crs| !crs.is_geographic() || rings.iter().flatten().all(degrees));
+            let own =
+                own.as_ref().filter(|crs| !crs.is_geographic() || polygons.iter().flatten().flatten().all(degrees));
             if let (Some(from), Some(to)) = (own, &target) {
-                for ring in &mut rings {
+                for ring in polygons.iter_mut().flatten() {
                     let mut points: Vec<_> =
                         ring.iter().map(|&(x, y)| crate::crs::Coordinate { x, y, height: None }).collect();
                     from.transform(&mut points, to, crate::crs::DEFAULT_DATUM_ACCURACY_M)?;
                     *ring = points.iter().map(|p| (p.x, p.y)).collect();
                 }
             }
-            if rings.is_empty() {
+            if polygons.is_empty() {
                 continue;
             }
             let named = feature.fields().find(|(key, _)| {
                 ["name", "id", "glacier", "line", "zone"].contains(&key.to_ascii_lowercase().as_str())
             });
             let name = named.and_then(|(_, value)| value.and_then(|v| v.into_string()));
-            areas.push((name.unwrap_or_else(|| (areas.len() + 1).to_string()), rings));
+            areas.push((name.unwrap_or_else(|| (areas.len() + 1).to_string()), polygons));
         }
     }
     if areas.is_empty() {
@@ -135,17 +145,28 @@ pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
     Ok(areas)
 }
 
-fn collect_rings(geometry: &gdal::vector::Geometry, rings: &mut Vec<Ring>) {
-    let parts = geometry.geometry_count();
-    for index in 0..parts {
-        collect_rings(&geometry.get_geometry(index), rings);
-    }
-    if parts == 0 {
+/// The polygons of a geometry, each with its holes; a closed line is one too.
+fn collect_polygons(geometry: &gdal::vector::Geometry, polygons: &mut Vec<Vec<Ring>>) {
+    let ring = |line: &gdal::vector::Geometry| -> Option<Ring> {
         let mut points = Vec::new();
-        geometry.get_points(&mut points);
-        if points.len() >= 3 {
-            rings.push(points.iter().map(|p| (p.0, p.1)).collect());
+        line.get_points(&mut points);
+        (points.len() >= 3).then(|| points.iter().map(|p| (p.0, p.1)).collect())
+    };
+    if geometry.geometry_count() == 0 {
+        polygons.extend(ring(geometry).map(|ring| vec![ring]));
+        return;
+    }
+    let mut own = Vec::new();
+    for index in 0..geometry.geometry_count() {
+        let part = geometry.get_geometry(index);
+        if part.geometry_count() > 0 {
+            collect_polygons(&part, polygons);
+        } else {
+            own.extend(ring(&part));
         }
+    }
+    if !own.is_empty() {
+        polygons.push(own);
     }
 }
 

@@ -371,7 +371,7 @@ fn polygons(path: &Path, crs: Option<&Crs>) -> anyhow::Result<Polygon> {
     if !path.exists() {
         bail!("--crop {}: there is no such file", path.display());
     }
-    let areas = autoref_elevation::files::read_areas(path, crs.map_or("", Crs::wkt)).map_err(|e| match e {
+    let areas = autoref_elevation::files::read_polygons(path, crs.map_or("", Crs::wkt)).map_err(|e| match e {
         Error::Gdal { .. } => anyhow::anyhow!(
             "--crop {}: GDAL knows no vector file in it; give GeoPackage, GeoJSON or a shapefile",
             path.display()
@@ -379,5 +379,6 @@ fn polygons(path: &Path, crs: Option<&Crs>) -> anyhow::Result<Polygon> {
         other => anyhow::Error::from(other).context("--crop"),
     })?;
     let corners = |ring: Vec<(f64, f64)>| -> Ring { ring.into_iter().map(|(x, y)| [x, y]).collect() };
-    Ok(Polygon::new(areas.into_iter().map(|(_, rings)| rings.into_iter().map(corners).collect()).collect()))
+    let polygons = areas.into_iter().flat_map(|(_, polygons)| polygons);
+    Ok(Polygon::new(polygons.map(|rings| rings.into_iter().map(corners).collect()).collect()))
 }

@@ -284,7 +284,7 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let given = args.given()?;
     let frames = all_frames(&args.frames)?;
     if args.method == MethodArg::Threshold && !(given.samples.is_empty() && given.lessons.is_empty()) {
-        eprintln!("note: --method threshold learns nothing; of what teaches only the ground to be kept counts");
+        tracing::warn!("--method threshold learns nothing; of what teaches only the ground to be kept counts");
     }
     let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;

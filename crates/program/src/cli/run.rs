@@ -24,8 +24,8 @@ use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{
-    FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult, SolvedRun, Status,
-    Timings,
+    FitFigures, ImageInfo, LEAST_MISFIT_PX, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
+    SolvedRun, Status, Timings, residual_rms_px,
 };
 use clap::Args;
 
@@ -271,7 +271,7 @@ impl Looked {
                 Ok(Looked { run, second, colours })
             }
             // The profile may have taken parts of marks of another paint.
-            Outcome::Solved(found) if residuals_px(found) >= PARTS_PX => {
+            Outcome::Solved(found) if residuals_px(found) >= LEAST_MISFIT_PX => {
                 let (other, colours) = colour_search(in_any_hue, run.clone())?;
                 let better = matches!(&other.outcome, Outcome::Solved(other)
                     if other.marks.len() >= found.marks.len() && residuals_px(other) < PARTS_LEAVE * residuals_px(found));
@@ -283,15 +283,11 @@ impl Looked {
     }
 }
 
-/// Residuals of this size may come of parts of marks, pixels; whole marks leave less than this share of them.
-const PARTS_PX: f64 = 2.0;
+/// Whole marks leave less than this share of the residuals of their parts.
 const PARTS_LEAVE: f64 = 0.5;
 
-/// RMS of the residuals, for the degrees of freedom that are left.
 fn residuals_px(found: &Orientation) -> f64 {
-    let pairs = &found.solution.pairs;
-    let square: f64 = pairs.iter().map(|pair| pair.residual_px.powi(2)).sum();
-    (square / (pairs.len() as f64 - 2.0).max(1.0)).sqrt()
+    residual_rms_px(found.solution.pairs.iter().map(|pair| pair.residual_px))
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
