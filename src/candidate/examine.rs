@@ -137,11 +137,16 @@ fn measure_whole(
     let looks = Looks { region, classifier, profile, gates };
     let found = measure_against_ground(&looks, scene, around);
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
-    let passes = found.as_ref().is_some_and(|found| looks.score(found) >= profile.examine.min_score);
-    if passes || !fits || !even::is_compact(region) {
+    let passes = found.as_ref().is_some_and(|found| looks.score(found) - growth(found, region).ln() >= looks.least());
+    if passes || !fits {
         return found;
     }
-    looks.on_rough_ground(scene, around).or(found)
+    looks.on_rough_ground(scene, around).or_else(|| looks.even_anywhere(scene, around, found.as_ref()?)).or(found)
+}
+
+/// How many times the region the mark is.
+fn growth(evidence: &Evidence, region: &Region) -> f64 {
+    (evidence.area_px / region.area as f64).max(1.0)
 }
 
 /// By how far paint stands out from the ground and what a fit leaves over.
@@ -167,29 +172,92 @@ struct Looks<'a> {
     gates: &'a Gates,
 }
 
+/// How a scene's paint stands out, and from which ground: the whole ring, or what is right beside it.
+#[derive(Clone, Copy)]
+struct Against {
+    contrast: f64,
+    local: bool,
+}
+
 impl Looks<'_> {
     fn score(&self, evidence: &Evidence) -> f64 {
         if evidence.hopeless { f64::NEG_INFINITY } else { score(evidence, self.profile, self.gates) }
     }
 
+    fn least(&self) -> f64 {
+        self.profile.examine.min_score
+    }
+
     /// The evidence of what is even inside and has edges all around, where the ground is too rough for the other looks.
     fn on_rough_ground(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
-        let (ground, paint) = (ring_ground(scene)?, plateau(scene));
-        let across = Across::between(&ground, paint);
+        if !even::is_compact(self.region) {
+            return None;
+        }
+        let across = Across::between(&ring_ground(scene)?, plateau(scene));
+        let against = Against { contrast: across.contrast, local: false };
         if across.contrast < LEAST_CONTRAST {
             return None;
         }
-        let mut evidence = unfitted(self.region, paint, self.classifier, self.profile);
-        evidence.contrast = across.contrast;
-        let (shares, shape) = (across.shares(scene), self.profile.shape);
-        let fit = best_fit(scene, &shares, shape, 1.0 / across.contrast, f64::INFINITY)?;
-        let (open, unsupported) = whole::unsupported(scene, &shares, &fit);
-        if !even::is_even(&fit, unsupported, evidence.area_px) {
+        self.even_in(scene, around, against, &across.shares(scene), &even::ON_ROUGH_GROUND)
+    }
+
+    /// The same of what the region grows into, against the ring and against the ground right beside it, where a mark
+    /// stands out well and is evener: one that is worn or blurred, of which colour found the middle or a few specks.
+    /// `first` is what the other looks found.
+    fn even_anywhere(&self, scene: &Scene<'_>, around: Around<'_>, first: &Evidence) -> Option<Evidence> {
+        if first.contrast < even::GOOD_CONTRAST {
+            return None;
+        }
+        let paint = plateau(scene);
+        let grown = match whole::whole(scene, paint) {
+            Whole::Grown(own) => Some(own),
+            _ => None,
+        };
+        let beside = match Local::of(scene, paint, RING_PX).as_ref().map(Local::grow) {
+            Some(Growth::Grown(own)) => Some(own),
+            _ => None,
+        };
+        [Some(scene.own.clone()), grown, beside].into_iter().flatten().find_map(|own| {
+            let region = region_of(&own, scene.patch)?;
+            if !even::is_compact(&region) || !self.gates.shape(&region) {
+                return None;
+            }
+            let scene = scene.with_own(own.clone(), &own.or(&scene.other));
+            let paint = plateau(&scene);
+            let against_ring = ring_ground(&scene).map(|ground| Across::between(&ground, paint)).and_then(|across| {
+                let against = Against { contrast: across.contrast, local: false };
+                let seen = across.contrast >= even::GOOD_CONTRAST;
+                seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &even::ANYWHERE)).flatten()
+            });
+            against_ring.or_else(|| {
+                let seen = Local::of(&scene, paint, RING_PX).filter(|seen| seen.contrast >= even::GOOD_CONTRAST)?;
+                let against = Against { contrast: seen.contrast, local: true };
+                self.even_in(&scene, around, against, &seen.shares(), &even::ANYWHERE)
+            })
+        })
+    }
+
+    /// The evidence of a scene's own pixels when they are an even square or disc.
+    fn even_in(
+        &self,
+        scene: &Scene<'_>,
+        around: Around<'_>,
+        against: Against,
+        shares: &[f64],
+        limits: &even::Limits,
+    ) -> Option<Evidence> {
+        let shape = self.profile.shape;
+        let mut evidence = unfitted(self.region, plateau(scene), self.classifier, self.profile);
+        (evidence.contrast, evidence.local) = (against.contrast, against.local);
+        evidence.area_px = scene.own.count() as f64;
+        let fit = best_fit(scene, shares, shape, 1.0 / against.contrast, f64::INFINITY)?;
+        let (open, unsupported) = whole::unsupported(scene, shares, &fit);
+        if !even::is_even(&fit, unsupported, evidence.area_px, limits) {
             return None;
         }
         (evidence.even, evidence.unsupported) = (true, unsupported);
         settle(&mut evidence, scene, Some(around), (fit, open), shape);
-        Some(evidence).filter(|evidence| self.score(evidence) >= self.profile.examine.min_score)
+        Some(evidence).filter(|evidence| self.score(evidence) - growth(evidence, self.region).ln() >= self.least())
     }
 
     /// What has grown must pass the gates that a region passes.
@@ -371,12 +439,12 @@ fn candidate(
     }
     // A mark of which colour found only a part is as much rarer as the part is smaller: fringes and glints grow many
     // times over.
-    let growth = (evidence.area_px / region.area as f64).max(1.0);
-    let score = score(&evidence, profile, gates) - growth.ln();
+    let score = score(&evidence, profile, gates) - growth(&evidence, region).ln();
     if score.is_nan() || score < profile.examine.min_score {
         return None;
     }
-    let is_even = |fit: &Fit| even::is_even(fit, evidence.unsupported, evidence.area_px);
+    let limits = &even::ON_ROUGH_GROUND;
+    let is_even = |fit: &Fit| even::is_even(fit, evidence.unsupported, evidence.area_px, limits);
     if profile.examine.even && !evidence.fit.as_ref().is_some_and(is_even) {
         return None;
     }
