@@ -410,7 +410,8 @@ impl Columns {
             sigma_height_m: sigma(self.sigma_height, "accuracy of the height")?,
             role: if check { GcpRole::Check } else { GcpRole::Control },
         };
-        let attributes: Vec<(String, String)> = self.titles.iter().cloned().zip(fields.iter().cloned()).collect();
+        let attributes: Vec<(String, String)> =
+            self.titles.iter().cloned().zip(fields.iter().map(|field| without_apostrophe(field).to_owned())).collect();
         Ok(RawPoint { pixels: seen(&attributes), ..RawPoint { attributes, ..RawPoint::bare(gcp, place) } })
     }
 }

@@ -7,10 +7,11 @@ use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::spatial_ref::SpatialRef;
 
-use autoref_raster::ElevationModel;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
+use autoref_raster::{ElevationModel, set_height_unit};
 use autoref_solve::heights::HeightCorrection;
 
 /// Pixels that are held at a time.
@@ -27,7 +28,13 @@ pub struct CopyPlace<'a> {
     pub crs_wkt: Option<&'a str>,
 }
 
-/// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats. A few rows at a time are held, so memory does
+/// Metres in a unit of the vertical axis of a CRS; `None` where it has none.
+fn axis_unit(wkt: Option<&str>) -> Option<f64> {
+    Crs::parse(wkt?).ok()?.height_metres_per_unit()
+}
+
+/// Writes `model` + `correction` to `path` as a GeoTIFF of 32-bit floats, in the model's unit of height, which the band
+/// names, or in that of the vertical axis of the copy's CRS. A few rows at a time are held, so memory does
 /// not depend on the model's size. Pixels without a height stay without. To make it appear whole or not at all is the
 /// caller's part ([`autoref_raster::atomic`]).
 ///
@@ -54,6 +61,15 @@ pub fn write_corrected(
     let nodata = model.nodata().unwrap_or(NODATA);
     let mut band = copy.rasterband(1).map_err(failed)?;
     band.set_no_data_value(Some(nodata)).map_err(failed)?;
+    let metres_per_unit = match axis_unit(place.crs_wkt) {
+        Some(metres) => metres,
+        None => {
+            if let Some(name) = &model.band().unit_name {
+                set_height_unit(path, &copy, name)?;
+            }
+            model.band().metres_per_value
+        }
+    };
     let rows_at_a_time = (CHUNK_PX / width.max(1)).clamp(1, height);
     for y in (0..height).step_by(rows_at_a_time as usize) {
         let rows = rows_at_a_time.min(height - y);
@@ -65,7 +81,8 @@ pub fn write_corrected(
                 for (i, h) in model.read_f64_window(window)?.into_iter().enumerate() {
                     let pixel = PixelPoint { x: (x + i as u64) as f64 + 0.5, y: row as f64 + 0.5 };
                     let corrected = h + correction.at(place.to_positions.apply(pixel));
-                    values.push(if corrected.is_finite() { corrected as f32 } else { nodata as f32 });
+                    let stored = corrected / metres_per_unit;
+                    values.push(if stored.is_finite() { stored as f32 } else { nodata as f32 });
                 }
             }
         }

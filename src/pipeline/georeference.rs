@@ -251,8 +251,15 @@ fn orient(
                 continue;
             }
         };
-        match found.filter(&may_be) {
-            Some(mark) if gcps[gcp].role == GcpRole::Check => check_marks.push(mark),
+        let is_check = gcps[gcp].role == GcpRole::Check;
+        let beside = || {
+            let candidate = beside(expected, candidates, &taken, gcps, &solution)?;
+            taken.push(candidate);
+            Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
+        };
+        let found = found.filter(&may_be);
+        match if is_check { found.or_else(beside).filter(&may_be) } else { found } {
+            Some(mark) if is_check => check_marks.push(mark),
             Some(mark) => marks.push(mark),
             None => not_found.push(gcp),
         }
@@ -333,6 +340,30 @@ fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, densi
     let sure_px = 3.8 * pattern.noise_px * std::f64::consts::SQRT_2;
     let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
     Expected { gcp, position, radius_px }
+}
+
+/// The mark of a check point that is not where it must be. A test that leaves out what fits badly tests nothing: the
+/// nearest mark that is no other point's is the check point's, unless chance puts one so near.
+fn beside(
+    expected: &Expected,
+    candidates: &[Candidate],
+    taken: &[usize],
+    gcps: &[Gcp],
+    solution: &Solution,
+) -> Option<usize> {
+    /// A candidate of clutter may lie so near with this probability at most.
+    const CHANCE: f64 = 0.01;
+    const FARTHEST_PX: f64 = 64.0;
+    let reach = (CHANCE / (std::f64::consts::PI * density(candidates))).sqrt().min(FARTHEST_PX);
+    let apart = |c: &Candidate, p: PixelPoint| (c.centre.x - p.x).hypot(c.centre.y - p.y);
+    let (distance, candidate) = (0..candidates.len())
+        .filter(|i| !taken.contains(i))
+        .map(|i| (apart(&candidates[i], expected.position), i))
+        .filter(|(distance, _)| *distance <= reach)
+        .min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let is_nearer = |gcp: &Gcp| apart(&candidates[candidate], solution.similarity.invert(gcp.position())) < distance;
+    let others = gcps.iter().enumerate().filter(|(gcp, _)| *gcp != expected.gcp);
+    (!others.into_iter().any(|(_, gcp)| is_nearer(gcp))).then_some(candidate)
 }
 
 /// Candidates per square pixel of the rectangle that holds them.

@@ -30,15 +30,20 @@ pub enum Misfit {
 }
 
 impl Misfit {
-    /// `None` where the points fit, or nothing tells. Residuals count for the degrees of freedom that are left.
+    /// Of what is written: the affine transform where that was chosen, else the similarity, whatever is reported beside
+    /// it. `None` where the points fit, or nothing tells. Residuals count for the degrees of freedom that are left.
     pub fn of(run: &SolvedRun) -> Option<Misfit> {
         let rows = &run.matches;
         let (n, scale) = (rows.len() as f64, run.fit.scale_m_per_px);
-        if rows.len() < 4 || run.chosen_model.is_some() || scale.is_nan() || scale <= 0.0 {
+        let is_affine = run.chosen_model.as_ref().is_some_and(|model| model["model"] == "affine");
+        // Half of its parameters, points' worth.
+        let taken = if is_affine { 3.0 } else { 2.0 };
+        if n < taken + 2.0 || scale.is_nan() || scale <= 0.0 {
             return None;
         }
-        let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px));
-        if rmse_px >= LEAST_STRETCH_PX
+        let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px), taken);
+        if !is_affine
+            && rmse_px >= LEAST_STRETCH_PX
             && let Some(affine_px) = affine_px(run)
         {
             let explains = |(fewest, share): &(usize, f64)| rows.len() >= *fewest && affine_px < share * rmse_px;
@@ -92,10 +97,11 @@ impl Misfit {
     }
 }
 
-/// RMS of the lengths of the residuals of a similarity, for the degrees of freedom that are left.
-pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>) -> f64 {
+/// RMS of the lengths of residuals, for the degrees of freedom that are left: `taken` is how many points' worth the fit
+/// takes, 2 of a similarity.
+pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>, taken: f64) -> f64 {
     let (n, square) = residuals_px.fold((0.0, 0.0), |(n, sum), residual| (n + 1.0, sum + residual * residual));
-    (square / f64::max(n - 2.0, 1.0)).sqrt()
+    (square / f64::max(n - taken, 1.0)).sqrt()
 }
 
 /// RMSE of an affine transform at points that were left out of it, pixels.

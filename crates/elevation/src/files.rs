@@ -254,7 +254,7 @@ impl AlignedFiles {
         let (a, grid, unit) = (&self.couple.a, form.grid, self.couple.b.ground_unit());
         let dataset = output::create::<T>(path, form)?;
         if let Some(name) = name_of_unit {
-            crate::labels::set_unit(path, &dataset, name)?;
+            autoref_raster::set_height_unit(path, &dataset, name)?;
         }
         output::produce(
             &grid,

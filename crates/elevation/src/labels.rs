@@ -1,25 +1,11 @@
 //! What a file of heights or differences says of itself, where the binding of GDAL has no word for it.
 #![allow(unsafe_code)]
 
-use std::ffi::CString;
 use std::path::Path;
 
-use gdal::Dataset;
 use gdal::spatial_ref::SpatialRef;
 
 use crate::error::{Error, Result};
-
-/// Names the unit of band 1.
-///
-/// # Errors
-/// When GDAL cannot.
-pub fn set_unit(path: &Path, dataset: &Dataset, unit: &str) -> Result<()> {
-    let unit = CString::new(unit).map_err(|_| Error::usage("a zero byte in a unit", "name it m or ft"))?;
-    let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
-    // SAFETY: the band belongs to a dataset that outlives the call, and GDAL copies the string.
-    let code = unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), unit.as_ptr()) };
-    if code == gdal_sys::CPLErr::CE_None { Ok(()) } else { Err(Error::gdal(path, "the unit cannot be named")) }
-}
 
 /// A CRS without its heights, for differences: they count from nothing, and are in metres.
 ///

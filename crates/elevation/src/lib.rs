@@ -20,7 +20,6 @@ pub mod histogram;
 pub mod kept;
 pub mod labels;
 pub mod lift;
-pub mod masked;
 pub mod model;
 pub mod mosaic;
 pub mod output;

@@ -12,8 +12,8 @@ use crate::error::{Error, Result};
 use crate::escape::escaped;
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
-use crate::masked;
 use crate::source::{Heights, Patch};
+use autoref_raster::HeightBand;
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
 pub struct Model {
@@ -21,25 +21,14 @@ pub struct Model {
     grid: Grid,
     crs: Option<Crs>,
     wkt: String,
-    nodata: Option<f64>,
     kind: GdalDataType,
     block: (usize, usize),
-    /// What a stored value is multiplied with, and what is then added.
-    scale: (f64, f64),
-    /// An alpha band or a mask says which cells are there.
-    masked: bool,
-    /// What a scaled value is multiplied with to be metres, and what the file calls its unit.
-    metres_per_value: f64,
-    unit_name: Option<String>,
+    /// What the stored values mean.
+    band: HeightBand,
     /// From the file's vertical datum to the one that is asked for.
     lift: Option<Lift>,
     pool: Mutex<Vec<Dataset>>,
 }
-
-/// Values that stand for "no height" in files that name none.
-const USUAL_NODATA: [f64; 3] = [-32_768.0, -32_767.0, -9999.0];
-/// No ground lies higher or lower, in metres or feet.
-const BEYOND_ANY_GROUND: f64 = 1e5;
 
 impl Model {
     /// Opens band 1 of `path`.
@@ -73,42 +62,17 @@ impl Model {
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         let wkt = dataset.projection();
         let crs = if wkt.is_empty() { None } else { Some(Crs::parse(&wkt)?) };
-        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !name.is_empty());
-        let axis = crs.as_ref().and_then(Crs::height_metres_per_unit);
-        let metres_per_value = match (&unit_name, axis) {
-            (Some(name), _) => metres_of(name).ok_or_else(|| {
-                let remedy = "name it m or ft with gdal_edit.py -units";
-                Error::unsupported(path, format!("heights in `{name}`"), remedy)
-            })?,
-            (None, Some(metres)) => metres,
-            (None, None) => 1.0,
-        };
-        let unit_name = unit_name.or_else(|| axis.map(|metres| if metres == 1.0 { "m" } else { "ft" }.to_string()));
-        let (nodata, kind, block) = (band.no_data_value(), band.band_type(), band.block_size());
-        let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
-        let masked = masked::has_mask(path, &band)?;
+        let (kind, block) = (band.band_type(), band.block_size());
+        let band = HeightBand::of(path, &band, crs.as_ref())?;
         let pool = Mutex::new(vec![dataset]);
         let path = path.to_path_buf();
-        Ok(Model {
-            path,
-            grid,
-            crs,
-            wkt,
-            nodata,
-            kind,
-            block,
-            scale,
-            masked,
-            metres_per_value,
-            unit_name,
-            lift: None,
-            pool,
-        })
+        Ok(Model { path, grid, crs, wkt, kind, block, band, lift: None, pool })
     }
 
     /// The same cells in the unit of height of another model.
     pub fn in_unit_of(self, other: &Model) -> Model {
-        Model { metres_per_value: other.metres_per_value, unit_name: other.unit_name.clone(), ..self }
+        let (metres_per_value, unit_name) = (other.band.metres_per_value, other.band.unit_name.clone());
+        Model { band: HeightBand { metres_per_value, unit_name, ..self.band }, ..self }
     }
 
     /// The same heights above another vertical datum.
@@ -130,7 +94,7 @@ impl Model {
     }
 
     pub fn nodata(&self) -> Option<f64> {
-        self.nodata
+        self.band.nodata
     }
 
     pub fn kind(&self) -> GdalDataType {
@@ -144,16 +108,16 @@ impl Model {
 
     /// A height in metres is the stored number times the first plus the second.
     pub fn metres(&self) -> (f64, f64) {
-        (self.scale.0 * self.metres_per_value, self.scale.1 * self.metres_per_value)
+        (self.band.scale.0 * self.band.metres_per_value, self.band.scale.1 * self.band.metres_per_value)
     }
 
     pub fn metres_per_value(&self) -> f64 {
-        self.metres_per_value
+        self.band.metres_per_value
     }
 
     /// What the file calls its unit of height, when it says.
     pub fn unit_name(&self) -> Option<&str> {
-        self.unit_name.as_deref()
+        self.band.unit_name.as_deref()
     }
 
     /// What a unit of the horizontal axes is on the ground. Without a CRS a unit is a metre.
@@ -199,25 +163,18 @@ impl Model {
 
     /// Whether a stored value stands for "no height".
     pub fn is_void(&self, value: f64) -> bool {
-        match self.nodata {
-            // A float32 file keeps its nodata value rounded to float32.
-            Some(nodata) => value == nodata || value == f64::from(nodata as f32) || !value.is_finite(),
-            None => {
-                let height = value * self.scale.0 + self.scale.1;
-                !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value)
-            }
-        }
+        self.band.is_void(value)
     }
 
     /// Stored values of a window that lies in the raster, NaN where an alpha band or a mask leaves a cell out.
     fn read_there(&self, at: (u64, u64), size: (usize, usize), out: &mut [f64]) -> Result<()> {
         self.read_stored(at, size, out)?;
-        if !self.masked {
+        if !self.band.masked {
             return Ok(());
         }
         self.with_dataset(|dataset| {
             let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.path, e))?;
-            masked::leave_out(&self.path, &band, (at.0 as isize, at.1 as isize), size, out)
+            self.band.leave_out(&self.path, &band, (at.0 as isize, at.1 as isize), size, out)
         })
     }
 }
@@ -249,10 +206,7 @@ impl Heights for Model {
                 out[from..from + columns].copy_from_slice(line);
             }
         }
-        let (scale, offset) = self.scale;
-        for value in out.iter_mut() {
-            *value = if self.is_void(*value) { f64::NAN } else { (*value * scale + offset) * self.metres_per_value };
-        }
+        self.band.to_metres(out);
         if let Some(lift) = &self.lift {
             for (row, line) in (patch.y..).zip(out.chunks_exact_mut(patch.width)) {
                 for (column, value) in (patch.x..).zip(line) {
@@ -261,20 +215,6 @@ impl Heights for Model {
             }
         }
         Ok(())
-    }
-}
-
-/// Metres in a unit of height that a band names.
-fn metres_of(name: &str) -> Option<f64> {
-    match name.to_ascii_lowercase().as_str() {
-        "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
-        "ft" | "foot" | "feet" => Some(0.3048),
-        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(1200.0 / 3937.0),
-        "cm" | "centimetre" | "centimeter" => Some(0.01),
-        "dm" | "decimetre" | "decimeter" => Some(0.1),
-        "mm" | "millimetre" | "millimeter" => Some(0.001),
-        "km" | "kilometre" | "kilometer" => Some(1000.0),
-        _ => None,
     }
 }
 

@@ -18,6 +18,20 @@ pub fn without_apostrophe(cell: &str) -> &str {
     cell.strip_prefix('\'').filter(|text| is_formula(text)).unwrap_or(cell)
 }
 
+/// A field of a comma-separated table, quoted when it must be.
+pub fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r', ';', '#']) || text != text.trim() {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_string()
+    }
+}
+
+/// The same of a text that a spreadsheet may open, never a formula to it.
+pub fn csv_text(text: &str) -> String {
+    quoted(&no_formula(text))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,23 +7,27 @@ use gdal::Dataset;
 
 use super::gdal::{Facts, GdalName, initialise_gdal};
 use crate::coords::{GeoTransform, MapPoint, PixelPoint};
+use crate::crs::Crs;
 use crate::error::{Error, Result};
+use crate::height_band::HeightBand;
 use crate::window::Window;
 
-/// A raster of heights (band 1 of any type), sampled by position.
+/// A raster of heights (band 1 of any type), sampled by position. Heights are in metres: scale, offset and unit of the
+/// band are applied, and cells that a nodata value, an alpha band or a mask leaves out have none.
 pub struct ElevationModel {
     name: GdalName,
     dataset: Mutex<Dataset>,
     width: u64,
     height: u64,
     facts: Facts,
+    band: HeightBand,
 }
 
 impl ElevationModel {
     /// Opens band 1 of `path`, any format and type that GDAL reads.
     ///
     /// # Errors
-    /// When GDAL cannot open it or it holds no raster.
+    /// When GDAL cannot open it, it holds no raster, or its heights are in a unit that is none of length.
     pub fn open(path: &Path) -> Result<Self> {
         initialise_gdal(32 << 20);
         if path.is_dir() {
@@ -36,7 +40,18 @@ impl ElevationModel {
         }
         let (width, height) = dataset.raster_size();
         let facts = Facts::of(&dataset);
-        Ok(ElevationModel { name, dataset: Mutex::new(dataset), width: width as u64, height: height as u64, facts })
+        // A CRS that PROJ cannot read has no unit of height to tell; who needs the CRS is told elsewhere.
+        let crs = facts.crs_wkt.as_deref().and_then(|wkt| Crs::parse(wkt).ok());
+        let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+        let band = HeightBand::of(path, &band, crs.as_ref())?;
+        Ok(ElevationModel {
+            name,
+            dataset: Mutex::new(dataset),
+            width: width as u64,
+            height: height as u64,
+            facts,
+            band,
+        })
     }
 
     /// Size in pixels.
@@ -53,12 +68,17 @@ impl ElevationModel {
         self.facts.nodata
     }
 
+    /// What the stored values mean.
+    pub fn band(&self) -> &HeightBand {
+        &self.band
+    }
+
     /// WKT of its CRS.
     pub fn crs_wkt(&self) -> Option<&str> {
         self.facts.crs_wkt.as_deref()
     }
 
-    /// Heights of `window`, row-major; pixels without a height (nodata, not finite) are NaN.
+    /// Heights of `window` in metres, row-major; pixels without a height are NaN.
     ///
     /// # Errors
     /// When the window does not lie in the raster or cannot be read.
@@ -75,14 +95,9 @@ impl ElevationModel {
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.name.path, e))?;
         band.read_into_slice((window.x as isize, window.y as isize), size, size, &mut heights, None)
             .map_err(|e| Error::gdal(&self.name.path, e))?;
+        self.band.leave_out(&self.name.path, &band, (window.x as isize, window.y as isize), size, &mut heights)?;
         drop(dataset);
-        for height in &mut heights {
-            // A float32 file keeps its nodata value rounded to float32.
-            let nodata = self.facts.nodata.is_some_and(|n| *height == n || *height == f64::from(n as f32));
-            if nodata || !height.is_finite() {
-                *height = f64::NAN;
-            }
-        }
+        self.band.to_metres(&mut heights);
         Ok(heights)
     }
 

@@ -289,6 +289,9 @@ fn prior_variances(pairs: &[Pair], scale: f64) -> Vec<f64> {
 
 /// Weights from what is known of each pair plus a common part estimated from the residuals, so that marks measured to a
 /// hundredth of a pixel do not outvote the orthophoto's own deformation. Normalised to mean 1.
+/// No coordinate is known better, pixels.
+const LEAST_SIGMA_PX: f64 = 0.02;
+
 fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     let prior = prior_variances(pairs, first.scale_m_per_px());
     let freedom = 2 * pairs.len() as i64 - 4;
@@ -303,7 +306,7 @@ fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     // of four points.
     let coarse = 1.0 + 4.0 / freedom as f64;
     let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
-    let floor = (0.02 * first.scale_m_per_px()).powi(2);
+    let floor = (LEAST_SIGMA_PX * first.scale_m_per_px()).powi(2);
     let weights: Vec<f64> = prior.iter().map(|v| 1.0 / (v + common).max(floor)).collect();
     let mean = weights.iter().sum::<f64>() / weights.len() as f64;
     weights.into_iter().map(|w| w / mean).collect()
@@ -329,15 +332,12 @@ fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f
             length(e, n) * w.sqrt()
         })
         .collect();
-    let sigma = robust_sigma(&lengths, pairs.len());
+    // No mark is measured, and no point surveyed, so well that less tells a wrong one.
+    let sigma = robust_sigma(&lengths, pairs.len()).max(LEAST_SIGMA_PX * similarity.scale_m_per_px());
     // 3.72 σ is the length that a two-dimensional normal residual exceeds once in a thousand; the σ itself comes from
     // the median of few residuals, hence the margin.
     let limit = 4.5 * sigma;
-    lengths
-        .iter()
-        .zip(base)
-        .map(|(length, w)| if *length > limit && sigma > 0.0 { w * limit / length } else { *w })
-        .collect()
+    lengths.iter().zip(base).map(|(length, w)| if *length > limit { w * limit / length } else { *w }).collect()
 }
 
 fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarity) -> Solution {

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use super::{ListFormat, Survey};
+use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::raw::RawPoint;
 use crate::gcp::{Gcp, GcpRole, csv_list, text};
+use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 
 /// Letters of a name in KOF's columns.
@@ -74,8 +76,14 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
         say(false, "pixels in further images", &|p| p.pixels.len() > 1);
     }
     say(holds.image_name || holds.pixels == 0, "image name", &|p| p.pixels.iter().any(|s| s.image.is_some()));
-    if let (false, Some(crs)) = (holds.crs, &survey.crs) {
-        lost.push(format!("crs {}", crs.title()));
+    if let Some(crs) = &survey.crs {
+        if !holds.crs {
+            lost.push(format!("crs {}", crs.title()));
+        } else if crs.epsg().is_none() && format == ListFormat::Gml {
+            lost.push(format!("crs {}: GML names systems by their EPSG code, and it has none", crs.title()));
+        } else if crs.epsg().is_none() && format == ListFormat::Odm {
+            lost.push(format!("crs {}: written as a PROJ string, without names and vertical datum", crs.title()));
+        }
     }
     for column in columns(survey) {
         if !holds.attributes || has_a_meaning(&column) {
@@ -112,7 +120,8 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
     let values = [Some(*easting), Some(*northing), *height, *sigma_m, *sigma_height_m];
     point.attributes.iter().filter(move |(title, value)| {
         let value = value.trim();
-        let said = value == name || (has_a_meaning(title) && values.contains(&text::angle(value)) && !value.is_empty());
+        let said = without_apostrophe(value) == name
+            || (has_a_meaning(title) && values.contains(&text::angle(value)) && !value.is_empty());
         let tidied = csv_list::tidy(title);
         let own = OWN.contains(&title.as_str()) || csv_list::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)
@@ -166,6 +175,17 @@ pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Resul
         return Err(Error::usage(
             format!("{}: {title} needs a CRS, and the list names none", input.display()),
             "give --crs",
+        ));
+    }
+    let is_taken = |p: &&RawPoint| p.gcp.role == GcpRole::Control && p.gcp.name.starts_with(CHECK_PREFIX);
+    if let Some(point) = survey.points.iter().find(is_taken).filter(|_| format == ListFormat::Odm) {
+        return Err(Error::format(
+            input,
+            &point.place,
+            format!(
+                "`{}` is a control point, and {title} has check points by names with {CHECK_PREFIX}; rename it",
+                point.gcp.name
+            ),
         ));
     }
     if format != ListFormat::Kof {

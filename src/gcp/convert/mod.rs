@@ -15,7 +15,7 @@ use crate::gcp::Gcp;
 use crate::gcp::raw::{RawPoint, Seen};
 use crate::gcp::read;
 use autoref_raster::atomic::Transaction;
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 
 /// A format of lists.
@@ -180,6 +180,8 @@ pub struct ConvertOptions {
     pub crs: Option<String>,
     /// Layer of a file with several.
     pub layer: Option<String>,
+    /// How far off a change of datum may be, metres. Default: [`DEFAULT_DATUM_ACCURACY_M`].
+    pub datum_accuracy_m: Option<f64>,
 }
 
 /// What was done.
@@ -244,7 +246,8 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         let text = words::write(&survey, to)?;
         transaction.stage_bytes(output, text.as_bytes())?;
     } else {
-        lost.extend(vectors::write(&survey, to, output, &mut transaction)?);
+        let worst_accuracy_m = options.datum_accuracy_m.unwrap_or(DEFAULT_DATUM_ACCURACY_M);
+        lost.extend(vectors::write(&survey, to, worst_accuracy_m, output, &mut transaction)?);
     }
     if to == ListFormat::Odm && survey.points.iter().all(|p| p.pixels.is_empty()) {
         notes.push(

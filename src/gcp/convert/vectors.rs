@@ -9,7 +9,7 @@ use gdal::vector::{Feature, FieldDefn, Geometry, LayerAccess, LayerOptions, OGRF
 use super::{ListFormat, Survey};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::atomic::Transaction;
-use autoref_raster::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
+use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
 
 const WGS84: u32 = 4326;
@@ -19,6 +19,7 @@ const WGS84: u32 = 4326;
 pub(super) fn write(
     survey: &Survey,
     format: ListFormat,
+    worst_accuracy_m: f64,
     output: &Path,
     transaction: &mut Transaction,
 ) -> Result<Vec<String>> {
@@ -26,7 +27,7 @@ pub(super) fn write(
     let folder = tempfile::tempdir().map_err(|e| Error::io(output, "make a folder for", e))?;
     let name = output.file_name().ok_or_else(|| Error::usage("the output has no name", "name a file"))?;
     let watch = autoref_raster::Written::watch(output);
-    let lost = layer(survey, format, &folder.path().join(name)).map_err(|e| match e {
+    let lost = layer(survey, format, worst_accuracy_m, &folder.path().join(name)).map_err(|e| match e {
         Error::Gdal { what, .. } => Error::gdal(output, what),
         other => other,
     })?;
@@ -42,7 +43,7 @@ pub(super) fn write(
     Ok(lost)
 }
 
-fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>> {
+fn layer(survey: &Survey, format: ListFormat, worst_accuracy_m: f64, path: &Path) -> Result<Vec<String>> {
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let driver = match format {
         ListFormat::GeoPackage => "GPKG",
@@ -53,7 +54,7 @@ fn layer(survey: &Survey, format: ListFormat, path: &Path) -> Result<Vec<String>
         _ => "GPX",
     };
     let geographic = matches!(format, ListFormat::Kml | ListFormat::Gpx);
-    let (places, crs, lost) = places(survey, geographic)?;
+    let (places, crs, lost) = places(survey, geographic, worst_accuracy_m)?;
     let reference = match &crs {
         Some(crs) => {
             let mut reference = SpatialRef::from_wkt(crs.wkt()).map_err(failed)?;
@@ -139,8 +140,12 @@ fn attribute<'a>(gcp: &'a Gcp, title: &str) -> Attribute<'a> {
     }
 }
 
-/// The coordinates, in degrees of WGS 84 where the format knows nothing else.
-fn places(survey: &Survey, geographic: bool) -> Result<(Vec<Coordinate>, Option<Crs>, Vec<String>)> {
+/// The coordinates, in degrees of WGS 84 and heights in metres where the format knows nothing else.
+fn places(
+    survey: &Survey,
+    geographic: bool,
+    worst_accuracy_m: f64,
+) -> Result<(Vec<Coordinate>, Option<Crs>, Vec<String>)> {
     let mut places: Vec<Coordinate> =
         survey.gcps().map(|g| Coordinate { x: g.easting, y: g.northing, height: g.height }).collect();
     let mut lost = Vec::new();
@@ -148,7 +153,13 @@ fn places(survey: &Survey, geographic: bool) -> Result<(Vec<Coordinate>, Option<
         return Ok((places, survey.crs.clone(), lost));
     };
     let degrees = Crs::from_epsg(WGS84)?;
-    let how = match crs.transform(&mut places, &degrees, DEFAULT_DATUM_ACCURACY_M)? {
+    // Heights without a vertical system are in the unit of the plan.
+    let height_unit = crs.height_metres_per_unit().unwrap_or(crs.metres_per_unit());
+    if height_unit != 1.0 && survey.any(|g| g.height.is_some()) {
+        places.iter_mut().for_each(|place| place.height = place.height.map(|height| height * height_unit));
+        lost.push(format!("heights in {}: they were brought into metres", crs.unit_name()));
+    }
+    let how = match crs.transform(&mut places, &degrees, worst_accuracy_m)? {
         Accuracy::Exact => String::new(),
         Accuracy::Metres(metres) => format!(", good to {metres} m"),
         Accuracy::Unstated => ", how well is not stated".into(),

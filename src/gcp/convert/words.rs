@@ -9,6 +9,7 @@ use super::losses::{KOF_NAME, all_or_none, extra, has_a_meaning};
 use super::{ListFormat, Survey};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::{Gcp, GcpRole};
+use autoref_raster::cells::{csv_text, quoted};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -29,12 +30,9 @@ pub(super) fn write(survey: &Survey, format: ListFormat) -> Result<String> {
     })
 }
 
+/// A field of a table: numbers as they are, texts never a formula.
 fn field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r', ';', '#']) || text != text.trim() {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_string()
-    }
+    if text.parse::<f64>().is_ok() { quoted(text) } else { csv_text(text) }
 }
 
 fn optional(value: Option<f64>) -> String {
@@ -207,7 +205,7 @@ fn qgis(survey: &Survey) -> String {
             "{},{},{source},{enable},0,0,0,{},{}\n",
             gcp.easting,
             gcp.northing,
-            field(&gcp.name),
+            quoted(&gcp.name),
             role(gcp)
         ));
     }
@@ -220,7 +218,7 @@ fn metashape_csv(survey: &Survey) -> String {
     for gcp in survey.gcps() {
         text.push_str(&format!(
             "{},{},{},{},{},{}\n",
-            field(&gcp.name),
+            csv_text(&gcp.name),
             gcp.easting,
             gcp.northing,
             optional(gcp.height),
@@ -292,7 +290,7 @@ fn pix4d(survey: &Survey) -> String {
     let mut text = String::new();
     for gcp in survey.gcps() {
         let height = gcp.height.expect("refused without a height");
-        text.push_str(&format!("{},{},{},{height}", field(&gcp.name), gcp.easting, gcp.northing));
+        text.push_str(&format!("{},{},{},{height}", csv_text(&gcp.name), gcp.easting, gcp.northing));
         if let (true, Some(sigma), Some(sigma_height)) = (accuracies, gcp.sigma_m, gcp.sigma_height_m) {
             text.push_str(&format!(",{sigma},{sigma_height}"));
         }

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::{TiePoints, csv_field, write_file};
+use super::{TiePoints, write_file};
+use autoref_raster::cells::csv_text;
 use autoref_raster::error::Result;
 
 /// Writes the table. Columns: `name`, `pixel_x`, `pixel_y`, `easting`, `northing`, `height`, `sigma_m`, `residual_e_m`,
@@ -14,11 +15,11 @@ pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
     let mut text =
         String::from("name,pixel_x,pixel_y,easting,northing,height,sigma_m,residual_e_m,residual_n_m,role,crs\n");
     let optional = |value: Option<f64>| value.map_or(String::new(), |v| v.to_string());
-    let crs = tie_points.crs.as_ref().map(|crs| csv_field(&crs.label())).unwrap_or_default();
+    let crs = tie_points.crs.as_ref().map(|crs| csv_text(&crs.label())).unwrap_or_default();
     for pair in &tie_points.pairs {
         text.push_str(&format!(
             "{},{},{},{},{},{},{},{},{},{},{crs}\n",
-            csv_field(&pair.name),
+            csv_text(&pair.name),
             pair.pixel.x,
             pair.pixel.y,
             pair.easting,

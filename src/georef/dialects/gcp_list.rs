@@ -19,6 +19,15 @@ use crate::gcp::odm::CHECK_PREFIX;
 pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
     let mut text = header(tie_points.crs.as_ref())?;
     text.push('\n');
+    if let Some(pair) = tie_points.pairs.iter().find(|pair| !pair.check && pair.name.starts_with(CHECK_PREFIX)) {
+        return Err(Error::usage(
+            format!(
+                "`{}` is a control point, and gcp_list.txt has check points by names with {CHECK_PREFIX}",
+                pair.name
+            ),
+            "rename it in the list of points, or leave gcp-list out of --write",
+        ));
+    }
     for pair in &tie_points.pairs {
         text.push_str(&format!(
             "{}\t{}\t{}\t{}\t{}\t{}\t{}{}\n",

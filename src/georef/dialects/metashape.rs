@@ -6,7 +6,8 @@ use std::path::Path;
 
 use quick_xml::escape::escape;
 
-use super::{TiePoints, csv_field, write_file};
+use super::{TiePoints, write_file};
+use autoref_raster::cells::csv_text;
 use autoref_raster::error::Result;
 
 /// Writes both files.
@@ -28,7 +29,7 @@ fn reference_list(tie_points: &TiePoints) -> String {
     for pair in &tie_points.pairs {
         text.push_str(&format!(
             "{},{},{},{},{},{}\n",
-            csv_field(&pair.name),
+            csv_text(&pair.name),
             pair.easting,
             pair.northing,
             optional(pair.height),

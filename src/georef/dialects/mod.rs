@@ -16,7 +16,6 @@ use std::path::{Path, PathBuf};
 use crate::gcp::Gcp;
 use crate::georef::write::Output;
 use crate::result::RunResult;
-use autoref_raster::cells::no_formula;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -158,16 +157,6 @@ fn no_height(program: &str, name: &str) -> Error {
 
 fn required_height(program: &str, pair: &TiePoint) -> Result<f64> {
     pair.height.ok_or_else(|| no_height(program, &pair.name))
-}
-
-/// A field of a comma-separated table, quoted when it must be, and never a formula to a spreadsheet.
-fn csv_field(text: &str) -> String {
-    let text = &*no_formula(text);
-    if text.contains([',', '"', '\n', '\r', ';', '#']) || text != text.trim() {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_string()
-    }
 }
 
 fn write_file(path: &Path, text: &str) -> Result<()> {

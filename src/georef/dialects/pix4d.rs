@@ -3,7 +3,8 @@
 
 use std::path::Path;
 
-use super::{TiePoints, csv_field, required_height, write_file};
+use super::{TiePoints, required_height, write_file};
+use autoref_raster::cells::csv_text;
 use autoref_raster::error::Result;
 
 /// Writes both files. The accuracies are there when every point has one.
@@ -15,13 +16,13 @@ pub fn write(gcps: &Path, marks: &Path, tie_points: &TiePoints) -> Result<()> {
     let all_have_sigma = tie_points.pairs.iter().all(|pair| pair.sigma_m.is_some());
     for pair in &tie_points.pairs {
         let height = required_height("Pix4D", pair)?;
-        let name = csv_field(&pair.name);
+        let name = csv_text(&pair.name);
         ground.push_str(&format!("{name},{},{},{height}", pair.easting, pair.northing));
         if let Some(sigma_m) = pair.sigma_m.filter(|_| all_have_sigma) {
             ground.push_str(&format!(",{sigma_m},{sigma_m}"));
         }
         ground.push('\n');
-        image.push_str(&format!("{},{name},{},{}\n", csv_field(&tie_points.image_name), pair.pixel.x, pair.pixel.y));
+        image.push_str(&format!("{},{name},{},{}\n", csv_text(&tie_points.image_name), pair.pixel.x, pair.pixel.y));
     }
     write_file(gcps, &ground)?;
     write_file(marks, &image)

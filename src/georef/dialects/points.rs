@@ -4,7 +4,8 @@
 
 use std::path::Path;
 
-use super::{TiePoints, csv_field, write_file};
+use super::{TiePoints, write_file};
+use autoref_raster::cells::quoted;
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Result;
@@ -35,7 +36,7 @@ pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
             dx,
             dy,
             dx.hypot(dy),
-            csv_field(&pair.name)
+            quoted(&pair.name)
         ));
     }
     write_file(path, &text)

@@ -275,7 +275,7 @@ impl CompareJob<'_> {
         let wkt = crate::labels::without_heights(self.b, couple.b.wkt())?;
         let form = Form { grid, wkt: &wkt, bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
         let dataset = output::create::<f32>(path, &form)?;
-        crate::labels::set_unit(path, &dataset, "m")?;
+        autoref_raster::set_height_unit(path, &dataset, "m")?;
         let sampling = preview::Sampling::of(grid.width, grid.height);
         let parts = output::produce(
             &grid,

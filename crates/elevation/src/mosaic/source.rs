@@ -9,11 +9,11 @@ use gdal::{Dataset, Metadata};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::masked;
 use crate::model::open_dataset;
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, MemoryHeights, Patch};
 use crate::window::Window;
+use autoref_raster::masked;
 
 use super::Choice;
 

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
-use autoref_stream::gcp::GcpList;
+use autoref_stream::gcp::{GcpList, GcpRole};
+use autoref_stream::pipeline::reasons::Reason;
 use autoref_stream::result::{Misfit, RunResult, SolvedRun};
 use clap::Args;
 
@@ -56,10 +57,27 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     };
     let options =
         StatementOptions { class_h_m: args.accuracy_class, class_v_m: args.accuracy_class, nssda: args.nssda };
-    solved.accuracy = Some(accuracy::statement(&checks, &leave_one_out, &options));
+    let mut statement = accuracy::statement(&checks, &leave_one_out, &options);
+    statement.reservations.extend(untested(solved, list));
+    solved.accuracy = Some(statement);
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
     let misfit = Misfit::of(solved);
     result.warnings.extend(misfit.map(|misfit| misfit.note()));
+}
+
+/// Check points that lie in the image and are in no figure: a test is as good as what it leaves out.
+fn untested(solved: &SolvedRun, list: &GcpList) -> Option<String> {
+    let is_check = |name: &str| list.gcps.iter().any(|gcp| gcp.name == name && gcp.role == GcpRole::Check);
+    let inside = solved.not_found.iter().filter(|point| point.reason != Reason::Outside);
+    let names: Vec<&str> = inside.map(|point| point.name.as_str()).filter(|name| is_check(name)).collect();
+    let all = names.len() + solved.check_points.len();
+    (!names.is_empty()).then(|| {
+        format!(
+            "{} of {all} check points in the image are not in the figures, since no mark of theirs was found: {}",
+            names.len(),
+            names.join(", ")
+        )
+    })
 }
 
 /// The image's size, or how far the candidates reach.

@@ -459,7 +459,8 @@ fn known_gsd(info: &RasterInfo) -> Option<f64> {
     prior_scale(info).map(|(low, high)| (low * high).sqrt())
 }
 
-/// Scale range by an existing georeference in metres (±10 %), or the resolution tags (±20 %).
+/// Scale range by an existing georeference in metres (±10 %), or by one that names no system or the resolution tags
+/// (±20 %): its unit may be anything.
 fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
     let crs = info.crs_wkt.as_deref().and_then(|wkt| Crs::parse(wkt).ok());
     let unit_m = match &crs {
@@ -469,7 +470,10 @@ fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
     };
     let georeferenced = info.geotransform.as_ref().zip(unit_m).map(|(t, unit_m)| t.scale() * unit_m);
     match (georeferenced, info.resolution_m_per_px) {
-        (Some(gsd), _) if (1e-4..1e4).contains(&gsd) => Some((gsd * 0.9, gsd * 1.1)),
+        (Some(gsd), _) if (1e-4..1e4).contains(&gsd) => {
+            let open = if crs.is_some() { 0.1 } else { 0.2 };
+            Some((gsd * (1.0 - open), gsd * (1.0 + open)))
+        }
         (_, Some(gsd)) => Some((gsd * 0.8, gsd * 1.2)),
         _ => None,
     }

@@ -11,6 +11,7 @@ use autoref_stream::profile::Profile;
 use autoref_stream::segment::classify::Classifier;
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
+use gdal::spatial_ref::SpatialRef;
 
 use super::common::{PaintArg, SampleArgs};
 
@@ -69,6 +70,9 @@ fn write(path: &Path, source: &dyn RasterSource, classifier: &Classifier, unit: 
         .map_err(failed)?;
     if let Some(transform) = info.geotransform {
         file.set_geo_transform(&transform.0).map_err(failed)?;
+    }
+    if let Some(wkt) = &info.crs_wkt {
+        file.set_spatial_ref(&SpatialRef::from_wkt(wkt).map_err(failed)?).map_err(failed)?;
     }
     let mut band = file.rasterband(1).map_err(failed)?;
     band.set_no_data_value(Some(f64::NAN)).map_err(failed)?;

@@ -41,6 +41,9 @@ pub struct ConvertArgs {
     /// Layer of a file with several.
     #[arg(long, value_name = "NAME")]
     gcp_layer: Option<String>,
+    /// Accept a change of datum (to KML and GPX) that is good to so many metres.
+    #[arg(long, value_name = "M")]
+    datum_accuracy: Option<f64>,
     /// Replace an existing output.
     #[arg(long)]
     overwrite: bool,
@@ -52,7 +55,13 @@ pub struct ConvertArgs {
 pub fn run(args: &GcpsArgs) -> anyhow::Result<()> {
     let GcpsCommand::Convert(args) = &args.command;
     atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
-    let options = ConvertOptions { from: args.from, to: args.to, crs: args.crs.clone(), layer: args.gcp_layer.clone() };
+    let options = ConvertOptions {
+        from: args.from,
+        to: args.to,
+        crs: args.crs.clone(),
+        layer: args.gcp_layer.clone(),
+        datum_accuracy_m: args.datum_accuracy,
+    };
     let done = convert(&args.input, &args.output, &options)?;
     let files: Vec<String> = done.files.iter().map(|path| path.display().to_string()).collect();
     if args.json {

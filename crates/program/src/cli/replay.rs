@@ -75,7 +75,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
     if differs(&patch, document.result.geotransform().map(|g| g.0)) {
         bail!(
-            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or              remove `shown` from the patch to replay it all the same",
+            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",
             patch_path.display(),
             args.candidates.display()
         );

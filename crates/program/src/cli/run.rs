@@ -287,7 +287,7 @@ impl Looked {
 const PARTS_LEAVE: f64 = 0.5;
 
 fn residuals_px(found: &Orientation) -> f64 {
-    residual_rms_px(found.solution.pairs.iter().map(|pair| pair.residual_px))
+    residual_rms_px(found.solution.pairs.iter().map(|pair| pair.residual_px), 2.0)
 }
 
 fn json_path(request: &WriteRequest) -> PathBuf {
@@ -531,7 +531,7 @@ fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -
         fit: FitFigures::from(solution),
         chosen_model: None,
         matches,
-        check_points: orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect(),
+        check_points: check_rows(orientation, list),
         gcps_in_image: orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len(),
         not_found: reasons(None, orientation, &list.gcps, candidates).unwrap_or_default(),
         outside: orientation.outside.iter().map(name).collect(),
@@ -543,10 +543,26 @@ fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -
     }
 }
 
+/// Check points that are much farther off than the others are flagged; they count all the same.
+fn check_rows(orientation: &Orientation, list: &GcpList) -> Vec<MatchRow> {
+    /// So many times the deviation that half of them have.
+    const TIMES: f64 = 4.5;
+    let mut rows: Vec<MatchRow> = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
+    let mut lengths_px: Vec<f64> = rows.iter().map(|row| row.residual_px).collect();
+    lengths_px.sort_by(f64::total_cmp);
+    // The half of a pair is its better one.
+    let Some(half) = lengths_px.get(lengths_px.len().saturating_sub(1) / 2) else { return rows };
+    let limit_px = (TIMES * half / 1.1774).max(LEAST_MISFIT_PX);
+    rows.iter_mut().for_each(|row| row.outlier = row.residual_px > limit_px);
+    rows
+}
+
 /// What a person should know of the fit.
 fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
     let mut notes = orientation.solution.warnings.clone();
-    let outliers: Vec<&str> = result.matches().iter().filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
+    let checks = result.solved().map_or(&[][..], |solved| &solved.check_points);
+    let all = result.matches().iter().chain(checks);
+    let outliers: Vec<&str> = all.filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
     if !outliers.is_empty() {
         notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
@@ -558,7 +574,8 @@ fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> V
 fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<String> {
     const NEAR_PX: f64 = 60.0;
     let solution = &orientation.solution;
-    let taken = |c: &Candidate| orientation.marks.iter().any(|mark| mark.mark.centre == c.centre);
+    let all = || orientation.marks.iter().chain(&orientation.check_marks);
+    let taken = |c: &Candidate| all().any(|found| found.mark.centre == c.centre);
     orientation
         .not_found
         .iter()

@@ -16,6 +16,8 @@ use autoref_stream::pipeline::heights::{self, HeightResult, ModelFrame, PlacedMo
 use autoref_stream::result::{RunResult, SolvedRun};
 use clap::{Args, ValueEnum};
 
+use crate::cli::summary::length;
+
 #[derive(Args, Debug)]
 pub struct SolvingArgs {
     /// Elevation model, any raster: in the image's grid, or with a georeference of its own. Its heights at the marks
@@ -434,6 +436,18 @@ pub fn flat(pairs: &[Pair]) -> Vec<PointPair> {
             target: nalgebra::Vector3::new(p.map.easting, p.map.northing, 0.0),
         })
         .collect()
+}
+
+/// The heights of a run in one line.
+pub fn heights_in_brief(solved: &HeightResult) -> String {
+    let (correction, fit) = (&solved.correction, solved.correction.chosen_fit());
+    format!(
+        "{} points, {} off the model (RMS), {} after a {}",
+        solved.points.len(),
+        length(correction.uncorrected_rms_m),
+        length(fit.rms_m),
+        fit.model.label()
+    )
 }
 
 /// Enters the heights of a solved run.

@@ -72,6 +72,9 @@ fn solved(result: &RunResult, run: &SolvedRun, lines: &mut Lines) {
     );
     let (all, e, n) = (length(fit.rmse_m), length(fit.rmse_e_m), length(fit.rmse_n_m));
     lines.add("RMSE", format!("{all} = {:.2} px (east {e}, north {n})", fit.rmse_px));
+    if let Some(heights) = &run.heights {
+        lines.add("Heights", solving::heights_in_brief(heights));
+    }
     lines.add("Verdict", verdict(result, run));
     let look_at = look_at(run);
     if !look_at.is_empty() {
@@ -106,7 +109,8 @@ fn verdict(result: &RunResult, run: &SolvedRun) -> String {
 
 /// Points that a person should see, and why.
 fn look_at(run: &SolvedRun) -> Vec<String> {
-    let unfit = run.matches.iter().filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
+    let all = run.matches.iter().chain(&run.check_points);
+    let unfit = all.filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
     let missing = run.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);

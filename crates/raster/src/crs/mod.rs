@@ -119,14 +119,14 @@ impl Crs {
     }
 
     fn describe(reference: &SpatialRef, kind: Kind) -> gdal::errors::Result<Crs> {
-        let three_axes = reference.axes_count() == 3;
+        let (wkt, three_axes) = (reference.to_wkt()?, reference.axes_count() == 3);
         let height_metres_per_unit = three_axes.then(|| {
-            // A compound system has a vertical part of its own; the ellipsoidal heights of a 3-D one are in metres.
+            // A compound system has a vertical part of its own; that of a 3-D one is its third axis.
             let unit = reference.get_attr_value("VERT_CS|UNIT", 1).ok().flatten();
-            unit.and_then(|text| text.parse().ok()).unwrap_or(1.0)
+            unit.and_then(|text| text.parse().ok()).or_else(|| unit_of_up_axis(&wkt)).unwrap_or(1.0)
         });
         Ok(Crs {
-            wkt: reference.to_wkt()?,
+            wkt,
             epsg: reference
                 .auth_name()
                 .filter(|name| name.eq_ignore_ascii_case("EPSG"))
@@ -347,6 +347,13 @@ pub fn axis_mapping(crs: &Crs) -> &'static str {
     if north_first { "2,1" } else { "1,2" }
 }
 
+/// Metres in a unit of the axis that points upwards, from `AXIS["…",up,…,LENGTHUNIT["US survey foot",0.3048…`.
+fn unit_of_up_axis(wkt: &str) -> Option<f64> {
+    let up = &wkt[wkt.find("\",up,")?..];
+    let unit = &up[up.find("LENGTHUNIT[")?..];
+    unit.split(',').nth(1)?.trim_end_matches(']').parse().ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -402,6 +409,8 @@ mod tests {
         assert_eq!(heights("EPSG:5972"), Some(1.0));
         assert_eq!(heights("EPSG:4979"), Some(1.0));
         assert_eq!(Crs::parse("EPSG:25832+5941").expect("ad hoc").height_metres_per_unit(), Some(1.0));
+        let feet = heights("+proj=utm +zone=32 +datum=WGS84 +units=us-ft +vunits=us-ft").expect("three axes");
+        assert!((feet - 1200.0 / 3937.0).abs() < 1e-12);
         assert!((heights("EPSG:2263+6360").expect("NAVD88 in feet") - 1200.0 / 3937.0).abs() < 1e-9);
     }
 

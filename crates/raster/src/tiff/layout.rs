@@ -355,5 +355,37 @@ fn colours(all: &Directories, index: usize, samples: usize, codec: Codec, planar
         [grey, ..] => [grey; 3],
         [] => [0; 3],
     };
-    Ok((Colours { rgb, alpha }, ycbcr))
+    let colours = Colours { rgb, alpha };
+    if let Some(text) = all.text(index, tag::GDAL_METADATA)?
+        && colours.contradict(&text)
+    {
+        return Err(unsupported(all, "bands in another order than red, green, blue (GDAL's metadata, tag 42112)"));
+    }
+    Ok((colours, ycbcr))
+}
+
+impl Colours {
+    /// Whether what GDAL has written of a band's colour names another band red, green, blue or alpha than these.
+    fn contradict(&self, metadata: &str) -> bool {
+        let attribute = |item: &str, name: &str| {
+            let rest = &item[item.find(&format!(" {name}=\""))? + name.len() + 3..];
+            rest.split('"').next().map(str::to_owned)
+        };
+        metadata.split("<Item ").skip(1).any(|item| {
+            let item = format!(" {item}");
+            let is_colour = attribute(&item, "role").is_some_and(|role| role == "colorinterp");
+            let band = attribute(&item, "sample").and_then(|sample| sample.parse::<usize>().ok());
+            let said = item.split('>').nth(1).and_then(|text| text.split('<').next()).map(str::to_ascii_lowercase);
+            let (true, Some(band), Some(said)) = (is_colour, band, said) else { return false };
+            let ours = match said.trim() {
+                "red" => Some(self.rgb[0]),
+                "green" => Some(self.rgb[1]),
+                "blue" => Some(self.rgb[2]),
+                "alpha" => self.alpha,
+                // Bands that are called something else are taken in order, as GDAL's reader here takes them.
+                _ => return self.alpha == Some(band),
+            };
+            ours != Some(band)
+        })
+    }
 }

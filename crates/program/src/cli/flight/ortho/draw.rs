@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use autoref_elevation::grid::Grid;
-use autoref_elevation::masked::has_mask;
 use autoref_elevation::output::{self, Form};
 use autoref_flight::ortho::{Place, View};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
+use autoref_raster::masked::has_mask;
 use autoref_raster::window::Window;
 use gdal::Dataset;
 use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterCreationOptions};

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use anyhow::Result;
 use autoref_elevation::grid::Grid;
-use autoref_elevation::masked::has_mask;
 use autoref_flight::Error;
 use autoref_flight::ortho::Surface;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error as RasterError;
+use autoref_raster::masked::has_mask;
 use autoref_raster::window::Window;
 use gdal::Dataset;
 use gdal::raster::{Buffer, ResampleAlg};

@@ -1,0 +1,115 @@
+//! What a band's stored values say of heights: which cells are there, scale and offset, unit.
+
+use std::ffi::CString;
+use std::path::Path;
+
+use gdal::Dataset;
+use gdal::raster::RasterBand;
+
+use crate::crs::Crs;
+use crate::error::{Error, Result};
+use crate::masked;
+
+/// Values that stand for "no height" in files that name none.
+const USUAL_NODATA: [f64; 3] = [-32_768.0, -32_767.0, -9999.0];
+/// No ground lies higher or lower, in metres or feet.
+const BEYOND_ANY_GROUND: f64 = 1e5;
+
+/// How the stored values of a band become heights in metres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeightBand {
+    pub nodata: Option<f64>,
+    /// What a stored value is multiplied with, and what is then added.
+    pub scale: (f64, f64),
+    /// An alpha band or a mask says which cells are there.
+    pub masked: bool,
+    /// What a scaled value is multiplied with to be metres.
+    pub metres_per_value: f64,
+    /// What the file calls its unit, when it says.
+    pub unit_name: Option<String>,
+}
+
+impl HeightBand {
+    /// Of a band of `path`. The unit is the band's own, else that of the vertical axis of `crs`, else the metre.
+    ///
+    /// # Errors
+    /// A unit that is none of length; a mask that cannot be looked at.
+    pub fn of(path: &Path, band: &RasterBand<'_>, crs: Option<&Crs>) -> Result<HeightBand> {
+        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !name.is_empty());
+        let axis = crs.and_then(Crs::height_metres_per_unit);
+        let metres_per_value = match (&unit_name, axis) {
+            (Some(name), _) => metres_of(name).ok_or_else(|| {
+                let remedy = "name it m or ft with gdal_edit.py -units";
+                Error::unsupported(path, format!("heights in `{name}`"), remedy)
+            })?,
+            (None, Some(metres)) => metres,
+            (None, None) => 1.0,
+        };
+        let unit_name = unit_name.or_else(|| axis.map(|metres| if metres == 1.0 { "m" } else { "ft" }.to_string()));
+        let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+        let (nodata, masked) = (band.no_data_value(), masked::has_mask(path, band)?);
+        Ok(HeightBand { nodata, scale, masked, metres_per_value, unit_name })
+    }
+
+    /// Whether a stored value stands for "no height".
+    pub fn is_void(&self, value: f64) -> bool {
+        match self.nodata {
+            // A float32 file keeps its nodata value rounded to float32.
+            Some(nodata) => value == nodata || value == f64::from(nodata as f32) || !value.is_finite(),
+            None => {
+                let height = value * self.scale.0 + self.scale.1;
+                !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value)
+            }
+        }
+    }
+
+    /// Stored values to heights in metres; NaN where there is no height.
+    pub fn to_metres(&self, values: &mut [f64]) {
+        let (scale, offset) = self.scale;
+        for value in values {
+            *value = if self.is_void(*value) { f64::NAN } else { (*value * scale + offset) * self.metres_per_value };
+        }
+    }
+
+    /// Makes the stored values of a window NaN that an alpha band or a mask leaves out.
+    ///
+    /// # Errors
+    /// When the mask cannot be read.
+    pub fn leave_out(
+        &self,
+        path: &Path,
+        band: &RasterBand<'_>,
+        at: (isize, isize),
+        size: (usize, usize),
+        values: &mut [f64],
+    ) -> Result<()> {
+        if self.masked { masked::leave_out(path, band, at, size, values) } else { Ok(()) }
+    }
+}
+
+/// Names the unit of band 1.
+///
+/// # Errors
+/// When GDAL cannot.
+#[allow(unsafe_code)]
+pub fn set_height_unit(path: &Path, dataset: &Dataset, unit: &str) -> Result<()> {
+    let unit = CString::new(unit).map_err(|_| Error::usage("a zero byte in a unit", "name it m or ft"))?;
+    let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+    // SAFETY: the band belongs to a dataset that outlives the call, and GDAL copies the string.
+    let code = unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), unit.as_ptr()) };
+    if code == gdal_sys::CPLErr::CE_None { Ok(()) } else { Err(Error::gdal(path, "the unit cannot be named")) }
+}
+
+/// Metres in a unit of height that a band names.
+fn metres_of(name: &str) -> Option<f64> {
+    match name.to_ascii_lowercase().as_str() {
+        "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
+        "ft" | "foot" | "feet" => Some(0.3048),
+        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(1200.0 / 3937.0),
+        "cm" | "centimetre" | "centimeter" => Some(0.01),
+        "dm" | "decimetre" | "decimeter" => Some(0.1),
+        "mm" | "millimetre" | "millimeter" => Some(0.001),
+        "km" | "kilometre" | "kilometer" => Some(1000.0),
+        _ => None,
+    }
+}
