@@ -156,7 +156,7 @@ pub fn reasons(
         };
         all.push(match seen {
             Some(patch) => look(name, at, &patch, side_px, paint),
-            None => NotFound::new(name, Reason::Hidden, at, "no image to look at".into()),
+            None => NotFound::new(name, Reason::Hidden, at, "no candidate lies there".into()),
         });
     }
     for &gcp in &orientation.outside {

@@ -417,6 +417,39 @@ fn mapped_and_read_blocks_are_the_same() {
     }
 }
 
+/// GDAL's metadata may say that bands are in another order than TIFF's tags tell.
+#[test]
+fn bands_that_are_called_blue_green_red_are_read_as_gdal_reads_them() {
+    use gdal::raster::ColorInterpretation::{AlphaBand, BlueBand, GreenBand, RedBand, Undefined};
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let orders = [
+        vec![BlueBand, GreenBand, RedBand],
+        vec![AlphaBand, RedBand, GreenBand, BlueBand],
+        vec![Undefined, RedBand, GreenBand, BlueBand],
+        vec![RedBand, GreenBand, BlueBand, Undefined],
+    ];
+    for (k, order) in orders.into_iter().enumerate() {
+        let what = format!("{order:?}");
+        let red = 10 + 60 * order.iter().position(|c| *c == RedBand).expect("there") as u16;
+        let path = folder.path().join(format!("{k}.tif"));
+        let options = gdal::raster::RasterCreationOptions::from_iter(["PHOTOMETRIC=MINISBLACK"]);
+        let file = driver.create_with_band_type_with_options::<u8, _>(&path, 8, 8, order.len(), &options);
+        let file = file.expect("created");
+        for (b, colour) in order.into_iter().enumerate() {
+            let mut band = file.rasterband(b + 1).expect("there");
+            let level = if colour == AlphaBand { 255 } else { 10 + 60 * b as u8 };
+            band.set_color_interpretation(colour).expect("set");
+            band.write((0, 0), (8, 8), &mut gdal::raster::Buffer::new((8, 8), vec![level; 64])).expect("written");
+        }
+        file.close().expect("closed");
+        let read = |choice| read_all(&path, choice).expect("readable").0;
+        let (auto, through_gdal) = (read(ReaderChoice::Auto), read(ReaderChoice::Gdal));
+        same(&auto, &through_gdal, &what);
+        assert_eq!(auto.rgb[0][0], red, "{what}");
+    }
+}
+
 #[test]
 fn many_threads_read_each_block_once() {
     let folder = tempfile::tempdir().expect("a temporary folder");

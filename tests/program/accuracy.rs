@@ -297,3 +297,23 @@ fn the_run_states_it_and_check_points_never_touch_the_fit() {
     let in_feet = number(&feet["accuracy"]["figures"]["horizontal"]["rmse_h1_m"]);
     assert!((in_feet / number(&h["rmse_h1_m"]) - 1200.0 / 3937.0).abs() < 1e-9);
 }
+
+/// A test that leaves out what fits badly tests nothing: marks beside their check points count, however far.
+#[test]
+fn check_points_that_fit_badly_are_in_the_figures() {
+    let number = |v: &serde_json::Value| v.as_f64().expect("a number");
+    let (clean, _) = solved(0.0, "EPSG:25832", &["--accuracy-class", "0.05"]);
+    // 3, 10 and 30 px beside the noise of 0.3 px.
+    for shift_m in [0.1, 0.3, 0.9] {
+        let (result, text) = solved(shift_m, "EPSG:25832", &["--accuracy-class", "0.05"]);
+        let h = &result["accuracy"]["figures"]["horizontal"];
+        assert_eq!(h["check_points"], 4, "{shift_m}: {text}");
+        assert!((number(&h["mean_e_m"]).abs() - shift_m).abs() < 0.03, "{shift_m}: {h}");
+        assert!(text.contains("does NOT meet"), "{shift_m}: {text}");
+        assert_eq!(result["solution"], clean["solution"], "{shift_m}");
+    }
+    // Too far for any mark to be theirs: the statement says what it leaves out.
+    let (result, _) = solved(30.0, "EPSG:25832", &["--accuracy-class", "0.05"]);
+    let reservations = result["accuracy"]["reservations"].to_string();
+    assert!(reservations.contains("4 of 4 check points in the image") && reservations.contains("P0"), "{reservations}");
+}

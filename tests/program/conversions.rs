@@ -127,6 +127,38 @@ fn what_is_lost_is_named_and_what_is_not_is_not() {
 }
 
 #[test]
+fn names_are_no_formulas_and_heights_in_feet_become_metres() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let source = folder.path().join("source.csv");
+    let names = "=SUM(A1),570000,7032000,300\n-P2,570100,7032000,310\nP3,570100,7032100,-4\n";
+    std::fs::write(&source, format!("name,easting,northing,height\n{names}")).expect("writable");
+    for format in [ListFormat::Csv, ListFormat::MetashapeCsv, ListFormat::Pix4d] {
+        let table = named(folder.path(), "t", format);
+        let done = to(&source, &table, format, None);
+        let text = std::fs::read_to_string(&table).expect("written");
+        assert!(text.contains("'=SUM(A1),") && text.contains("'-P2,") && text.contains(",-4"), "{text}");
+        assert_eq!(done.lost, Vec::<String>::new());
+        let back = to(&table, &folder.path().join("back.geojson"), ListFormat::GeoJson, Some(CRS));
+        assert_eq!(back.lost, Vec::<String>::new(), "{format:?}");
+        let read: Vec<String> = points(&folder.path().join("back.geojson"), None).into_iter().map(|g| g.name).collect();
+        assert_eq!(read, ["=SUM(A1)", "-P2", "P3"], "{format:?}");
+    }
+    let points_file = named(folder.path(), "q", ListFormat::Qgis);
+    to(&source, &points_file, ListFormat::Qgis, Some(CRS));
+    assert!(std::fs::read_to_string(&points_file).expect("written").contains(",=SUM(A1),"), "no spreadsheet's file");
+    let kml = folder.path().join("p.kml");
+    let feet = "+proj=utm +zone=32 +datum=WGS84 +units=us-ft +vunits=us-ft";
+    let lost = to(&source, &kml, ListFormat::Kml, Some(feet)).lost;
+    assert!(lost.iter().any(|l| l.starts_with("heights in US survey foot")), "{lost:?}");
+    let height = points(&kml, None)[0].height.expect("in space");
+    assert!((height - 300.0 * 1200.0 / 3937.0).abs() < 1e-6, "{height}");
+    for format in [ListFormat::Gml, ListFormat::Odm] {
+        let lost = to(&source, &named(folder.path(), "c", format), format, Some("EPSG:25832+5941")).lost;
+        assert!(lost.iter().any(|l| l.contains("NN2000")), "{lost:?}");
+    }
+}
+
+#[test]
 fn pixels_of_several_images_come_back() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let list = folder.path().join("gcp_list.txt");
@@ -208,6 +240,9 @@ fn bad_input_gets_one_line() {
     says(error(&flat, "a.xml", micmac), &["flat.csv", "row 2", "`A`", "height"]);
     let long = write("long.csv", "name,easting,northing\nAbcdefghijk1,570000,7032000\nAbcdefghijk2,570100,7032000\n");
     says(error(&long, "a.kof", ConvertOptions::default()), &["row 3", "Abcdefghij", "rename"]);
+    let check = write("check.csv", "name,easting,northing\nCHK-1,570000,7032000\n");
+    let odm = ConvertOptions { crs: Some(CRS.into()), ..ConvertOptions::default() };
+    says(error(&check, "gcp_list.txt", odm), &["row 2", "`CHK-1` is a control point", "rename"]);
     let wrong = ConvertOptions { from: Some(ListFormat::MetashapeXml), ..ConvertOptions::default() };
     assert!(!error(&flat, "b.csv", wrong).contains('\n'));
     assert!(!folder.path().join("a.xml").exists() && !folder.path().join("a.kof").exists());

@@ -530,6 +530,85 @@ fn resect_places_a_frame_and_names_the_blunder() {
     expect(&resect("f2.png", &gcps, &["--pp-px", "1"]), 2, &["--pp-px"]);
 }
 
+/// What a list says of its points counts where one frame is placed too: check points, accuracies, and three points that
+/// several poses see.
+#[test]
+fn resect_heeds_what_the_list_says() {
+    let place = Place::new();
+    let table = |sigma: &dyn Fn(usize) -> &'static str, off_m: &dyn Fn(usize) -> f64, check: Option<usize>| {
+        let mut text = String::from("name,x,y,z,image,px,py,role,sigma_m\n");
+        let seen = place.flight.gcps.iter().filter_map(|(name, xyz, seen)| {
+            let at = seen.iter().find(|(frame, _)| *frame == 2)?.1;
+            Some((name, xyz, at))
+        });
+        for (i, (name, xyz, at)) in seen.enumerate() {
+            let role = if check == Some(i) { "check" } else { "control" };
+            let x = xyz.x + off_m(i);
+            let row = format!("{name},{x},{},{},f2.png,{},{},{role},{}\n", xyz.y, xyz.z, at[0], at[1], sigma(i));
+            text.push_str(&row);
+        }
+        place.write("points.csv", &text)
+    };
+    let resect = |list: &Path| {
+        let frame = ["f2.png", "--f-px", "500", "--size", "480,480", "--json", "--sigma-image", "0.1"];
+        let output = autoref(&[&["flight", "resect", "--gcps", text(list)][..], &frame].concat(), None, &[]);
+        expect(&output, 0, &[]);
+        json(&output)
+    };
+    let truth = place.flight.model.photographs[2].pose.centre;
+    let off =
+        |d: &Value| (Vector3::from_iterator((0..3).map(|i| d["C"][i].as_f64().expect("a number"))) - truth).norm();
+    // One in two is coarse, says so, and is 20 m off.
+    let coarse = |i: usize| i % 2 == 1;
+    let found =
+        resect(&table(&|i| if coarse(i) { "20" } else { "0.02" }, &|i| if coarse(i) { 20.0 } else { 0.0 }, None));
+    assert!(off(&found) < 1.0 && found["blunders"] == serde_json::json!([]), "{found}");
+    // A wrong check point takes no part, and shows what it misses.
+    let found = resect(&table(&|_| "", &|i| if i == 1 { 50.0 } else { 0.0 }, Some(1)));
+    assert!(off(&found) < 0.1 && found["blunders"] == serde_json::json!([]), "{found}");
+    let check = &found["check_points"][0];
+    assert!(check["d_px"].as_f64().expect("a number") > 5.0, "{found}");
+    let three: String = std::fs::read_to_string(table(&|_| "", &|_| 0.0, None))
+        .expect("written")
+        .lines()
+        .take(4)
+        .fold(String::new(), |all, line| all + line + "\n");
+    let found = resect(&place.write("three.csv", &three));
+    let poses = found["alternatives"].as_array().expect("a list");
+    let nearest = poses.iter().chain([&found]).map(off).fold(f64::INFINITY, f64::min);
+    assert!(nearest < 1.0, "one of them is right: {found}");
+    assert_eq!(poses.is_empty(), !found["notes"].to_string().contains("three points allow"), "{found}");
+}
+
+/// A table without directions, and one without the whole direction, fix where cameras stand.
+#[test]
+fn positions_count_alone() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (mut places, mut partly) = (String::from("name,x,y,z\n"), String::from("name,x,y,z,yaw,pitch\n"));
+    for p in &place.flight.model.photographs {
+        let (c, a) = (p.pose.centre, p.pose.yaw_pitch_roll());
+        places += &format!("{},{},{},{}\n", p.name, c.x, c.y, c.z);
+        partly += &format!("{},{},{},{},{},{}\n", p.name, c.x, c.y, c.z, a.yaw_deg + 40.0, a.pitch_deg);
+    }
+    let (model, gcps) = (place.at("model"), place.at("gcps.txt"));
+    let adjusted = |table: &str| {
+        let table = place.write("places.csv", table);
+        let words = ["flight", "adjust", text(&model), "--gcps", text(&gcps), "--cameras", text(&table), "--json"];
+        autoref(&[&words[..], &["--sigma-position", "0.01", "--sigma-ground", "20"]].concat(), None, &[])
+    };
+    for table in [&places, &partly] {
+        let output = adjusted(table);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        let sigma = document["cameras"][0]["sigma_e"].as_f64().expect("a number");
+        assert!(place.flight.worst_camera_m(&document) < 0.05 && sigma < 0.02, "{sigma}: {table}");
+    }
+    expect(&adjusted("name,x,y,z\nother.png,1,2,3\n"), 2, &["places.csv", "none of its names (other.png)"]);
+    let twice = places.clone() + "f0.png,1,2,3\n";
+    expect(&adjusted(&twice), 2, &["places.csv", "`f0.png` has row 2 already"]);
+}
+
 /// Ten points clicked in a photograph of a glacier, one of them 150 px off.
 #[test]
 fn the_wrong_point_of_kronebreen_is_named() {

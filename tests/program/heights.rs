@@ -131,6 +131,52 @@ fn a_model_in_the_images_grid_is_read_there_and_corrected() {
     assert_eq!(again.status.code(), Some(2));
 }
 
+/// A copy of a model in other numbers: stored values are (height − offset) / scale in the unit.
+fn restated(from: &Path, to: &Path, scale: f64, offset: f64, unit: Option<&str>) {
+    let model = ElevationModel::open(from).expect("ours");
+    let (width, height) = model.size();
+    let whole = autoref_raster::window::Window::whole(width, height);
+    let stored = model.read_f64_window(whole).expect("readable").into_iter();
+    let stored = stored.map(|h| if h.is_nan() { -32768 } else { ((h - offset) / scale).round() as i16 }).collect();
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let size = (width as usize, height as usize);
+    let mut copy = driver.create_with_band_type::<i16, _>(to, size.0, size.1, 1).expect("created");
+    copy.set_geo_transform(&model.geotransform().expect("placed").0).expect("set");
+    copy.set_spatial_ref(&SpatialRef::from_epsg(25832).expect("known")).expect("set");
+    let mut band = copy.rasterband(1).expect("one band");
+    band.write((0, 0), size, &mut Buffer::new(size, stored)).expect("written");
+    match unit {
+        Some(unit) => autoref_raster::set_height_unit(to, &copy, unit).expect("named"),
+        None => band.set_scale(scale).and_then(|()| band.set_offset(offset)).expect("labelled"),
+    }
+}
+
+#[test]
+fn scale_offset_and_unit_of_a_model_are_heeded() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let marks = lists(folder.path());
+    let path = |name: &str| folder.path().join(name);
+    let place = GeoTransform([569_990.0, 0.5, 0.0, 7_032_020.0, 0.0, -0.5]);
+    model(&path("dem.tif"), (200, 200), Some((place, 25832)), &|p| place.apply(p));
+    restated(&path("dem.tif"), &path("scaled.tif"), 0.01, 40.0, None);
+    restated(&path("dem.tif"), &path("feet.tif"), 0.3048, 0.0, Some("ft"));
+    let uncorrected = |name: &str, copy: &str| {
+        let result = solve(folder.path(), &["--dem", name, "--write-dem", copy]);
+        result["heights"]["correction"]["uncorrected_rms_m"].as_f64().expect("a number")
+    };
+    let plain = uncorrected("dem.tif", "plain-copy.tif");
+    // The scaled heights are rounded to centimetres, those in whole feet to 9 cm (1σ).
+    assert!((uncorrected("scaled.tif", "scaled-copy.tif") - plain).abs() < 0.01);
+    assert!((uncorrected("feet.tif", "feet-copy.tif") - plain).abs() < 0.15);
+    check_copy(&path("scaled-copy.tif"), &marks, &|copy, _, m| copy.at_map(m).expect("readable"));
+    let feet = ElevationModel::open(&path("feet-copy.tif")).expect("ours");
+    assert_eq!(feet.band().unit_name.as_deref(), Some("ft"));
+    for (_, m) in marks {
+        let height = feet.at_map(m).expect("readable").expect("there");
+        assert!((height - ground(m)).abs() < 0.5, "{height} for {}", ground(m));
+    }
+}
+
 #[test]
 fn a_model_in_map_coordinates_may_have_another_crs() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -275,6 +275,10 @@ fn patterns_are_shown_and_thresholds_tried() {
 
 /// Ten marks in the image, each moved by `moved`, and the list of what they are; a true scale of 50 mm.
 fn verdict(moved: impl Fn(f64, f64) -> [f64; 2]) -> (String, Value) {
+    verdict_by(&[], moved)
+}
+
+fn verdict_by(more: &[&str], moved: impl Fn(f64, f64) -> [f64; 2]) -> (String, Value) {
     let folder = tempfile::tempdir().expect("a folder");
     let (mut marks, mut list) = ("x,y\n".to_string(), "name,easting,northing\n".to_string());
     let mut random = Random::new(7);
@@ -292,7 +296,7 @@ fn verdict(moved: impl Fn(f64, f64) -> [f64; 2]) -> (String, Value) {
     let (marks, list) = (path("marks.csv", &marks), path("list.csv", &list));
     let out = path("o.json", "");
     let arguments = ["solve", &marks, "--gcps", &list, "-o", &out, "--overwrite", "--gsd", "0.05"];
-    let finished = program(&arguments);
+    let finished = program(&[&arguments[..], more].concat());
     assert_eq!(finished.status.code(), Some(0), "{}", String::from_utf8_lossy(&finished.stderr));
     let said = [finished.stdout, finished.stderr].map(|text| String::from_utf8_lossy(&text).into_owned()).concat();
     let line = said.lines().find(|line| line.starts_with("Verdict")).expect("a verdict").to_string();
@@ -311,4 +315,18 @@ fn a_verdict_says_when_points_do_not_fit_as_those_of_an_orthophoto() {
     assert!(line.contains("stretched") && told(&result, "--model affine"), "{line}");
     let (line, result) = verdict(|x, y| wiggle(x, y, 3.0));
     assert!(line.contains("fit badly") && told(&result, "parts of marks"), "{line}");
+    // What is written is judged, whatever is reported beside it: a projective transform is not.
+    for (model, words) in [("projective", "stretched"), ("affine", "agree with each other")] {
+        let (line, _) = verdict_by(&["--model", model], |x, y| [wiggle(x, y, 0.1)[0], 0.0015 * y]);
+        assert!(line.contains(words), "{model}: {line}");
+    }
+    let (line, _) = verdict_by(&["--model", "affine"], |x, y| wiggle(x, y, 3.0));
+    assert!(line.contains("fit badly"), "{line}");
+    // Points that all fit to hundredths of a pixel are right, though one fits worse than the others.
+    let drawn = std::cell::Cell::new(0);
+    let (line, _) = verdict(|x, y| {
+        drawn.set(drawn.get() + 1);
+        wiggle(x, y, if drawn.get() == 4 { 0.015 } else { 0.001 })
+    });
+    assert!(line.contains("agree with each other"), "{line}");
 }

@@ -66,7 +66,15 @@ pub fn load_camera(name_or_file: &str) -> Result<Camera> {
 pub fn parse(text: &str, path: &Path) -> Result<Camera> {
     let mut camera: Camera = toml::from_str(text).map_err(|e| {
         let line = e.span().map_or(0, |s| text[..s.start].matches('\n').count() + 1);
-        Error::format(path, format!("line {line}"), e.message().lines().collect::<Vec<_>>().join(" "))
+        let what = e.message().lines().collect::<Vec<_>>().join(" ");
+        let is_shape = ["`kind`", "`template`"].iter().any(|field| what.contains(&format!("missing field {field}")));
+        let remedy = if is_shape {
+            "; where the shape is not known yet, write kind = { shape = \"dot\", diameter_mm = 1.0 } with the rough size, \
+             and point at the mark with --learn --at"
+        } else {
+            ""
+        };
+        Error::format(path, format!("line {line}"), what + remedy)
     })?;
     check(&camera, path)?;
     if camera.marks.iter().any(|m| m.x_mm.is_none()) {

@@ -18,6 +18,8 @@ use crate::pose::{Pose, Similarity};
 pub struct Seen {
     pub name: String,
     pub xyz: Vector3<f64>,
+    /// 1σ on the ground, metres; 0 of what is exact.
+    pub sigma_m: Vector3<f64>,
     pub pixel: [f64; 2],
 }
 
@@ -26,8 +28,6 @@ pub struct Seen {
 pub struct ResectOptions {
     /// 1σ of the points in the image.
     pub sigma_px: f64,
-    /// 1σ of the points on the ground, metres.
-    pub sigma_ground_m: f64,
     /// Known position with standard deviations.
     pub position: Option<(Vector3<f64>, Vector3<f64>)>,
     /// Whether the focal length is sought too.
@@ -45,7 +45,7 @@ pub enum Focal {
 
 impl Default for ResectOptions {
     fn default() -> Self {
-        ResectOptions { sigma_px: 1.0, sigma_ground_m: 0.0, position: None, focal: Focal::Known, critical: 4.0 }
+        ResectOptions { sigma_px: 1.0, position: None, focal: Focal::Known, critical: 4.0 }
     }
 }
 
@@ -64,8 +64,8 @@ pub struct Resection {
     pub rms_px: f64,
     /// √(v'Pv / redundancy) with the σ that were stated; `None` without redundancy.
     pub sigma0: Option<f64>,
-    /// Other poses that three points allow.
-    pub alternatives: usize,
+    /// Other poses that see the points as well: three points allow up to four, and nothing but a known position tells.
+    pub alternatives: Vec<Pose>,
 }
 
 /// The poses that see three points along three unit vectors.
@@ -172,7 +172,13 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
         }
     }
     best.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let alternatives = if seen.len() == 3 { best.len().saturating_sub(1) } else { 0 };
+    let as_well: Vec<Pose> = match options.position {
+        None if places(seen) == 3 => {
+            let good = |b: &&(f64, Camera, Pose)| b.0 <= AS_GOOD * options.sigma_px.powi(2) + BELOW_GROUND;
+            best.iter().filter(good).map(|b| b.2).collect()
+        }
+        _ => Vec::new(),
+    };
     best.truncate(12);
     let mut result: Option<(f64, Resection)> = None;
     for (_, camera, pose) in best {
@@ -188,8 +194,25 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
             "check the focal length, the order of the coordinates and whether pixels count from the upper left corner",
         )
     })?;
-    found.alternatives = alternatives;
+    // Poses nearer to each other than a hundredth of the distance to the ground are one.
+    let range = (found.pose.centre - seen[0].xyz).norm();
+    for pose in as_well {
+        let known = std::iter::once(&found.pose).chain(&found.alternatives);
+        if known.into_iter().all(|other| (other.centre - pose.centre).norm() > 0.01 * range) {
+            found.alternatives.push(pose);
+        }
+    }
     Ok(found)
+}
+
+/// A mean squared distance of so many times the variance that is stated is as good as none.
+const AS_GOOD: f64 = 18.0;
+/// What speaks against a camera below its points, px².
+const BELOW_GROUND: f64 = 1.0;
+
+/// How many different places the points have.
+fn places(seen: &[Seen]) -> usize {
+    (0..seen.len()).filter(|i| seen[..*i].iter().all(|other| other.xyz != seen[*i].xyz)).count()
 }
 
 /// Poses of all triples, or of 400 drawn ones.
@@ -249,7 +272,7 @@ fn disagreement(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOpt
     } else if seen.len() == 3 {
         // Three points: cameras stand above the ground more often than below it.
         let mean = seen.iter().map(|s| s.xyz.z).sum::<f64>() / 3.0;
-        score += if pose.centre.z < mean { 1.0 } else { 0.0 };
+        score += if pose.centre.z < mean { BELOW_GROUND } else { 0.0 };
     }
     score
 }
@@ -261,14 +284,11 @@ fn problem(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions,
     }
     let spread = seen.iter().map(|s| (s.xyz - seen[0].xyz).norm()).fold(0.0, f64::max);
     // Exact points are held by a σ that no residual notices.
-    let sigma = if options.sigma_ground_m > 0.0 { options.sigma_ground_m } else { spread * 1e-7 };
+    let sigma = |s: &Seen| s.sigma_m.map(|sigma| if sigma > 0.0 { sigma } else { spread * 1e-7 });
     Problem {
         cameras: vec![bundle],
         frames: vec![BundleFrame { camera: 0, pose: *pose, position: options.position, direction: None }],
-        points: seen
-            .iter()
-            .map(|s| BundlePoint { xyz: s.xyz, survey: Some((s.xyz, Vector3::repeat(sigma))) })
-            .collect(),
+        points: seen.iter().map(|s| BundlePoint { xyz: s.xyz, survey: Some((s.xyz, sigma(s))) }).collect(),
         observations: seen
             .iter()
             .enumerate()
@@ -355,7 +375,7 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) 
             residuals_px,
             blunders,
             sigma0,
-            alternatives: 0,
+            alternatives: Vec::new(),
         });
     }
 }
@@ -408,7 +428,7 @@ fn off_by(
     let all = moved + nalgebra::Matrix3x6::from_fn(|r, c| if c < 3 { turned[(r, c)] } else { 0.0 });
     let q = j * all * factored.frame(0) * all.transpose() * j.transpose()
         + Matrix2::identity() * options.sigma_px.powi(2)
-        + j * j.transpose() * options.sigma_ground_m.powi(2);
+        + j * nalgebra::Matrix3::from_diagonal(&seen.sigma_m.component_mul(&seen.sigma_m)) * j.transpose();
     let v = Vector2::new(at[0] - seen.pixel[0], at[1] - seen.pixel[1]);
     let inverse = q.try_inverse().filter(|_| local.z > 0.0);
     inverse.map_or(f64::INFINITY, |inverse| v.dot(&(inverse * v)).sqrt())

@@ -37,7 +37,7 @@ fn set(draw: &mut Draw, n: usize, px: f64) -> (Camera, Vec<Seen>, Vector3<f64>) 
         let ray = pose.rotation.transpose() * Vector3::from(camera.ray(pixel).expect("inside"));
         let xyz = centre + ray * draw.uniform(2500.0, 12_000.0);
         let at = [pixel[0] + px * draw.normal(), pixel[1] + px * draw.normal()];
-        seen.push(Seen { name: format!("{}", seen.len() + 1), xyz, pixel: at });
+        seen.push(Seen { name: format!("{}", seen.len() + 1), xyz, sigma_m: Vector3::zeros(), pixel: at });
     }
     (camera, seen, centre)
 }

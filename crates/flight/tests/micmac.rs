@@ -78,7 +78,12 @@ fn the_wrong_point_of_a_real_list_is_named() {
         .enumerate()
         .map(|(i, line)| {
             let v: Vec<f64> = line.split_whitespace().map(|v| v.parse().expect("a number")).collect();
-            Seen { name: (i + 1).to_string(), xyz: Vector3::new(v[0], v[1], v[2]), pixel: [v[3], v[4]] }
+            Seen {
+                name: (i + 1).to_string(),
+                xyz: Vector3::new(v[0], v[1], v[2]),
+                sigma_m: Vector3::zeros(),
+                pixel: [v[3], v[4]],
+            }
         })
         .collect();
     assert_eq!(seen.len(), 10);
@@ -102,7 +107,7 @@ fn resection_from_six_named_points() {
         .filter(|(image, _, _)| image == "IMGP4168.JPG")
         .filter_map(|(_, name, pixel)| {
             let g = ground.iter().find(|g| g.name == *name)?;
-            Some(Seen { name: name.clone(), xyz: Vector3::from(g.xyz), pixel: *pixel })
+            Some(Seen { name: name.clone(), xyz: Vector3::from(g.xyz), sigma_m: Vector3::zeros(), pixel: *pixel })
         })
         .collect();
     assert_eq!(seen.len(), 6);

@@ -24,7 +24,7 @@ fn net(camera: &Camera, random: &mut Random, sigma_px: f64) -> Vec<Seen> {
         let Some(p) = camera.project([ground.x, below, ahead]) else { continue };
         if camera.contains(p) {
             let pixel = [p[0] + sigma_px * random.normal(), p[1] + sigma_px * random.normal()];
-            seen.push(Seen { name: format!("P{}", seen.len()), xyz: ground, pixel });
+            seen.push(Seen { name: format!("P{}", seen.len()), xyz: ground, sigma_m: Vector3::zeros(), pixel });
         }
     }
     seen

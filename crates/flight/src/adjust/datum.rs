@@ -60,12 +60,14 @@ pub(super) fn placing(
 }
 
 /// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the
-/// positions.
+/// positions. Without directions, positions off one line.
 fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
+    let all = || model.photographs.iter().zip(rough).filter_map(|(p, r)| Some((&p.pose, r.as_ref()?)));
     let pairs: Vec<(&Pose, &Pose)> =
-        model.photographs.iter().zip(rough).filter_map(|(p, r)| r.as_ref().map(|r| (&p.pose, &r.pose))).collect();
+        all().filter(|(_, r)| r.sigma_rad.is_finite()).map(|(p, r)| (p, &r.pose)).collect();
     if pairs.len() < 2 {
-        return None;
+        let (from, to): (Vec<_>, Vec<_>) = all().map(|(p, r)| (p.centre, r.pose.centre)).unzip();
+        return (from.len() >= 3).then(|| datum(&from, &to)).flatten();
     }
     // R_rough ≈ R_model Qᵀ → Q ≈ R_roughᵀ R_model.
     let sum = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).fold(Matrix3::zeros(), |a, b| a + b);

@@ -23,6 +23,12 @@ pub struct CameraRow {
 }
 
 impl CameraRow {
+    /// Whether the row states the direction whole, and not only a part of it.
+    pub fn is_directed(&self) -> bool {
+        let angles = [self.yaw_deg, self.pitch_deg, self.roll_deg];
+        self.omega_phi_kappa_deg.is_some() || angles.iter().all(Option::is_some)
+    }
+
     /// The pose that the row states; `None` when it has no direction. `pitch_deg` stands in for a pitch that is not
     /// there.
     pub fn pose(&self, pitch_deg: Option<f64>) -> Option<Pose> {
@@ -69,14 +75,47 @@ fn fields(line: &str, cut: Option<char>) -> Vec<String> {
     all
 }
 
-const NAMES: [&str; 11] =
-    ["name", "filename", "file", "image", "frame", "photo", "label", "id", "img", "imagename", "image_name"];
-const LONGITUDES: [&str; 4] = ["lon", "long", "longitude", "x/longitude"];
-const LATITUDES: [&str; 3] = ["lat", "latitude", "y/latitude"];
+const NAMES: [&str; 13] = [
+    "name",
+    "filename",
+    "file",
+    "image",
+    "frame",
+    "photo",
+    "label",
+    "id",
+    "img",
+    "imagename",
+    "image_name",
+    "photoid",
+    "sourcefile",
+];
+const LONGITUDES: [&str; 5] = ["lon", "long", "longitude", "x/longitude", "gpslongitude"];
+const LATITUDES: [&str; 4] = ["lat", "latitude", "y/latitude", "gpslatitude"];
 const COLUMNS: [(&str, &[&str]); 10] = [
-    ("x", &["x", "e", "easting", "east", "lon", "long", "longitude", "x/longitude", "x/easting", "x_m", "øst", "ost"]),
-    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "y_m", "nord"]),
-    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "z_m", "høyde", "hoyde"]),
+    (
+        "x",
+        &[
+            "x",
+            "e",
+            "easting",
+            "east",
+            "lon",
+            "long",
+            "longitude",
+            "x/longitude",
+            "x/easting",
+            "x_m",
+            "øst",
+            "ost",
+            "gpslongitude",
+        ],
+    ),
+    (
+        "y",
+        &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "y_m", "nord", "gpslatitude"],
+    ),
+    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "z_m", "høyde", "hoyde", "gpsaltitude"]),
     ("yaw", &["yaw", "heading", "azimuth", "azimut", "yaw_deg", "direction"]),
     ("pitch", &["pitch", "pitch_deg", "elevation_angle"]),
     ("roll", &["roll", "roll_deg"]),
@@ -85,6 +124,9 @@ const COLUMNS: [(&str, &[&str]); 10] = [
     ("kappa", &["kappa", "kappa_deg"]),
     ("line", &["line", "strip", "flight_line", "run"]),
 ];
+
+const PIXEL_X: [&str; 7] = ["px", "u", "im_x", "pixel_x", "image_x", "col", "column"];
+const PIXEL_Y: [&str; 7] = ["py", "v", "im_y", "pixel_y", "image_y", "row", "line"];
 
 /// Titles of columns.
 struct Heading {
@@ -128,10 +170,9 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     let cut = separator(lines.first().map_or(first, |(_, l)| l));
     let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
     let column = |name: &str| COLUMNS.iter().find(|c| c.0 == name).and_then(|c| place(c.1));
-    let geographic =
-        place(&LONGITUDES).is_some() && place(&LATITUDES).is_some() && place(&["x", "e", "easting"]).is_none();
+    let geographic = is_geographic(heads);
     let (name_at, at): (usize, Vec<Option<usize>>) = if heading.names_places() {
-        let name = place(&NAMES).ok_or_else(|| {
+        let name = place(&NAMES).or_else(|| place(&["camera"])).ok_or_else(|| {
             Error::format(path, "the heading", format!("no column names the frames; call one of them `{}`", NAMES[0]))
         })?;
         (name, COLUMNS.iter().map(|c| column(c.0)).collect())
@@ -143,6 +184,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         (0, known.into_iter().chain(tail).collect())
     };
     let mut rows = Vec::new();
+    let mut firsts = std::collections::HashMap::new();
     for (row, line) in lines {
         let f = fields(line, cut);
         let value = |i: usize| -> Result<Option<f64>> {
@@ -156,6 +198,10 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let (Some(x), Some(y)) = (value(0)?, value(1)?) else {
             return Err(Error::format(path, format!("row {row}"), "x or y is missing"));
         };
+        if let Some(before) = firsts.insert(name.clone(), row) {
+            let what = format!("`{name}` has row {before} already; a frame has one place: take one of them out");
+            return Err(Error::format(path, format!("row {row}"), what));
+        }
         let opk = match (value(6)?, value(7)?, value(8)?) {
             (Some(o), Some(p), Some(k)) => Some([o, p, k]),
             _ => None,
@@ -184,11 +230,12 @@ pub struct ImagePoint {
     pub image: String,
     pub name: String,
     pub xyz: Option<[f64; 3]>,
-    pub pixel: [f64; 2],
+    /// `None` of a row that has a point and no place in an image.
+    pub pixel: Option<[f64; 2]>,
     /// The list says that the point is to be compared, not used: a column `role`, or a name that begins with `CHK-`.
     pub check: bool,
-    /// 1σ on the ground, metres, when the list has it.
-    pub sigma: Option<[f64; 3]>,
+    /// 1σ on the ground, metres, of each coordinate that the list has it of.
+    pub sigma: [Option<f64>; 3],
 }
 
 /// What names of check points begin with, as OpenDroneMap has it.
@@ -222,8 +269,7 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
     let head_cut = separator(first);
     let heads: Vec<String> = fields(first, head_cut).iter().map(|h| h.to_lowercase()).collect();
     let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
-    let px = place(&["px", "u", "im_x", "pixel_x", "image_x", "col", "column"]);
-    let py = place(&["py", "v", "im_y", "pixel_y", "image_y", "row", "line"]);
+    let (px, py) = (place(&PIXEL_X), place(&PIXEL_Y));
     let image = place(&["image", "frame", "photo", "img", "image_name", "filename"]);
     let mut points: Vec<ImagePoint> = Vec::new();
     if let (Some(px), Some(py)) = (px, py) {
@@ -246,14 +292,14 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
             let (name, check) = name_and_role(&name, &word(role));
             let stated =
                 |c: Option<usize>| c.filter(|c| f.get(*c).is_some_and(|t| !t.is_empty())).map(&value).transpose();
-            let sigma = match (stated(plan)?, stated(up)?) {
-                (Some(s), up) => Some([s, s, up.unwrap_or(s)]),
-                (None, _) => None,
-            };
-            let pixel = [value(px)?, value(py)?];
+            let (plan, up) = (stated(plan)?, stated(up)?);
+            let sigma = [plan, plan, up.or(plan)];
+            let is_open = |c: usize| f.get(c).is_none_or(|t| matches!(t.to_lowercase().as_str(), "" | "-" | "nan"));
+            let pixel = if is_open(px) && is_open(py) { None } else { Some([value(px)?, value(py)?]) };
             points.push(ImagePoint { image: word(image), name, xyz, pixel, check, sigma });
         }
-        return Ok((None, points));
+        let earth = is_geographic(&heads).then(|| "EPSG:4326".to_string());
+        return Ok((earth, points));
     }
     let numeric = |line: &str| {
         let f = split(line);
@@ -272,13 +318,27 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         let v: Vec<f64> = (0..5).map(|c| number(path, *row, &f, c)).collect::<Result<_>>()?;
         let xyz = Some([v[0], v[1], v[2]]);
         let (name, check) = name_and_role(&f.get(6).cloned().unwrap_or_else(|| named(&points, xyz)), "");
-        let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), [v[3] + first_px, v[4] + first_px]);
-        points.push(ImagePoint { image, name, xyz, pixel, check, sigma: None });
+        let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), Some([v[3] + first_px, v[4] + first_px]));
+        points.push(ImagePoint { image, name, xyz, pixel, check, sigma: [None; 3] });
     }
     if points.is_empty() {
         return Err(Error::format(path, "the list", "has no rows"));
     }
     Ok((crs.filter(|_| !heading), points))
+}
+
+/// Whether titles name longitude and latitude, and nothing that is a place on a map.
+fn is_geographic(heads: &[String]) -> bool {
+    let any = |titles: &[&str]| heads.iter().any(|h| titles.contains(&h.as_str()));
+    any(&LONGITUDES) && any(&LATITUDES) && !any(&["x", "e", "easting"])
+}
+
+/// Whether the titles of a table name places in images.
+pub fn has_pixel_columns(text: &str) -> bool {
+    let mut lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+    let Some(first) = lines.find(|l| !l.is_empty() && !l.starts_with('#')) else { return false };
+    let heads: Vec<String> = fields(first, separator(first)).iter().map(|h| h.to_lowercase()).collect();
+    [PIXEL_X, PIXEL_Y].iter().all(|titles| heads.iter().any(|h| titles.contains(&h.as_str())))
 }
 
 /// Whether a list begins as OpenDroneMap's do: a CRS alone in its first line, and under it nothing, or rows that go on
@@ -370,6 +430,8 @@ mod tests {
         let (path, _gone) = file("name;lat;lon;alt\na;78,5;15,25;900\n");
         let row = &cameras(&path).expect("a table")[0];
         assert_eq!((row.xyz, row.geographic), ([15.25, 78.5, 900.0], true));
+        let (path, _gone) = file("name,x,y\na,1,2\nb,1,3\na,5,2\n");
+        assert!(cameras(&path).expect_err("twice").to_string().contains("row 4: `a` has row 2 already"));
         let (path, _gone) = file("name,x,y\na,1,north\n");
         assert!(cameras(&path).expect_err("no number").to_string().contains("row 2: `north` is no number for y"));
     }
@@ -382,10 +444,15 @@ mod tests {
         let (path, _gone) =
             file("name;x;y;z;image;px;py;role;sigma_m\nA;1,5;2;3;a.jpg;863,25;5;check;0,05\nCHK-B;1;2;3;a.jpg;1;2;;\n");
         let (_, points) = image_points(&path).expect("a list");
-        assert_eq!((points[0].pixel, points[0].sigma, points[0].check), ([863.25, 5.0], Some([0.05; 3]), true));
-        assert_eq!((points[1].name.as_str(), points[1].check, points[1].sigma), ("B", true, None));
+        assert_eq!((points[0].pixel, points[0].sigma, points[0].check), (Some([863.25, 5.0]), [Some(0.05); 3], true));
+        assert_eq!((points[1].name.as_str(), points[1].check, points[1].sigma), ("B", true, [None; 3]));
         let (path, _gone) = file("x\ty\tz\tx\ty\n1\t2\t3\t4\t5\n1\t2\t4\t4\t6\n");
         let (crs, points) = image_points(&path).expect("a list");
-        assert_eq!((crs, points[1].name.as_str(), points[1].pixel), (None, "2", [4.0, 6.0]));
+        assert_eq!((crs, points[1].name.as_str(), points[1].pixel), (None, "2", Some([4.0, 6.0])));
+        let (path, _gone) =
+            file("name,lon,lat,h,image,px,py,sigma_height_m\nA,10,60,3,a.jpg,5,6,0.1\nB,10,61,4,a.jpg,-,,\n");
+        let (crs, points) = image_points(&path).expect("a list");
+        assert_eq!((crs.as_deref(), points[0].sigma), (Some("EPSG:4326"), [None, None, Some(0.1)]));
+        assert_eq!((points[1].pixel, points.len()), (None, 2));
     }
 }

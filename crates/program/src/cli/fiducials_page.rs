@@ -59,7 +59,8 @@ pub fn pointed(all: &[At], first: &Path) -> anyhow::Result<Vec<Pointed>> {
         let before = places.len();
         for row in rows {
             if row.image.is_empty() || row.image == name {
-                places.push(Pointed { mark: row.name, at: PixelPoint { x: row.pixel[0], y: row.pixel[1] } });
+                let Some([x, y]) = row.pixel else { continue };
+                places.push(Pointed { mark: row.name, at: PixelPoint { x, y } });
             }
         }
         if places.len() == before {

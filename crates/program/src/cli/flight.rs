@@ -100,7 +100,7 @@ struct ResectArgs {
     /// Principal point. Default: the image's centre.
     #[arg(long, value_name = "X,Y", value_delimiter = ',')]
     pp_px: Option<Vec<f64>>,
-    /// Distortion, such as k1=-0.13,k2=0.39,p1=0.0008.
+    /// Distortion, such as k1=-0.13,k2=0.39,p1=0.0008. OpenCV's rational k4, k5, k6 are d1, d2, d3.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     distortion: Vec<String>,
     /// Size of the image, when the image is not there.
@@ -200,19 +200,18 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     }
     let model = read::reconstruction(&args.reconstruction)?;
     let control = args.points.load(Some(&model))?;
-    let notes = control.notes(&model, &args.points, &args.reconstruction)?;
+    let mut notes = control.notes(&model, &args.points, &args.reconstruction)?;
     let world = control.world()?;
     let points = control.in_world(&world, &model, &args.points)?;
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(table) = &args.cameras {
-        let sigma = (args.sigma_position, args.sigma_direction.to_radians());
-        for row in lists::on_map(read::tables::cameras(table)?, table, control.crs.as_ref())? {
-            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(None)) else { continue };
-            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
-                pose,
-                sigma_m: Vector3::repeat(sigma.0),
-                sigma_rad: sigma.1,
-            });
+        let rows = lists::on_map(read::tables::cameras(table)?, table, control.crs.as_ref())?;
+        let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
+        notes.extend(lists::unmatched(&rows, table, &names)?);
+        for row in &rows {
+            if let Some(i) = model.find(&row.name) {
+                rough[i] = lists::rough_pose(row, &world, args.sigma_position, args.sigma_direction.to_radians());
+            }
         }
     } else {
         // A block that stands on the Earth already keeps its datum, loosely: in its own frame, or where too few points
@@ -266,12 +265,21 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     };
     let control = args.points.load(Some(&stub))?;
     let world = control.world()?;
+    control.named_checks(&args.points)?;
     let points = control.in_world(&world, &stub, &args.points)?;
-    let seen: Vec<Seen> = points
-        .iter()
-        .flat_map(|p| p.seen.iter().map(|(_, pixel)| Seen { name: p.name.clone(), xyz: p.xyz, pixel: *pixel }))
-        .collect();
-    if seen.is_empty() {
+    let (mut seen, mut checks) = (Vec::new(), Vec::new());
+    for (p, listed) in points.iter().zip(&control.points) {
+        // Where nobody states how good the points are, they are exact.
+        let sigma_m = args.points.sigma_ground.map_or_else(|| listed.sigma_or(0.0), |s| [s; 3]).into();
+        let of_role = if p.role == Role::Check { &mut checks } else { &mut seen };
+        of_role.extend(p.seen.iter().map(|(_, pixel)| Seen {
+            name: p.name.clone(),
+            xyz: p.xyz,
+            sigma_m,
+            pixel: *pixel,
+        }));
+    }
+    if seen.is_empty() && checks.is_empty() {
         let list = args.points.gcps.display();
         return Err(match control.frames().as_slice() {
             [] => Error::no_result(format!("{list}: says of no point where it was seen"), "name --observations"),
@@ -284,11 +292,9 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     }
     let options = ResectOptions {
         sigma_px: args.points.sigma_image,
-        sigma_ground_m: args.points.sigma_ground.unwrap_or(0.0),
         position: match &args.position {
             Some(p) => {
-                let at = world.to_world([p[0], p[1], p[2]]);
-                let Some(at) = at else { bail!("--position lies outside the CRS of the list") };
+                let at = control.place_in_world(&world, [p[0], p[1], p[2]], "--position")?;
                 Some((at, Vector3::repeat(args.sigma_position)))
             }
             None => None,
@@ -297,7 +303,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         ..ResectOptions::default()
     };
     let found = resect(&camera, &seen, &options)?;
-    let document = document::resection(&found, &name, &seen, &world, control.crs_label());
+    let document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
         document::say(&document);

@@ -165,20 +165,66 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
     })
 }
 
-pub fn resection(found: &Resection, name: &str, seen: &[Seen], world: &World, crs: String) -> Value {
+/// Of a frame alone: the points that it was solved from, and those that were kept out.
+pub fn resection(
+    found: &Resection,
+    name: &str,
+    (seen, checks): (&[Seen], &[Seen]),
+    world: &World,
+    crs: String,
+) -> Value {
     let mut m = Map::new();
     m.insert("crs".into(), crs.into());
     m.extend(camera(name, &found.camera, &found.pose, found.covariance.as_ref(), world));
     m.insert("rms_px".into(), number(found.rms_px));
     m.insert("sigma0".into(), found.sigma0.map_or(Value::Null, number));
-    m.insert("alternatives".into(), found.alternatives.into());
+    let other = |pose: &Pose| pose_alone(&camera(name, &found.camera, pose, None, world));
+    m.insert("alternatives".into(), found.alternatives.iter().map(other).collect());
     let gcps = seen.iter().zip(&found.residuals_px).enumerate().map(|(i, (s, r))| {
         let d = r.map(|r| r[0].hypot(r[1]));
         json!({"name": s.name, "residual_px": r.map(|r| list(&r)), "d_px": d.map(number), "blunder": found.blunders.contains(&i)})
     });
     m.insert("gcps".into(), gcps.collect());
     m.insert("blunders".into(), found.blunders.iter().map(|i| Value::from(seen[*i].name.clone())).collect());
+    let kept_out = checks.iter().map(|s| {
+        let at = found.camera.project(found.pose.to_camera(&s.xyz).into());
+        let r = at.map(|at| [at[0] - s.pixel[0], at[1] - s.pixel[1]]);
+        json!({"name": s.name, "residual_px": r.map(|r| list(&r)), "d_px": r.map(|r| number(r[0].hypot(r[1])))})
+    });
+    m.insert("check_points".into(), kept_out.collect());
+    m.insert("notes".into(), notes(found).into());
     Value::Object(m)
+}
+
+/// Where a camera stands and looks, and no more.
+fn pose_alone(camera: &Map<String, Value>) -> Value {
+    const KEYS: [&str; 5] = ["C", "R", "yaw_deg", "pitch_deg", "roll_deg"];
+    camera
+        .iter()
+        .filter(|(key, _)| KEYS.contains(&key.as_str()))
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect()
+}
+
+/// What a person should know of a resection.
+fn notes(found: &Resection) -> Vec<String> {
+    /// Points fit so many times worse than is stated only when something is wrong.
+    const MISFIT: f64 = 10.0;
+    let mut notes = Vec::new();
+    if !found.alternatives.is_empty() {
+        notes.push(format!(
+            "three points allow {} other pose(s) as good as this one (alternatives): measure a fourth point, or give \
+             --position",
+            found.alternatives.len()
+        ));
+    }
+    if let Some(sigma0) = found.sigma0.filter(|s| *s > MISFIT) {
+        notes.push(format!(
+            "the points fit {sigma0:.0} times worse than is stated of them: do not trust the pose; look at the points, the \
+             focal length and --position"
+        ));
+    }
+    notes
 }
 
 /// The essence on standard error.
@@ -225,6 +271,18 @@ pub fn say(document: &Value) {
             let word = if g["blunder"] == true { "  BLUNDER" } else { "" };
             let name = g["name"].as_str().unwrap_or_default();
             eprintln!("  {name}: ({}) px, {} px{word}", several(&g["residual_px"], 1), fixed(&g["d_px"], 1));
+        }
+        for c in rows("check_points") {
+            let name = c["name"].as_str().unwrap_or_default();
+            eprintln!("  {name}: ({}) px, {} px  check", several(&c["residual_px"], 1), fixed(&c["d_px"], 1));
+        }
+        for other in rows("alternatives") {
+            let angle = |key: &str| fixed(&other[key], 3);
+            let angles = format!("yaw {} pitch {} roll {}", angle("yaw_deg"), angle("pitch_deg"), angle("roll_deg"));
+            eprintln!("  or: C ({}) {angles}", several(&other["C"], 3));
+        }
+        for note in rows("notes") {
+            eprintln!("note: {}", note.as_str().unwrap_or_default());
         }
     }
 }

@@ -85,12 +85,7 @@ pub fn files(
             .points
             .into_iter()
             .filter(|p| !p.check && !gcps.check.contains(&p.name))
-            .map(|p| SurveyedPoint {
-                sigma_m: p.sigma.unwrap_or([gcps.sigma_ground_m; 3]),
-                name: p.name,
-                xyz: p.xyz,
-                seen: p.seen,
-            })
+            .map(|p| SurveyedPoint { sigma_m: p.sigma_or(gcps.sigma_ground_m), name: p.name, xyz: p.xyz, seen: p.seen })
             .collect();
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));

@@ -73,6 +73,9 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
             bail!("--sigma-{name}: a positive number is expected");
         }
     }
+    if let Some(f_px) = args.f_px.filter(|f| !(*f > 0.0 && f.is_finite())) {
+        bail!("--f-px {f_px}: a positive number of pixels is expected");
+    }
     check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
     let folder = absolute(&args.folder)?;
     let all = frames_in(&folder, &["*".into()])?;
@@ -100,6 +103,19 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
         && !list.is_file()
     {
         bail!("{}: is not there", list.display());
+    }
+    if let (Some(list), false) = (&args.gcps, args.check.is_empty()) {
+        let points = lists::PointArgs {
+            gcps: list.clone(),
+            observations: args.observations.clone(),
+            crs: args.crs.clone(),
+            check: args.check.clone(),
+            sigma_ground: None,
+            sigma_image: args.sigma_image,
+        };
+        if let Some(known) = points.load_first()? {
+            known.named_checks(&points)?;
+        }
     }
     let told: Vec<frames::Told> = names.iter().map(|n| frames::told(&folder.join(n))).collect();
     let camera = init_camera(args, &folder.join(&names[0]), &told)?;
@@ -173,7 +189,14 @@ fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Resul
         Some(list) => lists::load(list, args.observations.as_deref(), args.crs.as_deref(), None)?.crs,
         None => args.crs.as_deref().map(Crs::parse).transpose()?.filter(|crs| !crs.is_geographic()),
     };
-    if args.gcps.is_some() && known.is_none() {
+    if let (Some(list), None) = (&args.gcps, &known) {
+        let with_place = told.iter().filter(|t| t.place.is_some()).count();
+        if with_place > 0 {
+            eprintln!(
+                "EXIF: {with_place} frames tell where they stood; no table is written, since {} names no CRS: give --crs",
+                list.display()
+            );
+        }
         return Ok((args.crs.clone(), None));
     }
     let stated = known.is_some();

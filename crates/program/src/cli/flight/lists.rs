@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use autoref_flight::adjust::{GroundPoint, Role};
+use autoref_flight::Pose;
+use autoref_flight::adjust::{GroundPoint, Role, RoughPose};
 use autoref_flight::read::tables::{self, CameraRow};
 use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
@@ -42,9 +43,17 @@ pub struct PointArgs {
 pub struct ListPoint {
     pub name: String,
     pub xyz: [f64; 3],
-    pub sigma: Option<[f64; 3]>,
+    /// 1σ, metres, of each coordinate that the list has it of.
+    pub sigma: [Option<f64>; 3],
     pub check: bool,
     pub seen: Vec<(String, [f64; 2])>,
+}
+
+impl ListPoint {
+    /// What the list says, and `default_m` where it says nothing.
+    pub fn sigma_or(&self, default_m: f64) -> [f64; 3] {
+        self.sigma.map(|sigma| sigma.unwrap_or(default_m))
+    }
 }
 
 /// A list with its CRS.
@@ -52,6 +61,8 @@ pub struct ListPoint {
 pub struct Control {
     pub points: Vec<ListPoint>,
     pub crs: Option<Crs>,
+    /// The system in longitude and latitude that the list's coordinates were in before they came into `crs`.
+    pub listed_in: Option<Crs>,
     /// The coordinates are those of the reconstruction's own frame on the Earth.
     pub own_datum: bool,
 }
@@ -61,6 +72,9 @@ struct Proj {
     there: Way,
     back: Way,
 }
+
+/// 1σ of GCPs on the ground where nothing is stated, metres.
+pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
 
 /// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
 const DATUM_M: f64 = 100.0;
@@ -144,7 +158,49 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
     }
 }
 
+/// What a row of a camera table says, in the world's frame: its position, and its direction where that is stated whole.
+pub fn rough_pose(row: &CameraRow, world: &World, sigma_m: f64, sigma_rad: f64) -> Option<RoughPose> {
+    let anyhow = || Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::from(row.xyz) };
+    let pose = world.pose_to_world(&row.pose(Some(0.0)).unwrap_or_else(anyhow))?;
+    let sigma_rad = if row.is_directed() { sigma_rad } else { f64::INFINITY };
+    Some(RoughPose { pose, sigma_m: Vector3::repeat(sigma_m), sigma_rad })
+}
+
+/// Refuses a table none of whose names is a frame's; a note on those that are not.
+///
+/// # Errors
+/// When no row is of a frame.
+pub fn unmatched(rows: &[CameraRow], table: &Path, frames: &[&str]) -> Result<Option<String>> {
+    let is_lost = |row: &&CameraRow| same_image(&row.name, frames.iter().copied()).is_none();
+    let lost: Vec<String> = rows.iter().filter(is_lost).map(|row| row.name.clone()).collect();
+    if !rows.is_empty() && lost.len() == rows.len() {
+        let frames: Vec<String> = frames.iter().map(|name| (*name).to_string()).collect();
+        bail!(
+            "{}: none of its names ({}) is a frame's ({}); correct the names",
+            table.display(),
+            some_of(&lost),
+            some_of(&frames)
+        );
+    }
+    let all = rows.len();
+    Ok((!lost.is_empty())
+        .then(|| format!("{}: {} of {all} rows are of no frame: {}", table.display(), lost.len(), some_of(&lost))))
+}
+
 impl Control {
+    /// A place in the coordinates of the list, in the world's frame.
+    ///
+    /// # Errors
+    /// When it lies outside the list's system.
+    pub fn place_in_world(&self, world: &World, mut place: [f64; 3], what: &str) -> Result<Vector3<f64>> {
+        if let (Some(listed_in), Some(crs)) = (&self.listed_in, &self.crs) {
+            let mut at = [Coordinate { x: place[0], y: place[1], height: None }];
+            listed_in.transform(&mut at, crs, DATUM_M)?;
+            place = [at[0].x, at[0].y, place[2]];
+        }
+        world.to_world(place).with_context(|| format!("{what} lies outside the CRS of the list"))
+    }
+
     pub fn world(&self) -> Result<World> {
         if self.own_datum {
             return Ok(World::Flat { origin: Vector3::zeros() });
@@ -165,15 +221,24 @@ impl Control {
         names
     }
 
+    /// Refuses a check point that the list does not have.
+    ///
+    /// # Errors
+    /// With its name.
+    pub fn named_checks(&self, args: &PointArgs) -> Result<()> {
+        if let Some(lost) = args.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
+            bail!("{}: has no point `{lost}` to check with; name one of its points", args.gcps.display());
+        }
+        Ok(())
+    }
+
     /// What the list says of frames that the reconstruction does not have.
     ///
     /// # Errors
     /// When it has none of them, or a check point that is asked for is not in the list.
     pub fn notes(&self, model: &Reconstruction, args: &PointArgs, reconstruction: &Path) -> Result<Vec<String>> {
         let list = args.gcps.display();
-        if let Some(lost) = args.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
-            bail!("{list}: has no point `{lost}` to check with; name one of its points");
-        }
+        self.named_checks(args)?;
         let known = || model.photographs.iter().map(|p| p.name.as_str());
         let frames = self.frames();
         let lost: Vec<String> = frames.iter().filter(|f| same_image(f, known()).is_none()).cloned().collect();
@@ -211,7 +276,7 @@ impl Control {
                     seen.push((i, *pixel));
                 }
             }
-            let sigma = args.sigma_ground.map(|s| [s; 3]).or(p.sigma).unwrap_or([25.0; 3]);
+            let sigma = args.sigma_ground.map_or_else(|| p.sigma_or(DEFAULT_SIGMA_GROUND_M), |s| [s; 3]);
             if !sigma.iter().all(|s| *s > 0.0 && s.is_finite()) {
                 bail!("GCP `{}`: its standard deviation must be positive", p.name);
             }
@@ -279,7 +344,8 @@ pub fn load(
         let measured: Vec<(String, String, [f64; 2])> = if file.extension().is_some_and(|e| e == "xml") {
             micmac::read_image_points(&file)?
         } else {
-            tables::image_points(&file)?.1.into_iter().map(|p| (p.image, p.name, p.pixel)).collect()
+            let rows = tables::image_points(&file)?.1.into_iter();
+            rows.filter_map(|p| Some((p.image, p.name, p.pixel?))).collect()
         };
         // They have the last word: what the list says of images is left out.
         control.points.iter_mut().for_each(|p| p.seen.clear());
@@ -308,18 +374,20 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         let points = micmac::read_ground_points(list)?.into_iter().map(|p| ListPoint {
             name: p.name,
             xyz: p.xyz,
-            sigma: p.sigma,
+            sigma: p.sigma.map_or([None; 3], |sigma| sigma.map(Some)),
             check: false,
             seen: Vec::new(),
         });
-        return Ok(Control { points: points.collect(), crs: stated, own_datum: false });
+        return Ok(Control { points: points.collect(), crs: stated, ..Control::default() });
     }
     if needs_reconstruction(&start) {
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
         return of_opensfm(list, model);
     }
     let measured = match tables::image_points(list) {
-        Err(error) if tables::begins_as_image_points(&start) => return Err(error.into()),
+        Err(error) if tables::begins_as_image_points(&start) || tables::has_pixel_columns(&start) => {
+            return Err(error.into());
+        }
         other => other,
     };
     if let Ok((line, measured)) = measured
@@ -341,16 +409,16 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
                     known.xyz
                 ),
                 Some(known) => {
-                    known.seen.push((p.image, p.pixel));
+                    known.seen.extend(p.pixel.map(|pixel| (p.image, pixel)));
                     known.check |= p.check;
-                    known.sigma = known.sigma.or(p.sigma);
+                    known.sigma = std::array::from_fn(|k| known.sigma[k].or(p.sigma[k]));
                 }
                 None => points.push(ListPoint {
                     name: p.name,
                     xyz,
                     sigma: p.sigma,
                     check: p.check,
-                    seen: vec![(p.image, p.pixel)],
+                    seen: p.pixel.map(|pixel| (p.image, pixel)).into_iter().collect(),
                 }),
             }
         }
@@ -363,27 +431,27 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         let Some(height) = g.height else {
             bail!("{}: point `{}` has no height; cameras need points in three dimensions", list.display(), g.name)
         };
-        let sigma = g.sigma_m.map(|s| [s, s, g.sigma_height_m.unwrap_or(s)]);
+        let sigma = [g.sigma_m, g.sigma_m, g.sigma_height_m.or(g.sigma_m)];
         let check = g.role == GcpRole::Check;
         points.push(ListPoint { name: g.name, xyz: [g.easting, g.northing, height], sigma, check, seen: Vec::new() });
     }
     let crs = if crs.is_some_and(is_local) { None } else { read.crs };
-    Ok(Control { points, crs, own_datum: false })
+    Ok(Control { points, crs, ..Control::default() })
 }
 
 /// Longitude and latitude become UTM metres.
 fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
     let Some(geographic) = crs.as_ref().filter(|c| c.is_geographic()).cloned() else {
-        return Ok(Control { points, crs, own_datum: false });
+        return Ok(Control { points, crs, ..Control::default() });
     };
-    let Some(first) = points.first() else { return Ok(Control { points, crs, own_datum: false }) };
+    let Some(first) = points.first() else { return Ok(Control { points, crs, ..Control::default() }) };
     let utm = geographic.utm_zone(first.xyz[0], first.xyz[1])?;
     for p in &mut points {
         let mut at = [Coordinate { x: p.xyz[0], y: p.xyz[1], height: None }];
         geographic.transform(&mut at, &utm, 100.0)?;
         p.xyz = [at[0].x, at[0].y, p.xyz[2]];
     }
-    Ok(Control { points, crs: Some(utm), own_datum: false })
+    Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), own_datum: false })
 }
 
 fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {
@@ -398,8 +466,8 @@ fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {
         .into_iter()
         .filter_map(|p| {
             let at = axes * (autoref_flight::world::geocentric(p.lla?) - zero);
-            Some(ListPoint { name: p.name, xyz: at.into(), sigma: None, check: false, seen: p.seen })
+            Some(ListPoint { name: p.name, xyz: at.into(), sigma: [None; 3], check: false, seen: p.seen })
         })
         .collect();
-    Ok(Control { points, crs: None, own_datum: true })
+    Ok(Control { points, own_datum: true, ..Control::default() })
 }

@@ -45,7 +45,7 @@ pub struct OrthorectifyArgs {
     /// Principal point. Default: the file's, else the image's centre.
     #[arg(long, value_name = "X,Y", value_delimiter = ',')]
     pp_px: Option<Vec<f64>>,
-    /// Distortion, such as k1=-0.13,k2=0.39.
+    /// Distortion, such as k1=-0.13,k2=0.39. OpenCV's rational k4, k5, k6 are d1, d2, d3.
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     distortion: Vec<String>,
     /// CRS of the cameras. Default: what their file says, else the elevation model's.

@@ -3,12 +3,12 @@
 use autoref_raster::{bounded, protected};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use autoref_flight::Error;
 use autoref_flight::read::{same_image, tables};
 use serde::{Deserialize, Serialize};
 
-use super::{lists, views};
+use super::{interior, lists, views};
 
 /// FLIGHT.toml. Paths are taken from the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -181,9 +181,37 @@ pub fn absolute(path: &Path) -> Result<PathBuf> {
 /// The project and the folder that its paths start from.
 pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
     let text = bounded::read_to_string(path, "a project of a flight", bounded::TEXT_BYTES)?;
-    let project =
+    let project: Project =
         toml::from_str(&text).map_err(|e| Error::format(path, "the file", e.to_string().trim().replace('\n', " ")))?;
+    project.check(path)?;
     Ok((project, path.parent().unwrap_or(Path::new(".")).to_path_buf()))
+}
+
+impl Project {
+    /// Refuses values that no stage can work with, before the first begins.
+    fn check(&self, path: &Path) -> Result<()> {
+        let refuse = |key: &str, what: String| Err(Error::format(path, key, what).into());
+        let gcps = self.gcps.as_ref();
+        let lengths = [
+            ("camera.f_px", self.camera.f_px),
+            ("rough.sigma_m", self.rough.as_ref().map(|rough| rough.sigma_m)),
+            ("gcps.sigma_ground_m", gcps.map(|gcps| gcps.sigma_ground_m)),
+            ("gcps.sigma_image_px", gcps.map(|gcps| gcps.sigma_image_px)),
+        ];
+        for (key, value) in lengths {
+            if let Some(value) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
+                return refuse(key, format!("is {value}; a positive number is expected"));
+            }
+        }
+        if self.adjust.features == 0 {
+            return refuse("adjust.features", "is 0; frames without features have no ties: give some thousands".into());
+        }
+        if self.pairs.neighbours == 0 && self.pairs.across == 0 {
+            return refuse("pairs", "neighbours and across are 0: no frame is compared with another".into());
+        }
+        interior(&self.adjust.free).with_context(|| format!("{}: adjust.free", path.display()))?;
+        Ok(())
+    }
 }
 
 /// The frames in the order of the table, which is that of the flight, else of the names; and the table.

@@ -107,6 +107,14 @@ impl<'a> Ready<'a> {
         let control = points.load_first()?;
         let mut frames = ordered_frames(&project, &base)?;
         frames.rows_on_map(&project, &base, control.as_ref())?;
+        if let Some(known) = &control {
+            known.named_checks(&points)?;
+        }
+        let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
+        let lost = match &project.rough {
+            Some(rough) => lists::unmatched(&frames.rows, &base.join(&rough.table), &names)?,
+            None => None,
+        };
         let listed = frames.names.len();
         std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
         let out = absolute(&args.output)?;
@@ -119,6 +127,7 @@ impl<'a> Ready<'a> {
             let [w, h] = image_size(&frames.folder.join(first), None)?.map(|v| v as usize);
             left_out.extend(frames.masks.leave_out_misfits(&frames.names, (w, h))?);
         }
+        left_out.extend(lost);
         left_out.iter().for_each(|note| eprintln!("warning: {note}"));
         if frames.names.len() < 2 {
             bail!(
@@ -215,7 +224,7 @@ impl<'a> Ready<'a> {
         let (ground_m, image_px) =
             gcps.map_or((default_ground_m(), default_image_px()), |g| (g.sigma_ground_m, g.sigma_image_px));
         for p in &mut control.points {
-            p.sigma.get_or_insert([ground_m; 3]);
+            p.sigma = p.sigma_or(ground_m).map(Some);
         }
         let notes = control.notes(model, &self.points, &self.out.join("relative"))?;
         let world = control.world()?;
@@ -292,14 +301,9 @@ fn table_poses(
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(r) = &project.rough {
         for row in rows {
-            // A table without pitch says where, not how far down: its positions count alone.
-            let (Some(i), Some(pose)) = (model.find(&row.name), row.pose(Some(0.0))) else { continue };
-            let stated = row.pose(None).is_some();
-            rough[i] = world.pose_to_world(&pose).map(|pose| RoughPose {
-                pose,
-                sigma_m: Vector3::repeat(r.sigma_m),
-                sigma_rad: if stated { 2f64.to_radians() } else { f64::INFINITY },
-            });
+            if let Some(i) = model.find(&row.name) {
+                rough[i] = lists::rough_pose(row, world, r.sigma_m, 2f64.to_radians());
+            }
         }
     }
     rough
