@@ -114,7 +114,7 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
     for mut layer in dataset.layers() {
         let own = layer.spatial_ref().and_then(|s| s.to_wkt().ok()).map(|w| crate::crs::Crs::parse(&w)).transpose()?;
         for feature in layer.features() {
-            let Some(geometry) = feature.geometry() else { continue };
+            let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) else { continue };
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
             collect_polygons(geometry, &mut polygons);
             // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.
@@ -152,6 +152,9 @@ fn collect_polygons(geometry: &gdal::vector::Geometry, polygons: &mut Vec<Vec<Ri
         line.get_points(&mut points);
         (points.len() >= 3).then(|| points.iter().map(|p| (p.0, p.1)).collect())
     };
+    if geometry.is_empty() {
+        return;
+    }
     if geometry.geometry_count() == 0 {
         polygons.extend(ring(geometry).map(|ring| vec![ring]));
         return;

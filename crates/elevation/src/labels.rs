@@ -7,6 +7,12 @@ use gdal::spatial_ref::SpatialRef;
 
 use crate::error::{Error, Result};
 
+/// Whether a feature has a geometry; GDAL's functions take one that is not there for an error.
+pub fn has_geometry(feature: &gdal::vector::Feature<'_>) -> bool {
+    // SAFETY: the geometry belongs to the feature, which outlives the call; the pointer is only compared.
+    feature.geometry().is_some_and(|geometry| unsafe { !geometry.c_geometry().is_null() })
+}
+
 /// A CRS without its heights, for differences: they count from nothing, and are in metres.
 ///
 /// # Errors

@@ -264,7 +264,7 @@ fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
         | GdalOpenFlags::GDAL_OF_INTERNAL
         | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
     let options = DatasetOptions { open_flags: flags, ..Default::default() };
-    Dataset::open_ex(name, options).map_err(|e| {
+    let opened = Dataset::open_ex(name, options).map_err(|e| {
         use gdal::errors::GdalError;
         let text = match &e {
             GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => msg.clone(),
@@ -274,5 +274,9 @@ fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
         let name = path.display().to_string();
         let said = text.strip_prefix(&format!("{name}: ")).or(text.strip_prefix(&format!("{name}, ")));
         Error::gdal(path, said.unwrap_or(&text))
-    })
+    })?;
+    if let Ok(band) = opened.rasterband(1) {
+        autoref_raster::refuse_signed_bytes(path, &band)?;
+    }
+    Ok(opened)
 }

@@ -224,12 +224,22 @@ fn mosaic(inputs: &[PathBuf], out: &Path) {
 }
 
 fn mosaic_by(choice: Choice, inputs: &[PathBuf], out: &Path) {
+    joined(choice, Interpolation::Bilinear, None, inputs, out).expect("joined");
+}
+
+fn joined(
+    choice: Choice,
+    resampling: Interpolation,
+    resolution: Option<f64>,
+    inputs: &[PathBuf],
+    out: &Path,
+) -> autoref_raster::Result<autoref_elevation::mosaic::Made> {
     let job = MosaicJob {
         inputs,
         out,
         choice,
-        resolution: None,
-        resampling: Interpolation::Bilinear,
+        resolution,
+        resampling,
         use_index: None,
         write_index: None,
         balance: None,
@@ -238,7 +248,7 @@ fn mosaic_by(choice: Choice, inputs: &[PathBuf], out: &Path) {
         blend_px: 0,
         resources: resources(),
     };
-    job.run().expect("joined");
+    job.run()
 }
 
 /// Four bytes a side, one colour; the left half is transparent or masked.
@@ -318,4 +328,117 @@ fn drawings_of_a_scaled_model_are_those_of_its_heights() {
     let lines = [&plain, &scaled]
         .map(|model| derive::contour(model, &folder.path().join("lines.gpkg"), 50.0, 0.0).expect("lines"));
     assert!(lines[0] > 0 && lines[0] == lines[1], "{lines:?}");
+}
+
+/// A raster of one band from its left edge on, as `value` has it at its columns and rows.
+fn strip<T: GdalType + Copy>(path: &Path, x0: f64, columns: usize, value: impl Fn(usize, usize) -> T) -> PathBuf {
+    let set = create::<T>(path, (columns, 30), 1, "EPSG:32633", [x0, 10.0, 0.0, 300.0, 0.0, -10.0]);
+    put(&set, 1, (0..columns * 30).map(|i| value(i % columns, i / columns)).collect());
+    path.to_path_buf()
+}
+
+/// Tiles that abut leave no gap, whatever the mosaic's cells are; and their outer cells stay.
+#[test]
+fn tiles_that_abut_leave_no_gap_between_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("mosaic.tif");
+    let plane = |x: usize, y: usize| (2 * x + 3 * y) as f32;
+    let left = strip(&folder.path().join("l.tif"), 1000.0, 25, plane);
+    let right = strip(&folder.path().join("r.tif"), 1250.0, 25, |x, y| plane(x + 25, y));
+    // Of another phase, and beside the others: it sets the cells.
+    let phase = strip(&folder.path().join("p.tif"), 504.0, 5, |_, _| 0.0f32);
+    for resampling in [Interpolation::Bilinear, Interpolation::Cubic, Interpolation::Nearest] {
+        let cases =
+            [(None, vec![phase.clone(), left.clone(), right.clone()]), (Some(7.0), vec![left.clone(), right.clone()])];
+        for (resolution, inputs) in cases {
+            let made = joined(Choice::First, resampling, resolution, &inputs, &out).expect("joined");
+            let [x0, step, ..] = made.geotransform;
+            let (values, top) = (read(&out, 1), made.geotransform[3]);
+            for i in 0..values.len() {
+                let (column, row) = (i as u64 % made.width, i as u64 / made.width);
+                let x = (x0 + (column as f64 + 0.5) * step - 1000.0) / 10.0;
+                let y = (top - (row as f64 + 0.5) * step).mul_add(-0.1, 30.0);
+                let inside = (0.0..50.0).contains(&x) && (0.0..30.0).contains(&y);
+                let expected = 2.0 * (x - 0.5) + 3.0 * (y - 0.5);
+                // Half a cell from an edge on nothing lies beyond to interpolate with.
+                if inside {
+                    assert!(
+                        (values[i] - expected).abs() < 2.6,
+                        "{resampling:?} {resolution:?}: {} at {x} {y}",
+                        values[i]
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Whole numbers of 32 bits stay what they are, and classes of a palette are not mixed.
+#[test]
+fn samples_keep_their_type_and_palettes_their_classes() {
+    use gdal::raster::{ColorEntry, ColorTable, PaletteInterpretation};
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("mosaic.tif");
+    let large = strip(&folder.path().join("i.tif"), 0.0, 20, |x, y| (1 << 24) + (20 * y + x) as i32);
+    mosaic(std::slice::from_ref(&large), &out);
+    assert_eq!(read(&out, 1), read(&large, 1));
+    let unsigned = strip(&folder.path().join("u.tif"), 0.0, 20, |x, _| u32::MAX - 1 - x as u32);
+    let set = Dataset::open_ex(
+        &unsigned,
+        gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..Default::default() },
+    );
+    let set = set.expect("a raster");
+    set.rasterband(1).expect("a band").set_no_data_value(Some(f64::from(u32::MAX))).expect("labelled");
+    drop(set);
+    mosaic(std::slice::from_ref(&unsigned), &out);
+    assert_eq!(read(&out, 1), read(&unsigned, 1));
+    let classes = |name: &str, x0: f64| {
+        let path = strip(&folder.path().join(name), x0, 20, |x, y| if (x + y) % 2 == 0 { 1u8 } else { 3 });
+        let flags = gdal::GdalOpenFlags::GDAL_OF_UPDATE;
+        let set = Dataset::open_ex(&path, gdal::DatasetOptions { open_flags: flags, ..Default::default() })
+            .expect("a raster");
+        let mut table = ColorTable::new(PaletteInterpretation::Rgba);
+        (0..4).for_each(|i| table.set_color_entry(i, &ColorEntry::rgba(60 * i as i16, 0, 0, 255)));
+        set.rasterband(1).expect("a band").set_color_table(&table);
+        path
+    };
+    let inputs = [classes("c.tif", 0.0), classes("d.tif", 104.0)];
+    joined(Choice::Last, Interpolation::Bilinear, Some(7.0), &inputs, &out).expect("joined");
+    assert!(!read(&out, 1).contains(&2.0), "no source has this class");
+    for choice in [Choice::Median, Choice::Feather] {
+        let refused = joined(choice, Interpolation::Nearest, None, &inputs, &out).expect_err("mixed").to_string();
+        assert!(refused.contains("c.tif") && refused.contains("palette"), "{refused}");
+    }
+}
+
+/// The error of a mean of white noise is σ/√n, whatever the draw; where nothing tells it, it is not stated.
+#[test]
+fn the_error_of_a_mean_is_that_of_its_noise_or_is_not_stated() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let flat = model(&folder.path().join("b.tif"), "EPSG:32633", vec![100.0; SIDE * SIDE], -10.0);
+    let noisy = |seed: u64| {
+        let mut random = autoref_raster::random::SplitMix64(seed);
+        let values = (0..SIDE * SIDE).map(|_| 100.0 + random.normal() as f32).collect();
+        model(&folder.path().join("a.tif"), "EPSG:32633", values, -10.0)
+    };
+    let expected = 1.0 / SIDE as f64;
+    for seed in 1..=12 {
+        let found = compare(&noisy(seed), &flat, None, &folder.path().join("c"));
+        let stated = found.mean_se_m.expect("there are pairs");
+        assert!((stated / expected - 1.0).abs() < 0.2, "seed {seed}: {stated} for {expected}");
+    }
+    let everywhere = folder.path().join("all.geojson");
+    let ring = "[[499000,8690000],[510000,8690000],[510000,8701000],[499000,8701000],[499000,8690000]]";
+    let nothing = r#"{"type":"Feature","properties":{},"geometry":null}"#;
+    let polygon = format!(
+        r#"{{"type":"Feature","properties":{{"name":"all"}},"geometry":{{"type":"Polygon","coordinates":[{ring}]}}}}"#
+    );
+    let text = format!(
+        r#"{{"type":"FeatureCollection","crs":{{"type":"name","properties":{{"name":"urn:ogc:def:crs:EPSG::32633"}}}},"features":[{nothing},{polygon}]}}"#
+    );
+    std::fs::write(&everywhere, text).expect("writable");
+    let found = compare(&noisy(1), &flat, Some(&everywhere), &folder.path().join("z"));
+    assert_eq!((found.mean_se_m, found.effective_n), (None, None));
+    let volume = &found.volumes[0];
+    assert!(volume.volume_m3.is_some() && volume.volume_95_m3.is_none() && volume.mean_se_m.is_none());
 }

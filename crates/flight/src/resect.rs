@@ -253,15 +253,22 @@ fn starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Vec<Pose> 
     poses
 }
 
-/// Mean of the better part of the distances (all but a third, at least three and one more where there is one), and how
+/// How far from its pixel a point may be seen, 1σ, pixels: by the measurement and by its place on the ground.
+fn expected_px(camera: &Camera, pose: &Pose, seen: &Seen, sigma_px: f64) -> f64 {
+    let depth = pose.to_camera(&seen.xyz).z.abs().max(f64::MIN_POSITIVE);
+    sigma_px.hypot(camera.f_px() * seen.sigma_m.max() / depth)
+}
+
+/// Mean of the better part of the squared distances, in the variance of a measurement (all but a third, at least three and one more where there is one), and how
 /// far a known position is missed.
 fn disagreement(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
     let mut d: Vec<f64> = seen
         .iter()
         .map(|s| {
-            camera
-                .project(pose.to_camera(&s.xyz).into())
-                .map_or(1e9, |p| ((p[0] - s.pixel[0]).powi(2) + (p[1] - s.pixel[1]).powi(2)).min(1e9))
+            camera.project(pose.to_camera(&s.xyz).into()).map_or(1e9, |p| {
+                let share = options.sigma_px / expected_px(camera, pose, s, options.sigma_px);
+                (((p[0] - s.pixel[0]).powi(2) + (p[1] - s.pixel[1]).powi(2)) * share.powi(2)).min(1e9)
+            })
         })
         .collect();
     d.sort_by(f64::total_cmp);
@@ -391,7 +398,8 @@ fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions)
         .iter()
         .map(|s| {
             let at = camera.project(pose.to_camera(&s.xyz).into());
-            at.map_or(f64::INFINITY, |p| (p[0] - s.pixel[0]).hypot(p[1] - s.pixel[1]))
+            let share = options.sigma_px / expected_px(camera, pose, s, options.sigma_px);
+            at.map_or(f64::INFINITY, |p| (p[0] - s.pixel[0]).hypot(p[1] - s.pixel[1]) * share)
         })
         .collect();
     let mut sorted = off.clone();
@@ -448,12 +456,13 @@ fn worst_point(
 ) -> Option<(usize, f64)> {
     let mut tests = Vec::new();
     for (i, o) in at.observations.iter().enumerate() {
-        let surveyed = Vector3::from(at.points[i].survey.map_or(seen[i].xyz, |s| s.0));
-        let p = at.cameras[0].camera.project(at.frames[0].pose.to_camera(&surveyed).into())?;
+        // From where the fit has the point: image and survey of a point that one frame sees share one test.
+        let p = at.cameras[0].camera.project(at.frames[0].pose.to_camera(&at.points[i].xyz).into())?;
         let v = Vector2::new(p[0] - o.pixel[0], p[1] - o.pixel[1]);
         // Of the residual: what was stated less what the fit took up.
         let q = Matrix2::identity() * o.sigma_px.powi(2) - factored.predicted(at, o)?;
-        let floor = Matrix2::identity() * (1e-3 * o.sigma_px.powi(2));
+        let coarse = o.sigma_px / expected_px(&at.cameras[0].camera, &at.frames[0].pose, &seen[i], o.sigma_px);
+        let floor = Matrix2::identity() * (1e-3 * (o.sigma_px * coarse).powi(2));
         let test = v.dot(&((q + floor).try_inverse()? * v)).max(0.0).sqrt();
         tests.push(test);
     }

@@ -35,6 +35,7 @@ impl HeightBand {
     /// # Errors
     /// A unit that is none of length; a mask that cannot be looked at.
     pub fn of(path: &Path, band: &RasterBand<'_>, crs: Option<&Crs>) -> Result<HeightBand> {
+        refuse_signed_bytes(path, band)?;
         let unit_name = Some(band.unit().trim().to_string()).filter(|name| !name.is_empty());
         let axis = crs.and_then(Crs::height_metres_per_unit);
         let metres_per_value = match (&unit_name, axis) {
@@ -98,6 +99,18 @@ pub fn set_height_unit(path: &Path, dataset: &Dataset, unit: &str) -> Result<()>
     // SAFETY: the band belongs to a dataset that outlives the call, and GDAL copies the string.
     let code = unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), unit.as_ptr()) };
     if code == gdal_sys::CPLErr::CE_None { Ok(()) } else { Err(Error::gdal(path, "the unit cannot be named")) }
+}
+
+/// Refuses bytes that GDAL before 3.7 reads as 0 to 255 and the file means as −128 to 127.
+///
+/// # Errors
+/// With the remedy.
+pub fn refuse_signed_bytes(path: &Path, band: &RasterBand<'_>) -> Result<()> {
+    use gdal::Metadata as _;
+    if band.metadata_item("PIXELTYPE", "IMAGE_STRUCTURE").as_deref() == Some("SIGNEDBYTE") {
+        return Err(Error::unsupported(path, "samples of type Int8", "bring them to Int16 with gdal_translate -ot"));
+    }
+    Ok(())
 }
 
 /// Metres in a unit of height that a band names.

@@ -118,7 +118,7 @@ impl LasHeader {
         };
         header.read_vlrs(path, file)?;
         if minor == 4 {
-            header.read_projection_behind(file, file_bytes);
+            header.read_records_behind(file, file_bytes);
         }
         Ok(header)
     }
@@ -151,9 +151,12 @@ impl LasHeader {
         Ok(())
     }
 
-    /// Takes the coordinate reference system from the extended records behind the points; what cannot be read is passed
-    /// over.
-    fn read_projection_behind(&mut self, file: &mut (impl Read + Seek), file_bytes: u64) {
+    /// Takes the extended records behind the points that an ordinary record can hold; what cannot be read is passed over,
+    /// and what is too large is told.
+    fn read_records_behind(&mut self, file: &mut (impl Read + Seek), file_bytes: u64) {
+        /// Of all of them together.
+        const MOST_BYTES: u64 = 16 << 20;
+        let mut left = MOST_BYTES;
         let (mut at, count) = (u64_at(&self.raw, 235), u32_at(&self.raw, 243));
         for _ in 0..count.min(1000) {
             let mut header = [0; 60];
@@ -164,7 +167,12 @@ impl LasHeader {
             let bytes = u64_at(&header, 20);
             let Some(end) = (at + 60).checked_add(bytes).filter(|&end| end <= file_bytes) else { return };
             let (user_id, record_id) = (text_of(&header[2..18]), u16_at(&header, 18));
-            if user_id == "LASF_Projection" && bytes <= 65_535 {
+            // The hierarchy of COPC and waveforms belong to this file.
+            let is_own = user_id == "copc" || (user_id == "LASF_Spec" && record_id == 65_535);
+            if !is_own && bytes > left.min(65_535) {
+                self.notes.push(format!("the extended record `{user_id}` {record_id} of {bytes} bytes is not kept"));
+            } else if !is_own {
+                left -= bytes;
                 let mut content = vec![0; bytes as usize];
                 if file.read_exact(&mut content).is_err() {
                     return;

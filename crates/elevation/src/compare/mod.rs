@@ -81,7 +81,7 @@ pub struct Volume {
     /// The volume over the area.
     pub mean_m: Option<f64>,
     pub mean_se_m: Option<f64>,
-    pub effective_n: f64,
+    pub effective_n: Option<f64>,
     pub volume_m3: Option<f64>,
     pub volume_se_m3: Option<f64>,
     pub volume_95_m3: Option<[f64; 2]>,
@@ -106,8 +106,9 @@ pub struct Summary {
     pub nmad_m: Option<f64>,
     pub rmse_m: Option<f64>,
     /// Of the mean, with the correlation of neighbours.
-    pub mean_se_m: f64,
-    pub effective_n: f64,
+    /// `None` where too little ground outside the zones tells how differences hang together.
+    pub mean_se_m: Option<f64>,
+    pub effective_n: Option<f64>,
     pub variogram: Variogram,
     pub statistics: Vec<Statistics>,
     pub volumes: Vec<Volume>,
@@ -366,7 +367,7 @@ impl CompareJob<'_> {
         let volumes = (0..scan.zones.map_or(0, |z| z.names().len()))
             .map(|zone| {
                 let moments = &classes.moments[classes.groups.first_zone + zone];
-                let (error, effective_n) = mean_error(moments.n, zone + 1);
+                let error = mean_error(moments.n, zone + 1);
                 let (area_m2, volume) = match &classes.extents {
                     Some(extents) => (extents[zone].area_m2(), extents[zone].volume_m3()),
                     None => {
@@ -374,7 +375,6 @@ impl CompareJob<'_> {
                         (area, moments.mean().unwrap_or(0.0) * area)
                     }
                 };
-                let se = error * area_m2;
                 // A zone without a cell has not stayed as it was: nothing is known of it.
                 let known = |value: f64| (moments.n > 0).then_some(value);
                 Volume {
@@ -382,17 +382,20 @@ impl CompareJob<'_> {
                     n: moments.n,
                     area_m2,
                     mean_m: known(volume / area_m2),
-                    mean_se_m: known(error),
-                    effective_n,
+                    mean_se_m: error.and_then(|(se_m, _)| known(se_m)),
+                    effective_n: error.map(|(_, effective_n)| effective_n),
                     volume_m3: known(volume),
-                    volume_se_m3: known(se),
-                    volume_95_m3: (moments.n > 0).then_some([volume - 1.96 * se, volume + 1.96 * se]),
+                    volume_se_m3: error.and_then(|(se_m, _)| known(se_m * area_m2)),
+                    volume_95_m3: error.filter(|_| moments.n > 0).map(|(se_m, _)| {
+                        let reach = 1.96 * se_m * area_m2;
+                        [volume - reach, volume + reach]
+                    }),
                 }
             })
             .collect();
         let statistics: Vec<Statistics> =
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
-        let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, 0);
+        let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, 0).unzip();
         let all = &statistics[0];
         Ok(Summary {
             a: self.a.display().to_string(),

@@ -56,11 +56,11 @@ fn page(summary: &Summary, map: &serde_json::Value) -> String {
     );
     let _ = write!(
         out,
-        "<p>Mean {} m ± {:.4} m (one standard error; {:.1} independent cells by the variogram), median {} m, NMAD {} m, \
+        "<p>Mean {} m ± {} m (one standard error; {} independent cells by the variogram), median {} m, NMAD {} m, \
          RMSE {} m.</p>",
         figure(summary.mean_m),
-        summary.mean_se_m,
-        summary.effective_n,
+        figure(summary.mean_se_m),
+        whole(summary.effective_n),
         figure(summary.median_m),
         figure(summary.nmad_m),
         figure(summary.rmse_m)

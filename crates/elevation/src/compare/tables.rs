@@ -38,7 +38,7 @@ pub(super) fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {
             v.area_m2,
             number(v.mean_m),
             number(v.mean_se_m),
-            v.effective_n,
+            number(v.effective_n),
             number(v.volume_m3),
             number(v.volume_se_m3),
             number(v.volume_95_m3.map(|ends| ends[0])),

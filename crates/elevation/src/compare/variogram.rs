@@ -44,11 +44,14 @@ impl Variogram {
     }
 
     /// The standard error of the mean of `n` cells, of which `places` are a sample, and the number of independent cells
-    /// that would have the same.
-    pub fn mean_error(&self, n: u64, places: &[(u64, u64)], cell_m: (f64, f64)) -> (f64, f64) {
+    /// that would have the same. `None` where too few pairs of stable ground tell how differences hang together.
+    pub fn mean_error(&self, n: u64, places: &[(u64, u64)], cell_m: (f64, f64)) -> Option<(f64, f64)> {
         let total: f64 = self.sills_m2.iter().sum();
+        if self.bins.is_empty() {
+            return None;
+        }
         if n == 0 || total <= 0.0 {
-            return (0.0, n as f64);
+            return Some((0.0, n as f64));
         }
         let variance: f64 = (0..2)
             .map(|i| {
@@ -63,7 +66,7 @@ impl Variogram {
                 own + sill * others
             })
             .sum();
-        (variance.sqrt(), (total / variance).min(n as f64))
+        Some((variance.sqrt(), (total / variance).min(n as f64)))
     }
 }
 
@@ -102,8 +105,9 @@ fn pair_mean(places: &[(u64, u64)], range: f64, cell_m: (f64, f64)) -> f64 {
 const WINDOW_PX: u64 = 48;
 /// How many of them, at most, along each axis.
 const WINDOWS: u64 = 14;
-/// Cells of each window that are paired with those of all others.
+/// Cells of each window that are paired with those of all others, at least; and of all windows together.
 const FAR: usize = 12;
+const FAR_OF_ALL: usize = 2000;
 /// Classes of distance for each doubling.
 const PER_DOUBLING: f64 = 2.0;
 const BINS: usize = 64;
@@ -186,17 +190,19 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
                 }
             }
         }
-        let step = (cells.len() / FAR).max(1);
-        let few = cells.into_iter().step_by(step).take(FAR).collect();
-        found.push((number.y * count.0 + number.x, within, few));
+        let wanted = FAR.max(FAR_OF_ALL / (count.0 * count.1) as usize);
+        let (all, step) = (cells.len(), (cells.len() / wanted).max(1));
+        let few = cells.into_iter().step_by(step).take(wanted).collect();
+        found.push((number.y * count.0 + number.x, within, all, few));
         Ok(())
     })?;
-    let mut windows: Vec<(u64, Pairs, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
+    let mut windows: Vec<(u64, Pairs, usize, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
     windows.sort_by_key(|(number, ..)| *number);
     let mut pairs = Pairs::NONE;
-    let mut far = Vec::new();
-    for (_, within, cells) in windows {
+    let (mut near_cells, mut far) = (0, Vec::new());
+    for (_, within, all, cells) in windows {
         pairs.merge(&within);
+        near_cells += all;
         far.extend(cells);
     }
     for (i, a) in far.iter().enumerate() {
@@ -208,6 +214,8 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
         }
     }
     let reach = (grid.width as f64 * cell_m.0).hypot(grid.height as f64 * cell_m.1) / 2.0;
+    // So many different values at most stand behind the pairs of a class.
+    let values = |lag_m: f64| if lag_m / cell_m.0.min(cell_m.1) > WINDOW_PX as f64 { far.len() } else { near_cells };
     let bins: Vec<Bin> = (0..BINS)
         .filter(|&i| pairs.counts[i] >= 50)
         .map(|i| Bin {
@@ -217,17 +225,22 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
         })
         .filter(|bin| bin.lag_m <= reach)
         .collect();
-    Ok(fit(bins, cell_m.0.min(cell_m.1)))
+    Ok(fit(bins, values, cell_m.0.min(cell_m.1)))
 }
 
-/// Two spherical models by weighted least squares, sills not negative, over all pairs of ranges of a ladder.
-fn fit(bins: Vec<Bin>, cell_m: f64) -> Variogram {
+/// Two models are believed when they fit so much better than one, in squared standard deviations of the classes: by
+/// chance the best of all pairs of ranges is better by some of them.
+const BELIEVED: f64 = 16.0;
+
+/// One spherical model, or two where the classes tell, by weighted least squares, sills not negative, over all pairs of
+/// ranges of a ladder. `values` says how many different cells a class rests on.
+fn fit(bins: Vec<Bin>, values: impl Fn(f64) -> usize, cell_m: f64) -> Variogram {
     let longest = bins.iter().map(|b| b.lag_m).fold(cell_m, f64::max);
     let mut ranges = vec![cell_m * 0.999];
     while ranges[ranges.len() - 1] < longest {
         ranges.push(ranges[ranges.len() - 1] * 1.25);
     }
-    let mut best = (f64::INFINITY, [0.0; 2], [cell_m; 2]);
+    let mut best = [(f64::INFINITY, [0.0; 2], [cell_m; 2]); 2];
     for (i, &short) in ranges.iter().enumerate() {
         for &long in &ranges[i + 1..] {
             let (mut m, mut r) = ([[0.0; 2]; 2], [0.0; 2]);
@@ -255,11 +268,23 @@ fn fit(bins: Vec<Bin>, cell_m: f64) -> Variogram {
                         (model - bin.semivariance_m2).powi(2) / bin.lag_m.sqrt()
                     })
                     .sum();
-                if misfit < best.0 * (1.0 - 1e-9) {
-                    best = (misfit, sills, [short, long]);
+                let of_kind = &mut best[usize::from(sills.iter().all(|s| *s > 0.0))];
+                if misfit < of_kind.0 * (1.0 - 1e-9) {
+                    *of_kind = (misfit, sills, [short, long]);
                 }
             }
         }
     }
-    Variogram { bins, sills_m2: best.1, ranges_m: best.2 }
+    // A class's mean of squares is known as well as its different values allow.
+    let chi2 = |&(_, sills, ranges): &(f64, [f64; 2], [f64; 2])| -> f64 {
+        let terms = bins.iter().map(|bin| {
+            let model: f64 = (0..2).map(|i| sills[i] * spherical(bin.lag_m, ranges[i])).sum();
+            let independent = (values(bin.lag_m) as f64).min(bin.pairs as f64).max(1.0);
+            (model - bin.semivariance_m2).powi(2) * independent / (2.0 * model.max(f64::MIN_POSITIVE).powi(2))
+        });
+        terms.sum()
+    };
+    let [one, two] = best;
+    let (_, sills_m2, ranges_m) = if two.0 < one.0 && chi2(&one) - chi2(&two) > BELIEVED { two } else { one };
+    Variogram { bins, sills_m2, ranges_m }
 }

@@ -133,6 +133,7 @@ impl MosaicJob<'_> {
         };
         let kind = sources[0].kind;
         let (least, most) = range(kind);
+        self.check(&sources[0])?;
         let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
         let mut files = crate::atomic::Transaction::new();
         let mut cells = Vec::new();
@@ -144,6 +145,8 @@ impl MosaicJob<'_> {
                 GdalDataType::UInt8 => whole.write::<u8>(&plain, index, |v| v.round().clamp(least, most) as u8),
                 GdalDataType::UInt16 => whole.write::<u16>(&plain, index, |v| v.round().clamp(least, most) as u16),
                 GdalDataType::Int16 => whole.write::<i16>(&plain, index, |v| v.round().clamp(least, most) as i16),
+                GdalDataType::UInt32 => whole.write::<u32>(&plain, index, |v| v.round().clamp(least, most) as u32),
+                GdalDataType::Int32 => whole.write::<i32>(&plain, index, |v| v.round().clamp(least, most) as i32),
                 GdalDataType::Float64 => whole.write::<f64>(&plain, index, |v| v),
                 _ => whole.write::<f32>(&plain, index, |v| v as f32),
             };
@@ -186,6 +189,31 @@ impl MosaicJob<'_> {
         })
     }
 
+    /// Refuses what the samples of the sources do not allow.
+    fn check(&self, first: &Source) -> Result<()> {
+        use GdalDataType::{Float32, Float64, Int16, Int32, UInt8, UInt16, UInt32};
+        if ![UInt8, UInt16, Int16, UInt32, Int32, Float32, Float64].contains(&first.kind) {
+            let what = format!("samples of type {}", first.kind.name());
+            let remedy = "bring them to another type with gdal_translate -ot (Float64 holds 53 bits)";
+            return Err(Error::unsupported(&first.path, what, remedy));
+        }
+        let mixes = match self.choice {
+            Choice::Median => Some("--choose median"),
+            Choice::Feather => Some("--choose feather"),
+            _ if self.blend_px > 0 => Some("--blend"),
+            _ if self.balance.is_some() => Some("--balance"),
+            _ => None,
+        };
+        match mixes.filter(|_| !first.palette.is_empty()) {
+            Some(option) => Err(Error::unsupported(
+                &first.path,
+                format!("a palette, whose numbers {option} would mix"),
+                "choose by first, last, newest, nearest or min, or bring it to colours with gdal_translate -expand rgb",
+            )),
+            None => Ok(()),
+        }
+    }
+
     fn reference(&self) -> Result<Option<usize>> {
         let Some(path) = self.balance_to else { return Ok(None) };
         let whole = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
@@ -214,6 +242,8 @@ fn range(kind: GdalDataType) -> (f64, f64) {
         GdalDataType::UInt8 => (0.0, 255.0),
         GdalDataType::UInt16 => (0.0, 65_535.0),
         GdalDataType::Int16 => (-32_768.0, 32_767.0),
+        GdalDataType::UInt32 => (0.0, f64::from(u32::MAX)),
+        GdalDataType::Int32 => (f64::from(i32::MIN), f64::from(i32::MAX)),
         _ => (f64::MIN, f64::MAX),
     }
 }

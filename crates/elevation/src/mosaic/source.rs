@@ -62,6 +62,7 @@ impl Source {
                 Error::unsupported(path, "a rotated or mirrored geotransform", "bring it north up with gdalwarp")
             })?;
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+        autoref_raster::refuse_signed_bytes(path, &band)?;
         let (kind, nodata) = (band.band_type(), band.no_data_value());
         let colour_of = |band: usize| dataset.rasterband(band).map(|band| band.color_interpretation());
         let colours = (1..=dataset.raster_count()).map(colour_of).collect::<std::result::Result<_, _>>();
@@ -319,6 +320,55 @@ pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
     Ok(index)
 }
 
+/// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
+/// of those neighbours that are there, as GDAL's warper has it. Otherwise tiles that abut would leave a gap.
+fn between_what_is_there(
+    grid: Grid,
+    values: &[f64],
+    mosaic: &Grid,
+    patch: Patch,
+    interpolation: Interpolation,
+    out: &mut Vec<f64>,
+) -> Result<()> {
+    /// Cells beyond the edge that the widest of the kernels sees.
+    const BEYOND: usize = 2;
+    /// Of neighbours that weigh less nothing follows.
+    const LEAST_WEIGHT: f64 = 0.05;
+    let (width, height) = (grid.width as usize, grid.height as usize);
+    let (wide, high) = (width + 2 * BEYOND, height + 2 * BEYOND);
+    let padded = Grid {
+        x0: grid.x0 - BEYOND as f64 * grid.step_x,
+        y0: grid.y0 - BEYOND as f64 * grid.step_y,
+        width: wide as u64,
+        height: high as u64,
+        ..grid
+    };
+    let (mut filled, mut there) = (vec![0.0; wide * high], vec![0.0; wide * high]);
+    for (row, line) in values.chunks_exact(width).enumerate() {
+        let from = (row + BEYOND) * wide + BEYOND;
+        for (k, value) in line.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            (filled[from + k], there[from + k]) = (*value, 1.0);
+        }
+    }
+    let (filled, there) = (MemoryHeights::new(padded, filled), MemoryHeights::new(padded, there));
+    let on_mosaic = |memory: &MemoryHeights, interpolation, plane: &mut Vec<f64>| {
+        Resampled::new(memory, *mosaic, (0.0, 0.0), interpolation).read(patch, plane)
+    };
+    let (mut weights, mut nearest) = (Vec::new(), Vec::new());
+    on_mosaic(&filled, interpolation, out)?;
+    on_mosaic(&there, interpolation, &mut weights)?;
+    on_mosaic(&there, Interpolation::Nearest, &mut nearest)?;
+    for ((value, weight), nearest) in out.iter_mut().zip(weights).zip(nearest) {
+        // Where all neighbours are there nothing is divided: the same bits as away from any edge.
+        if nearest != 1.0 || weight < LEAST_WEIGHT {
+            *value = f64::NAN;
+        } else if (weight - 1.0).abs() > 1e-9 {
+            *value /= weight;
+        }
+    }
+    Ok(())
+}
+
 /// Datasets that a worker has open, not too many.
 #[derive(Default)]
 pub struct Opened {
@@ -352,7 +402,9 @@ impl Opened {
         window: Window,
         interpolation: Interpolation,
     ) -> Result<Vec<f64>> {
-        let interpolation = if source.on_grid { Interpolation::Nearest } else { interpolation };
+        // Between two classes of a palette lies none.
+        let whole = source.on_grid || !source.palette.is_empty();
+        let interpolation = if whole { Interpolation::Nearest } else { interpolation };
         let dataset = self.dataset(&source.path)?;
         let mut all = Vec::with_capacity(window.area() as usize * source.bands);
         let mut plane = Vec::new();
@@ -373,6 +425,8 @@ impl Opened {
             height: part.height,
             ..source.grid
         };
+        let at_edge =
+            part.x == 0 || part.y == 0 || part.right() == source.grid.width || part.bottom() == source.grid.height;
         for band in 1..=source.bands {
             let colour = source.colours.get(band - 1);
             let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
@@ -393,8 +447,12 @@ impl Opened {
                 let at = (part.x as isize, part.y as isize);
                 masked::leave_out(&source.path, &band, at, size, &mut values)?;
             }
-            let memory = MemoryHeights::new(grid, values);
-            Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;
+            if interpolation != Interpolation::Nearest && (at_edge || values.iter().any(|v| v.is_nan())) {
+                between_what_is_there(grid, &values, mosaic, patch, interpolation, &mut plane)?;
+            } else {
+                let memory = MemoryHeights::new(grid, values);
+                Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;
+            }
             all.extend_from_slice(&plane);
         }
         Ok(all)

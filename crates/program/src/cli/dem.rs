@@ -390,19 +390,26 @@ fn check_replaceable(folder: &Path) -> anyhow::Result<()> {
 fn print(summary: &Summary, folder: &Path) {
     let figure = |value: Option<f64>| value.map_or("–".to_string(), |v| format!("{v:.4}"));
     println!("Differences          A − B, {} cells", summary.common_cells);
-    println!(
-        "Mean                 {} ± {:.4} m ({:.0} independent cells)",
-        figure(summary.mean_m),
-        summary.mean_se_m,
-        summary.effective_n
-    );
+    match summary.mean_se_m.zip(summary.effective_n) {
+        Some((se_m, n)) => {
+            println!("Mean                 {} ± {se_m:.4} m ({n:.0} independent cells)", figure(summary.mean_m));
+        }
+        None => println!(
+            "Mean                 {} m; how well is not known: too little ground outside the zones tells how differences \
+             hang together",
+            figure(summary.mean_m)
+        ),
+    }
     println!("Median, NMAD         {} m, {} m", figure(summary.median_m), figure(summary.nmad_m));
     println!("SD, RMSE             {} m, {} m", figure(summary.sd_m), figure(summary.rmse_m));
     println!("Heights              {}", summary.heights);
     for volume in &summary.volumes {
         match volume.volume_m3.zip(volume.volume_se_m3) {
             Some((m3, se_m3)) => println!("Volume               {}: {m3:.0} ± {se_m3:.0} m³", volume.zone),
-            None => println!("Volume               {}: no cell of both models lies in it", volume.zone),
+            None => match volume.volume_m3 {
+                Some(m3) => println!("Volume               {}: {m3:.0} m³, how well is not known", volume.zone),
+                None => println!("Volume               {}: no cell of both models lies in it", volume.zone),
+            },
         }
     }
     println!("Written              {}", folder.display());

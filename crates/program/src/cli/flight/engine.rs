@@ -139,7 +139,7 @@ fn says(log: &Path, words: &str) -> bool {
 pub fn no_pair() -> Error {
     Error::no_result(
         "COLMAP found no two frames that fit together",
-        "check the focal length and the neighbours, or raise adjust.features",
+        "check the focal length, the neighbours and the directions of the rough table (pitch -90 looks straight down), or raise adjust.features",
     )
 }
 
