@@ -105,7 +105,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     let (ma, warped) = if stays(&ma.grid(), &from, &to).map_err(together)? {
         (ma, None)
     } else {
-        let warped = warp(a, mb.wkt())?;
+        let warped = warp(a, mb.wkt(), &across_180(&ma, &mb))?;
         (Model::open(&warped)?.in_unit_of(&ma), Some(warped))
     };
     let (Some(va), Some(vb)) = (va, vb) else {
@@ -145,7 +145,7 @@ fn stays(grid: &Grid, from: &Crs, to: &Crs) -> Result<bool> {
 }
 
 /// A virtual raster of A in another CRS; heights stay as they are.
-fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
+fn warp(a: &Path, wkt: &str, more: &[String]) -> Result<tempfile::TempPath> {
     let file = tempfile::Builder::new().prefix("autoref-elevation.").suffix(".vrt").tempfile();
     let path = file.map_err(|e| Error::io(std::env::temp_dir(), "make a temporary file in", e))?.into_temp_path();
     let source = a.canonicalize().map_err(|e| Error::io(a, "find", e))?;
@@ -166,8 +166,31 @@ fn warp(a: &Path, wkt: &str) -> Result<tempfile::TempPath> {
         "-et",
         "0",
     ];
+    let options: Vec<&str> = options.into_iter().chain(more.iter().map(String::as_str)).collect();
     crate::derive::warp(&source, &path, &options)?;
     Ok(path)
+}
+
+/// Where B's longitudes run over 180°, those of A would jump there and span the whole Earth: the part of B with as much
+/// again on each side, and A's own cells. No options elsewhere.
+fn across_180(a: &Model, b: &Model) -> Vec<String> {
+    const METRES_PER_DEGREE: f64 = 111_319.5;
+    let [west, south, east, north] = b.grid().bounds();
+    let is_degrees = b.crs().is_some_and(Crs::is_geographic) && !a.crs().is_some_and(Crs::is_geographic);
+    if !is_degrees || (west >= -180.0 && east <= 180.0) {
+        return Vec::new();
+    }
+    let (wide, high) = (east - west, north - south);
+    let low = (south - high).max(-90.0);
+    let (mx, my) = a.ground_unit().metres_per_unit(a.grid().centre().1);
+    let cell = |step: f64, metres: f64, shrunk: f64| step.abs() * metres / METRES_PER_DEGREE / shrunk;
+    let shrunk = ((south + north) / 2.0).to_radians().cos().max(1e-3);
+    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>();
+    let mut options = vec!["-te".to_string()];
+    options.extend(numbers(&[west - wide, low, east + wide, (north + high).min(90.0)]));
+    options.push("-tr".into());
+    options.extend(numbers(&[cell(a.grid().step_x, mx, shrunk), cell(a.grid().step_y, my, 1.0)]));
+    options
 }
 
 fn same_reference(a: &str, b: &str) -> bool {

@@ -191,41 +191,50 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
             }
         }
         let wanted = FAR.max(FAR_OF_ALL / (count.0 * count.1) as usize);
-        let (all, step) = (cells.len(), (cells.len() / wanted).max(1));
+        let base = cells.len().div_ceil(step);
+        let step = (cells.len() / wanted).max(1);
         let few = cells.into_iter().step_by(step).take(wanted).collect();
-        found.push((number.y * count.0 + number.x, within, all, few));
+        found.push((number.y * count.0 + number.x, within, base, few));
         Ok(())
     })?;
     let mut windows: Vec<(u64, Pairs, usize, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
     windows.sort_by_key(|(number, ..)| *number);
     let mut pairs = Pairs::NONE;
-    let (mut near_cells, mut far) = (0, Vec::new());
-    for (_, within, all, cells) in windows {
+    let (mut base, mut far) = (0, Vec::new());
+    for (_, within, cells, few) in windows {
         pairs.merge(&within);
-        near_cells += all;
-        far.extend(cells);
+        base += cells;
+        far.extend(few);
     }
+    let mut shares = vec![[0u32; BINS]; far.len()];
     for (i, a) in far.iter().enumerate() {
-        for b in &far[i + 1..] {
+        for (j, b) in far.iter().enumerate().skip(i + 1) {
             let lag = Lag::new((a.0 - b.0) as f64, (a.1 - b.1) as f64, cell_m);
             if lag.cells > WINDOW_PX as f64 {
                 pairs.add(&lag, a.2 - b.2);
+                shares[i][lag.bin] += 1;
+                shares[j][lag.bin] += 1;
             }
         }
     }
     let reach = (grid.width as f64 * cell_m.0).hypot(grid.height as f64 * cell_m.1) / 2.0;
-    // So many different values at most stand behind the pairs of a class.
-    let values = |lag_m: f64| if lag_m / cell_m.0.min(cell_m.1) > WINDOW_PX as f64 { far.len() } else { near_cells };
-    let bins: Vec<Bin> = (0..BINS)
+    // Pairs share their cells: a class rests on as many values as its cells that take an equal part (near, the cells that
+    // are paired with all of their window count fourfold, since they meet all others).
+    let values = |bin: usize| {
+        let parts = shares.iter().map(|of_cell| f64::from(of_cell[bin]));
+        let (sum, squares) = parts.fold((0.0, 0.0), |(sum, squares), part| (sum + part, squares + part * part));
+        if squares > 0.0 { sum * sum / squares } else { 4.0 * base as f64 }
+    };
+    let (bins, values): (Vec<Bin>, Vec<f64>) = (0..BINS)
         .filter(|&i| pairs.counts[i] >= 50)
-        .map(|i| Bin {
-            lag_m: pairs.lags[i] / pairs.counts[i] as f64,
-            semivariance_m2: pairs.sums[i] / pairs.counts[i] as f64,
-            pairs: pairs.counts[i],
+        .map(|i| {
+            let n = pairs.counts[i];
+            let (lag_m, semivariance_m2) = (pairs.lags[i] / n as f64, pairs.sums[i] / n as f64);
+            (Bin { lag_m, semivariance_m2, pairs: n }, values(i).min(n as f64))
         })
-        .filter(|bin| bin.lag_m <= reach)
-        .collect();
-    Ok(fit(bins, values, cell_m.0.min(cell_m.1)))
+        .filter(|(bin, _)| bin.lag_m <= reach)
+        .unzip();
+    Ok(fit(bins, &values, cell_m.0.min(cell_m.1)))
 }
 
 /// Two models are believed when they fit so much better than one, in squared standard deviations of the classes: by
@@ -233,8 +242,8 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
 const BELIEVED: f64 = 16.0;
 
 /// One spherical model, or two where the classes tell, by weighted least squares, sills not negative, over all pairs of
-/// ranges of a ladder. `values` says how many different cells a class rests on.
-fn fit(bins: Vec<Bin>, values: impl Fn(f64) -> usize, cell_m: f64) -> Variogram {
+/// ranges of a ladder. `values` says how many independent values each class rests on.
+fn fit(bins: Vec<Bin>, values: &[f64], cell_m: f64) -> Variogram {
     let longest = bins.iter().map(|b| b.lag_m).fold(cell_m, f64::max);
     let mut ranges = vec![cell_m * 0.999];
     while ranges[ranges.len() - 1] < longest {
@@ -277,9 +286,8 @@ fn fit(bins: Vec<Bin>, values: impl Fn(f64) -> usize, cell_m: f64) -> Variogram 
     }
     // A class's mean of squares is known as well as its different values allow.
     let chi2 = |&(_, sills, ranges): &(f64, [f64; 2], [f64; 2])| -> f64 {
-        let terms = bins.iter().map(|bin| {
+        let terms = bins.iter().zip(values).map(|(bin, independent)| {
             let model: f64 = (0..2).map(|i| sills[i] * spherical(bin.lag_m, ranges[i])).sum();
-            let independent = (values(bin.lag_m) as f64).min(bin.pairs as f64).max(1.0);
             (model - bin.semivariance_m2).powi(2) * independent / (2.0 * model.max(f64::MIN_POSITIVE).powi(2))
         });
         terms.sum()
