@@ -259,8 +259,8 @@ fn expected_px(camera: &Camera, pose: &Pose, seen: &Seen, sigma_px: f64) -> f64 
     sigma_px.hypot(camera.f_px() * seen.sigma_m.max() / depth)
 }
 
-/// Mean of the better part of the squared distances, in the variance of a measurement (all but a third, at least three and one more where there is one), and how
-/// far a known position is missed.
+/// Mean of the better part of the squared distances, in the variance of a measurement (all but a third, at least three
+/// and one more where there is one), and how far a known position is missed.
 fn disagreement(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
     let mut d: Vec<f64> = seen
         .iter()
