@@ -5,8 +5,14 @@
 //! asked instead. Every limit was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the
 //! other looks turned down, white and worn, and of 730 other regions that they turned down it takes 2.
 
+use super::examine::{Around, Evidence, LEAST_CONTRAST, Looks, growth, settle, unfitted};
 use super::fit::{Fit, Form};
 use super::gates::central_moments;
+use super::local::{Growth, Local};
+use super::paint_share::{Across, best_fit, plateau, ring_ground};
+use super::scene::{RING_PX, Scene};
+use super::split::region_of;
+use super::whole::{self, Whole};
 use crate::segment::label::Region;
 
 /// Logarithm of how much larger the share of marks is than that of other things that pass, of what the other looks
@@ -61,6 +67,87 @@ pub(super) fn is_even(fit: &Fit, unsupported: f64, area_px: f64, limits: &Limits
         && (a / b).ln().abs() <= 0.2
         && (fit.height - 1.0).abs() <= 0.15
         && (LEAST_OF_AREA * outline_px..=most_px).contains(&area_px)
+}
+
+/// How a scene's paint stands out, and from which ground: the whole ring, or what is right beside it.
+#[derive(Clone, Copy)]
+struct Against {
+    contrast: f64,
+    local: bool,
+}
+
+impl Looks<'_> {
+    /// The evidence of what is even inside and has edges all around, where the ground is too rough for the other looks.
+    pub(super) fn on_rough_ground(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
+        if !is_compact(self.region) {
+            return None;
+        }
+        let across = Across::between(&ring_ground(scene)?, plateau(scene));
+        let against = Against { contrast: across.contrast, local: false };
+        if across.contrast < LEAST_CONTRAST {
+            return None;
+        }
+        self.even_in(scene, around, against, &across.shares(scene), &ON_ROUGH_GROUND)
+    }
+
+    /// The same of what the region grows into, against the ring and against the ground right beside it, where a mark
+    /// stands out well and is evener: one that is worn or blurred, of which colour found the middle or a few specks.
+    /// `first` is what the other looks found.
+    pub(super) fn even_anywhere(&self, scene: &Scene<'_>, around: Around<'_>, first: &Evidence) -> Option<Evidence> {
+        if first.contrast < GOOD_CONTRAST {
+            return None;
+        }
+        let paint = plateau(scene);
+        let grown = match whole::whole(scene, paint) {
+            Whole::Grown(own) => Some(own),
+            _ => None,
+        };
+        let beside = match Local::of(scene, paint, RING_PX).as_ref().map(Local::grow) {
+            Some(Growth::Grown(own)) => Some(own),
+            _ => None,
+        };
+        [Some(scene.own.clone()), grown, beside].into_iter().flatten().find_map(|own| {
+            let region = region_of(&own, scene.patch)?;
+            if !is_compact(&region) || !self.gates.shape(&region) {
+                return None;
+            }
+            let scene = scene.with_own(own.clone(), &own.or(&scene.other));
+            let paint = plateau(&scene);
+            let against_ring = ring_ground(&scene).map(|ground| Across::between(&ground, paint)).and_then(|across| {
+                let against = Against { contrast: across.contrast, local: false };
+                let seen = across.contrast >= GOOD_CONTRAST;
+                seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &ANYWHERE)).flatten()
+            });
+            against_ring.or_else(|| {
+                let seen = Local::of(&scene, paint, RING_PX).filter(|seen| seen.contrast >= GOOD_CONTRAST)?;
+                let against = Against { contrast: seen.contrast, local: true };
+                self.even_in(&scene, around, against, &seen.shares(), &ANYWHERE)
+            })
+        })
+    }
+
+    /// The evidence of a scene's own pixels when they are an even square or disc.
+    fn even_in(
+        &self,
+        scene: &Scene<'_>,
+        around: Around<'_>,
+        against: Against,
+        shares: &[f64],
+        limits: &Limits,
+    ) -> Option<Evidence> {
+        let shape = self.profile.shape;
+        let mut evidence = unfitted(self.region, plateau(scene), self.classifier, self.profile);
+        (evidence.contrast, evidence.local) = (against.contrast, against.local);
+        evidence.area_px = scene.own.count() as f64;
+        let fit = best_fit(scene, shares, shape, 1.0 / against.contrast, f64::INFINITY)?;
+        let (open, unsupported) = whole::unsupported(scene, shares, &fit);
+        if !is_even(&fit, unsupported, evidence.area_px, limits) {
+            return None;
+        }
+        (evidence.even, evidence.unsupported) = (true, unsupported);
+        settle(&mut evidence, scene, Some(around), (fit, open), shape);
+        Some(evidence).filter(|evidence| self.score(evidence) - growth(evidence, self.region).ln() >= self.least())
+    }
 }
 
 #[cfg(test)]

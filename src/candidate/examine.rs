@@ -145,7 +145,7 @@ fn measure_whole(
 }
 
 /// How many times the region the mark is.
-fn growth(evidence: &Evidence, region: &Region) -> f64 {
+pub(super) fn growth(evidence: &Evidence, region: &Region) -> f64 {
     (evidence.area_px / region.area as f64).max(1.0)
 }
 
@@ -165,99 +165,20 @@ fn measure_against_ground(looks: &Looks<'_>, scene: &Scene<'_>, around: Around<'
 }
 
 /// What every look at a region asks for.
-struct Looks<'a> {
-    region: &'a Region,
-    classifier: &'a Classifier,
-    profile: &'a Profile,
-    gates: &'a Gates,
-}
-
-/// How a scene's paint stands out, and from which ground: the whole ring, or what is right beside it.
-#[derive(Clone, Copy)]
-struct Against {
-    contrast: f64,
-    local: bool,
+pub(super) struct Looks<'a> {
+    pub region: &'a Region,
+    pub classifier: &'a Classifier,
+    pub profile: &'a Profile,
+    pub gates: &'a Gates,
 }
 
 impl Looks<'_> {
-    fn score(&self, evidence: &Evidence) -> f64 {
+    pub(super) fn score(&self, evidence: &Evidence) -> f64 {
         if evidence.hopeless { f64::NEG_INFINITY } else { score(evidence, self.profile, self.gates) }
     }
 
-    fn least(&self) -> f64 {
+    pub(super) fn least(&self) -> f64 {
         self.profile.examine.min_score
-    }
-
-    /// The evidence of what is even inside and has edges all around, where the ground is too rough for the other looks.
-    fn on_rough_ground(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
-        if !even::is_compact(self.region) {
-            return None;
-        }
-        let across = Across::between(&ring_ground(scene)?, plateau(scene));
-        let against = Against { contrast: across.contrast, local: false };
-        if across.contrast < LEAST_CONTRAST {
-            return None;
-        }
-        self.even_in(scene, around, against, &across.shares(scene), &even::ON_ROUGH_GROUND)
-    }
-
-    /// The same of what the region grows into, against the ring and against the ground right beside it, where a mark
-    /// stands out well and is evener: one that is worn or blurred, of which colour found the middle or a few specks.
-    /// `first` is what the other looks found.
-    fn even_anywhere(&self, scene: &Scene<'_>, around: Around<'_>, first: &Evidence) -> Option<Evidence> {
-        if first.contrast < even::GOOD_CONTRAST {
-            return None;
-        }
-        let paint = plateau(scene);
-        let grown = match whole::whole(scene, paint) {
-            Whole::Grown(own) => Some(own),
-            _ => None,
-        };
-        let beside = match Local::of(scene, paint, RING_PX).as_ref().map(Local::grow) {
-            Some(Growth::Grown(own)) => Some(own),
-            _ => None,
-        };
-        [Some(scene.own.clone()), grown, beside].into_iter().flatten().find_map(|own| {
-            let region = region_of(&own, scene.patch)?;
-            if !even::is_compact(&region) || !self.gates.shape(&region) {
-                return None;
-            }
-            let scene = scene.with_own(own.clone(), &own.or(&scene.other));
-            let paint = plateau(&scene);
-            let against_ring = ring_ground(&scene).map(|ground| Across::between(&ground, paint)).and_then(|across| {
-                let against = Against { contrast: across.contrast, local: false };
-                let seen = across.contrast >= even::GOOD_CONTRAST;
-                seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &even::ANYWHERE)).flatten()
-            });
-            against_ring.or_else(|| {
-                let seen = Local::of(&scene, paint, RING_PX).filter(|seen| seen.contrast >= even::GOOD_CONTRAST)?;
-                let against = Against { contrast: seen.contrast, local: true };
-                self.even_in(&scene, around, against, &seen.shares(), &even::ANYWHERE)
-            })
-        })
-    }
-
-    /// The evidence of a scene's own pixels when they are an even square or disc.
-    fn even_in(
-        &self,
-        scene: &Scene<'_>,
-        around: Around<'_>,
-        against: Against,
-        shares: &[f64],
-        limits: &even::Limits,
-    ) -> Option<Evidence> {
-        let shape = self.profile.shape;
-        let mut evidence = unfitted(self.region, plateau(scene), self.classifier, self.profile);
-        (evidence.contrast, evidence.local) = (against.contrast, against.local);
-        evidence.area_px = scene.own.count() as f64;
-        let fit = best_fit(scene, shares, shape, 1.0 / against.contrast, f64::INFINITY)?;
-        let (open, unsupported) = whole::unsupported(scene, shares, &fit);
-        if !even::is_even(&fit, unsupported, evidence.area_px, limits) {
-            return None;
-        }
-        (evidence.even, evidence.unsupported) = (true, unsupported);
-        settle(&mut evidence, scene, Some(around), (fit, open), shape);
-        Some(evidence).filter(|evidence| self.score(evidence) - growth(evidence, self.region).ln() >= self.least())
     }
 
     /// What has grown must pass the gates that a region passes.
@@ -544,7 +465,7 @@ pub(super) fn measure_scene(
 }
 
 /// What is known before anything is compared with the ground.
-fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, profile: &Profile) -> Evidence {
+pub(super) fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, profile: &Profile) -> Evidence {
     let byte = [plateau[0], plateau[1], plateau[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
     let limit2 = profile.colour.limit * profile.colour.limit;
     let area_px = region.area as f64;
@@ -596,7 +517,7 @@ fn fit_shape(
 
 /// Centre and covariance by the best fit and what its edges leave open; with `around`, by the fits in linear light and
 /// to the coefficients of a JPEG too.
-fn settle(
+pub(super) fn settle(
     evidence: &mut Evidence,
     scene: &Scene<'_>,
     around: Option<Around<'_>>,

@@ -13,7 +13,7 @@ use crate::escape::escaped;
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
 use crate::source::{Heights, Patch};
-use autoref_raster::HeightBand;
+use autoref_raster::{HeightBand, masked};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
 pub struct Model {
@@ -174,7 +174,7 @@ impl Model {
         }
         self.with_dataset(|dataset| {
             let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.path, e))?;
-            self.band.leave_out(&self.path, &band, (at.0 as isize, at.1 as isize), size, out)
+            masked::leave_out(&self.path, &band, (at.0 as isize, at.1 as isize), size, out)
         })
     }
 }

@@ -10,6 +10,7 @@ use crate::coords::{GeoTransform, MapPoint, PixelPoint};
 use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::height_band::HeightBand;
+use crate::masked;
 use crate::window::Window;
 
 /// A raster of heights (band 1 of any type), sampled by position. Heights are in metres: scale, offset and unit of the
@@ -95,7 +96,10 @@ impl ElevationModel {
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(&self.name.path, e))?;
         band.read_into_slice((window.x as isize, window.y as isize), size, size, &mut heights, None)
             .map_err(|e| Error::gdal(&self.name.path, e))?;
-        self.band.leave_out(&self.name.path, &band, (window.x as isize, window.y as isize), size, &mut heights)?;
+        if self.band.masked {
+            let at = (window.x as isize, window.y as isize);
+            masked::leave_out(&self.name.path, &band, at, size, &mut heights)?;
+        }
         drop(dataset);
         self.band.to_metres(&mut heights);
         Ok(heights)

@@ -71,21 +71,6 @@ impl HeightBand {
             *value = if self.is_void(*value) { f64::NAN } else { (*value * scale + offset) * self.metres_per_value };
         }
     }
-
-    /// Makes the stored values of a window NaN that an alpha band or a mask leaves out.
-    ///
-    /// # Errors
-    /// When the mask cannot be read.
-    pub fn leave_out(
-        &self,
-        path: &Path,
-        band: &RasterBand<'_>,
-        at: (isize, isize),
-        size: (usize, usize),
-        values: &mut [f64],
-    ) -> Result<()> {
-        if self.masked { masked::leave_out(path, band, at, size, values) } else { Ok(()) }
-    }
 }
 
 /// Names the unit of band 1.

@@ -151,8 +151,8 @@ impl LasHeader {
         Ok(())
     }
 
-    /// Takes the extended records behind the points that an ordinary record can hold; what cannot be read is passed over,
-    /// and what is too large is told.
+    /// Takes the extended records behind the points that an ordinary record can hold; what cannot be read is passed
+    /// over, and what is too large is told.
     fn read_records_behind(&mut self, file: &mut (impl Read + Seek), file_bytes: u64) {
         /// Of all of them together.
         const MOST_BYTES: u64 = 16 << 20;

@@ -218,8 +218,8 @@ pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), mean
         }
     }
     let reach = (grid.width as f64 * cell_m.0).hypot(grid.height as f64 * cell_m.1) / 2.0;
-    // Pairs share their cells: a class rests on as many values as its cells that take an equal part (near, the cells that
-    // are paired with all of their window count fourfold, since they meet all others).
+    // Pairs share their cells: a class rests on as many values as its cells that take an equal part (near, the cells
+    // that are paired with all of their window count fourfold, since they meet all others).
     let values = |bin: usize| {
         let parts = shares.iter().map(|of_cell| f64::from(of_cell[bin]));
         let (sum, squares) = parts.fold((0.0, 0.0), |(sum, squares), part| (sum + part, squares + part * part));
