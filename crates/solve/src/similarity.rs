@@ -287,11 +287,11 @@ fn prior_variances(pairs: &[Pair], scale: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Weights from what is known of each pair plus a common part estimated from the residuals, so that marks measured to a
-/// hundredth of a pixel do not outvote the orthophoto's own deformation. Normalised to mean 1.
 /// No coordinate is known better, pixels.
 const LEAST_SIGMA_PX: f64 = 0.02;
 
+/// Weights from what is known of each pair plus a common part estimated from the residuals, so that marks measured to a
+/// hundredth of a pixel do not outvote the orthophoto's own deformation. Normalised to mean 1.
 fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
     let prior = prior_variances(pairs, first.scale_m_per_px());
     let freedom = 2 * pairs.len() as i64 - 4;

@@ -105,8 +105,9 @@ fn pair_mean(places: &[(u64, u64)], range: f64, cell_m: (f64, f64)) -> f64 {
 const WINDOW_PX: u64 = 48;
 /// How many of them, at most, along each axis.
 const WINDOWS: u64 = 14;
-/// Cells of each window that are paired with those of all others, at least; and of all windows together.
+/// Cells of each window that are paired with those of all others, at least.
 const FAR: usize = 12;
+/// And of all windows together, where few are to be had.
 const FAR_OF_ALL: usize = 2000;
 /// Classes of distance for each doubling.
 const PER_DOUBLING: f64 = 2.0;

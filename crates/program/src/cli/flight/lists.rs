@@ -160,8 +160,8 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
 
 /// What a row of a camera table says, in the world's frame: its position, and its direction where that is stated whole.
 pub fn rough_pose(row: &CameraRow, world: &World, sigma_m: f64, sigma_rad: f64) -> Option<RoughPose> {
-    let anyhow = || Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::from(row.xyz) };
-    let pose = world.pose_to_world(&row.pose(Some(0.0)).unwrap_or_else(anyhow))?;
+    let any_way = || Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::from(row.xyz) };
+    let pose = world.pose_to_world(&row.pose(Some(0.0)).unwrap_or_else(any_way))?;
     let sigma_rad = if row.is_directed() { sigma_rad } else { f64::INFINITY };
     Some(RoughPose { pose, sigma_m: Vector3::repeat(sigma_m), sigma_rad })
 }
