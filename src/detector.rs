@@ -47,13 +47,14 @@ pub trait Detector: Sync {
     fn stricter(&self) -> Option<Box<dyn Detector>> {
         None
     }
-    /// A detector of the brightest paint alone, for marks on ground that this one takes for paint too (white on
-    /// concrete, green on grass): it looks in the same pass. `None` when there is none.
-    fn inner(&self) -> Option<&dyn Detector> {
-        None
+    /// Detectors that look in the same pass with masks of their own: for marks on ground that this one takes for paint
+    /// too (white on concrete, green on grass), and for marks of which it takes little for paint (worn, blurred). Of
+    /// what several find at one place the first one's stays, this one's before all.
+    fn others(&self) -> Vec<&dyn Detector> {
+        Vec::new()
     }
-    /// Piece → Mask of an inner detector, from what the outer one took for paint.
-    fn segment_within(&self, piece: &Piece, _outer: &Mask, mask: &mut Mask) {
+    /// Piece → Mask of one of the others, which may ask what the first took for paint.
+    fn segment_beside(&self, piece: &Piece, _first: &Mask, mask: &mut Mask) {
         self.segment_piece(piece, mask);
     }
     /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.

@@ -22,6 +22,7 @@
 use rayon::prelude::*;
 
 use crate::candidate::Candidate;
+use crate::candidate::standing::Standing;
 use crate::detector::Detector;
 use crate::segment::label::{Labeller, Region};
 use autoref_raster::coords::PixelPoint;
@@ -152,6 +153,9 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
         regions.iter().flat_map(refined).collect::<Vec<_>>()
     };
     let mut candidates = found(detector);
-    candidates.extend(detector.inner().into_iter().flat_map(found));
+    let mut standing = Standing::default();
+    standing.add(candidates.iter().map(|candidate| candidate.centre));
+    let others = detector.others().into_iter().flat_map(found);
+    candidates.extend(others.filter(|candidate| !standing.any_like(candidate)));
     Ok(candidates)
 }

@@ -144,7 +144,7 @@ impl Looks<'_> {
         if !is_even(&fit, unsupported, evidence.area_px, limits) {
             return None;
         }
-        (evidence.even, evidence.unsupported) = (true, unsupported);
+        (evidence.own_score, evidence.unsupported) = (Some(SCORE), unsupported);
         settle(&mut evidence, scene, Some(around), (fit, open), shape);
         Some(evidence).filter(|evidence| self.score(evidence) - growth(evidence, self.region).ln() >= self.least())
     }

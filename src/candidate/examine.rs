@@ -69,8 +69,8 @@ pub struct Evidence {
     pub hopeless: bool,
     /// Contrast and fit are those of the local-background fit, against local ground.
     pub local: bool,
-    /// Judged by its even inside, on rough ground.
-    pub even: bool,
+    /// By a look with a score of its own.
+    pub own_score: Option<f64>,
     pub area_px: f64,
     /// Sides of the outline, of four, that no edge in the picture supports.
     pub unsupported: f64,
@@ -344,7 +344,7 @@ pub(super) fn examine_part(
     candidate(evidence, scene, region, classifier, profile, gates)
 }
 
-fn candidate(
+pub(super) fn candidate(
     mut evidence: Evidence,
     scene: &Scene<'_>,
     region: &Region,
@@ -478,7 +478,7 @@ pub(super) fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Clas
         refined: None,
         hopeless: false,
         local: false,
-        even: false,
+        own_score: None,
         area_px,
         unsupported: 0.0,
         paint: byte.map(|v| (v * 255.0).round() as u8),

@@ -32,9 +32,11 @@ pub mod scene;
 pub mod score;
 mod shadow;
 pub mod split;
+pub(crate) mod standing;
 mod two_lights;
 mod uncertainty;
 mod whole;
+pub(crate) mod worn;
 
 use serde::{Deserialize, Serialize};
 

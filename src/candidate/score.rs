@@ -1,6 +1,5 @@
 //! How likely it is that what the examination measured is a mark.
 
-use super::even;
 use super::examine::Evidence;
 use super::gates::Gates;
 use crate::profile::{Profile, Shape};
@@ -24,8 +23,8 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     {
         return f64::from(-50);
     }
-    if evidence.even {
-        return even::SCORE;
+    if let Some(score) = evidence.own_score {
+        return score;
     }
     Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
 }

@@ -16,6 +16,7 @@ use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::mosaic;
+use autoref_raster::protected::same_file;
 
 /// One kind of output: `--write KIND,…`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -325,13 +326,6 @@ impl Part {
     /// Its transform when the whole has `transform`.
     fn transform(&self, transform: &GeoTransform) -> GeoTransform {
         self.tile.as_ref().map_or(*transform, |tile| mosaic::Mosaic::transform_of(tile, transform))
-    }
-}
-
-fn same_file(a: &Path, b: &Path) -> bool {
-    match (std::fs::canonicalize(a), std::fs::canonicalize(b)) {
-        (Ok(a), Ok(b)) => a == b,
-        _ => false,
     }
 }
 

@@ -77,7 +77,7 @@ impl Detector for BrightPaint {
         classify_piece(&self.classifier, piece, mask);
     }
 
-    fn segment_within(&self, piece: &Piece, outer: &Mask, mask: &mut Mask) {
+    fn segment_beside(&self, piece: &Piece, outer: &Mask, mask: &mut Mask) {
         if piece.empty {
             return;
         }

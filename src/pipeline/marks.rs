@@ -5,8 +5,8 @@ use crate::black_white::TargetDetector;
 use crate::coded::CodedDetector;
 use crate::detector::Detector;
 use crate::pipeline::PaintDetector;
+use crate::pipeline::paint::ProfileColours;
 use crate::profile::Profile;
-use crate::segment::classify::PaintColours;
 use autoref_raster::RasterInfo;
 use autoref_raster::error::Result;
 
@@ -31,9 +31,9 @@ impl MarkDetector {
     ///
     /// # Errors
     /// When the profile is not valid.
-    pub fn colours(profile: &Profile) -> Result<Option<PaintColours>> {
+    pub fn colours(profile: &Profile) -> Result<Option<ProfileColours>> {
         let is_paint = profile.tag.is_none() && !profile.is_target();
-        is_paint.then(|| PaintColours::of(profile)).transpose()
+        is_paint.then(|| ProfileColours::of(profile)).transpose()
     }
 
     /// The same with what [`MarkDetector::colours`] said of the profile.
@@ -42,7 +42,7 @@ impl MarkDetector {
     /// As [`MarkDetector::new`].
     pub fn with_colours(
         profile: Profile,
-        colours: Option<PaintColours>,
+        colours: Option<ProfileColours>,
         info: &RasterInfo,
         gsd_m: Option<f64>,
     ) -> Result<Self> {

@@ -41,6 +41,7 @@ pub mod reasons;
 pub mod scan;
 mod seams;
 pub mod second_pass;
+mod worn_paint;
 
 pub use marks::MarkDetector;
 pub use paint::PaintDetector;

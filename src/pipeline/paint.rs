@@ -5,6 +5,7 @@ use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
 use crate::pipeline::bright_paint::BrightPaint;
+use crate::pipeline::worn_paint::{WornColours, WornPaint};
 use crate::profile::Profile;
 use crate::segment::classify::{Classifier, PaintColours};
 use crate::segment::filters::MaskFilters;
@@ -14,6 +15,20 @@ use autoref_raster::error::Result;
 use autoref_raster::mask::Mask;
 use autoref_raster::{Block, Piece, Pixels, RasterInfo};
 
+/// The colours that a profile looks for: what takes time about a [`PaintDetector`], and does not depend on the image.
+pub struct ProfileColours {
+    paint: PaintColours,
+    worn: Option<WornColours>,
+}
+
+impl ProfileColours {
+    /// # Errors
+    /// When the profile is not valid or not one of paint.
+    pub fn of(profile: &Profile) -> Result<ProfileColours> {
+        Ok(ProfileColours { paint: PaintColours::of(profile)?, worn: WornColours::of(profile)? })
+    }
+}
+
 /// Finds the marks of a profile in a raster.
 pub struct PaintDetector {
     profile: Profile,
@@ -22,14 +37,15 @@ pub struct PaintDetector {
     filters: MaskFilters,
     /// What the samples mean; kept to build stricter tests.
     info: RasterInfo,
-    inner: Option<Box<BrightPaint>>,
+    bright: Option<BrightPaint>,
+    worn: Option<WornPaint>,
 }
 
 impl PaintDetector {
     /// # Errors
     /// When the profile is not valid, or gives sizes in metres and `gsd_m` is unknown.
     pub fn new(profile: Profile, info: &RasterInfo, gsd_m: Option<f64>) -> Result<Self> {
-        let colours = PaintColours::of(&profile)?;
+        let colours = ProfileColours::of(&profile)?;
         PaintDetector::with_colours(profile, colours, info, gsd_m)
     }
 
@@ -39,15 +55,16 @@ impl PaintDetector {
     /// As [`PaintDetector::new`].
     pub fn with_colours(
         profile: Profile,
-        colours: PaintColours,
+        colours: ProfileColours,
         info: &RasterInfo,
         gsd_m: Option<f64>,
     ) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
-        let classifier = Classifier::of(colours, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
+        let classifier = Classifier::of(colours.paint, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::new(&profile.filters, gates.max_side_px());
-        let inner = BrightPaint::of(&profile, &classifier, &gates).map(Box::new);
-        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), inner })
+        let bright = BrightPaint::of(&profile, &classifier, &gates);
+        let worn = colours.worn.map(|worn| WornPaint::of(&profile, &classifier, worn, info, &gates)).transpose()?;
+        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn })
     }
 
     /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
@@ -59,7 +76,8 @@ impl PaintDetector {
             gates: self.gates.clone(),
             filters: self.filters.clone(),
             info: self.info.clone(),
-            inner: self.inner.as_ref().map(|inner| Box::new(inner.with_profile(&profile))),
+            bright: self.bright.as_ref().map(|bright| bright.with_profile(&profile)),
+            worn: self.worn.as_ref().map(|worn| worn.with_profile(&profile)),
             profile,
         }
     }
@@ -112,11 +130,13 @@ impl Detector for PaintDetector {
         let info = &self.info;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata).ok()?;
         let (gates, filters) = (self.gates.clone(), self.filters.clone());
-        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone(), inner: None }))
+        let (bright, worn) = (None, None);
+        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn }))
     }
 
-    fn inner(&self) -> Option<&dyn Detector> {
-        self.inner.as_deref().map(|inner| inner as &dyn Detector)
+    fn others(&self) -> Vec<&dyn Detector> {
+        let bright = self.bright.iter().map(|bright| bright as &dyn Detector);
+        bright.chain(self.worn.iter().map(|worn| worn as &dyn Detector)).collect()
     }
 
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {

@@ -16,12 +16,12 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::candidate::Candidate;
+use crate::candidate::standing::{Examined, Layer, Standing, one_of_each};
 use crate::detector::Detector;
 use crate::merge::RegionMerger;
 use crate::pipeline::pace::Pace;
 use crate::pipeline::seams::{Seam, Seams, band_pool};
 use crate::segment::label::{Labeller, Region, TileRegions};
-use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::mask::Mask;
 use autoref_raster::memory_plan::ScanPlan;
@@ -78,25 +78,9 @@ pub struct ScanTimings {
     pub examine_s: f64,
 }
 
-/// Which of a detector's masks a region is of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Layer {
-    Whole,
-    /// Of [`Detector::inner`].
-    Inner,
-}
-
-impl Layer {
-    fn all(detector: &dyn Detector) -> &'static [Layer] {
-        if detector.inner().is_some() { &[Layer::Whole, Layer::Inner] } else { &[Layer::Whole] }
-    }
-
-    fn of(self, detector: &dyn Detector) -> &dyn Detector {
-        match self {
-            Layer::Whole => detector,
-            Layer::Inner => detector.inner().expect("only detectors with an inner one have such regions"),
-        }
-    }
+/// A detector and those that look in the same pass.
+fn layers(detector: &dyn Detector) -> Vec<&dyn Detector> {
+    std::iter::once(detector).chain(detector.others()).collect()
 }
 
 /// A complete region.
@@ -104,9 +88,6 @@ struct Seen {
     layer: Layer,
     region: Region,
 }
-
-/// A region's identity and what became of it.
-type Examined = ((u64, u64), Layer, Vec<Candidate>);
 
 /// What a worker sends on for one tile.
 struct TileOutput {
@@ -158,7 +139,6 @@ pub fn scan(
             source.release(source.info().bounds());
         }
     }
-    examined.sort_by_key(|(first, layer, _)| (*first, *layer));
     let regions_examined = collected.clutter + examined.len() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
@@ -168,26 +148,6 @@ pub fn scan(
         window_reads: difference(after, scanned),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
     })
-}
-
-/// All candidates in order; of those of one mark in both layers the one of the whole.
-fn one_of_each(examined: Vec<Examined>) -> Vec<Candidate> {
-    /// Centres of one mark lie within this share of its side.
-    const APART: f64 = 0.5;
-    let found = |layer: Layer| move |(_, of, found): &&Examined| *of == layer && !found.is_empty();
-    let mut whole: Vec<PixelPoint> =
-        examined.iter().filter(found(Layer::Whole)).flat_map(|(_, _, found)| found).map(|c| c.centre).collect();
-    whole.sort_by(|a, b| a.y.total_cmp(&b.y));
-    let stands = |candidate: &Candidate| {
-        let reach = APART * candidate.area_px.unwrap_or(0.0).sqrt();
-        let from = whole.partition_point(|at| at.y < candidate.centre.y - reach);
-        let near = whole[from..].iter().take_while(|at| at.y <= candidate.centre.y + reach);
-        near.into_iter().all(|at| (at.x - candidate.centre.x).hypot(at.y - candidate.centre.y) > reach)
-    };
-    let kept = |layer: Layer, found: Vec<Candidate>| {
-        found.into_iter().filter(move |candidate| layer == Layer::Whole || stands(candidate)).collect::<Vec<_>>()
-    };
-    examined.into_iter().flat_map(|(_, layer, found)| kept(layer, found)).collect()
 }
 
 fn seconds(duration: Duration) -> f64 {
@@ -246,8 +206,11 @@ fn scan_tiles(
             let straddlers = straddlers.clone();
             let bands = bands.clone();
             let (next_tile, in_order, span) = (&next_tile, &in_order, &span);
-            let worker =
-                Worker { source, plan, detector, progress, next_tile, pace, stop, in_order, straddlers, bands, span };
+            let layers = layers(detector);
+            #[rustfmt::skip]
+            let worker = Worker {
+                source, plan, detector, layers, progress, next_tile, pace, stop, in_order, straddlers, bands, span,
+            };
             let outputs = output_sender.clone();
             spawn_named(scope, format!("worker {index}"), move || {
                 let _rest = pace.lifted_by_panic();
@@ -285,6 +248,7 @@ struct Collector<'a> {
     source: &'a dyn RasterSource,
     plan: &'a ScanPlan,
     detector: &'a dyn Detector,
+    layers: Vec<&'a dyn Detector>,
     /// One for each layer.
     mergers: Vec<RegionMerger>,
     collected: Collected,
@@ -310,7 +274,8 @@ impl<'a> Collector<'a> {
             source,
             plan,
             detector,
-            mergers: Layer::all(detector).iter().map(|_| RegionMerger::new(plan.grid)).collect(),
+            mergers: layers(detector).iter().map(|_| RegionMerger::new(plan.grid)).collect(),
+            layers: layers(detector),
             collected: Collected::default(),
             waiting: BTreeMap::new(),
             done: vec![false; plan.grid.len() as usize],
@@ -332,15 +297,14 @@ impl<'a> Collector<'a> {
             let id = output.id;
             let regions = output.examined.len();
             let marks = self.collected.examined.len();
-            self.collected.examined.extend(output.examined.into_iter().filter(|(_, _, found)| !found.is_empty()));
+            self.collected.examined.extend(output.examined.into_iter().filter(|one| !one.found.is_empty()));
             self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
             let mut complete = output.straddling;
             let _span = tracing::info_span!("merge").entered();
-            let detector = self.detector;
-            for ((layer, merger), open) in Layer::all(detector).iter().zip(&mut self.mergers).zip(output.open) {
+            for (layer, (merger, open)) in self.mergers.iter_mut().zip(output.open).enumerate() {
                 merger.feed(id, open, &mut |region| {
-                    if layer.of(detector).gate(&region) {
-                        complete.push(Seen { layer: *layer, region });
+                    if self.layers[layer].gate(&region) {
+                        complete.push(Seen { layer, region });
                     }
                 });
             }
@@ -389,8 +353,8 @@ impl<'a> Collector<'a> {
             Ok(()) => {}
             Err(TrySendError::Full(straddler)) => {
                 let examined = examine_straddler(self.source, self.detector, &straddler)?;
-                self.collected.clutter += u64::from(examined.2.is_empty());
-                self.collected.examined.extend(Some(examined).filter(|(_, _, found)| !found.is_empty()));
+                self.collected.clutter += u64::from(examined.found.is_empty());
+                self.collected.examined.extend(Some(examined).filter(|one| !one.found.is_empty()));
             }
             // Nobody listens when all workers have ended.
             Err(TrySendError::Disconnected(straddler)) => self.collected.straddling.push(straddler),
@@ -429,6 +393,7 @@ struct Worker<'a> {
     source: &'a dyn RasterSource,
     plan: &'a ScanPlan,
     detector: &'a dyn Detector,
+    layers: Vec<&'a dyn Detector>,
     progress: &'a dyn Progress,
     next_tile: &'a AtomicU64,
     pace: &'a Pace,
@@ -445,12 +410,12 @@ struct Worker<'a> {
 
 impl Worker<'_> {
     fn run(&self, outputs: &crossbeam_channel::Sender<Result<TileOutput>>) {
-        let mut masks = vec![Mask::new(Window::new(0, 0, 0, 0)); Layer::all(self.detector).len()];
+        let mut masks = vec![Mask::new(Window::new(0, 0, 0, 0)); self.layers.len()];
         let mut labeller = Labeller::new();
         while let Some((tile, block)) = self.next_block(&mut masks) {
             let output = block.and_then(|block| {
                 let mut output = self.process(&tile, &block, &mut masks, &mut labeller);
-                let found: Vec<&Candidate> = output.examined.iter().flat_map(|(_, _, found)| found).collect();
+                let found: Vec<&Candidate> = output.examined.iter().flat_map(|one| &one.found).collect();
                 self.progress.saw(&block, tile.core, &found);
                 drop(block);
                 if self.plan.halo_px == 0 {
@@ -500,10 +465,10 @@ impl Worker<'_> {
     }
 
     fn segment_piece(&self, piece: &Piece, masks: &mut [Mask]) {
-        let (whole, inner) = masks.split_at_mut(1);
-        self.detector.segment_piece(piece, &mut whole[0]);
-        if let (Some(detector), [mask]) = (self.detector.inner(), inner) {
-            detector.segment_within(piece, &whole[0], mask);
+        let (first, others) = masks.split_at_mut(1);
+        self.detector.segment_piece(piece, &mut first[0]);
+        for (detector, mask) in self.layers[1..].iter().zip(others) {
+            detector.segment_beside(piece, &first[0], mask);
         }
     }
 
@@ -511,15 +476,13 @@ impl Worker<'_> {
     /// set.
     fn process(&self, tile: &Tile, block: &Block, masks: &mut [Mask], labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
-        let layers = Layer::all(self.detector);
         let mut regions: Vec<TileRegions> = {
             let _span = tracing::info_span!(parent: self.span, "segment").entered();
-            let label = |(layer, mask): (&Layer, &mut Mask)| {
-                let detector = layer.of(self.detector);
+            let label = |(detector, mask): (&&dyn Detector, &mut Mask)| {
                 detector.segment_block(block, mask);
                 labeller.label(mask, tile.core, info.bounds(), |region| detector.gate(region))
             };
-            layers.iter().zip(masks).map(label).collect()
+            self.layers.iter().zip(masks).map(label).collect()
         };
         let _span = tracing::info_span!(parent: self.span, "examine").entered();
         let mut output = TileOutput {
@@ -529,18 +492,22 @@ impl Worker<'_> {
             open: Vec::new(),
             seam: Seam::default(),
         };
-        let finished = |(layer, regions): (&Layer, &mut TileRegions)| {
-            let layer = *layer;
-            std::mem::take(&mut regions.finished).into_iter().map(move |region| Seen { layer, region })
-        };
-        for seen in layers.iter().zip(&mut regions).flat_map(finished) {
-            let Seen { layer, region } = &seen;
-            let window = patch_window(region, self.detector, info);
-            if block.window.contains_window(&window) {
+        let mut standing = Standing::default();
+        for (layer, regions) in regions.iter_mut().enumerate() {
+            for region in std::mem::take(&mut regions.finished) {
+                let window = patch_window(&region, self.detector, info);
+                if !block.window.contains_window(&window) {
+                    output.straddling.push(Seen { layer, region });
+                    continue;
+                }
+                // What would not stand beside a candidate of the detector itself is not looked at.
                 let view = View { block, window, info };
-                output.examined.push((region.first, *layer, layer.of(self.detector).examine_all(region, &view)));
-            } else {
-                output.straddling.push(seen);
+                let decided = layer > 0 && standing.any_in(&region.bounds);
+                let found = if decided { Vec::new() } else { self.layers[layer].examine_all(&region, &view) };
+                output.examined.push(Examined { layer, region, found });
+            }
+            if layer == 0 {
+                standing.add(output.examined.iter().flat_map(|one| &one.found).map(|found| found.centre));
             }
         }
         let whole = output.straddling.iter().map(|seen| &seen.region);
@@ -582,5 +549,6 @@ fn examine_straddler(source: &dyn RasterSource, detector: &dyn Detector, straddl
         }
     };
     let view = View { block, window: block.window, info };
-    Ok((region.first, *layer, layer.of(detector).examine_all(region, &view)))
+    let found = layers(detector)[*layer].examine_all(region, &view);
+    Ok(Examined { layer: *layer, region: region.clone(), found })
 }

@@ -15,6 +15,7 @@ mod family;
 pub mod mixing;
 mod paint;
 mod rule;
+mod worn;
 
 use std::path::Path;
 
@@ -343,6 +344,8 @@ pub struct Examine {
     pub split: bool,
     /// Keep only what is even inside and has an edge all around: for paints without a hue, whose colour much else has.
     pub even: bool,
+    /// Look for worn and blurred marks too, by a mask of their own; of paints with a hue.
+    pub worn: bool,
 }
 
 impl Default for Examine {
@@ -358,6 +361,7 @@ impl Default for Examine {
             order: Ordering::Raster,
             split: false,
             even: false,
+            worn: true,
         }
     }
 }

@@ -136,7 +136,7 @@ fn cut_one(
     chip.picture = reduced(&chip, Some(&block.patch(frame.shown, info)), stretch);
     if frame.mark.is_some() {
         let outline = |detector| outline(&block, info, detector, spot.centre);
-        chip.outline = outline(detector).or_else(|| detector.inner().and_then(outline));
+        chip.outline = outline(detector).or_else(|| detector.others().into_iter().find_map(outline));
     }
     Ok(chip)
 }

@@ -280,10 +280,17 @@ impl Fill<'_> {
 /// [`PaintTest::is_paint`] with the powers of the sRGB curve looked up instead of computed; same numbers, same order.
 /// Clouds that are not near are farther than the limit.
 fn table_bit(test: &PaintTest, colour: [u8; 3], near: Near) -> bool {
-    if test.space == Space::Rgb || test.rough.is_some() || test.low != [0; 3] || test.high != [255; 3] {
+    let all_in_lab = test.space == Space::Lab && test.rough.as_ref().is_none_or(|(space, ..)| *space == Space::Lab);
+    if !all_in_lab {
         return test.is_paint(colour);
     }
+    if (0..3).any(|i| !(test.low[i]..=test.high[i]).contains(&colour[i])) {
+        return false;
+    }
     let lab = lab_from_f(xyz_from_linear(colour.map(|v| linear_of_bytes()[usize::from(v)])).map(lab_f));
+    if test.rough.as_ref().is_some_and(|(_, limit2, cloud)| cloud.distance2(&lab) > *limit2) {
+        return false;
+    }
     let clouds = test.clouds.iter().enumerate().filter(|(number, _)| near.has(*number));
     clouds.map(|(_, c)| c.distance2(&lab)).fold(f64::INFINITY, f64::min) / test.limit2 <= 1.0
 }

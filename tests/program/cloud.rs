@@ -265,6 +265,14 @@ fn crops_cameras_and_several_clouds_and_resume() {
     let again = done(&[&arguments[..], &["--resume"]].concat());
     assert_eq!(again["clouds"][0]["points_kept"], 400);
     assert_eq!(before, std::fs::metadata(folder.at("many/a.laz")).expect("there").modified().expect("a time"));
+    // Neither what another table says nor a cut file is what is done.
+    folder.put("cameras.csv", "cloud,E,N,H\na,600010,8600010,5\nb.ply,600010,8600010,5\n");
+    let again = done(&[&arguments[..], &["--resume", "--overwrite"]].concat());
+    assert_eq!(again["clouds"][0]["points_kept"], 0);
+    let cut = &std::fs::read(folder.at("many/b.laz")).expect("there")[..100];
+    std::fs::write(folder.at("many/b.laz"), cut).expect("writable");
+    done(&[&arguments[..], &["--resume", "--overwrite"]].concat());
+    assert!(std::fs::metadata(folder.at("many/b.laz")).expect("there").len() > 100);
     let lonely = folder.put("lonely.ply", ply(&ground(), Order::Text));
     refused(&["clean", &lonely, "-o", &folder.text("l.laz"), "--range-from", &cameras], "no row", &folder.at("l.laz"));
 }
@@ -328,6 +336,7 @@ fn options_that_make_no_sense_name_their_remedy() {
     for (option, value, word) in [
         ("--outliers", "k=0", "k"),
         ("--outliers", "k=2,m=nan", "nan"),
+        ("--radius", "r=inf", "inf"),
         ("--z", "5,1", "above"),
         ("--ground", "cell=0", "cell"),
         ("--ground", "cell=1e-9", "window"),
@@ -376,6 +385,45 @@ fn tables_are_read_as_programs_write_them() {
         let head = std::fs::read(&out).expect("written");
         let named = String::from_utf8_lossy(&head).contains(" intensity\n");
         assert_eq!(named, !text.starts_with("# "), "{name}: a head is read, a sentence is none");
+    }
+}
+
+/// Inverse distance by the formula, whatever the cell and the power: sums of small weights lose nothing.
+#[test]
+fn inverse_distances_are_those_of_the_formula() {
+    let folder = Folder::new();
+    let points = ground();
+    let path = folder.put("a.ply", ply(&points, Order::Little));
+    for (cell, power) in [(2.0f64, 1.0f64), (2.0, 3.0), (2.0, 10.0), (400.0, 2.0), (400.0, 4.0)] {
+        let radius = 0.75 * cell;
+        let [cell_m, exponent, radius_m] = [cell, power, radius].map(|v| v.to_string());
+        let how = ["grid", &path, "-o", &folder.text("idw"), "--cell", &cell_m, "--power", &exponent, "--stat", "idw"];
+        done(&[&how[..], &["--radius", &radius_m, "--fill", "0", "--overwrite", "--json"]].concat());
+        let dataset = gdal::Dataset::open(folder.at("idw/a_z_idw.tif")).expect("a grid");
+        let (width, height) = dataset.raster_size();
+        let transform = dataset.geo_transform().expect("a geotransform");
+        let band = dataset.rasterband(1).expect("a band");
+        let values = band.read_as::<f64>((0, 0), (width, height), (width, height), None).expect("values");
+        let mut told = 0;
+        for (i, value) in values.data().iter().enumerate().filter(|(_, value)| value.is_finite() && **value != -9999.0)
+        {
+            let (x, y) =
+                (transform[0] + cell * ((i % width) as f64 + 0.5), transform[3] - cell * ((i / width) as f64 + 0.5));
+            let (mut sum, mut weights) = (0.0, 0.0);
+            for [px, py, pz] in points.iter().map(|point| point.map(f64::from)) {
+                let distance = (px - x).hypot(py - y);
+                if distance < radius {
+                    sum += pz * distance.powf(-power);
+                    weights += distance.powf(-power);
+                }
+            }
+            assert!((value - sum / weights).abs() < 1e-4, "{cell} m, power {power}: {value}, {}", sum / weights);
+            told += 1;
+        }
+        assert!(told > 0, "{cell} m, power {power}");
+    }
+    for power in ["0", "inf", "nan", "11"] {
+        refused(&["grid", &path, "-o", &folder.text("no"), "--power", power], "--power", &folder.at("no"));
     }
 }
 

@@ -528,6 +528,10 @@ fn resect_places_a_frame_and_names_the_blunder() {
         .fold("local\n".into(), |all, l| all + l + "\n");
     expect(&resect("f2.png", &place.write("two.txt", &two), &[]), 1, &["3 are needed"]);
     expect(&resect("f2.png", &gcps, &["--pp-px", "1"]), 2, &["--pp-px"]);
+    for sigma in ["0", "nan", "-1"] {
+        let at = ["--position", "0,0,100", &format!("--sigma-position={sigma}")];
+        expect(&resect("f2.png", &gcps, &at), 2, &["--sigma-position"]);
+    }
 }
 
 /// What a list says of its points counts where one frame is placed too: check points, accuracies, and three points that

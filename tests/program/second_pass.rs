@@ -60,11 +60,11 @@ fn a_refusal_is_followed_by_a_second_pass() {
     assert!(report["marks"].as_u64().is_some_and(|n| n >= 3), "{report}");
 }
 
-/// Paint worn until more ground than paint is seen: the shipped profile finds too few marks for a pattern, they teach
+/// Paint worn until hardly a third of it is left: the shipped profile finds too few marks for a pattern, they teach
 /// their colours, and the second scan finds the rest.
 #[test]
 fn a_worn_paint_is_refused_and_then_solved() {
-    for (seed, fading) in [(1, 0.55), (3, 0.6)] {
+    for (seed, fading) in [(1, 0.7), (5, 0.66)] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let spec = SynthSpec {
             gcps: synth::random_gcps(12, 40.0, 30.0, seed),
@@ -82,7 +82,7 @@ fn a_worn_paint_is_refused_and_then_solved() {
         assert_eq!(result["status"], "solved", "{}", result["reason"]);
         assert_eq!((&report["adopted"], &report["matched_before"]), (&true.into(), &0.into()), "{report}");
         let rows = result["matches"].as_array().expect("a list");
-        assert!(rows.len() >= 8 && report["matched_after"] == rows.len(), "{report}");
+        assert!(rows.len() >= 5 && report["matched_after"] == rows.len(), "{report}");
         assert!(report["candidates_after"].as_u64() > report["candidates_before"].as_u64(), "{report}");
         for row in rows {
             let gcp = truth.gcps.iter().find(|g| g.name == row["gcp"]).expect("a name of the list");

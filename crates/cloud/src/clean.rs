@@ -144,6 +144,14 @@ impl Plan {
 /// Bad input, a budget that does not suffice, a full disk. The output may then be left half-written: it should be a
 /// temporary name.
 pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<CleanReport> {
+    /// Of each point one byte says which step classified it and whether later ones see it.
+    const MOST_STEPS: usize = 126;
+    if plan.steps.len() > MOST_STEPS {
+        return Err(Error::usage(
+            format!("a chain of {} steps", plan.steps.len()),
+            format!("give at most {MOST_STEPS}, and clean the result again"),
+        ));
+    }
     let began = Instant::now();
     let (header, mut tiles, invalid) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
     let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);

@@ -1,5 +1,6 @@
 //! The page that shows what the steps took: plain HTML with drawings in it, no scripts, nothing fetched.
 
+use autoref_raster::markup::escaped;
 use std::fmt::Write;
 
 use crate::clean::{CleanReport, StepReport};
@@ -29,11 +30,11 @@ pub fn page(report: &CleanReport) -> String {
     let _ = write!(
         out,
         "<h1>{}</h1><p>{}: {} points, {} kept in {}.</p>",
-        escape(&report.input.display().to_string()),
-        escape(&report.format),
+        escaped(&report.input.display().to_string()),
+        escaped(&report.format),
         grouped(report.points),
         grouped(report.points_kept),
-        escape(&report.output.display().to_string())
+        escaped(&report.output.display().to_string())
     );
     let _ = write!(
         out,
@@ -44,7 +45,7 @@ pub fn page(report: &CleanReport) -> String {
         summary.max[1],
         summary.height_min_m,
         summary.height_max_m,
-        report.crs.as_deref().and_then(crs_name).map(|name| format!("; {}", escape(name))).unwrap_or_default()
+        report.crs.as_deref().and_then(crs_name).map(|name| format!("; {}", escaped(name))).unwrap_or_default()
     );
     out +=
         "<table><tr><th>step</th><th>points in</th><th>classified</th><th>share</th><th>dropped</th><th>time</th></tr>";
@@ -53,7 +54,7 @@ pub fn page(report: &CleanReport) -> String {
             out,
             "<tr><td>{} {}</td><td>{}</td><td>{}</td><td>{:.2} %</td><td>{}</td><td>{:.1} s</td></tr>",
             square(index),
-            escape(&step.step),
+            escaped(&step.step),
             grouped(step.points_in),
             grouped(step.classified),
             100.0 * step.classified as f64 / step.points_in.max(1) as f64,
@@ -71,7 +72,7 @@ pub fn page(report: &CleanReport) -> String {
 
 /// One step: what it found, at which heights, and where.
 fn section(out: &mut String, summary: &Summary, index: usize, step: &StepReport) {
-    let _ = write!(out, "<h2>{} {}</h2>", square(index), escape(&step.step));
+    let _ = write!(out, "<h2>{} {}</h2>", square(index), escaped(&step.step));
     if step.classified == 0 {
         *out += "<p>It took no point.</p>";
         return;
@@ -237,10 +238,6 @@ fn short(number: u64) -> String {
         1000.. => format!("{} k", number / 1000),
         _ => number.to_string(),
     }
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

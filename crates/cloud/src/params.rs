@@ -67,9 +67,9 @@ pub fn numbers<const N: usize>(option: &str, text: &str, form: &str) -> Result<[
 /// A positive value, or an error that names it.
 ///
 /// # Errors
-/// When `value` is zero or negative.
+/// When `value` is zero, negative or infinite.
 pub fn positive(option: &str, name: &str, value: f64) -> Result<f64> {
-    if value > 0.0 {
+    if value > 0.0 && value.is_finite() {
         Ok(value)
     } else {
         Err(Error::usage(format!("{option}: {name} is {value}"), format!("give a {name} above 0")))

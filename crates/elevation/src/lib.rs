@@ -10,7 +10,6 @@ pub mod align;
 pub mod compare;
 pub mod couple;
 pub mod derive;
-mod escape;
 pub mod exact;
 pub mod files;
 pub mod footprint;

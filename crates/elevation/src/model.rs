@@ -9,10 +9,10 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 use crate::coords::GeoTransform;
 use crate::crs::Crs;
 use crate::error::{Error, Result};
-use crate::escape::escaped;
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
 use crate::source::{Heights, Patch};
+use autoref_raster::markup::escaped;
 use autoref_raster::{HeightBand, masked};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.

@@ -1,6 +1,5 @@
 //! A roll: many frames in parallel, one file each, to be taken up again where it was left.
 
-use std::hash::Hasher;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -13,7 +12,9 @@ use super::frame::{FindOptions, Finder, find_frame};
 use super::types::{FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::atomic;
 use autoref_raster::bounded;
+use autoref_raster::cells::csv_text;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::fingerprint::Fingerprint;
 
 /// How a roll came out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,24 +89,8 @@ fn read_file(path: &Path) -> Result<FrameFile> {
 fn inputs(scan: &Path, finder: &Finder, options: &FindOptions) -> Option<String> {
     let meta = std::fs::metadata(scan).ok()?;
     let time = meta.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
-    let mut hash = Fnv(0xcbf2_9ce4_8422_2325);
-    let text = format!("{finder:?} {options:?} {}", env!("CARGO_PKG_VERSION"));
-    hash.write(text.as_bytes());
-    Some(format!("{}-{}-{:016x}", meta.len(), time.as_nanos(), hash.finish()))
-}
-
-/// FNV-1a (G. Fowler, L. C. Noll, K.-P. Vo, 1991): the same in every run, as the library's hasher is not.
-struct Fnv(u64);
-
-impl Hasher for Fnv {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-    fn write(&mut self, bytes: &[u8]) {
-        for b in bytes {
-            self.0 = (self.0 ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
+    let means = Fingerprint::of(&format!("{finder:?} {options:?} {}", env!("CARGO_PKG_VERSION")));
+    Some(format!("{}-{}-{}", meta.len(), time.as_nanos(), means.hex()))
 }
 
 /// Examines `scans` into `folder`: one JSON per frame as soon as it is done, then the roll's table `fiducials.csv`.
@@ -220,9 +205,9 @@ fn table_rows(frame: &FrameResult, out: &mut dyn Write) -> std::io::Result<()> {
     let number = |v: Option<f64>, digits: usize| v.map_or(String::new(), |v| format!("{v:.digits$}"));
     let interior = frame.interior.as_ref();
     let (rmse, size) = (number(interior.map(|i| i.rmse_um), 2), number(interior.map(|i| i.pixel_um), 4));
-    let name = quoted(&frame.name);
+    let name = csv_text(&frame.name);
     if frame.marks.is_empty() {
-        writeln!(out, "{name},{status},,,,,,,,,{rmse},{size},{}", quoted(&reasons))?;
+        writeln!(out, "{name},{status},,,,,,,,,{rmse},{size},{}", csv_text(&reasons))?;
     }
     for m in &frame.marks {
         let mark_status = match m.status {
@@ -234,20 +219,15 @@ fn table_rows(frame: &FrameResult, out: &mut dyn Write) -> std::io::Result<()> {
         writeln!(
             out,
             "{name},{status},{},{mark_status},{},{},{},{},{},{},{rmse},{size},{}",
-            quoted(&m.mark),
+            csv_text(&m.mark),
             number(m.centre.map(|c| c.x), 3),
             number(m.centre.map(|c| c.y), 3),
             number(sigma, 3),
             number(m.score, 3),
             number(m.residual_um.map(|r| r[0]), 2),
             number(m.residual_um.map(|r| r[1]), 2),
-            quoted(m.reason.as_deref().unwrap_or_default()),
+            csv_text(m.reason.as_deref().unwrap_or_default()),
         )?;
     }
     Ok(())
-}
-
-fn quoted(text: &str) -> String {
-    let text = &*autoref_raster::cells::no_formula(text);
-    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }

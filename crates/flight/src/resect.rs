@@ -85,17 +85,20 @@ pub fn three_points(world: &[Vector3<f64>; 3], rays: &[Vector3<f64>; 3]) -> Vec<
     let a1 = 4.0 * (-q * (1.0 + q) * cb + 2.0 * ab * cg * cg * cb - (1.0 - s) * ca * cg);
     let a0 = (1.0 + q).powi(2) - 4.0 * ab * cg * cg;
     let mut poses = Vec::new();
-    for v in quartic([a0, a1, a2, a3, a4]) {
-        if v <= 0.0 {
-            continue;
-        }
-        let below = 2.0 * (cg - v * ca);
-        if below.abs() < 1e-12 {
-            continue;
-        }
-        let u = ((q - 1.0) * v * v - 2.0 * q * cb * v + 1.0 + q) / below;
+    let pairs = quartic([a0, a1, a2, a3, a4]).into_iter().filter(|v| *v > 0.0).flat_map(|v| {
         let length = b / (1.0 + v * v - 2.0 * v * cb);
-        if u <= 0.0 || length <= 0.0 {
+        let below = 2.0 * (cg - v * ca);
+        let of_u = |u: f64| (u, v, length);
+        if below.abs() > 1e-6 {
+            return vec![of_u(((q - 1.0) * v * v - 2.0 * q * cb * v + 1.0 + q) / below)];
+        }
+        // Here the second cosine law says nothing of u; the third, u² − 2·cos γ·u + 1 = c / s₁², has two solutions.
+        let half = (cg * cg - 1.0 + c / length).max(0.0).sqrt();
+        if half == 0.0 { vec![of_u(cg)] } else { vec![of_u(cg - half), of_u(cg + half)] }
+    });
+    for (u, v, length) in pairs {
+        let off = length * (u * u + v * v - 2.0 * u * v * ca) - a;
+        if u <= 0.0 || length <= 0.0 || off.abs() > 1e-4 * a {
             continue;
         }
         let s1 = length.sqrt();

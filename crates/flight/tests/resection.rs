@@ -1,7 +1,7 @@
 //! Blunders of single frames: named where they are, and only there.
 
 use autoref_flight::camera::Camera;
-use autoref_flight::resect::{ResectOptions, Seen, resect};
+use autoref_flight::resect::{ResectOptions, Seen, resect, three_points};
 use nalgebra::Vector3;
 
 #[path = "../../../tests/common/random.rs"]
@@ -58,4 +58,25 @@ fn blunders_are_named_and_clean_nets_are_left_alone() {
     assert!(named(3.0, 0.0).0 <= 10);
     assert!(named(20.0, 0.0).0 <= 10);
     assert!(named(20.0, 400.0).1 >= 85);
+}
+
+/// An isosceles triangle on level ground seen from above, whichever of its points comes first: the true pose is among
+/// those found.
+#[test]
+fn alike_rays_about_a_point_lose_no_pose() {
+    let base = [Vector3::new(-30.0, -20.0, 0.0), Vector3::new(0.0, 40.0, 0.0), Vector3::new(30.0, -20.0, 0.0)];
+    let eye = Vector3::new(0.0, 0.0, 100.0);
+    for turn in 0..3 {
+        let world: [Vector3<f64>; 3] = std::array::from_fn(|i| base[(i + turn) % 3]);
+        // Down, x to the east.
+        let rays = world.map(|p| Vector3::new(p.x - eye.x, -(p.y - eye.y), eye.z - p.z).normalize());
+        let poses = three_points(&world, &rays);
+        assert!(poses.iter().any(|pose| (pose.centre - eye).norm() < 1e-4), "{turn}: {poses:?}");
+        for pose in &poses {
+            for (p, ray) in world.iter().zip(&rays) {
+                let seen = (pose.rotation * (p - pose.centre)).normalize();
+                assert!((seen - ray).norm() < 1e-4, "{turn}: {pose:?}");
+            }
+        }
+    }
 }

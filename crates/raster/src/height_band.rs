@@ -54,13 +54,15 @@ impl HeightBand {
 
     /// Whether a stored value stands for "no height".
     pub fn is_void(&self, value: f64) -> bool {
+        let height = value * self.scale.0 + self.scale.1;
+        // Cells without height are left behind as other values too, whatever a file declares.
+        if !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND {
+            return true;
+        }
         match self.nodata {
             // A float32 file keeps its nodata value rounded to float32.
-            Some(nodata) => value == nodata || value == f64::from(nodata as f32) || !value.is_finite(),
-            None => {
-                let height = value * self.scale.0 + self.scale.1;
-                !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND || USUAL_NODATA.contains(&value)
-            }
+            Some(nodata) => value == nodata || value == f64::from(nodata as f32),
+            None => USUAL_NODATA.contains(&value),
         }
     }
 
@@ -109,5 +111,23 @@ fn metres_of(name: &str) -> Option<f64> {
         "mm" | "millimetre" | "millimeter" => Some(0.001),
         "km" | "kilometre" | "kilometer" => Some(1000.0),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_height_is_what_is_declared_and_what_no_ground_has() {
+        let band =
+            |nodata| HeightBand { nodata, scale: (1.0, 0.0), masked: false, metres_per_value: 1.0, unit_name: None };
+        for value in [f64::NAN, f64::INFINITY, -3.4e38, 1e6, -9999.0] {
+            assert!(band(Some(-9999.0)).is_void(value) && band(None).is_void(value), "{value}");
+        }
+        assert!(!band(Some(-9999.0)).is_void(-32_768.0), "another value is declared");
+        assert!(band(None).is_void(-32_768.0) && !band(None).is_void(-12.0));
+        // As a float32 file keeps it.
+        assert!(band(Some(-3.402_823_466_385_288_6e38)).is_void(f64::from(f32::MIN)));
     }
 }

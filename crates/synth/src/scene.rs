@@ -403,8 +403,8 @@ fn truth_of(gcp: super::SynthGcp, at: PixelPoint, mark: &Mark, visible: bool) ->
 /// Refuses what cannot be drawn.
 fn check(spec: &SynthSpec) -> Result<()> {
     let refuse = |what: String, remedy: &str| Err(Error::usage(what, remedy));
-    if !(spec.gsd_m.is_finite() && spec.gsd_m > 0.0) {
-        return refuse(format!("a ground sample distance of {} m", spec.gsd_m), "give one above 0");
+    if !(1e-6..=1e6).contains(&spec.gsd_m) {
+        return refuse(format!("a ground sample distance of {} m", spec.gsd_m), "give one from 0.000001 to 1000000");
     }
     if !spec.rotation_deg.is_finite() || spec.origin.is_some_and(|o| !(o.easting + o.northing).is_finite()) {
         return refuse("rotation or origin is not a finite number".into(), "give plain numbers");
@@ -420,6 +420,9 @@ fn check(spec: &SynthSpec) -> Result<()> {
         let shares = [style.fading, style.shadow_share, style.cover_max, style.texture];
         if shares.iter().any(|s| !(0.0..=1.0).contains(s)) {
             return refuse("fading, texture, shadow or cover outside 0 to 1".into(), "they are shares");
+        }
+        if matches!(style.turn, MarkTurn::Degrees(angle) if !angle.is_finite()) {
+            return refuse("the angle of the marks is not a finite number".into(), "give one in degrees");
         }
         if !(0.0..=50.0).contains(&style.blur_px) {
             return refuse(format!("a blur of {} px", style.blur_px), "0 to 50 px can be drawn");

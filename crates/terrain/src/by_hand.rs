@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use autoref_raster::error::{Error, Result};
+use autoref_raster::protected::same_file;
 use gdal::Dataset;
 use gdal::raster::ResampleAlg;
 
@@ -21,10 +22,6 @@ enum Layer<'a> {
     Shapes(Vec<&'a Shape>),
     /// A raster of the frame's size; its pixels of this meaning count.
     Raster(&'a Path, Meaning),
-}
-
-fn same_file(a: &Path, b: &Path) -> bool {
-    a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// What was marked as keep, global masks, and what was mended, in this order.

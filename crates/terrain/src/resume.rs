@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::fingerprint::Fingerprint;
 
 use crate::batch::{Extras, Given, Method, Options, Report, Shares, Taught};
 
@@ -73,11 +74,6 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// FNV-1a, for fingerprints.
-fn fnv(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
 pub(crate) fn file_mark(path: &Path) -> String {
     let mark = |data: std::fs::Metadata| {
         let time = data.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
@@ -107,7 +103,7 @@ pub(crate) fn fingerprint(frame: &Path, taught: &Taught, given: &Given, options:
         options.corrections,
         taught.mark,
     );
-    format!("{:016x}", fnv(&what))
+    Fingerprint::of(&what).hex()
 }
 
 /// The report of an earlier run.

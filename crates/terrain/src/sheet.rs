@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::markup::escaped;
 use autoref_raster::window::Window;
 
 use crate::batch::{Done, Report};
@@ -76,10 +77,6 @@ impl Sheet {
 /// A relative path as pages name it.
 fn in_address(path: &str) -> String {
     escaped(&path.replace('%', "%25").replace('#', "%23").replace('?', "%3F"))
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")
 }
 
 fn entry(report: &Report, picture: Option<String>, scatter: Option<String>) -> String {

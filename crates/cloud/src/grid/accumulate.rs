@@ -7,6 +7,9 @@ use super::{Frame, Options, Stat};
 
 /// Steps of one unit in sums of values.
 const STEPS: f64 = (1u64 << 32) as f64;
+/// Of inverse distances, as shares of the radius: nearer points count no more, so that sums of a billion units of very
+/// many points fit. At a power of 2 that is a thirty-millionth of the radius, at 10 a thirtieth.
+const MOST_WEIGHT: f64 = 1e15;
 /// Steps of one unit in sums of squares: coarser, so that squares of billions fit.
 const SQUARE_STEPS: f64 = (1u64 << 20) as f64;
 
@@ -83,13 +86,14 @@ impl Strip {
                 let dx = self.frame.x(column) - place[0];
                 let distance = (dx * dx + dy * dy).sqrt();
                 if distance < radius {
-                    self.take((row - self.rows.start) * self.frame.columns + column, value, distance)?;
+                    self.take((row - self.rows.start) * self.frame.columns + column, value, distance / radius)?;
                 }
             }
         }
         Ok(())
     }
 
+    /// `distance` is a share of the radius: weights are then whole steps, whatever the unit and the power.
     fn take(&mut self, cell: usize, value: f64, distance: f64) -> Result<(), u64> {
         self.count[cell] = self.count[cell].saturating_add(1);
         if let Some(sum) = self.sum.get_mut(cell) {
@@ -102,7 +106,7 @@ impl Strip {
         }
         if let Some([values, weights]) = self.weighted.get_mut(cell) {
             if distance > 0.0 {
-                let weight = distance.powf(-self.power);
+                let weight = distance.powf(-self.power).min(MOST_WEIGHT);
                 *values = values.saturating_add(fixed(value * weight));
                 *weights = weights.saturating_add(fixed(weight));
             } else {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::escape::escaped;
+use autoref_raster::markup::escaped;
 
 use super::{Statistics, Summary};
 

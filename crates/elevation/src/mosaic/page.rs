@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::escape::escaped;
 use crate::grid::Grid;
+use autoref_raster::markup::escaped;
 
 use super::{Balance, DifferenceMap, Overlap};
 

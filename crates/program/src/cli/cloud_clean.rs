@@ -11,6 +11,7 @@ use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
+use autoref_raster::fingerprint::Fingerprint;
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -233,7 +234,8 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
     });
     let mut todo = Vec::new();
     for (cloud, target) in args.clouds.iter().zip(&targets) {
-        let identity = identity(cloud, &parameters)?;
+        let steps = steps_of(cloud, &written, args.elevation_angle)?;
+        let identity = identity(cloud, &parameters, &steps)?;
         let done = args.resume.then(|| finished(target, &identity)).flatten();
         if done.is_none() {
             let same = std::fs::canonicalize(target).ok().zip(std::fs::canonicalize(cloud).ok());
@@ -249,10 +251,10 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
             }
             atomic::check_outputs(&outputs, Existing::of_flag(args.means.overwrite))?;
         }
-        todo.push((cloud, target, identity, done));
+        todo.push((cloud, target, steps, identity, done));
     }
     let mut reports = Vec::new();
-    for (cloud, target, identity, done) in todo {
+    for (cloud, target, steps, identity, done) in todo {
         if let Some(report) = done {
             if !args.means.json {
                 println!("{}: unchanged, kept {}", cloud.display(), target.display());
@@ -260,13 +262,7 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
             reports.push(report);
             continue;
         }
-        plan.steps = Vec::new();
-        for step in &written {
-            plan.steps.push(match step {
-                Written::Step(step) => step.clone(),
-                Written::Range(cameras) => Step::Crop(Crop::range(cameras.of(cloud)?, args.elevation_angle)?),
-            });
-        }
+        plan.steps = steps;
         let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         plan.scratch = args.means.scratch.clone().unwrap_or_else(|| folder.to_path_buf());
         let report = one(cloud, target, &plan, identity, args)?;
@@ -281,11 +277,23 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The steps for one cloud; ranges are from its own camera.
+fn steps_of(cloud: &Path, written: &[Written], elevation_angle: f64) -> anyhow::Result<Vec<Step>> {
+    let step = |step: &Written| {
+        Ok(match step {
+            Written::Step(step) => step.clone(),
+            Written::Range(cameras) => Step::Crop(Crop::range(cameras.of(cloud)?, elevation_angle)?),
+        })
+    };
+    written.iter().map(step).collect()
+}
+
 fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanArgs) -> anyhow::Result<Value> {
     let mut outputs = Transaction::new();
-    let mut report: Option<CleanReport> = None;
+    let (mut report, mut output_bytes): (Option<CleanReport>, u64) = (None, 0);
     outputs.stage(target, |temporary| {
         report = Some(clean::clean(cloud, temporary, target, plan)?);
+        output_bytes = std::fs::metadata(temporary).map_err(|e| Error::io(target, "look at", e))?.len();
         Ok(())
     })?;
     let report = report.context("the cloud was cleaned")?;
@@ -297,23 +305,32 @@ fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanAr
         written.push(beside(target, "html"));
     }
     value["files_written"] = json!(written);
+    value["output_bytes"] = json!(output_bytes);
     outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&value)?.as_bytes())?;
     outputs.commit()?;
     Ok(value)
 }
 
-/// What an output was made of: the cloud's size and time, and the parameters.
-fn identity(cloud: &Path, parameters: &Value) -> anyhow::Result<Value> {
+/// What an output was made of: the cloud's size and time, the parameters, what the files hold that they name, and the
+/// program.
+fn identity(cloud: &Path, parameters: &Value, steps: &[Step]) -> anyhow::Result<Value> {
     let metadata = std::fs::metadata(cloud).with_context(|| format!("{}: cannot open it", cloud.display()))?;
     let time = metadata.modified().ok().and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok());
-    Ok(json!({"bytes": metadata.len(), "modified_s": time.map(|time| time.as_secs()), "parameters": parameters}))
+    Ok(json!({
+        "bytes": metadata.len(),
+        "modified_s": time.map(|time| time.as_secs_f64()),
+        "parameters": parameters,
+        "steps": Fingerprint::of(&format!("{steps:?}")).hex(),
+        "program": env!("CARGO_PKG_VERSION"),
+    }))
 }
 
 /// The report of an output that is there and was made of the same.
 fn finished(target: &Path, identity: &Value) -> Option<Value> {
     let text = bounded::read_to_string(&beside(target, "json"), "a report", bounded::DOCUMENT_BYTES).ok()?;
     let report: Value = serde_json::from_str(&text).ok()?;
-    (target.is_file() && report["identity"] == *identity).then_some(report)
+    let whole = std::fs::metadata(target).is_ok_and(|output| report["output_bytes"] == output.len());
+    (target.is_file() && whole && report["identity"] == *identity).then_some(report)
 }
 
 /// One document for all clouds: steps with their sums, and each cloud's own.

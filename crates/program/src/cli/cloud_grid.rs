@@ -101,7 +101,9 @@ impl GridArgs {
 
 pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     params::positive("--cell", "cell", args.cell)?;
-    params::positive("--power", "power", args.power)?;
+    if !(args.power > 0.0 && args.power <= 10.0) {
+        bail!("--power: {} is not above 0 and at most 10; 1 to 3 are usual", args.power);
+    }
     let mut stats = Vec::new();
     for name in &args.stat {
         let name = name.trim().to_ascii_lowercase();

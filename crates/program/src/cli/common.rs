@@ -147,6 +147,12 @@ pub struct MatchArgs {
     pub time_limit: Option<f64>,
 }
 
+/// A number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite());
+    value.ok_or_else(|| format!("`{text}` is no positive number"))
+}
+
 fn seconds(text: &str) -> Result<f64, String> {
     let value = text.trim().trim_end_matches('s').parse::<f64>().ok().filter(|v| *v >= 0.0 && v.is_finite());
     value.ok_or_else(|| format!("`{text}` is no number of seconds"))
@@ -531,11 +537,6 @@ fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow
 pub fn unsigned_zero(value: f64, digits: i32) -> f64 {
     let parts = 10f64.powi(digits);
     (value * parts).round() / parts + 0.0
-}
-
-/// Text in a page or in an attribute of it.
-pub fn escaped_html(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Writes text to a file, whole or not at all, or to standard output for "-".

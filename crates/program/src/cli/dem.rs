@@ -15,7 +15,7 @@ use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic::{self, Existing};
 use clap::{Args, Subcommand, ValueEnum};
 
-use crate::cli::common::Bytes;
+use crate::cli::common::{Bytes, positive};
 use align::{AlignArgs, align};
 
 /// Align, compare and draw elevation models.
@@ -114,10 +114,10 @@ struct CompareArgs {
     #[arg(long, value_name = "P,…", value_delimiter = ',', default_value = "0,5,10,25,45")]
     slope_classes: Vec<f64>,
     /// Tell the share of differences within so many metres.
-    #[arg(long, value_name = "M", default_value_t = 25.0)]
+    #[arg(long, value_name = "M", default_value_t = 25.0, value_parser = positive)]
     within: f64,
     /// Leave out differences farther from the mean than so many standard deviations.
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "K", value_parser = positive)]
     outliers: Option<f64>,
     /// Print the summary as JSON.
     #[arg(long)]

@@ -186,18 +186,23 @@ fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
     Ok(all)
 }
 
+/// Standard deviations by their options.
+fn check_sigmas(sigmas: &[(&str, Option<f64>)]) -> Result<()> {
+    match sigmas.iter().find(|(_, sigma)| sigma.is_some_and(|s| !(s > 0.0 && s.is_finite()))) {
+        Some((name, _)) => bail!("--{name}: a positive number is expected"),
+        None => Ok(()),
+    }
+}
+
 fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
-    let sigmas = [
+    check_sigmas(&[
         ("sigma-tie", args.sigma_tie),
         ("sigma-image", Some(args.points.sigma_image)),
         ("sigma-ground", args.points.sigma_ground),
         ("sigma-position", Some(args.sigma_position)),
         ("sigma-direction", Some(args.sigma_direction)),
-    ];
-    if let Some((name, _)) = sigmas.iter().find(|(_, sigma)| sigma.is_some_and(|s| s.is_nan() || s <= 0.0)) {
-        bail!("--{name}: a positive number is expected");
-    }
+    ])?;
     let model = read::reconstruction(&args.reconstruction)?;
     let control = args.points.load(Some(&model))?;
     let mut notes = control.notes(&model, &args.points, &args.reconstruction)?;
@@ -251,6 +256,11 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
             bail!("--{name}: {count} numbers with commas between them are expected");
         }
     }
+    check_sigmas(&[
+        ("sigma-image", Some(args.points.sigma_image)),
+        ("sigma-ground", args.points.sigma_ground),
+        ("sigma-position", Some(args.sigma_position)),
+    ])?;
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let (camera, known) = frame_camera(args, &name)?;

@@ -1,11 +1,12 @@
 //! Flags about what is solved beside the similarity: heights, other models, other solvers.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::bail;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::{GeoTransform, MapPoint};
 use autoref_raster::crs::Coordinate;
+use autoref_raster::protected::same_file;
 use autoref_raster::{ElevationModel, RasterInfo};
 use autoref_solve::absolute::{self, AbsoluteOrientation, Method, PointPair};
 use autoref_solve::{Pair, kraus, planar};
@@ -277,13 +278,6 @@ impl SolvingArgs {
             "sigma0_m": sigma0_m,
             "residuals": residuals,
         })
-    }
-}
-
-fn same_file(one: &Path, other: &Path) -> bool {
-    match (one.canonicalize(), other.canonicalize()) {
-        (Ok(one), Ok(other)) => one == other,
-        _ => one == other,
     }
 }
 

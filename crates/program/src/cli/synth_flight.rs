@@ -10,6 +10,7 @@ use anyhow::{Context, Result, bail};
 use autoref_flight::render::{Effects, FrameRenderer, Landscape, Plan};
 use autoref_flight::{Camera, Parameter};
 
+use super::common::positive;
 use super::flight::ortho::Dem;
 use super::synth::Pair;
 
@@ -128,11 +129,6 @@ pub struct Args {
     /// Replace existing files.
     #[arg(long)]
     overwrite: bool,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    let value = text.trim().parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite());
-    value.ok_or_else(|| format!("`{text}` is no positive number"))
 }
 
 fn downwards(text: &str) -> Result<f64, String> {

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::{check_output, frames, image_size, lists, runs, views};
-use crate::cli::common::escaped_html;
+use autoref_raster::markup::escaped;
 
 const PAGE: &str = include_str!("click.html");
 /// Frames are shown at most this wide or high.
@@ -83,7 +83,7 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
 pub fn write_page(page: &Path, title: &str, data: &Value) -> Result<()> {
     // Nothing in the data ends the script that holds it.
     let data = data.to_string().replace('<', "\\u003c");
-    let text = PAGE.replace("@@TITLE@@", &escaped_html(title)).replace("@@DATA@@", &data);
+    let text = PAGE.replace("@@TITLE@@", &escaped(title)).replace("@@DATA@@", &data);
     Ok(atomic::write(page, text.as_bytes())?)
 }
 

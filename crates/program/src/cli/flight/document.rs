@@ -11,6 +11,9 @@ use autoref_flight::{Camera, Parameter, Pose, Projection};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde_json::{Map, Value, json};
 
+/// An angle with a larger deviation is not known.
+const MOST_SIGMA_DEG: f64 = 60.0;
+
 pub fn number(v: f64) -> Value {
     serde_json::Number::from_f64(v).map_or(Value::Null, Value::Number)
 }
@@ -71,8 +74,9 @@ fn camera(
         }
         let s = angle_sigmas(&map.rotation, &c.fixed_view::<3, 3>(0, 0).into_owned());
         for (value, key) in s.iter().zip(["sigma_yaw_deg", "sigma_pitch_deg", "sigma_roll_deg"]) {
-            // One radian of turn is 57.3°: the derivatives are degrees by radians.
-            m.insert(key.into(), number(*value));
+            // One radian of turn is 57.3°: the derivatives are degrees by radians. Straight down, yaw and roll turn
+            // about one axis, and neither is known alone.
+            m.insert(key.into(), if *value > MOST_SIGMA_DEG { Value::Null } else { number(*value) });
         }
         m.insert("covariance".into(), (0..6).map(|r| list(&(0..6).map(|k| c[(r, k)]).collect::<Vec<_>>())).collect());
     }

@@ -4,7 +4,8 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use crate::cli::common::{escaped_html as escaped, unsigned_zero};
+use crate::cli::common::unsigned_zero;
+use autoref_raster::markup::escaped;
 
 pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\

@@ -1,12 +1,14 @@
 //! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where
 //! they end.
 
+use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use autoref_flight::adjust::{GroundPoint, RoughPose};
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, start};
+use autoref_raster::fingerprint::Fingerprint;
 use nalgebra::Rotation3;
 
 use super::engine::{Program, no_pair};
@@ -98,7 +100,7 @@ pub struct Tied {
     /// Those that agree with the relative orientation of their two frames.
     verified: Ties,
     /// COLMAP's database of them, and the hash of what it is made of.
-    matches: (PathBuf, Hash),
+    matches: (PathBuf, Fingerprint),
     /// The block that they and the rough table agree on.
     placed: Result<Reconstruction>,
 }
@@ -109,7 +111,7 @@ pub struct Matched {
     pub all: Option<Ties>,
     /// Those that agree with the relative orientation of their two frames.
     pub verified: Ties,
-    matches: (PathBuf, Hash),
+    matches: (PathBuf, Fingerprint),
     /// The block of warped neighbours that they and the rough table agree on.
     placed: Option<Result<Reconstruction>>,
 }
@@ -125,11 +127,11 @@ impl<'a> Flight<'a> {
         self.project.camera.pp_px.unwrap_or([self.size_px[0] / 2.0, self.size_px[1] / 2.0])
     }
 
-    fn hash(&self) -> Result<Hash> {
+    fn hash(&self) -> Result<Fingerprint> {
         let project = self.project;
-        let mut hash = Hash::new(&format!("{:?} {} {:?}", project.camera, project.adjust.features, self.ordered));
+        let mut hash = Fingerprint::of(&format!("{:?} {} {:?}", project.camera, project.adjust.features, self.ordered));
         if self.engine == Program::Pycolmap {
-            hash.bytes(b"pycolmap");
+            hash.write(b"pycolmap");
         }
         for name in &self.ordered {
             hash.file(&self.folder.join(name))?;
@@ -156,13 +158,13 @@ impl<'a> Flight<'a> {
         for mask in self.masks.files(&self.ordered) {
             hash.file(&mask)?;
         }
-        hash.bytes(format!("{} {near:?}", plane.ground_m).as_bytes());
+        hash.write(format!("{} {near:?}", plane.ground_m).as_bytes());
         // To a millimetre and a hundredth of a second: sums over threads differ in the last digits.
         let rounded = |v: &f64, unit: f64| (v / unit).round() as i64;
         for view in &plane.views {
             let place: Vec<i64> = view.pose.centre.iter().map(|v| rounded(v, 1e-3)).collect();
             let turn: Vec<i64> = view.pose.rotation.iter().map(|v| rounded(v, 5e-8)).collect();
-            hash.bytes(format!("{} {place:?} {turn:?} {}", view.name, view.window_px).as_bytes());
+            hash.write(format!("{} {place:?} {turn:?} {}", view.name, view.window_px).as_bytes());
         }
         let job = ties::Job {
             frames: self.folder,
@@ -188,7 +190,7 @@ impl<'a> Flight<'a> {
     }
 
     /// Features (or the ties given) and what of their matches agrees with a relative orientation, by COLMAP, each kept.
-    fn matches(&self, ties: Option<&Path>, stage: &str) -> Result<(PathBuf, Hash)> {
+    fn matches(&self, ties: Option<&Path>, stage: &str) -> Result<(PathBuf, Fingerprint)> {
         let (stages, project, pp) = (self.stages(), self.project, self.pp_px());
         let list = self.out.join("frames.txt");
         autoref_raster::atomic::write(&list, (self.ordered.join("\n") + "\n").as_bytes())?;
@@ -234,7 +236,7 @@ impl<'a> Flight<'a> {
             self.near.iter().map(|(a, b)| format!("{} {}\n", self.ordered[*a], self.ordered[*b])).collect();
         let pair_list = self.out.join("pairs.txt");
         autoref_raster::atomic::write(&pair_list, pairs.as_bytes())?;
-        hash.bytes(pairs.as_bytes());
+        hash.write(pairs.as_bytes());
         let matches = stages.run(&format!("{stage}matches.db"), &hash.hex(), |part| {
             std::fs::copy(&features, part).map_err(|e| Error::io(&features, "copy", e))?;
             let (list, form) = match ties {
@@ -284,11 +286,11 @@ impl<'a> Flight<'a> {
         })
     }
 
-    fn grown(&self, matches: &Path, mut hash: Hash) -> Result<Reconstruction> {
+    fn grown(&self, matches: &Path, mut hash: Fingerprint) -> Result<Reconstruction> {
         let (stages, project) = (self.stages(), self.project);
         let text = |p: &Path| p.display().to_string();
         let held = if project.camera.f_px.is_some() && project.camera.focal == Focal::Held { "0" } else { "1" };
-        hash.bytes(&project.adjust.seed.to_le_bytes());
+        hash.write(&project.adjust.seed.to_le_bytes());
         let sparse = stages.run("sparse", &hash.hex(), |part| {
             std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
             let a = [
@@ -344,36 +346,6 @@ fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Resu
             Some(Error::NoResult { .. }) => placed.map(from_table).map_err(|_| error),
             _ => Err(error),
         },
-    }
-}
-
-/// FNV-1a over everything that a stage depends on.
-pub struct Hash(u64);
-
-impl Hash {
-    fn new(word: &str) -> Self {
-        let mut h = Hash(0xcbf2_9ce4_8422_2325);
-        h.bytes(word.as_bytes());
-        h
-    }
-    fn bytes(&mut self, bytes: &[u8]) {
-        for b in bytes {
-            self.0 = (self.0 ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-    fn file(&mut self, path: &Path) -> Result<()> {
-        let failed = |e| Error::io(path, "read", e);
-        let mut file = std::fs::File::open(path).map_err(failed)?;
-        let mut piece = vec![0; 1 << 16];
-        loop {
-            match std::io::Read::read(&mut file, &mut piece).map_err(failed)? {
-                0 => return Ok(()),
-                count => self.bytes(&piece[..count]),
-            }
-        }
-    }
-    fn hex(&self) -> String {
-        format!("{:016x}", self.0)
     }
 }
 

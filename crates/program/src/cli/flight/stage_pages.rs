@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::page::{CHECK, CONTROL, STYLE, camera_mark, cells, fixed, name, rows};
 use super::stages::Stage;
 use super::ties::Ties;
-use crate::cli::common::escaped_html as escaped;
+use autoref_raster::markup::escaped;
 
 /// Fewer ties than these make a frame or a pair worth a look.
 const FEW_TIES: u64 = 30;

@@ -6,7 +6,7 @@ use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
 use autoref_stream::matching::tpp::{Overlay, Seen};
 
-use crate::cli::common::escaped_html;
+use autoref_raster::markup::escaped;
 
 const SIDE: f64 = 720.0;
 /// Room for the caption above and the key below.
@@ -29,7 +29,7 @@ pub fn draw(overlay: &Overlay, candidates: &[Candidate], gcps: &[Gcp]) -> String
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {whole} {tall}\" width=\"{whole}\" height=\"{tall}\" \
          font-family=\"sans-serif\" font-size=\"13\"><rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"
     );
-    let name = |gcp: usize| escaped_html(&gcps[gcp].name);
+    let name = |gcp: usize| escaped(&gcps[gcp].name);
     let anchor = candidates[overlay.anchors.0].centre;
     let mut put = |text: String| write!(out, "{text}").expect("a string takes all writes");
     put(format!(

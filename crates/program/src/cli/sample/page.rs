@@ -6,7 +6,7 @@ use std::fmt::Write;
 use autoref_stream::learn::{ColourStatistics, Lesson, SampleStatistics};
 use autoref_stream::profile::colour::lab_from_srgb;
 
-use crate::cli::common::escaped_html as escaped;
+use autoref_raster::markup::escaped;
 
 /// Dots of a scatter plot; of larger samples every n-th is drawn.
 const MOST_DOTS: usize = 1_500;
