@@ -137,11 +137,21 @@ fn measure_whole(
     let looks = Looks { region, classifier, profile, gates };
     let found = measure_against_ground(&looks, scene, around);
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
-    let passes = found.as_ref().is_some_and(|found| looks.score(found) - growth(found, region).ln() >= looks.least());
+    let passes = found.as_ref().is_some_and(|found| {
+        looks.score(found) - growth(found, region).ln() >= looks.least() && is_even_enough(found, profile)
+    });
     if passes || !fits {
         return found;
     }
-    looks.on_rough_ground(scene, around).or_else(|| looks.even_anywhere(scene, around, found.as_ref()?)).or(found)
+    let even = looks.on_rough_ground(scene, around).or_else(|| looks.even_anywhere(scene, around, found.as_ref()?));
+    even.or_else(|| if profile.examine.even { looks.uneven(scene, around) } else { None }).or(found)
+}
+
+/// Whether evidence is of an even inside, where the profile asks for it; a look with a score of its own has settled it.
+fn is_even_enough(evidence: &Evidence, profile: &Profile) -> bool {
+    let limits = &even::ON_ROUGH_GROUND;
+    let is_even = |fit: &Fit| even::is_even(fit, evidence.unsupported, evidence.area_px, limits);
+    !profile.examine.even || evidence.own_score.is_some() || evidence.fit.as_ref().is_some_and(is_even)
 }
 
 /// How many times the region the mark is.
@@ -364,9 +374,7 @@ pub(super) fn candidate(
     if score.is_nan() || score < profile.examine.min_score {
         return None;
     }
-    let limits = &even::ON_ROUGH_GROUND;
-    let is_even = |fit: &Fit| even::is_even(fit, evidence.unsupported, evidence.area_px, limits);
-    if profile.examine.even && !evidence.fit.as_ref().is_some_and(is_even) {
+    if !is_even_enough(&evidence, profile) {
         return None;
     }
     Some(Candidate {

@@ -8,12 +8,13 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::examine::{Around, Evidence, candidate, near, settle, unfitted};
+use super::examine::{Around, Evidence, Looks, candidate, growth, near, settle, unfitted};
 use super::fit::Fit;
 use super::gates::{Gates, central_moments};
+use super::local::Local;
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
 use super::prototype_options;
-use super::scene::Scene;
+use super::scene::{RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
 use crate::profile::Profile;
@@ -56,22 +57,64 @@ struct Signs {
     off_line: f64,
 }
 
-impl Signs {
-    /// Logarithm of the odds that it is a mark, less those that let a handful pass in 57 Mpx of the tuning half's bare
-    /// photographs under ten profiles. Weights by logistic regression of 10,909 worn (50 and 60 %), blurred and patchy
-    /// marks of ten paints, 6 to 20 px, and 1,037 other regions that pass the gates (`benches/paint.py`'s renderer);
-    /// judged by weights that others of the photographs taught, it finds nearly all that these find.
-    fn score(&self) -> f64 {
-        const NOTHING: f64 = -5.9;
-        let side_px = (self.fit.sides_px[0] * self.fit.sides_px[1]).sqrt();
-        NOTHING + 3.12 * self.contrast.ln()
-            - 1.50 * self.fit.rms.max(1e-3).ln()
-            - 1.52 * self.fit.edge_sd.max(1e-3).ln()
-            - 1.51 * self.unsupported
-            - 10.59 * (self.fit.sides_px[0] / self.fit.sides_px[1]).ln().abs()
-            - 1.98 * self.elongation
-            - 15.98 * self.fit.blur_px / side_px
-            - 0.385 * self.off_line
+/// What each sign counts, by logistic regression.
+struct Weights {
+    /// With none of them; so low that only a handful passes of what is no mark.
+    nothing: f64,
+    /// Of logarithms: the contrast, what the fit leaves over in all and along the edge, the ratio of the sides.
+    contrast: f64,
+    rms: f64,
+    edge: f64,
+    aspect: f64,
+    unsupported: f64,
+    elongation: f64,
+    /// Of the blur as a share of the side.
+    blur: f64,
+    off_line: f64,
+}
+
+/// From 10,909 worn (50 and 60 %), blurred and patchy marks of ten paints, 6 to 20 px, and 1,037 other regions of 57 Mpx
+/// of bare photographs that pass the gates (`benches/paint.py`'s renderer, its tuning half). Weights that others of the
+/// photographs taught find nearly as many.
+const WORN: Weights = Weights {
+    nothing: -5.9,
+    contrast: 3.12,
+    rms: -1.50,
+    edge: -1.52,
+    aspect: -10.59,
+    unsupported: -1.51,
+    elongation: -1.98,
+    blur: -15.98,
+    off_line: -0.385,
+};
+
+/// From 3,112 marks of white, plain, patchy and blurred, and 842 other regions, against the ground right beside them.
+const WITHOUT_HUE: Weights = Weights {
+    nothing: -6.2,
+    contrast: 0.29,
+    rms: -1.82,
+    edge: -1.95,
+    aspect: -7.45,
+    unsupported: -6.60,
+    elongation: -1.33,
+    blur: -18.24,
+    off_line: -0.258,
+};
+
+impl Weights {
+    /// Logarithm of the odds that it is a mark.
+    fn score(&self, signs: &Signs) -> f64 {
+        let fit = &signs.fit;
+        let side_px = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
+        self.nothing
+            + self.contrast * signs.contrast.ln()
+            + self.rms * fit.rms.max(1e-3).ln()
+            + self.edge * fit.edge_sd.max(1e-3).ln()
+            + self.aspect * (fit.sides_px[0] / fit.sides_px[1]).ln().abs()
+            + self.unsupported * signs.unsupported
+            + self.elongation * signs.elongation
+            + self.blur * fit.blur_px / side_px
+            + self.off_line * signs.off_line
     }
 }
 
@@ -101,14 +144,14 @@ impl Worn {
         };
         let around = Around { pixels, classifier: &self.classifier };
         let looks = std::iter::once(&scene).chain(&grown).filter_map(|scene| self.look(scene, region, around));
-        looks.max_by(|a, b| a.own_score.partial_cmp(&b.own_score).expect("scores are numbers"))
+        looks.max_by(by_score)
     }
 
     fn look(&self, scene: &Scene<'_>, region: &Region, around: Around<'_>) -> Option<Evidence> {
         let (fill, elongation) = compactness(&region_of(&scene.own, scene.patch)?);
         let (paint, ground) = (plateau(scene), ring_ground(scene)?);
         let across = Across::between(&ground, paint);
-        let off_line = self.off_line(&ground.mean, &paint);
+        let off_line = off_line(self.fresh, &ground.mean, &paint);
         let hopeless = across.contrast < LEAST_CONTRAST || off_line > MOST_OFF_LINE;
         if hopeless || fill < LEAST_FILL || elongation > MOST_ELONGATION {
             return None;
@@ -116,31 +159,77 @@ impl Worn {
         if !prototype_options::passes(scene, &self.paint, &self.profile) {
             return None;
         }
-        let shares = across.shares(scene);
-        let fit = best_fit(scene, &shares, self.profile.shape, 1.0 / across.contrast, f64::INFINITY)?;
-        let (open, unsupported) = whole::unsupported(scene, &shares, &fit);
-        let signs = Signs { contrast: across.contrast, fit, unsupported, elongation, off_line };
-        let score = signs.score();
-        let mut evidence = unfitted(region, paint, &self.classifier, &self.profile);
-        evidence.contrast = across.contrast;
-        evidence.area_px = scene.own.count() as f64;
-        (evidence.own_score, evidence.unsupported) = (Some(score), unsupported);
-        let around = Some(around).filter(|_| score >= self.profile.examine.min_score);
-        settle(&mut evidence, scene, around, (signs.fit, open), self.profile.shape);
-        Some(evidence)
+        let seen = Seen { contrast: across.contrast, shares: across.shares(scene), local: false, elongation, off_line };
+        let looks = Looks { region, classifier: &self.classifier, profile: &self.profile, gates: &self.gates };
+        looks.weighed(scene, around, seen, &WORN)
+    }
+}
+
+/// A scene's paint before anything is fitted.
+struct Seen {
+    contrast: f64,
+    /// Of paint in each pixel.
+    shares: Vec<f64>,
+    local: bool,
+    elongation: f64,
+    off_line: f64,
+}
+
+impl Looks<'_> {
+    /// The evidence of white and other paint without a hue that is not even inside: patchy, or all blur. It is seen
+    /// against the ground right beside it, as a region or as what that grows into.
+    pub(super) fn uneven(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
+        const LEAST_FILL: f64 = 0.9;
+        const MOST_ELONGATION: f64 = 2.5;
+        const LEAST_CONTRAST: f64 = 3.0;
+        let grown = match whole::whole(scene, plateau(scene)) {
+            Whole::Grown(own) => Some(scene.with_own(own.clone(), &own.or(&scene.other))),
+            _ => None,
+        };
+        let found = std::iter::once(scene).chain(&grown).filter_map(|scene| {
+            let region = region_of(&scene.own, scene.patch).filter(|region| self.gates.shape(region))?;
+            let (fill, elongation) = compactness(&region);
+            if fill < LEAST_FILL || elongation > MOST_ELONGATION {
+                return None;
+            }
+            let paint = plateau(scene);
+            let local = Local::of(scene, paint, RING_PX).filter(|local| local.contrast >= LEAST_CONTRAST)?;
+            let off_line = off_line(self.profile.fresh_paint(), &ring_ground(scene)?.mean, &paint);
+            let seen = Seen { contrast: local.contrast, shares: local.shares(), local: true, elongation, off_line };
+            self.weighed(scene, around, seen, &WITHOUT_HUE)
+        });
+        found.filter(|found| self.score(found) - growth(found, self.region).ln() >= self.least()).max_by(by_score)
     }
 
-    /// Distance of a colour from the line between ground and paint, in L\*a\*b\*; samples 0..=255. Wear mixes the two
-    /// as a picture stores them, to the accuracy that matters here.
-    fn off_line(&self, ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 {
-        const STEPS: u32 = 40;
-        let lab = |c: Vector3<f64>| lab_from_srgb([c[0], c[1], c[2]].map(|v| (v / 255.0).clamp(0.0, 1.0)));
-        let (fresh, seen) = (Vector3::from(self.fresh.map(f64::from)), lab(*paint));
-        let mixed = |share: f64| fresh * share + ground * (1.0 - share);
-        (1..=STEPS)
-            .map(|step| (lab(mixed(f64::from(step) / f64::from(STEPS))) - seen).norm())
-            .fold(f64::INFINITY, f64::min)
+    /// The evidence of a scene's own pixels by what the signs say together.
+    fn weighed(&self, scene: &Scene<'_>, around: Around<'_>, seen: Seen, weights: &Weights) -> Option<Evidence> {
+        let shape = self.profile.shape;
+        let fit = best_fit(scene, &seen.shares, shape, 1.0 / seen.contrast, f64::INFINITY)?;
+        let (open, unsupported) = whole::unsupported(scene, &seen.shares, &fit);
+        let Seen { contrast, local, elongation, off_line, .. } = seen;
+        let signs = Signs { contrast, fit, unsupported, elongation, off_line };
+        let score = weights.score(&signs);
+        let mut evidence = unfitted(self.region, plateau(scene), self.classifier, self.profile);
+        (evidence.contrast, evidence.local) = (contrast, local);
+        evidence.area_px = scene.own.count() as f64;
+        (evidence.own_score, evidence.unsupported) = (Some(score), unsupported);
+        settle(&mut evidence, scene, Some(around).filter(|_| score >= self.least()), (signs.fit, open), shape);
+        Some(evidence)
     }
+}
+
+fn by_score(a: &Evidence, b: &Evidence) -> std::cmp::Ordering {
+    a.own_score.partial_cmp(&b.own_score).expect("scores are numbers")
+}
+
+/// Distance of a colour from the line between ground and fresh paint, in L\*a\*b\*; samples 0..=255. Wear mixes the two
+/// as a picture stores them, to the accuracy that matters here.
+fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 {
+    const STEPS: u32 = 40;
+    let lab = |c: Vector3<f64>| lab_from_srgb([c[0], c[1], c[2]].map(|v| (v / 255.0).clamp(0.0, 1.0)));
+    let (fresh, seen) = (Vector3::from(fresh.map(f64::from)), lab(*paint));
+    let mixed = |share: f64| fresh * share + ground * (1.0 - share);
+    (1..=STEPS).map(|step| (lab(mixed(f64::from(step) / f64::from(STEPS))) - seen).norm()).fold(f64::INFINITY, f64::min)
 }
 
 /// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller

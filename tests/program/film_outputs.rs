@@ -448,6 +448,13 @@ fn patches_for_something_else_are_refused_in_one_line() {
             ),
             "pick",
         ),
+        (
+            format!(
+                r#"{head}{{"frame":"rmk-cross-1","mark":"{}","action":"reject","was":[1.0,2.0]}}]}}"#,
+                roll.camera.marks[0].name
+            ),
+            "had shown it at 1.0, 2.0",
+        ),
     ];
     for (patch, word) in cases {
         let file = roll.folder.path().join("p.json");

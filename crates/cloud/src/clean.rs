@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use autoref_raster::crs::Crs;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -109,6 +110,8 @@ pub struct CleanReport {
     pub output: PathBuf,
     pub format: String,
     pub crs: Option<String>,
+    /// In which coordinates, and so all lengths, count: `m` unless the CRS says otherwise.
+    pub unit: String,
     pub shift: [f64; 3],
     pub points: u64,
     /// Points whose coordinates are no finite numbers.
@@ -118,6 +121,12 @@ pub struct CleanReport {
     pub seconds: f64,
     pub steps: Vec<StepReport>,
     pub summary: Summary,
+}
+
+/// `m`, or what the CRS counts in.
+fn unit_of(crs: Option<&str>) -> String {
+    let crs = crs.and_then(|text| Crs::parse(text).ok()).filter(|crs| crs.metres_per_unit() != 1.0);
+    crs.map_or("m".into(), |crs| crs.unit_name().to_string())
 }
 
 impl Plan {
@@ -185,6 +194,7 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         input: input.to_path_buf(),
         output: named.to_path_buf(),
         format: header.description,
+        unit: unit_of(header.crs.as_deref()),
         crs: header.crs,
         shift,
         points,

@@ -24,7 +24,8 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;m
 /// The page of one cloud.
 pub fn page(report: &CleanReport) -> String {
     let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Cleaned cloud</title><style>{STYLE}</style>"
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>Cleaned cloud</title><style>{STYLE}</style>"
     );
     let summary = &report.summary;
     let _ = write!(
@@ -38,13 +39,14 @@ pub fn page(report: &CleanReport) -> String {
     );
     let _ = write!(
         out,
-        "<p>East {:.0} to {:.0}, north {:.0} to {:.0}, heights {:.2} to {:.2}{}.</p>",
+        "<p>East {:.0} to {:.0}, north {:.0} to {:.0}, heights {:.2} to {:.2} {}{}.</p>",
         summary.min[0],
         summary.max[0],
         summary.min[1],
         summary.max[1],
         summary.height_min_m,
         summary.height_max_m,
+        escaped(&report.unit),
         report.crs.as_deref().and_then(crs_name).map(|name| format!("; {}", escaped(name))).unwrap_or_default()
     );
     out +=
@@ -64,14 +66,14 @@ pub fn page(report: &CleanReport) -> String {
     }
     out += "</table>";
     for (index, step) in report.steps.iter().enumerate() {
-        section(&mut out, summary, index, step);
+        section(&mut out, summary, index, (step, &escaped(&report.unit)));
     }
     out += "</html>\n";
     out
 }
 
 /// One step: what it found, at which heights, and where.
-fn section(out: &mut String, summary: &Summary, index: usize, step: &StepReport) {
+fn section(out: &mut String, summary: &Summary, index: usize, (step, unit): (&StepReport, &str)) {
     let _ = write!(out, "<h2>{} {}</h2>", square(index), escaped(&step.step));
     if step.classified == 0 {
         *out += "<p>It took no point.</p>";
@@ -82,21 +84,21 @@ fn section(out: &mut String, summary: &Summary, index: usize, step: &StepReport)
     if let Some(found) = &step.statistics {
         let _ = write!(
             out,
-            " The mean distance to the neighbours is {:.3} m on average, with a standard deviation of {:.3} m; from {:.3} m on \
-             a point is noise.",
+            " The mean distance to the neighbours is {:.3} {unit} on average, with a standard deviation of {:.3} {unit}; \
+             from {:.3} {unit} on a point is noise.",
             found.mean_m, found.standard_deviation_m, found.threshold_m
         );
     }
     if let Some(range) = step.greatest_range_m {
-        let _ = write!(out, " Points farther than {range:.0} m from the camera were taken.");
+        let _ = write!(out, " Points farther than {range:.0} {unit} from the camera were taken.");
     }
     *out += "</p><div class=\"pair\">";
-    histogram(out, summary, index);
-    map(out, summary, index);
+    histogram(out, summary, index, unit);
+    map(out, summary, index, unit);
     *out += "</div>";
 }
 
-fn histogram(out: &mut String, summary: &Summary, index: usize) {
+fn histogram(out: &mut String, summary: &Summary, index: usize, name: &str) {
     let (left, width, height) = (44.0, 420.0, 220.0);
     let most = summary.heights.iter().copied().max().unwrap_or(1).max(10);
     let decades = (most as f64).log10().ceil();
@@ -143,7 +145,7 @@ fn histogram(out: &mut String, summary: &Summary, index: usize) {
         let x = left + (at - summary.height_min_m) / range * width;
         let _ = write!(
             out,
-            "<path d=\"M{x:.1} {}v5\" stroke=\"#333\"/><text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\">{} m</text>",
+            "<path d=\"M{x:.1} {}v5\" stroke=\"#333\"/><text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\">{} {name}</text>",
             10.0 + height,
             height + 28.0,
             (at * 1000.0).round() / 1000.0
@@ -153,7 +155,7 @@ fn histogram(out: &mut String, summary: &Summary, index: usize) {
     *out += "</svg><figcaption>Points by height, on a logarithmic scale: grey all, coloured what this step took.</figcaption></figure>";
 }
 
-fn map(out: &mut String, summary: &Summary, index: usize) {
+fn map(out: &mut String, summary: &Summary, index: usize, unit: &str) {
     let cell = 4;
     let (width, height) = (summary.map_columns * cell, summary.map_rows * cell);
     let _ = write!(
@@ -178,16 +180,16 @@ fn map(out: &mut String, summary: &Summary, index: usize) {
         };
         let _ = write!(out, "<path fill=\"{colour}\" fill-opacity=\"{opacity}\" d=\"{shape}\"/>");
     }
-    let metres_per_px =
+    let units_per_px =
         (summary.max[0] - summary.min[0]).max(summary.max[1] - summary.min[1]) / width.max(height) as f64;
-    if metres_per_px > 0.0 {
-        let length = round_below(metres_per_px * width as f64 / 3.0);
+    if units_per_px > 0.0 {
+        let length = round_below(units_per_px * width as f64 / 3.0);
         let _ = write!(
             out,
-            "<path d=\"M1 {0}v6h{1:.1}v-6\" fill=\"none\" stroke=\"#333\"/><text x=\"{2:.1}\" y=\"{3}\">{4} m</text>",
+            "<path d=\"M1 {0}v6h{1:.1}v-6\" fill=\"none\" stroke=\"#333\"/><text x=\"{2:.1}\" y=\"{3}\">{4} {unit}</text>",
             height + 8,
-            length / metres_per_px,
-            length / metres_per_px + 8.0,
+            length / units_per_px,
+            length / units_per_px + 8.0,
             height + 16,
             length
         );

@@ -36,6 +36,12 @@ pub fn replay(
     let mut next = frame.clone();
     for (edit, name) in edits {
         let place = edit.target.to_string();
+        if let (Some(was), Some(found)) = (edit.was, frame.marks.iter().find(|m| m.mark == name)) {
+            shows(found.centre, was).map_err(|is| {
+                let what = format!("{place}: the page had shown it at {:.1}, {:.1}, and {is}", was[0], was[1]);
+                Error::usage(what, "use the patch with its own roll, or remove `was` from it to replay it all the same")
+            })?;
+        }
         let mark = next.marks.iter_mut().find(|m| m.mark == name);
         let mark =
             mark.ok_or_else(|| Error::usage(format!("{place}: no such mark"), "use the patch with its own roll"))?;
@@ -63,6 +69,17 @@ pub fn replay(
     }
     resolve(camera, &mut next, model);
     Ok(Some(next))
+}
+
+/// Whether a mark is where a page had shown it; else in words where it is.
+fn shows(centre: Option<PixelPoint>, was: [f64; 2]) -> std::result::Result<(), String> {
+    /// Another version of the program may measure a mark so much otherwise.
+    const FAR_PX: f64 = 3.0;
+    match centre {
+        Some(at) if (at.x - was[0]).hypot(at.y - was[1]) <= FAR_PX => Ok(()),
+        Some(at) => Err(format!("the roll has it at {:.1}, {:.1}", at.x, at.y)),
+        None => Err("the roll has it nowhere".into()),
+    }
 }
 
 /// A hand can err too: marks that a review calls good are compared with each other as found ones are.

@@ -50,6 +50,9 @@ pub struct Edit {
     /// Index in the result's list of candidates; with [`Action::Pick`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub candidate: Option<usize>,
+    /// Where the mark was in the result that the page showed, pixels: a replay refuses a result where it is elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub was: Option<[f64; 2]>,
     #[serde(default)]
     pub note: String,
 }

@@ -12,6 +12,7 @@ use crate::batch::{Done, Report};
 use crate::bits::BitMask;
 use crate::reduce::Reduced;
 use crate::resume::{self, Names};
+use crate::shapes::Shape;
 
 /// Longer side of a picture, px.
 const SIDE_PX: usize = 640;
@@ -21,11 +22,13 @@ pub struct Sheet {
     folder: PathBuf,
     /// Stems of the frames with their figures.
     entries: Vec<(String, String)>,
+    mended: Vec<Shape>,
 }
 
 impl Sheet {
-    pub fn new(folder: &Path) -> Sheet {
-        Sheet { folder: folder.into(), entries: Vec::new() }
+    /// `mended` is what was mended by hand, which the page shows and saves again.
+    pub fn new(folder: &Path, mended: &[Shape]) -> Sheet {
+        Sheet { folder: folder.into(), entries: Vec::new(), mended: mended.to_vec() }
     }
 
     /// Adds a frame; its picture is written when it was made in this run.
@@ -58,7 +61,9 @@ impl Sheet {
         }
         self.entries.sort();
         let figures: String = self.entries.iter().map(|(_, figure)| figure.as_str()).collect();
-        let page = include_str!("sheet.html").replace("<!-- frames -->", &figures);
+        // No text of a shape may end the element that it stands in.
+        let mended = features(&self.mended).to_string().replace('<', "\\u003c");
+        let page = include_str!("sheet.html").replace("<!-- frames -->", &figures).replace("<!-- mended -->", &mended);
         atomic::write(&self.folder.join("masks.html"), page.as_bytes())
     }
 
@@ -74,13 +79,26 @@ impl Sheet {
     }
 }
 
+/// Shapes as the page saves them.
+fn features(shapes: &[Shape]) -> serde_json::Value {
+    let closed = |ring: &Vec<[f64; 2]>| ring.iter().chain(ring.first()).copied().collect::<Vec<_>>();
+    let feature = |shape: &Shape| {
+        serde_json::json!({
+            "type": "Feature",
+            "properties": {"class": shape.class, "frame": shape.frame},
+            "geometry": {"type": "Polygon", "coordinates": shape.rings.iter().map(closed).collect::<Vec<_>>()},
+        })
+    };
+    shapes.iter().map(feature).collect()
+}
+
 /// A relative path as pages name it.
 fn in_address(path: &str) -> String {
     escaped(&path.replace('%', "%25").replace('#', "%23").replace('?', "%3F"))
 }
 
 fn entry(report: &Report, picture: Option<String>, scatter: Option<String>) -> String {
-    let frame = report.frame.file_name().unwrap_or_default().to_string_lossy();
+    let frame = escaped(&report.frame.file_name().unwrap_or_default().to_string_lossy());
     let warnings: String = report.warnings.iter().map(|w| format!("<li>{}</li>", escaped(w))).collect();
     let plot = scatter
         .map(|name| format!("<img loading=\"lazy\" src=\"{name}\" alt=\"Entropy against intensity by class\">"))

@@ -9,7 +9,7 @@
 
   const MODEL = D.chosen_model ? D.chosen_model.model : null;
   const MIRRORED = Boolean(D.similarity && D.similarity.mirrored);
-  let edits = [], saved = 0, held = Review.initial(D.points), state = Review.evaluate(D.points, held, MODEL, MIRRORED), selected = 0, order = [];
+  let edits = [], saved = "[]", notes = new Map(), held = Review.initial(D.points), state = Review.evaluate(D.points, held, MODEL, MIRRORED), selected = 0, order = [];
   const start = state;
 
   // ---- words
@@ -78,7 +78,7 @@
     note.hidden = !edits.length && !D.patch;
     if (edits.length) {
       const was = start.solution ? ` RMSE was ${ground(start.fit.rmse)} from ${count(start.control, "point", "points")}.` : "";
-      note.textContent = `Shown with ${count(edits.length, "change", "changes")} by review, ${saved === edits.length ? "saved" : "not saved yet"}.${was}`;
+      note.textContent = `Shown with ${count(edits.length, "change", "changes")} by review, ${unsaved() ? "not saved yet" : "saved"}.${was}`;
     } else if (D.patch) {
       note.textContent = `${count(D.patch.edits.length, "change", "changes")} by review were replayed.`;
     }
@@ -399,7 +399,7 @@
     byId("editor").parentElement.classList.toggle("whole", !order.length);
     byId("undo").disabled = !edits.length;
     byId("save").disabled = !edits.length;
-    byId("changes").textContent = edits.length ? `${count(edits.length, "change", "changes")}${saved === edits.length ? ", saved" : ""}` : "";
+    byId("changes").textContent = edits.length ? `${count(edits.length, "change", "changes")}${unsaved() ? "" : ", saved"}` : "";
     document.querySelector(".toolbar").hidden = !order.length;
   }
 
@@ -437,12 +437,14 @@
   }
 
   // ---- edits
-  const noteOf = (gcp) => { const mine = edits.filter((e) => e.gcp === gcp); return mine.length ? mine[mine.length - 1].note : ""; };
+  const unsaved = () => edits.length > 0 && saved !== JSON.stringify(edits);
+  // A note that is typed before the first edit waits for it.
+  const noteOf = (gcp) => { const mine = edits.filter((e) => e.gcp === gcp); return mine.length ? mine[mine.length - 1].note : notes.get(gcp) || ""; };
   function setNote(gcp, text) {
     const mine = edits.filter((e) => e.gcp === gcp);
+    notes.set(gcp, text);
     if (!mine.length) return;
     mine[mine.length - 1].note = text;
-    saved = -1;
     head();
     cards();
   }
@@ -515,7 +517,7 @@
     link.click();
     link.remove();
     setTimeout(() => URL.revokeObjectURL(url), 10000);
-    saved = edits.length;
+    saved = JSON.stringify(edits);
     head();
     cards();
     focusCard();
@@ -573,7 +575,7 @@
   byId("undo").addEventListener("click", undo);
   byId("save").addEventListener("click", save);
   byId("order").addEventListener("change", cards);
-  window.addEventListener("beforeunload", (event) => { if (edits.length && saved !== edits.length) event.preventDefault(); });
+  window.addEventListener("beforeunload", (event) => { if (unsaved()) event.preventDefault(); });
 
   // ---- the rest
   function sections() {

@@ -57,6 +57,8 @@ impl Sampling {
             "y0": grid.y0,
             "step_x": grid.step_x * step,
             "step_y": grid.step_y * step,
+            "cells_apart": self.step,
+            "cells": [self.width, self.height],
             "b": base64(&b),
             "d": base64(&d),
         })

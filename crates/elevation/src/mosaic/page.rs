@@ -20,7 +20,8 @@ fn name(path: &Path) -> String {
 /// The page.
 pub fn text(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> String {
     let mut out = String::from(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Overlaps of a mosaic</title><style>\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>Overlaps of a mosaic</title><style>\
          body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
          table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
          td.t,th.t{text-align:left}svg{max-width:100%;height:auto}.pair{display:grid;grid-template-columns:1fr 1fr;gap:1em}\

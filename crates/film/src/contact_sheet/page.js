@@ -106,11 +106,14 @@ const Sheet = (() => {
     $("save").textContent = "Save patch (" + edits.length + " edit" + (edits.length === 1 ? "" : "s") + ", " + looked + " frame" + (looked === 1 ? "" : "s") + ")";
   }
 
+  // What the sheet showed of a mark, so that a patch is not replayed on another roll.
+  const was = m => m.x === null ? {} : { was: [m.x, m.y] };
+
   function move(f, m, x, y) {
     const last = edits[edits.length - 1];
     // Nudges in a row are one step.
     if (last && last.action === "move" && last.frame === f.name && last.mark === m.mark) { last.x = x; last.y = y; }
-    else edits.push({ frame: f.name, mark: m.mark, action: "move", x, y, note: "" });
+    else edits.push({ frame: f.name, mark: m.mark, action: "move", x, y, ...was(m), note: "" });
     changed(f, m);
   }
 
@@ -130,7 +133,7 @@ const Sheet = (() => {
   function key(k, f, m) {
     const name = k.key.length === 1 ? k.key.toLowerCase() : k.key, command = k.ctrlKey || k.metaKey;
     if (k.altKey || (command && name !== "z" && name !== "s")) return;
-    const s = held(f, m), put = action => { edits.push({ frame: f.name, mark: m.mark, action, note: "" }); changed(f, m); };
+    const s = held(f, m), put = action => { edits.push({ frame: f.name, mark: m.mark, action, ...was(m), note: "" }); changed(f, m); };
     const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[name];
     if (arrow && k.shiftKey) {
       const half = roll.side * m.step / 2, from = s.x === null ? { x: m.left + half, y: m.top + half } : s;

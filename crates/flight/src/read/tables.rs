@@ -49,14 +49,16 @@ fn separator(line: &str) -> Option<char> {
     [';', '\t', ','].into_iter().find(|c| line.contains(*c))
 }
 
-/// Cuts a row at its separator, else at blanks; quotes of either kind hold a field together.
+/// Cuts a row at its separator, else at blanks; quotes of either kind hold a field together, two are one of it.
 fn fields(line: &str, cut: Option<char>) -> Vec<String> {
     let mut all = Vec::new();
     let mut field = String::new();
     let mut quote = None;
     let mut any = false;
-    for c in line.chars() {
+    let mut letters = line.chars().peekable();
+    while let Some(c) = letters.next() {
         match (quote, c) {
+            (Some(q), c) if c == q && letters.peek() == Some(&q) => field.extend(letters.next()),
             (Some(q), c) if c == q => quote = None,
             (Some(_), c) => field.push(c),
             (None, '"' | '\'') if field.trim().is_empty() => (quote, any) = (Some(c), true),
@@ -416,6 +418,9 @@ mod tests {
         let (path, _gone) = file("'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa' 'camera'\n'a b' 1 2 3 4 5 6 'dji x'\n");
         let rows = cameras(&path).expect("a table");
         assert_eq!((rows[0].name.as_str(), rows[0].omega_phi_kappa_deg), ("a b", Some([4.0, 5.0, 6.0])));
+        let (path, _gone) = file("name,x,y,z\n\"a \"\"b\"\" 'c'.png\",1,2,3\n'd''e \"f\"',1,2,3\n\"\",1,2,3\n");
+        let names: Vec<String> = cameras(&path).expect("a table").into_iter().map(|row| row.name).collect();
+        assert_eq!(names, ["a \"b\" 'c'.png", "d'e \"f\"", ""]);
         let (path, _gone) = file("3324 -55094.5 -3727407.0 5258.3 -0.35 0.29 -179.08\n");
         assert_eq!(cameras(&path).expect("a table")[0].omega_phi_kappa_deg, Some([-0.35, 0.29, -179.08]));
         for heading in ["# name,x,y,z,yaw,pitch,roll", "#Label,X/Easting,Y/Northing,Z/Altitude,Yaw,Pitch,Roll"] {

@@ -185,27 +185,45 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     })?;
     bar.finish_and_clear();
     let outputs = &args.outputs;
-    let mut reviewed_ok = None;
+    // Of frames as a review leaves them.
+    let mut reviewed = None;
     if outputs.exports || outputs.resampling.resample || outputs.patch.is_some() {
         let read = |scan: &PathBuf| roll::read_frame(&roll::frame_json(&args.output, scan));
         let mut frames = scans.iter().map(read).collect::<Result<Vec<_>, _>>()?;
         super::film_outputs::write_outputs(&args.output, &camera, &mut frames, options.model, outputs)?;
-        reviewed_ok = outputs.patch.as_ref().map(|_| frames.iter().all(FrameResult::is_ok));
+        reviewed = outputs.patch.as_ref().map(|_| Verdicts::of(&frames));
     }
+    let verdicts = reviewed.unwrap_or(Verdicts { ok: summary.ok, doubtful: summary.doubtful, failed: summary.failed });
     if !args.json {
         let memory = memory_plan::peak_resident_bytes()
             .map_or(String::new(), |bytes| format!(", {:.0} MiB at most", bytes as f64 / 1_048_576.0));
+        let Verdicts { ok, doubtful, failed } = verdicts;
         println!(
-            "{} frames: {} OK, {} doubtful, {} failed ({} from an earlier run){memory}; results in {}",
+            "{} frames: {ok} OK, {doubtful} doubtful, {failed} failed ({} from an earlier run){memory}; results in {}",
             summary.frames,
-            summary.ok,
-            summary.doubtful,
-            summary.failed,
             summary.resumed,
             args.output.display()
         );
     }
-    Ok(if reviewed_ok.unwrap_or(summary.all_ok()) { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if verdicts.ok == summary.frames { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// How many frames are what.
+struct Verdicts {
+    ok: usize,
+    doubtful: usize,
+    failed: usize,
+}
+
+impl Verdicts {
+    fn of(frames: &[FrameResult]) -> Verdicts {
+        let count = |is: fn(&FrameStatus) -> bool| frames.iter().filter(|frame| is(&frame.status)).count();
+        Verdicts {
+            ok: count(|status| matches!(status, FrameStatus::Ok)),
+            doubtful: count(|status| matches!(status, FrameStatus::Doubtful { .. })),
+            failed: count(|status| matches!(status, FrameStatus::Failed { .. })),
+        }
+    }
 }
 
 fn line(frame: &FrameResult) -> String {

@@ -232,6 +232,21 @@ impl MaskArgs {
     }
 }
 
+/// Says which frames were mended that are not among those of this run: their names may have changed.
+fn tell_mended_elsewhere(mended: &[Shape], frames: &[PathBuf]) {
+    let mut elsewhere: Vec<&str> = mended
+        .iter()
+        .filter(|shape| !frames.iter().any(|frame| shape.is_of(frame)))
+        .filter_map(|shape| shape.frame.as_deref())
+        .collect();
+    elsewhere.sort_unstable();
+    elsewhere.dedup();
+    if let [first, rest @ ..] = &elsewhere[..] {
+        let more = if rest.is_empty() { String::new() } else { format!(" and {} more", rest.len()) };
+        tracing::warn!("--mend: what was drawn in {first}{more} is of no frame of this run");
+    }
+}
+
 /// Files as they are; of folders the images in them, by name.
 fn all_frames(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let image = |path: &Path| {
@@ -289,12 +304,13 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;
     pool.install(|| {
+        tell_mended_elsewhere(&given.mended, &frames);
         let taught = teach(&frames, &given, &options)?;
         std::fs::create_dir_all(&args.output)
             .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
         let bar = if args.quiet || args.json { ProgressBar::hidden() } else { ProgressBar::new(frames.len() as u64) };
         bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {eta} {msg}").expect("a sound template"));
-        let (mut failed, mut sheet) = (0, Sheet::new(&args.output));
+        let (mut failed, mut sheet) = (0, Sheet::new(&args.output, &given.mended));
         for frame in &frames {
             bar.set_message(frame.file_name().unwrap_or_default().to_string_lossy().into_owned());
             let shown = match &camera {

@@ -1,6 +1,7 @@
 //! `autoref-stream solve NAME.autoref.json --patch FILE`: what a review changed, applied to the result it was made
 //! from.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -9,7 +10,7 @@ use anyhow::bail;
 use autoref_raster::atomic::Existing;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::Crs;
-use autoref_review::{PatchFile, Subject};
+use autoref_review::{Action, PatchFile, Subject, Target};
 use autoref_stream::gcp::{GcpList, WorkingCrs};
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
@@ -18,7 +19,7 @@ use autoref_stream::report;
 use autoref_stream::result::RunResult;
 
 use crate::cli::accuracy;
-use crate::cli::run::{self, Document};
+use crate::cli::run::{self, Document, NO_MARK_THERE};
 use crate::cli::solve::SolveArgs;
 use crate::cli::solving;
 
@@ -80,6 +81,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             args.candidates.display()
         );
     }
+    settle(&mut document.result, &patch);
     document.result.patch = Some(patch);
     if let Some(delivery) = &delivery {
         delivery.apply(&mut document.result);
@@ -95,6 +97,28 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     run::print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// What a person rejected or could not see is no doubt of the program's any more.
+fn settle(result: &mut RunResult, patch: &PatchFile) {
+    let gcps: HashMap<&str, Action> = patch
+        .edits
+        .iter()
+        .filter_map(|edit| match &edit.target {
+            Target::Gcp { gcp } => Some((gcp.as_str(), edit.action)),
+            Target::Fiducial { .. } => None,
+        })
+        .collect();
+    for (gcp, action) in gcps {
+        let said = match action {
+            Action::Reject => "a review rejected what was found there",
+            Action::NotVisible => "a review could not see it",
+            Action::Accept | Action::Move | Action::Pick => continue,
+        };
+        result.warnings.retain(|warning| !warning.starts_with(&format!("{gcp}: {NO_MARK_THERE}")));
+        let lost = result.solved_mut().into_iter().flat_map(|solved| &mut solved.not_found);
+        lost.filter(|lost| lost.name == gcp).for_each(|lost| lost.detail = said.into());
+    }
 }
 
 /// Whether the page had shown another transform: the patch belongs to another result, or was changed since.

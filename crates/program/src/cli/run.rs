@@ -570,6 +570,9 @@ fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> V
     notes
 }
 
+/// How a doubt begins about a point whose mark is missing.
+pub const NO_MARK_THERE: &str = "no mark where it must be";
+
 /// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
 fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<String> {
     const NEAR_PX: f64 = 60.0;
@@ -589,7 +592,7 @@ fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpLi
                 .filter(|d| *d < NEAR_PX)
                 .min_by(f64::total_cmp)?;
             Some(format!(
-                "{}: no mark where it must be, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
+                "{}: {NO_MARK_THERE}, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
                 list.gcps[gcp].name,
                 nearest * solution.scale_m_per_px
             ))

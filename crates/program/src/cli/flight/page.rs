@@ -33,7 +33,8 @@ pub fn name(value: &Value) -> String {
 /// The page of a document of `flight solve`.
 pub fn page(document: &Value, title: &str) -> String {
     let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
         escaped(title)
     );
     let _ = write!(

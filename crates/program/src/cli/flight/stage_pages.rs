@@ -37,7 +37,8 @@ impl Pictures {
 pub fn whole(title: &str, stage: &str, before: Option<&str>, body: &str) -> String {
     let back = before.map_or(String::new(), |before| format!("<a href=\"{before}.html\">← {before}</a> · "));
     format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}: {stage}</title><style>{STYLE}\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>{0}: {stage}</title><style>{STYLE}\
          .frames{{display:flex;flex-wrap:wrap;gap:.8rem}}figure{{margin:0}}figcaption{{font-size:12px}}</style>\
          <p>{back}<a href=\"index.html\">all stages</a></p><h1>{0}: {stage}</h1>{body}\
          <p><a href=\"{stage}.json\">{stage}.json</a></p></html>\n",
@@ -48,7 +49,8 @@ pub fn whole(title: &str, stage: &str, before: Option<&str>, body: &str) -> Stri
 /// The page that leads to the others.
 pub fn contents(title: &str, rows: &str) -> String {
     format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}: stages</title><style>{STYLE}\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>{0}: stages</title><style>{STYLE}\
          td{{text-align:left}}</style><h1>{0}: stages</h1><table>{rows}</table></html>\n",
         escaped(title)
     )

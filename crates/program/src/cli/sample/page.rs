@@ -25,7 +25,8 @@ const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em 
 pub fn page(lesson: &Lesson, statistics: Option<&SampleStatistics>) -> String {
     let name = escaped(&lesson.profile.name);
     let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Colours of {name}</title><style>{STYLE}</style>\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
+         <title>Colours of {name}</title><style>{STYLE}</style>\
          <h1>Colours of the profile {name}</h1><p>{}.</p>",
         escaped(&lesson.profile.description)
     );
