@@ -41,6 +41,9 @@ pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Resu
         let Some(pose) = rows[i].pose(None) else {
             bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
         };
+        if !rows[i].is_directed() {
+            tracing::warn!("{}: the row of `{name}` states no roll; the frame is taken to lie level", file.display());
+        }
         let camera = match &args.camera {
             Some(path) => camera_file(path, name)?,
             None if args.f_px.is_some() => Camera::pinhole(name, size, 1.0, [size[0] / 2.0, size[1] / 2.0]),
