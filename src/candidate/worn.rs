@@ -13,7 +13,6 @@ use super::fit::Fit;
 use super::gates::{Gates, central_moments};
 use super::local::Local;
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
-use super::prototype_options;
 use super::scene::{RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
@@ -37,8 +36,6 @@ pub(crate) struct Worn {
     /// Of the worn paint.
     pub profile: Profile,
     pub classifier: Classifier,
-    /// Of the paint itself, from whose colours rules count.
-    pub paint: Classifier,
     pub gates: Gates,
     /// The paint where it is not worn, sRGB 0..=255.
     pub fresh: [u8; 3],
@@ -73,9 +70,9 @@ struct Weights {
     off_line: f64,
 }
 
-/// From 10,909 worn (50 and 60 %), blurred and patchy marks of ten paints, 6 to 20 px, and 1,037 other regions of 57 Mpx
-/// of bare photographs that pass the gates (`benches/paint.py`'s renderer, its tuning half). Weights that others of the
-/// photographs taught find nearly as many.
+/// From 10,909 worn (50 and 60 %), blurred and patchy marks of ten paints, 6 to 20 px, and 1,037 other regions of 57
+/// Mpx of bare photographs that pass the gates (`benches/paint.py`'s renderer, its tuning half). Weights that others of
+/// the photographs taught find nearly as many.
 const WORN: Weights = Weights {
     nothing: -5.9,
     contrast: 3.12,
@@ -156,9 +153,6 @@ impl Worn {
         if hopeless || fill < LEAST_FILL || elongation > MOST_ELONGATION {
             return None;
         }
-        if !prototype_options::passes(scene, &self.paint, &self.profile) {
-            return None;
-        }
         let seen = Seen { contrast: across.contrast, shares: across.shares(scene), local: false, elongation, off_line };
         let looks = Looks { region, classifier: &self.classifier, profile: &self.profile, gates: &self.gates };
         looks.weighed(scene, around, seen, &WORN)
@@ -182,6 +176,8 @@ impl Looks<'_> {
         const LEAST_FILL: f64 = 0.9;
         const MOST_ELONGATION: f64 = 2.5;
         const LEAST_CONTRAST: f64 = 3.0;
+        /// Of fewer pixels any speck at an edge is compact.
+        const LEAST_AREA_PX: u64 = 30;
         let grown = match whole::whole(scene, plateau(scene)) {
             Whole::Grown(own) => Some(scene.with_own(own.clone(), &own.or(&scene.other))),
             _ => None,
@@ -189,7 +185,7 @@ impl Looks<'_> {
         let found = std::iter::once(scene).chain(&grown).filter_map(|scene| {
             let region = region_of(&scene.own, scene.patch).filter(|region| self.gates.shape(region))?;
             let (fill, elongation) = compactness(&region);
-            if fill < LEAST_FILL || elongation > MOST_ELONGATION {
+            if fill < LEAST_FILL || elongation > MOST_ELONGATION || region.area < LEAST_AREA_PX {
                 return None;
             }
             let paint = plateau(scene);

@@ -63,7 +63,7 @@ impl PaintDetector {
         let classifier = Classifier::of(colours.paint, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::new(&profile.filters, gates.max_side_px());
         let bright = BrightPaint::of(&profile, &classifier, &gates);
-        let worn = colours.worn.map(|worn| WornPaint::of(&profile, &classifier, worn, info, &gates)).transpose()?;
+        let worn = colours.worn.map(|worn| WornPaint::of(&profile, worn, info, &gates)).transpose()?;
         Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn })
     }
 

@@ -39,21 +39,15 @@ pub(super) struct WornPaint {
 }
 
 impl WornPaint {
-    /// `profile` and `paint` are those of the paint, not worn.
+    /// `profile` is that of the paint, not worn.
     ///
     /// # Errors
     /// When the image's value of white is 0.
-    pub fn of(
-        profile: &Profile,
-        paint: &Classifier,
-        worn: WornColours,
-        info: &RasterInfo,
-        gates: &Gates,
-    ) -> Result<WornPaint> {
+    pub fn of(profile: &Profile, worn: WornColours, info: &RasterInfo, gates: &Gates) -> Result<WornPaint> {
         let (sample, white) = (info.sample, info.white);
         let classifier = Classifier::of(worn.colours, sample, white, info.rgb, info.alpha, info.nodata)?;
-        let (paint, gates, fresh) = (paint.clone(), gates.clone(), profile.fresh_paint());
-        let worn = Worn { profile: worn.profile, classifier, paint, gates, fresh };
+        let (gates, fresh) = (gates.clone(), profile.fresh_paint());
+        let worn = Worn { profile: worn.profile, classifier, gates, fresh };
         Ok(WornPaint { worn })
     }
 

@@ -4,7 +4,8 @@ use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::planar::{self, Kind};
 use autoref_solve::similarity::Pair;
 
-use super::SolvedRun;
+use super::{MatchRow, SolvedRun};
+use crate::candidate::Candidate;
 
 /// A survey whose σ nobody states is this good, metres.
 const USUAL_SURVEY_M: f64 = 0.02;
@@ -14,6 +15,8 @@ const TIMES: f64 = 3.0;
 pub const LEAST_MISFIT_PX: f64 = 2.0;
 /// Residuals from which a stretched image is told, pixels.
 const LEAST_STRETCH_PX: f64 = 0.5;
+/// So large a share of marks in pieces is no chance.
+const LEAST_IN_PIECES: f64 = 0.34;
 /// An affine transform explains them when it leaves less than this share at points that it has not seen: fewest points,
 /// and the share.
 const LEFT_BY_AFFINE: [(usize, f64); 2] = [(8, 0.4), (6, 0.25)];
@@ -27,13 +30,20 @@ pub enum Misfit {
     Bad { rmse_px: f64, expected_px: f64 },
     /// Centres or survey are known no better.
     Rough { rmse_px: f64 },
+    /// Beside many matched marks lie other candidates, nearer than a mark is wide: parts of marks were measured. Parts
+    /// that lie alike in their marks fit each other as well as the marks would.
+    InPieces { marks: usize, of: usize },
 }
 
 impl Misfit {
     /// Of what is written: the affine transform where that was chosen, else the similarity, whatever is reported beside
     /// it. `None` where the points fit, or nothing tells. Residuals count for the degrees of freedom that are left.
-    pub fn of(run: &SolvedRun) -> Option<Misfit> {
+    pub fn of(run: &SolvedRun, candidates: &[Candidate]) -> Option<Misfit> {
         let rows = &run.matches;
+        let marks = in_pieces(rows, candidates);
+        if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
+            return Some(Misfit::InPieces { marks, of: rows.len() });
+        }
         let (n, scale) = (rows.len() as f64, run.fit.scale_m_per_px);
         let is_affine = run.chosen_model.as_ref().is_some_and(|model| model["model"] == "affine");
         // Half of its parameters, points' worth.
@@ -74,6 +84,10 @@ impl Misfit {
                 format!("solved, but the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
             }
             Misfit::Rough { rmse_px } => format!("solved, but only to {rmse_px:.1} px: marks or survey tell no better"),
+            Misfit::InPieces { marks, of } => format!(
+                "solved, but {marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
+                 a mark's width"
+            ),
         }
     }
 
@@ -93,8 +107,28 @@ impl Misfit {
                 "residuals of {rmse_px:.1} px, which the uncertain centres of the marks or the stated survey allow: {parts}, \
                  or they are worn or covered"
             ),
+            Misfit::InPieces { marks, of } => format!(
+                "beside {marks} of {of} marks lie other candidates, nearer than a mark is wide: {parts}, and the whole \
+                 image may be as far off as a mark is wide; name the size too (--mark-size)"
+            ),
         }
     }
+}
+
+/// How many matched marks have another candidate beside them, nearer than they are wide.
+fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> usize {
+    /// In sides of the candidate.
+    const BESIDE: f64 = 1.3;
+    const LEAST_SIDE_PX: f64 = 4.0;
+    let beside = |row: &&MatchRow| {
+        let distance = |c: &Candidate| (c.centre.x - row.x).hypot(c.centre.y - row.y);
+        let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let Some(side_px) = own.and_then(|own| own.area_px).map(|area| area.sqrt().max(LEAST_SIDE_PX)) else {
+            return false;
+        };
+        candidates.iter().filter(|c| distance(c) < BESIDE * side_px).count() > 1
+    };
+    rows.iter().filter(beside).count()
 }
 
 /// RMS of the lengths of residuals, for the degrees of freedom that are left: `taken` is how many points' worth the fit
@@ -106,7 +140,7 @@ pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>, taken: f64) -> f
 
 /// RMSE of an affine transform at points that were left out of it, pixels.
 fn affine_px(run: &SolvedRun) -> Option<f64> {
-    let pair = |row: &super::MatchRow| Pair {
+    let pair = |row: &MatchRow| Pair {
         pixel: PixelPoint { x: row.x, y: row.y },
         covariance_px2: None,
         map: MapPoint { easting: row.easting, northing: row.northing },
@@ -115,4 +149,29 @@ fn affine_px(run: &SolvedRun) -> Option<f64> {
     let pairs: Vec<Pair> = run.matches.iter().map(pair).collect();
     let fit = planar::fit(&pairs, Kind::Affine).ok()?;
     Some(fit.leave_one_out_rmse_m? / run.fit.scale_m_per_px)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn marks_with_candidates_beside_them_lie_in_pieces() {
+        let row = |x: f64| -> MatchRow {
+            serde_json::from_value(serde_json::json!({
+                "gcp": "A", "x": x, "y": 50.0, "easting": 0.0, "northing": 0.0, "height": null, "survey_sigma_m": null,
+                "residual_e_m": 0.0, "residual_n_m": 0.0, "residual_px": 0.0, "covariance_px2": null, "score": 9.0,
+                "found_by": "scan", "leave_one_out_m": null, "redundancy": null, "detectable_blunder_m": null,
+                "outlier": false
+            }))
+            .expect("a row")
+        };
+        let candidate =
+            |x: f64, area_px: f64| Candidate { area_px: Some(area_px), ..Candidate::at(PixelPoint { x, y: 50.0 }) };
+        let rows: Vec<MatchRow> = [100.0, 200.0, 300.0].map(row).into();
+        let alone: Vec<Candidate> = [100.1, 200.0, 300.0, 250.0].map(|x| candidate(x, 100.0)).into();
+        assert_eq!(in_pieces(&rows, &alone), 0);
+        let pieces = [candidate(109.0, 30.0), candidate(212.0, 30.0), candidate(320.0, 30.0)];
+        assert_eq!(in_pieces(&rows, &[&alone[..], &pieces[..]].concat()), 2, "20 px away is another thing");
+    }
 }

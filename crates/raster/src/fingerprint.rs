@@ -1,5 +1,5 @@
-//! Fingerprints: whether what a result was made of has changed. FNV-1a (G. Fowler, L. C. Noll, K.-P. Vo, 1991), 64 bits:
-//! the same in every run and on every machine, as the standard library's hasher is not.
+//! Fingerprints: whether what a result was made of has changed. FNV-1a (G. Fowler, L. C. Noll, K.-P. Vo, 1991), 64
+//! bits: the same in every run and on every machine, as the standard library's hasher is not.
 
 use std::hash::Hasher;
 use std::io::Read;

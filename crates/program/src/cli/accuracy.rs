@@ -61,7 +61,7 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     statement.reservations.extend(untested(solved, list));
     solved.accuracy = Some(statement);
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
-    let misfit = Misfit::of(solved);
+    let misfit = result.solved().and_then(|solved| Misfit::of(solved, &result.candidates));
     result.warnings.extend(misfit.map(|misfit| misfit.note()));
 }
 

@@ -93,7 +93,7 @@ fn verdict(result: &RunResult, run: &SolvedRun) -> String {
     if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
         return format!("solved, but a point does not fit: look at it before you trust the rest{chance}");
     }
-    if let Some(misfit) = Misfit::of(run) {
+    if let Some(misfit) = Misfit::of(run, &result.candidates) {
         return misfit.verdict();
     }
     let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
