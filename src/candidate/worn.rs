@@ -1,9 +1,9 @@
 //! Worn and blurred marks: judged by what wear and blur leave alone.
 //!
 //! Paint that is worn to two fifths, or of which blur has left no pixel pure, has lost its colour, its contrast and the
-//! evenness of its inside. What it keeps is an outline with an edge all around, sides of one length, a ground beside it
-//! that it is darkened and coloured from, and a colour on the line from that ground to the paint. None of these says
-//! much alone; their weighted sum does (D. R. Cox, "The regression analysis of binary sequences", 1958).
+//! evenness of its inside. What it keeps is an outline with an edge all around, sides of one length, and a colour on
+//! the line from the ground beside it to the paint. None of these says much alone; their weighted sum does (D. R. Cox,
+//! "The regression analysis of binary sequences", 1958).
 
 use nalgebra::Vector3;
 
@@ -215,7 +215,8 @@ impl Looks<'_> {
 }
 
 fn by_score(a: &Evidence, b: &Evidence) -> std::cmp::Ordering {
-    a.own_score.partial_cmp(&b.own_score).expect("scores are numbers")
+    let score = |evidence: &Evidence| evidence.own_score.unwrap_or(f64::NEG_INFINITY);
+    score(a).total_cmp(&score(b))
 }
 
 /// Distance of a colour from the line between ground and fresh paint, in L\*a\*b\*; samples 0..=255. Wear mixes the two

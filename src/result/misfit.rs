@@ -83,7 +83,10 @@ impl Misfit {
             Misfit::Bad { rmse_px, .. } => {
                 format!("solved, but the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
             }
-            Misfit::Rough { rmse_px } => format!("solved, but only to {rmse_px:.1} px: marks or survey tell no better"),
+            Misfit::Rough { rmse_px } => format!(
+                "solved, but the points fit only to {rmse_px:.1} px: where parts of marks were measured, all of it is \
+                 farther off"
+            ),
             Misfit::InPieces { marks, of } => format!(
                 "solved, but {marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
                  a mark's width"
