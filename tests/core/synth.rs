@@ -300,7 +300,9 @@ fn what_cannot_be_is_refused_before_any_work() {
     };
     let output = |output| SynthSpec { output, ..busy() };
     says(SynthSpec::default(), "neither GCPs nor an image size");
-    says(SynthSpec { gsd_m: 0.0, ..busy() }, "ground sample distance");
+    for gsd_m in [0.0, f64::NAN, 1e-300, 1e300] {
+        says(SynthSpec { gsd_m, ..busy() }, "ground sample distance");
+    }
     says(SynthSpec { visible: Visible::Random(15), ..busy() }, "15 visible");
     says(SynthSpec { visible: Visible::Named(vec!["X".into()]), ..busy() }, "\"X\"");
     says(SynthSpec { visible: Visible::Random(14), size_px: Some((200, 200)), ..busy() }, "fit into 200 x 200");

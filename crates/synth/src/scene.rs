@@ -403,8 +403,8 @@ fn truth_of(gcp: super::SynthGcp, at: PixelPoint, mark: &Mark, visible: bool) ->
 /// Refuses what cannot be drawn.
 fn check(spec: &SynthSpec) -> Result<()> {
     let refuse = |what: String, remedy: &str| Err(Error::usage(what, remedy));
-    if !(1e-6..=1e6).contains(&spec.gsd_m) {
-        return refuse(format!("a ground sample distance of {} m", spec.gsd_m), "give one from 0.000001 to 1000000");
+    if !(1e-12..=1e12).contains(&spec.gsd_m) {
+        return refuse(format!("a ground sample distance of {} m", spec.gsd_m), "give one above 0, of sensible size");
     }
     if !spec.rotation_deg.is_finite() || spec.origin.is_some_and(|o| !(o.easting + o.northing).is_finite()) {
         return refuse("rotation or origin is not a finite number".into(), "give plain numbers");
