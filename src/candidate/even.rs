@@ -7,7 +7,7 @@
 
 use super::examine::{Around, Evidence, LEAST_CONTRAST, Looks, growth, settle, unfitted};
 use super::fit::{Fit, Form};
-use super::gates::central_moments;
+use super::gates::moments_rectangle;
 use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
 use super::scene::{RING_PX, Scene};
@@ -41,12 +41,10 @@ pub(super) fn is_compact(region: &Region) -> bool {
     /// Share of the area that a square with the same second moments has.
     const LEAST_FILL: f64 = 0.97;
     const MOST_ASPECT: f64 = 1.25;
-    let [xx, xy, yy] = central_moments(region);
-    let (middle, half_gap) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
-    let square = 12.0 * (xx * yy - xy * xy).max(0.0).sqrt();
+    let (rectangle_px, [larger, smaller]) = moments_rectangle(region);
     region.area >= LEAST_AREA_PX
-        && region.area as f64 >= LEAST_FILL * square
-        && middle + half_gap <= MOST_ASPECT * MOST_ASPECT * (middle - half_gap)
+        && region.area as f64 >= LEAST_FILL * rectangle_px
+        && larger <= MOST_ASPECT * MOST_ASPECT * smaller
 }
 
 /// Whether a fit says so: an even inside, sides alike, a full step at every edge, and about as large as what colour

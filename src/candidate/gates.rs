@@ -121,6 +121,13 @@ pub fn central_moments(region: &Region) -> [f64; 3] {
     [sxx as f64 / n - mx * mx + 1.0 / 12.0, sxy as f64 / n - mx * my, syy as f64 / n - my * my + 1.0 / 12.0]
 }
 
+/// Area in px² of the rectangle with a region's second moments, and the larger and the smaller of these.
+pub(super) fn moments_rectangle(region: &Region) -> (f64, [f64; 2]) {
+    let [xx, xy, yy] = central_moments(region);
+    let (middle, half_gap) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+    (12.0 * (xx * yy - xy * xy).max(0.0).sqrt(), [middle + half_gap, middle - half_gap])
+}
+
 /// Eccentricity of the ellipse with the region's second moments: 0 for a circle, 1 for a line.
 pub fn eccentricity(region: &Region) -> f64 {
     let [xx, xy, yy] = central_moments(region);

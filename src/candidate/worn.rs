@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use super::Candidate;
 use super::examine::{Around, Evidence, Looks, candidate, growth, near, settle, unfitted};
 use super::fit::Fit;
-use super::gates::{Gates, central_moments};
+use super::gates::{Gates, moments_rectangle};
 use super::local::Local;
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
 use super::scene::{RING_PX, Scene};
@@ -232,8 +232,6 @@ fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 
 /// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller
 /// of these.
 fn compactness(region: &Region) -> (f64, f64) {
-    let [xx, xy, yy] = central_moments(region);
-    let (middle, half_gap) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
-    let rectangle = 12.0 * (xx * yy - xy * xy).max(1e-6).sqrt();
-    (region.area as f64 / rectangle, (middle + half_gap) / (middle - half_gap).max(1e-6))
+    let (rectangle_px, [larger, smaller]) = moments_rectangle(region);
+    (region.area as f64 / rectangle_px.max(0.012), larger / smaller.max(1e-6))
 }

@@ -161,6 +161,15 @@ pub(super) const FRESH: [(&str, [u8; 3]); 6] = [
 ];
 
 impl Profile {
+    /// Whether it is of one paint, with a plain mask, whole regions and fitted centres.
+    pub(super) fn is_one_plain_paint(&self) -> bool {
+        const MOST_CLOUDS: usize = 8;
+        let plain = self.filters == Filters::default() && self.examine.centre == CentreMode::Fit && !self.examine.split;
+        let colour = &self.colour;
+        let one_paint = colour.clouds.len() <= MOST_CLOUDS && colour.rough.is_none() && colour.rough_box.is_none();
+        plain && one_paint && !self.is_target()
+    }
+
     /// The least red, green and blue of this paint in nearly full light, sRGB 0..=255: asked of the bands in which it
     /// is brightest. `None` of profiles whose mask is filtered, whose regions are taken apart, or whose centres are not
     /// fitted, and of white and any paint at once.
@@ -169,11 +178,7 @@ impl Profile {
         const LEAST_LIGHT: f64 = 0.8;
         /// Bands that are nearly as bright as the brightest.
         const BRIGHT_BAND: f64 = 0.95;
-        let plain = self.filters == Filters::default() && self.examine.centre == CentreMode::Fit && !self.examine.split;
-        const MOST_CLOUDS: usize = 8;
-        let colour = &self.colour;
-        let one_paint = colour.clouds.len() <= MOST_CLOUDS && colour.rough.is_none() && colour.rough_box.is_none();
-        if !plain || !one_paint || self.is_target() {
+        if !self.is_one_plain_paint() {
             return None;
         }
         let fresh = self.fresh_paint().map(f64::from);

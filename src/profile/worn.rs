@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use super::colour::{Metric, Space, lab_from_srgb};
 use super::mixing::GROUNDS;
-use super::{CentreMode, CloudSpec, ColourModel, Filters, GateLimits, Profile, RoughBox, RoughDistance};
+use super::{CloudSpec, ColourModel, GateLimits, Profile, RoughBox, RoughDistance};
 use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 
 /// Share of paint that is left of worn paint.
@@ -30,21 +30,17 @@ const BEYOND: f64 = 400.0;
 
 impl Profile {
     /// The same marks by the colours of their worn paint, in which much else lies too: whoever uses it asks more of a
-    /// shape. `None` of paint without a hue, of targets, and of profiles with gates of their own or
-    /// options of the 2016 prototype.
+    /// shape. `None` of paint without a hue, of targets, and of profiles with gates of their own or options of
+    /// the 2016 prototype.
     pub(crate) fn worn(&self) -> Option<Profile> {
-        const MOST_CLOUDS: usize = 8;
         const LEAST_CHROMA: f64 = 30.0;
-        let colour = &self.colour;
-        let plain = self.filters == Filters::default() && self.examine.centre == CentreMode::Fit && !self.examine.split;
-        let one_paint = colour.clouds.len() <= MOST_CLOUDS && colour.rough.is_none() && colour.rough_box.is_none();
         // What a rule drops may not come back as another region.
         let examine = &self.examine;
         let own_gates = self.gates != GateLimits::default()
             || examine.max_clutter.is_some()
             || examine.max_spread.is_some()
             || examine.density.is_some();
-        if !examine.worn || own_gates || !plain || !one_paint || self.is_target() || self.tag.is_some() {
+        if !examine.worn || own_gates || !self.is_one_plain_paint() || self.tag.is_some() {
             return None;
         }
         let paint = self.fresh_paint().map(|v| f64::from(v) / 255.0);

@@ -28,11 +28,6 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Every frame is good; nobody needs to look.
-    pub fn all_ok(&self) -> bool {
-        self.ok == self.frames
-    }
-
     fn count(&mut self, status: &FrameStatus) {
         self.frames += 1;
         match status {

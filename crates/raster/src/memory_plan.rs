@@ -5,7 +5,6 @@
 //! among the workers. When the wished tiles do not fit they are shrunk, then workers are dropped; when not even one
 //! worker with the smallest tile fits, the plan is refused with the numbers.
 
-use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -270,9 +269,6 @@ pub fn peak_resident_bytes() -> Option<u64> {
 pub fn baseline_bytes() -> u64 {
     resident_bytes().unwrap_or(64 << 20)
 }
-
-/// A source and the plan for scanning it always travel together.
-pub type PlannedSource = (Arc<dyn crate::RasterSource>, ScanPlan);
 
 #[cfg(test)]
 mod tests {

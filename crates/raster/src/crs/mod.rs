@@ -175,26 +175,6 @@ impl Crs {
         Some(text.trim().to_string()).filter(|text| !text.is_empty())
     }
 
-    /// Length on the grid over length on the ellipsoid (GRS 80) at a point, along the y axis; the same in all
-    /// directions for the conformal projections of surveying. `None` outside the projection and for other systems.
-    pub fn point_scale(&self, x: f64, y: f64) -> Option<f64> {
-        const SEMI_MAJOR_M: f64 = 6_378_137.0;
-        const ECCENTRICITY2: f64 = 0.006_694_380_022_9;
-        const STEP_M: f64 = 500.0;
-        if self.is_geographic() || self.is_local() {
-            return None;
-        }
-        let step = STEP_M / self.metres_per_unit;
-        let (lon_a, lat_a) = self.longitude_latitude(x, y - step)?;
-        let (lon_b, lat_b) = self.longitude_latitude(x, y + step)?;
-        let latitude = ((lat_a + lat_b) / 2.0).to_radians();
-        let w2 = 1.0 - ECCENTRICITY2 * latitude.sin().powi(2);
-        // Radii of curvature in the meridian and across it; the sagitta of a kilometre is far below a millimetre.
-        let north = SEMI_MAJOR_M * (1.0 - ECCENTRICITY2) / w2.powf(1.5) * (lat_b - lat_a).to_radians();
-        let east = SEMI_MAJOR_M / w2.sqrt() * latitude.cos() * (lon_b - lon_a).to_radians();
-        Some(2.0 * STEP_M / north.hypot(east))
-    }
-
     /// For messages: "EPSG:n (name)", or the name alone.
     pub fn title(&self) -> String {
         match self.epsg {
