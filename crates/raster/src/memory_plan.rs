@@ -5,7 +5,6 @@
 //! among the workers. When the wished tiles do not fit they are shrunk, then workers are dropped; when not even one
 //! worker with the smallest tile fits, the plan is refused with the numbers.
 
-
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
