@@ -10,15 +10,20 @@ pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;
 /// stay in the nearest cache: with cells of half the radius most of a look was waiting for memory.
 const NEEDLESS_LOOK: f64 = 0.03;
 
-/// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look.
+/// Of the field's diagonal: some roundings of 2⁻²⁴ each.
+const SINGLE_PRECISION: f64 = 1e-6;
+
+/// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look. The outermost
+/// cells lie outside the field and are empty.
 pub(super) struct Bitmap {
     pub radius_px: f64,
     /// A multiplication costs less than a division; building and asking use the same one, so that no cell is missed.
     pub cells_per_px: f64,
     pub columns: usize,
+    pub rows: usize,
     origin: PixelPoint,
-    /// Row by row, and one empty word.
-    pub bits: Vec<u64>,
+    /// Row by row.
+    pub bits: Vec<u32>,
 }
 
 impl Bitmap {
@@ -26,9 +31,15 @@ impl Bitmap {
     #[inline]
     pub fn may_hold(&self, p: PixelPoint) -> bool {
         // At most 16 million cells: a conversion to 32 bits is one instruction, to 64 without sign it is many.
-        let column = ((p.x - self.origin.x) * self.cells_per_px) as i32 as usize;
-        let bit = ((p.y - self.origin.y) * self.cells_per_px) as i32 as usize * self.columns + column;
-        self.bits[bit / 64] >> (bit % 64) & 1 == 1
+        let (column, row) = self.cell_of(p);
+        let bit = row as i32 as usize * self.columns + column as i32 as usize;
+        self.bits[bit / 32] >> (bit % 32) & 1 == 1
+    }
+
+    /// Column and row; the whole parts say in which cell `p` is.
+    #[inline]
+    pub fn cell_of(&self, p: PixelPoint) -> (f64, f64) {
+        ((p.x - self.origin.x) * self.cells_per_px + 1.0, (p.y - self.origin.y) * self.cells_per_px + 1.0)
     }
 
     /// Radii from 8 px up, by 2, as long as chance hits leave something to see.
@@ -49,27 +60,26 @@ impl Bitmap {
         let density = field.points().len() as f64 / field.area_px2();
         let rare_px = (NEEDLESS_LOOK / density).sqrt() - 2.0 * radius_px;
         let cell_px = rare_px.max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
-        let columns = (field.width_px / cell_px) as usize + 2;
-        let rows = (field.height_px / cell_px) as usize + 2;
+        let columns = (field.width_px / cell_px) as usize + 3;
+        let rows = (field.height_px / cell_px) as usize + 3;
         let mut bitmap = Bitmap {
             radius_px,
             cells_per_px: 1.0 / cell_px,
             columns,
+            rows,
             origin: field.origin(),
-            bits: vec![0; (columns * rows).div_ceil(64) + 1],
+            bits: vec![0; (columns * rows).div_ceil(32)],
         };
+        // Looks in single precision may be off by this.
+        let reach = (radius_px + SINGLE_PRECISION * field.width_px.hypot(field.height_px)) * bitmap.cells_per_px;
         for p in field.points() {
-            let (x, y) = (p.x - bitmap.origin.x, p.y - bitmap.origin.y);
-            let cells_per_px = bitmap.cells_per_px;
-            let range = |v: f64, limit: usize| {
-                let low = ((v - radius_px) * cells_per_px).max(0.0) as usize;
-                (low, (((v + radius_px) * cells_per_px).max(0.0) as usize).min(limit - 1))
-            };
+            let (x, y) = bitmap.cell_of(*p);
+            let range = |v: f64, cells: usize| ((v - reach).max(1.0) as usize, ((v + reach) as usize).min(cells - 2));
             let ((left, right), (top, bottom)) = (range(x, columns), range(y, rows));
             for row in top..=bottom {
                 for column in left..=right {
                     let bit = row * columns + column;
-                    bitmap.bits[bit / 64] |= 1 << (bit % 64);
+                    bitmap.bits[bit / 32] |= 1 << (bit % 32);
                 }
             }
         }

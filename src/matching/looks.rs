@@ -1,15 +1,16 @@
 //! Many hypotheses about one pair of GCPs at once: which of them may hit as many others as they must.
 //!
 //! A hypothesis is dropped after a few looks into bitmaps. One at a time most of that is waiting for branches; here a
-//! look is taken for several hypotheses together, without a branch. It answers as
-//! [`may_hold`](crate::matching::bitmap::Bitmap::may_hold) does, so what it drops would be dropped anyway.
+//! look is taken for several hypotheses together, without a branch, in single precision. Where
+//! [`may_hold`](crate::matching::bitmap::Bitmap::may_hold) says that there may be a candidate it says so too, so what
+//! it drops would be dropped anyway.
 
 use crate::matching::search::{Demand, GcpPair, Hypothesis, REFINED_PER_PAIR, Search, Span, Target, keep_best};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
 
 /// Hypotheses that a look is taken for together.
-const LANES: usize = 8;
+const LANES: usize = 16;
 /// Hypotheses of a batch.
 const BATCH: usize = 64;
 
@@ -138,14 +139,15 @@ struct Looks<'a> {
     batch: &'a Batch,
 }
 
-/// From here on doubles are whole numbers, and the lower half of their bits says which.
-const INTEGERS: f64 = (1u64 << 52) as f64;
+/// From here on single floats are whole numbers, and the lower bits say which.
+const INTEGERS: f32 = (1u32 << 23) as f32;
 
-/// The whole number below; also where processors have no instruction for it.
+/// The whole part of a number of cells, the nearest that there is; on the border between two cells either of them.
 #[inline(always)]
-fn floor(v: f64) -> f64 {
-    let nearest = (v + INTEGERS) - INTEGERS;
-    nearest - if nearest > v { 1.0 } else { 0.0 }
+fn cell(v: f32, cells: f32) -> u32 {
+    let v = if v > 0.5 { v } else { 0.5 };
+    let v = if v < cells - 0.5 { v } else { cells - 0.5 };
+    (v + (INTEGERS - 0.5)).to_bits() & 0x7F_FFFF
 }
 
 impl Kernel for Looks<'_> {
@@ -154,44 +156,44 @@ impl Kernel for Looks<'_> {
     #[inline(always)]
     fn run(self) -> [u32; BATCH] {
         let Looks { view: View { search, span, i }, targets, batch } = self;
-        let (field, points) = (&search.field, search.field.points());
-        let (from, origin) = (points[*i], field.origin());
-        let (right, bottom) = (origin.x + field.width_px, origin.y + field.height_px);
+        let points = search.field.points();
+        let from = points[*i];
         let mut counts = [0u32; BATCH];
-        for (ends, counts) in
-            batch.ends[..batch.len.next_multiple_of(LANES)].chunks_exact(LANES).zip(counts.chunks_exact_mut(LANES))
-        {
+        let used = batch.len.next_multiple_of(LANES);
+        let (ends, counts_of) = (batch.ends[..used].as_chunks::<LANES>().0, counts[..used].as_chunks_mut::<LANES>().0);
+        for (ends, counts_of) in ends.iter().zip(counts_of) {
             let (mut x_px, mut y_px) = ([0.0; LANES], [0.0; LANES]);
             for lane in 0..LANES {
                 let to = points[ends[lane] as usize];
                 (x_px[lane], y_px[lane]) = (to.x, to.y);
             }
-            let (mut z_re, mut z_im) = ([0.0; LANES], [0.0; LANES]);
+            let (mut z_re, mut z_im) = ([0f32; LANES], [0f32; LANES]);
             for lane in 0..LANES {
-                let to = PixelPoint { x: x_px[lane], y: y_px[lane] };
-                (z_re[lane], z_im[lane]) = span.factor(from, to);
+                let z = span.factor(from, PixelPoint { x: x_px[lane], y: y_px[lane] });
+                (z_re[lane], z_im[lane]) = (z.0 as f32, z.1 as f32);
             }
+            let mut counts = [0u32; LANES];
             for target in targets {
                 let bitmap = &search.bitmaps[target.bitmap];
-                let (cells_per_px, columns, words) = (bitmap.cells_per_px, bitmap.columns as f64, &bitmap.bits[..]);
-                // The last word of a bitmap is empty.
-                let (last, nowhere) = (words.len() - 1, (words.len() * 64 - 1) as f64);
+                let (columns, rows, words) = (bitmap.columns as u32, bitmap.rows as f32, &bitmap.bits[..]);
+                // All in cells.
+                let (x0, y0) = bitmap.cell_of(from);
+                let (x0, y0) = (x0 as f32, y0 as f32);
+                let east = (target.east * bitmap.cells_per_px) as f32;
+                let north = (target.north * bitmap.cells_per_px) as f32;
                 let mut bits = [0u32; LANES];
                 for lane in 0..LANES {
                     let (re, im) = (z_re[lane], z_im[lane]);
-                    let x = from.x + re * target.east - im * target.north;
-                    let y = from.y - (re * target.north + im * target.east);
-                    let inside = (x >= origin.x) & (y >= origin.y) & (x <= right) & (y <= bottom);
-                    let column = floor((x - origin.x) * cells_per_px);
-                    let row = floor((y - origin.y) * cells_per_px);
-                    let bit = if inside { row * columns + column } else { nowhere };
-                    bits[lane] = (bit + INTEGERS).to_bits() as u32;
+                    let column = cell(x0 + (re * east - im * north), columns as f32);
+                    let row = cell(y0 - (re * north + im * east), rows);
+                    bits[lane] = row * columns + column;
                 }
                 for lane in 0..LANES {
-                    let word = words[(bits[lane] as usize / 64).min(last)];
-                    counts[lane] += (word >> (bits[lane] % 64)) as u32 & 1;
+                    let word = words.get(bits[lane] as usize / 32).copied().unwrap_or(0);
+                    counts[lane] += word >> (bits[lane] % 32) & 1;
                 }
             }
+            *counts_of = counts;
         }
         counts
     }
@@ -216,7 +218,7 @@ mod tests {
         let priors = Priors { image_size_px: Some((2000.0, 1500.0)), ..Priors::default() };
         let all: Vec<&Candidate> = candidates.iter().collect();
         let (search, pairs, _) = Search::new(&all, &gcps, &priors, 0.0).expect("hypotheses are possible");
-        let mut hits = 0;
+        let (mut hits, mut more) = (0, 0);
         for pair in &pairs[..20] {
             let (targets, i) = (search.targets(pair, search.tolerance_px), pair.a);
             let view = View { search: &search, span: search.span(pair), i };
@@ -237,10 +239,13 @@ mod tests {
                     search.field.contains(p) && search.bitmaps[target.bitmap].may_hold(p)
                 };
                 let expected = targets.iter().filter(may).count() as u32;
-                assert_eq!([counts[0][lane], counts[1][lane]], [expected; 2]);
+                // Beside a border between cells single precision may find one more, never one less.
+                assert_eq!(counts[0][lane], counts[1][lane]);
+                assert!((expected..=expected + 1).contains(&counts[0][lane]), "{expected}: {}", counts[0][lane]);
                 hits += expected;
+                more += counts[0][lane] - expected;
             }
         }
-        assert!(hits > 100, "{hits}");
+        assert!(hits > 100 && more < hits / 50, "{hits}, {more} more");
     }
 }

@@ -21,6 +21,11 @@ const FEWEST_TRIED: u64 = 200_000;
 /// explains half of its marks at least; of so many, drawn at random, fewer than two are among these in one case of
 /// 600,000 (25 · 2⁻²⁴).
 const MOST_MARKS: usize = 24;
+/// Looks that all pairs of GCPs may cost with so few marks. Of a long list pairs drawn at random are tried with all
+/// marks where that is shorter, ...
+const MOST_LOOKS: u64 = 50_000_000;
+/// ... as many as miss a rival of half of the marks in one case of so many.
+const RIVAL_MISSED: f64 = 1e-5;
 
 impl Search<'_> {
     /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` and of the
@@ -35,11 +40,35 @@ impl Search<'_> {
     /// Other GCPs laid on the marks of the pattern.
     fn on_the_same_marks(&self, pattern: &Pattern, pairs: &[GcpPair]) -> (Vec<Pattern>, u64) {
         let mut marks: Vec<usize> = pattern.pairs.iter().map(|pair| pair.0).collect();
-        if marks.len() > MOST_MARKS {
-            marks.sort_by_cached_key(|&mark| mix(mark as u64));
-            marks.truncate(MOST_MARKS);
+        let few = marks.len().min(MOST_MARKS);
+        let cost = |pairs: usize, marks: usize| (pairs * marks * marks) as u64;
+        if cost(pairs.len(), few) * self.gcps.len() as u64 > MOST_LOOKS {
+            let others = self.gcps.len() - 2;
+            let hits = marks.len().div_ceil(2).saturating_sub(2).max(1);
+            let screening = Screening::shortest(hits, others, pairs.len(), RIVAL_MISSED);
+            if cost(screening.pairs, marks.len()) < cost(pairs.len(), few) {
+                let mut drawn: Vec<&GcpPair> = pairs.iter().collect();
+                drawn.sort_by_cached_key(|pair| mix(((pair.a as u64) << 32) + pair.b as u64));
+                drawn.truncate(screening.pairs);
+                return self.laid_on(&marks, drawn, screening.first_looks, pattern);
+            }
         }
-        let found: Vec<_> = pairs.par_iter().map(|pair| (pair, self.try_pair_among(pair, &marks))).collect();
+        if marks.len() > few {
+            marks.sort_by_cached_key(|&mark| mix(mark as u64));
+            marks.truncate(few);
+        }
+        self.laid_on(&marks, pairs.iter().collect(), Screening::EVERY_LOOK, pattern)
+    }
+
+    fn laid_on(
+        &self,
+        marks: &[usize],
+        pairs: Vec<&GcpPair>,
+        first_looks: usize,
+        pattern: &Pattern,
+    ) -> (Vec<Pattern>, u64) {
+        let among = |pair| (pair, self.try_pair_among(pair, marks, first_looks));
+        let found: Vec<_> = pairs.into_par_iter().map(among).collect();
         self.refined(pattern, found.into_iter())
     }
 

@@ -32,10 +32,6 @@ const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
 const GROWTH_SHARE: u64 = 3;
-/// A field of few candidates needs no more than this many hypotheses for each ordered pair of them, and at least
-/// [`FEWEST`]: a refusal is to come in seconds.
-const ROUNDS: u64 = 40;
-const FEWEST: u64 = 30_000_000;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
 
@@ -44,7 +40,7 @@ const MOST_CHALLENGES: usize = 3;
 pub struct RobustMatcher {
     /// A pattern is believed when chance alone would produce no more than this many.
     pub max_false_alarms: f64,
-    /// The search ends here, found or not; with few candidates sooner (`docs/decisions/search-work.md`).
+    /// The search ends here, found or not (`docs/decisions/search-work.md`).
     pub budget_hypotheses: u64,
     /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
@@ -257,10 +253,8 @@ impl RobustMatcher {
             .collect();
         // Every search is a chance for a false alarm.
         let log10_searches = ((1 + rungs.len()) as f64 * self.tries).log10();
-        let pairs = (candidates.len() as u64).pow(2);
-        let budget = self.budget_hypotheses.min((ROUNDS * pairs).max(FEWEST));
-        let early = budget / EARLY_SHARE;
-        let last = budget.saturating_sub(rungs.len() as u64 * early).max(early);
+        let early = self.budget_hypotheses / EARLY_SHARE;
+        let last = self.budget_hypotheses.saturating_sub(rungs.len() as u64 * early).max(early);
         for rung in rungs {
             let ranked = &ranked[..rung];
             let mut found = self.search(&some(ranked), gcps, (priors, heeded), log10_searches, early);

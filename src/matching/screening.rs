@@ -14,16 +14,15 @@ impl Screening {
     /// Every hypothesis is asked for all its GCPs.
     pub const EVERY_LOOK: usize = usize::MAX;
 
-    /// The screening that takes the fewest looks in all, when `hits` of `others` GCPs beside the pair have marks.
-    pub fn shortest(hits: usize, others: usize, pairs: usize) -> Screening {
-        /// One case in so many is missed.
-        const MISSED: f64 = 0.01;
+    /// The screening that takes the fewest looks in all and misses this share of the cases, when `hits` of `others`
+    /// GCPs beside the pair have marks.
+    pub fn shortest(hits: usize, others: usize, pairs: usize, missed: f64) -> Screening {
         /// Looks that a hypothesis takes as long as before the first.
         const LAID_OUT: usize = 3;
         let (marks, points) = (hits as f64 + 2.0, others as f64 + 2.0);
         let both = marks * (marks - 1.0) / (points * (points - 1.0));
         // ln(1 − 1) is −∞: one pair is enough then.
-        let enough = |noticed: f64| (MISSED.ln() / (-noticed).ln_1p()).ceil().max(1.0);
+        let enough = |noticed: f64| (missed.ln() / (-noticed).ln_1p()).ceil().max(1.0);
         let every = Screening { pairs: (enough(both) as usize).min(pairs), first_looks: Screening::EVERY_LOOK };
         let (mut best, mut fewest) = (every, every.pairs * (LAID_OUT + others));
         let mut none_hit = 1.0;
@@ -49,7 +48,7 @@ mod tests {
     #[test]
     fn a_screened_search_notices_99_of_100_patterns() {
         for (hits, others, pairs) in [(4, 18, 190), (6, 18, 190), (10, 18, 190), (6, 48, 1225), (20, 198, 19_900)] {
-            let screening = Screening::shortest(hits, others, pairs);
+            let screening = Screening::shortest(hits, others, pairs, 0.01);
             assert!(screening.pairs <= pairs && screening.first_looks < others, "{screening:?}");
             let mut random = SplitMix64(others as u64);
             let mut points: Vec<usize> = (0..others + 2).collect();
@@ -77,7 +76,7 @@ mod tests {
 
     #[test]
     fn a_list_too_short_for_a_screening_is_asked_in_full() {
-        assert_eq!(Screening::shortest(1, 18, 190), Screening { pairs: 190, first_looks: Screening::EVERY_LOOK });
-        assert_eq!(Screening::shortest(18, 18, 190), Screening { pairs: 1, first_looks: Screening::EVERY_LOOK });
+        assert_eq!(Screening::shortest(1, 18, 190, 0.01), Screening { pairs: 190, first_looks: Screening::EVERY_LOOK });
+        assert_eq!(Screening::shortest(18, 18, 190, 0.01), Screening { pairs: 1, first_looks: Screening::EVERY_LOOK });
     }
 }

@@ -32,6 +32,8 @@ const CROWD: usize = 3000;
 const WORTH_THREADS: u64 = 10_000;
 /// A budget that is enough for less than this share of a pair's hypotheses is spent in part only.
 const LEAST_SHARE: f64 = 0.1;
+/// How often a search that tries pairs in a random order may miss a pattern that could be believed.
+const PATTERN_MISSED: f64 = 0.01;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -230,7 +232,7 @@ impl<'a> Search<'a> {
         let levels = (LEVELS_PX.len() as f64).log10();
         let believed = |hits: &usize| self.log10_tests + levels + log10_tail(&chances, *hits) <= log10_limit;
         let Some(hits) = (1..=chances.len()).find(believed) else { return whole };
-        Screening::shortest(hits, chances.len(), pairs)
+        Screening::shortest(hits, chances.len(), pairs, PATTERN_MISSED)
     }
 
     /// With names, which forbid pairs.
@@ -332,22 +334,24 @@ impl<'a> Search<'a> {
     }
 
     /// The same with no other points than these at the two ends of the pair.
-    pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize]) -> (Vec<Hypothesis>, u64) {
+    pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize], first_looks: usize) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair, self.tolerance_px);
-        let demand =
-            Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks: Screening::EVERY_LOOK };
+        let demand = Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks };
+        if targets.len() < demand.fewest {
+            return (Vec::new(), 0);
+        }
         let (mut all, mut tried) = (Vec::new(), 0);
-        for (&i, &j) in points.iter().flat_map(|i| points.iter().map(move |j| (i, j))).filter(|(i, j)| i != j) {
-            if !self.allows(i, pair.a) || !self.allows(j, pair.b) {
-                continue;
+        for &i in points.iter().filter(|i| self.allows(**i, pair.a)) {
+            let from = self.field.points()[i];
+            let ends = points
+                .iter()
+                .filter(|&&j| j != i && self.allows(j, pair.b) && self.may_span(pair, from, self.field.points()[j]));
+            let mut looking = Looking::new(self, pair, demand, i);
+            for &j in ends {
+                tried += 1;
+                looking.take(&targets, j);
             }
-            let (from, to) = (self.field.points()[i], self.field.points()[j]);
-            if !self.may_span(pair, from, to) {
-                continue;
-            }
-            tried += 1;
-            let score = self.verify((i, j), self.span(pair).factor(from, to), &targets, demand);
-            all.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
+            all.extend(looking.best(&targets));
         }
         keep_best(&mut all);
         (all, tried)

@@ -599,3 +599,30 @@ fn a_few_marks_beside_their_points() {
         assert!(score.right * 20 >= 19 * score.trials, "{score:?}");
     }
 }
+
+/// A list of 120 points and more in which a figure of the image stands a second time, elsewhere and turned: of most of
+/// its points it is refused, of few it is solved.
+#[test]
+fn a_figure_twice_in_a_long_list() {
+    let repeated = |share: f64| {
+        move |random: &mut Random| {
+            let marked = 60 + random.below(60);
+            let mut usual = usual(random, marked, 60, 20);
+            let elsewhere = turned(random, GSD);
+            let again = (share * marked as f64) as usize;
+            usual.listed.extend(usual.points[..again].iter().map(|p| {
+                let m = elsewhere.apply(*p);
+                MapPoint { easting: m.easting + 900.0, northing: m.northing - 700.0 }
+            }));
+            let gcps = list(usual.listed.clone());
+            let marks = usual.marks();
+            let case = usual.case(random, gcps, &marks);
+            let gsd_m_per_px = case.priors.gsd_m_per_px.filter(|_| random.below(2) == 0);
+            Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, ..case }
+        }
+    };
+    let most = run("60 % of a long list's figure twice", 23, 4, repeated(0.6));
+    assert_eq!((most.right, most.wrong), (0, 0));
+    let few = run("20 % of a long list's figure twice", 24, 4, repeated(0.2));
+    assert_eq!((few.wrong, few.refused), (0, 0));
+}
