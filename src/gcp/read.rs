@@ -168,38 +168,50 @@ fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
     }
 }
 
+/// What begins a point in a text of one kind.
+fn beginnings(first: u8) -> &'static [&'static [u8]] {
+    match first {
+        b'{' => &[b"\"geometry\""],
+        b'<' => &[b"<OneAppuisDAF>", b"<marker id", b"<Placemark", b"<wpt "],
+        _ => &[b"\n"],
+    }
+}
+
 /// Each row or feature costs hundreds of bytes when it is read, so that they are counted before, in pieces.
 fn refuse_many(path: &Path) -> Result<()> {
     const PIECE_BYTES: usize = 1 << 16;
-    const FEATURE: &[u8] = b"\"geometry\"";
+    /// Titles and remarks.
+    const HEAD_ROWS: usize = 20;
     if path.is_dir() {
         return Ok(());
     }
     let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
     let mut piece = vec![0; PIECE_BYTES];
-    let (mut kept, mut rows, mut json) = (0, 0, None);
+    let (mut kept, mut rows, mut kind) = (0, 0, None);
     loop {
         let read = file.read(&mut piece[kept..]).map_err(|e| Error::io(path, "read", e))?;
         if read == 0 {
             break;
         }
         let bytes = &piece[..kept + read];
-        if json.is_none() && bytes.contains(&0) && !matches!(bytes, [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..]) {
+        if kind.is_none() && bytes.contains(&0) && !matches!(bytes, [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..]) {
             return Ok(()); // no text: GDAL's
         }
-        let is_json = *json.get_or_insert_with(|| bytes.iter().find(|b| b.is_ascii_graphic()) == Some(&b'{'));
-        if !is_json {
-            rows += bytes.iter().filter(|&&b| b == b'\n').count();
-            continue;
+        let first = || bytes.iter().find(|b| b.is_ascii_graphic()).copied().unwrap_or(b'\n');
+        let words = *kind.get_or_insert_with(|| beginnings(first()));
+        for word in words {
+            rows += bytes.windows(word.len()).filter(|window| window == word).count();
         }
-        rows += bytes.windows(FEATURE.len()).filter(|window| *window == FEATURE).count();
-        // A word may lie across two pieces.
-        let tail = bytes.len().min(FEATURE.len() - 1);
+        // A word may lie across two pieces; one that ends in what is kept was counted.
+        let longest = words.iter().map(|word| word.len()).max().unwrap_or(1);
+        let tail = bytes.len().min(longest - 1);
         let from = bytes.len() - tail;
+        let again = words.iter().map(|word| bytes[from..].windows(word.len()).filter(|window| window == word).count());
+        rows -= again.sum::<usize>();
         piece.copy_within(from..from + tail, 0);
         kept = tail;
     }
-    if rows <= MOST_ROWS {
+    if rows <= MOST_ROWS + HEAD_ROWS {
         return Ok(());
     }
     Err(Error::unsupported(

@@ -39,14 +39,32 @@ pub(super) fn parse(path: &Path, text: &str, dialect: Dialect) -> Result<RawList
     }
 }
 
-/// Line of a byte, counted from 1.
-fn row(text: &str, position: u64) -> String {
-    let end = (position as usize).min(text.len());
-    format!("row {}", text.as_bytes()[..end].iter().filter(|b| **b == b'\n').count() + 1)
+/// Lines of bytes, counted from 1. Asked for one place after another, it counts each line once.
+struct Lines<'a> {
+    text: &'a str,
+    position: usize,
+    line: usize,
+}
+
+impl<'a> Lines<'a> {
+    fn of(text: &'a str) -> Lines<'a> {
+        Lines { text, position: 0, line: 1 }
+    }
+
+    fn row(&mut self, position: u64) -> String {
+        let end = (position as usize).min(self.text.len());
+        if end < self.position {
+            *self = Lines::of(self.text);
+        }
+        self.line += self.text.as_bytes()[self.position..end].iter().filter(|b| **b == b'\n').count();
+        self.position = end;
+        format!("row {}", self.line)
+    }
 }
 
 fn broken(path: &Path, text: &str, reader: &Reader<&[u8]>, error: impl std::fmt::Display) -> Error {
-    Error::format(path, row(text, reader.error_position()), format!("the XML is broken: {error}"))
+    let place = Lines::of(text).row(reader.error_position());
+    Error::format(path, place, format!("the XML is broken: {error}"))
 }
 
 fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
@@ -72,9 +90,10 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
     let mut sightings = Sightings::default();
     let (mut crs, mut definition) = (CrsClaim::None, String::new());
     let mut without = 0;
+    let mut lines = Lines::of(text);
     loop {
         let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
-        let place = || row(text, reader.buffer_position());
+        let mut place = || lines.row(reader.buffer_position());
         match &event {
             Event::Start(start) | Event::Empty(start) => {
                 let name = start.name().as_ref().to_string();
@@ -186,9 +205,10 @@ fn micmac(path: &Path, text: &str) -> Result<RawList> {
     let (mut element, mut content) = (String::new(), String::new());
     let mut points = Vec::new();
     let (mut name, mut position, mut sigma) = (None::<String>, None::<Vec<f64>>, None::<Vec<f64>>);
+    let mut lines = Lines::of(text);
     loop {
         let event = reader.read_event().map_err(|e| broken(path, text, &reader, e))?;
-        let place = row(text, reader.buffer_position());
+        let place = lines.row(reader.buffer_position());
         match event {
             Event::Start(start) => {
                 element = start.name().as_ref().to_string();

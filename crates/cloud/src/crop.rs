@@ -59,39 +59,72 @@ pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 /// A closed line of corners.
 pub type Ring = Vec<[f64; 2]>;
 
+/// A side of a ring.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Side {
+    from: [f64; 2],
+    to: [f64; 2],
+    area: u32,
+}
+
 /// Areas, which may overlap: a place inside any of them is inside. The rings of one count by the even-odd rule: holes
 /// are rings inside others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
-    areas: Vec<Vec<Ring>>,
+    /// Of each band of northings the sides that reach into it, area by area.
+    bands: Vec<Vec<Side>>,
+    band_height: f64,
     min: [f64; 2],
     max: [f64; 2],
 }
 
 impl Polygon {
     pub fn new(areas: Vec<Vec<Ring>>) -> Polygon {
-        let mut polygon = Polygon { areas, min: [f64::INFINITY; 2], max: [f64::NEG_INFINITY; 2] };
-        for corner in polygon.areas.iter().flatten().flatten() {
+        let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for corner in areas.iter().flatten().flatten() {
             for axis in 0..2 {
-                polygon.min[axis] = polygon.min[axis].min(corner[axis]);
-                polygon.max[axis] = polygon.max[axis].max(corner[axis]);
+                min[axis] = min[axis].min(corner[axis]);
+                max[axis] = max[axis].max(corner[axis]);
             }
         }
+        let mut sides: Vec<Side> = Vec::new();
+        for (area, ring) in (0..).zip(&areas).flat_map(|(area, rings)| rings.iter().map(move |ring| (area, ring))) {
+            let ends = ring.iter().zip(ring.iter().cycle().skip(1)).take(ring.len());
+            // A level side is never crossed.
+            sides.extend(ends.filter(|(a, b)| a[1] != b[1]).map(|(&from, &to)| Side { from, to, area }));
+        }
+        // Long sides reach into many bands: fewer bands then, so that the lists stay about as long as the sides.
+        let heights: f64 = sides.iter().map(|s| (s.from[1] - s.to[1]).abs() / (max[1] - min[1])).sum();
+        let fitting = (4.0 * sides.len() as f64 / heights).max(64.0) as usize;
+        let count = sides.len().min(fitting).clamp(1, 4096);
+        let band_height = ((max[1] - min[1]) / count as f64).max(f64::MIN_POSITIVE);
+        let mut polygon = Polygon { bands: vec![Vec::new(); count], band_height, min, max };
+        for side in sides {
+            let (low, high) = (side.from[1].min(side.to[1]), side.from[1].max(side.to[1]));
+            let (first, last) = (polygon.band(low), polygon.band(high));
+            polygon.bands[first..=last].iter_mut().for_each(|band| band.push(side));
+        }
         polygon
+    }
+
+    fn band(&self, y: f64) -> usize {
+        (((y - self.min[1]) / self.band_height) as usize).min(self.bands.len() - 1)
     }
 
     /// Whether a ray towards the east crosses the rings of an area an odd number of times.
     pub fn contains(&self, place: [f64; 2]) -> bool {
         let [x, y] = place;
-        if x < self.min[0] || x > self.max[0] || y < self.min[1] || y > self.max[1] {
+        // NaN is outside too.
+        let within = |axis: usize| place[axis] >= self.min[axis] && place[axis] <= self.max[axis];
+        if !(within(0) && within(1)) {
             return false;
         }
-        let crossed = |ring: &Ring| {
-            let ends = ring.iter().zip(ring.iter().cycle().skip(1)).take(ring.len());
-            ends.filter(|(a, b)| (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0])
-                .count()
+        let crosses = |side: &&Side| {
+            let (a, b) = (side.from, side.to);
+            (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]
         };
-        self.areas.iter().any(|rings| rings.iter().map(crossed).sum::<usize>() % 2 == 1)
+        let of_areas = self.bands[self.band(y)].chunk_by(|one, other| one.area == other.area);
+        of_areas.into_iter().any(|sides| sides.iter().filter(crosses).count() % 2 == 1)
     }
 }
 
@@ -112,6 +145,40 @@ mod tests {
         let square = |low: f64, high: f64| vec![[low, low], [high, low], [high, high], [low, high]];
         let polygon = Polygon::new(vec![vec![square(0.0, 10.0), square(4.0, 6.0)]]);
         assert!(polygon.contains([1.0, 5.0]) && !polygon.contains([5.0, 5.0]) && !polygon.contains([11.0, 5.0]));
+    }
+
+    /// Every side asked, without bands.
+    fn contains_by_all(areas: &[Vec<Ring>], [x, y]: [f64; 2]) -> bool {
+        let crossed = |ring: &Ring| {
+            (0..ring.len())
+                .filter(|&i| {
+                    let (a, b) = (ring[i], ring[(i + 1) % ring.len()]);
+                    (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]
+                })
+                .count()
+        };
+        areas.iter().any(|rings| rings.iter().map(crossed).sum::<usize>() % 2 == 1)
+    }
+
+    #[test]
+    fn bands_answer_as_all_sides() {
+        let mut random = autoref_raster::random::SplitMix64(3);
+        for corners in [3, 4, 40, 3000] {
+            let mut ring =
+                || -> Ring { (0..corners).map(|_| [random.unit(), (8.0 * random.unit()).floor() / 8.0]).collect() };
+            let areas = vec![vec![ring(), ring()], vec![ring()]];
+            let polygon = Polygon::new(areas.clone());
+            let mut inside = 0;
+            for k in 0..2000 {
+                // Heights of corners among them.
+                let place =
+                    [random.unit(), if k % 3 == 0 { (8.0 * random.unit()).floor() / 8.0 } else { random.unit() }];
+                assert_eq!(polygon.contains(place), contains_by_all(&areas, place), "{place:?}");
+                inside += usize::from(polygon.contains(place));
+            }
+            assert!((50..1950).contains(&inside), "{inside} of {corners} corners");
+        }
+        assert!(!Polygon::new(Vec::new()).contains([0.0, 0.0]));
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Polygons on the map, met cell centre by cell centre.
 
+use std::collections::BTreeMap;
+
 /// One side of a ring.
 #[derive(Clone, Copy, Debug)]
 struct Edge {
@@ -69,7 +71,10 @@ impl Zones {
         }
         let y_low = edges.iter().map(|e| e.low.1).fold(f64::INFINITY, f64::min);
         let y_high = edges.iter().map(|e| e.high.1).fold(f64::NEG_INFINITY, f64::max);
-        let count = edges.len().clamp(1, 4096);
+        // Long edges reach into many bands: fewer bands then, so that the lists stay about as long as the edges.
+        let heights: f64 = edges.iter().map(|e| (e.high.1 - e.low.1) / (y_high - y_low)).sum();
+        let fitting = (4.0 * edges.len() as f64 / heights).max(64.0) as usize;
+        let count = edges.len().min(fitting).clamp(1, 4096);
         let band_height = ((y_high - y_low) / count as f64).max(f64::MIN_POSITIVE);
         let mut bands = vec![Vec::new(); if edges.is_empty() { 0 } else { count }];
         for (i, edge) in edges.iter().enumerate() {
@@ -94,18 +99,22 @@ impl Zones {
         out.of_cell.clear();
         out.of_cell.resize(cells, 0);
         out.sets.truncate(1);
-        let mut spans = Vec::new();
-        self.spans(y, (x0, step), cells, |zone, from, to| spans.push((zone, from, to)));
-        let mut cuts: Vec<usize> = spans.iter().flat_map(|&(_, from, to)| [from, to]).collect();
-        cuts.sort_unstable();
-        cuts.dedup();
-        for part in cuts.windows(2) {
-            let inside = spans.iter().filter(|(_, from, to)| *from <= part[0] && part[1] <= *to);
-            let mut set: Vec<u32> = inside.map(|span| span.0).collect();
-            set.dedup();
-            if !set.is_empty() {
-                out.of_cell[part[0]..part[1]].fill(out.sets.len() as u32);
-                out.sets.push(set);
+        // Where the set changes, from left to right: one more or one less of an area.
+        let mut changes: Vec<(usize, u32, i32)> = Vec::new();
+        self.spans(y, (x0, step), cells, |zone, from, to| changes.extend([(from, zone, 1), (to, zone, -1)]));
+        changes.sort_unstable();
+        let mut inside: BTreeMap<u32, i32> = BTreeMap::new();
+        let mut changes = changes.into_iter().peekable();
+        while let Some((from, zone, by)) = changes.next() {
+            let depth = inside.entry(zone).or_default();
+            *depth += by;
+            if *depth == 0 {
+                inside.remove(&zone);
+            }
+            let Some(&(to, ..)) = changes.peek() else { break };
+            if from < to && !inside.is_empty() {
+                out.of_cell[from..to].fill(out.sets.len() as u32);
+                out.sets.push(inside.keys().copied().collect());
             }
         }
     }

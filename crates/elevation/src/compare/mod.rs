@@ -2,6 +2,7 @@
 
 mod extent;
 mod groups;
+mod lags;
 mod moments;
 mod observed;
 mod page;
@@ -360,9 +361,9 @@ impl CompareJob<'_> {
         let nmad = classes.nmad(stable_group).filter(|nmad| *nmad > 0.0);
         let scatter = nmad.or_else(|| classes.moments[stable_group].sd()).unwrap_or(0.0);
         let spread = (classes.distributions[stable_group].median, scatter);
-        let variogram = variogram::estimate(observed, spread, means)?;
         let (mx, my) = scan.unit.metres_per_unit(scan.grid.centre().1);
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);
+        let variogram = variogram::fit(lags::classes(observed, cell_m, spread, means)?, cell_m.0.min(cell_m.1));
         let mean_error = |n: u64, index: usize| variogram.mean_error(n, &first.places(index), cell_m);
         let volumes = (0..scan.zones.map_or(0, |z| z.names().len()))
             .map(|zone| {

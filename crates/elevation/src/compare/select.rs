@@ -60,29 +60,19 @@ pub fn distributions<S: Send>(
     let parts = stream::gather(
         tiles,
         threads,
-        || (vec![Vec::<u64>::new(); groups], state()),
+        || (vec![Buckets::NONE; groups], state()),
         |(counts, state), window| {
-            visit(Pass::First, window, state, &mut |group, value| {
-                let own = &mut counts[group];
-                if own.is_empty() {
-                    own.resize(1 << BITS, 0);
-                }
-                own[bucket_of(value, centre)] += 1;
-            })
+            visit(Pass::First, window, state, &mut |group, value| counts[group].add(bucket_of(value, centre)))
         },
     )?;
-    let mut counts: Vec<Vec<u64>> = vec![Vec::new(); groups];
+    let mut counts = vec![Buckets::NONE; groups];
     let mut states = Vec::new();
     for (part, state) in parts {
         states.push(state);
-        for (all, own) in counts.iter_mut().zip(part).filter(|(_, own)| !own.is_empty()) {
-            all.resize(1 << BITS, 0);
-            all.iter_mut().zip(&own).for_each(|(a, b)| *a += b);
-        }
+        counts.iter_mut().zip(part).for_each(|(all, own)| all.merge(own));
     }
-    let plans: Vec<Option<Plan>> = counts.iter().map(|own| Plan::of(own, shares)).collect();
-    let held: u64 = plans.iter().zip(&counts).map(|(plan, own)| plan.as_ref().map_or(0, |plan| plan.held(own))).sum();
-    drop(counts);
+    let plans: Vec<Option<Plan>> = counts.into_iter().map(|own| Plan::of(&own.filled(), shares)).collect();
+    let held: u64 = plans.iter().flatten().map(Plan::held).sum();
     // Values that repeat cost nothing, but nobody knows before: all are counted.
     let numbers = if held > MOST_VALUES { Numbers::Split } else { Numbers::Exact };
     let parts = stream::gather(
@@ -91,7 +81,7 @@ pub fn distributions<S: Send>(
         || (Tally::default(), state()),
         |(tally, state), window| {
             visit(Pass::Second, window, state, &mut |group, value| {
-                if plans[group].as_ref().is_some_and(|plan| plan.wanted[bucket_of(value, centre)]) {
+                if plans[group].as_ref().is_some_and(|plan| plan.wanted.holds(bucket_of(value, centre))) {
                     tally.add((group as u64) << 32 | u64::from(numbers.of(value, centre)));
                 }
             })
@@ -112,8 +102,98 @@ pub fn distributions<S: Send>(
 }
 
 /// Buckets follow the distance from the centre. Rounding keeps the order, so that ranks are those of the values.
-fn bucket_of(value: f32, centre: f32) -> usize {
-    (order_key(value - centre) >> (32 - BITS)) as usize
+fn bucket_of(value: f32, centre: f32) -> u16 {
+    (order_key(value - centre) >> (32 - BITS)) as u16
+}
+
+/// How many values each bucket holds. A list may have thousands of small zones, so that a small group keeps its values'
+/// buckets and not the counts of all.
+#[derive(Clone)]
+enum Buckets {
+    Few(Vec<u16>),
+    All(Vec<u64>),
+}
+
+impl Buckets {
+    const NONE: Buckets = Buckets::Few(Vec::new());
+    /// Values of a small group.
+    const FEW: usize = 1 << 14;
+
+    #[inline]
+    fn add(&mut self, bucket: u16) {
+        match self {
+            Buckets::All(counts) => counts[bucket as usize] += 1,
+            Buckets::Few(values) if values.len() < Self::FEW => values.push(bucket),
+            Buckets::Few(_) => {
+                self.spread()[bucket as usize] += 1;
+            }
+        }
+    }
+
+    /// As counts of all buckets.
+    fn spread(&mut self) -> &mut Vec<u64> {
+        if let Buckets::Few(values) = self {
+            let mut counts = vec![0u64; 1 << BITS];
+            values.iter().for_each(|bucket| counts[*bucket as usize] += 1);
+            *self = Buckets::All(counts);
+        }
+        match self {
+            Buckets::All(counts) => counts,
+            Buckets::Few(_) => unreachable!("spread above"),
+        }
+    }
+
+    fn merge(&mut self, other: Buckets) {
+        match (&mut *self, other) {
+            (Buckets::Few(all), Buckets::Few(own)) if all.len() + own.len() <= Self::FEW => all.extend(own),
+            (_, Buckets::Few(own)) => {
+                let counts = self.spread();
+                own.into_iter().for_each(|bucket| counts[bucket as usize] += 1);
+            }
+            (_, Buckets::All(own)) => self.spread().iter_mut().zip(own).for_each(|(a, b)| *a += b),
+        }
+    }
+
+    /// The buckets that hold any, in their order, and how many.
+    fn filled(self) -> Vec<(u16, u64)> {
+        match self {
+            Buckets::Few(mut values) => {
+                values.sort_unstable();
+                values.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u64)).collect()
+            }
+            Buckets::All(counts) => (0..).zip(counts).filter(|(_, count)| *count > 0).collect(),
+        }
+    }
+}
+
+/// Buckets of which values are wanted.
+enum Wanted {
+    /// In their order.
+    Few(Vec<u16>),
+    /// A bit each.
+    All(Vec<u64>),
+}
+
+impl Wanted {
+    /// So many are sought as fast as a bit.
+    const FEW: usize = 8;
+
+    fn of(buckets: Vec<u16>) -> Wanted {
+        if buckets.len() <= Self::FEW {
+            return Wanted::Few(buckets);
+        }
+        let mut bits = vec![0u64; (1 << BITS) / 64];
+        buckets.iter().for_each(|bucket| bits[*bucket as usize / 64] |= 1 << (bucket % 64));
+        Wanted::All(bits)
+    }
+
+    #[inline]
+    fn holds(&self, bucket: u16) -> bool {
+        match self {
+            Wanted::Few(buckets) => buckets.contains(&bucket),
+            Wanted::All(bits) => bits[bucket as usize / 64] >> (bucket % 64) & 1 == 1,
+        }
+    }
 }
 
 /// How values are counted in the second pass.
@@ -174,7 +254,7 @@ struct Plan {
     places: Vec<Place>,
     median: Place,
     /// The buckets whose values are wanted.
-    wanted: Vec<bool>,
+    wanted: Wanted,
     /// Of the wanted buckets, in their order: values before it, and in it.
     spans: Vec<(u64, u64)>,
     /// Values that surely lie nearer to the median than its median distance, in buckets that are not wanted.
@@ -182,39 +262,41 @@ struct Plan {
 }
 
 impl Plan {
-    /// `None` for an empty group.
-    fn of(counts: &[u64], shares: &[f64]) -> Option<Plan> {
-        let total: u64 = counts.iter().sum();
+    /// From the buckets that hold values, in their order; `None` for an empty group.
+    fn of(filled: &[(u16, u64)], shares: &[f64]) -> Option<Plan> {
+        let total: u64 = filled.iter().map(|(_, count)| count).sum();
         if total == 0 {
             return None;
         }
-        let mut wanted = vec![false; 1 << BITS];
+        let mut wanted = vec![false; filled.len()];
         let places: Vec<Place> = shares.iter().map(|share| Place::of(*share, total)).collect();
         let median = Place::of(0.5, total);
         let mut ranks: Vec<u64> = places.iter().chain([&median]).flat_map(|place| [place.low, place.high]).collect();
         ranks.sort_unstable();
         let mut next = ranks.iter().peekable();
         let mut before = 0;
-        for (bucket, &count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+        for (wanted, (_, count)) in wanted.iter_mut().zip(filled) {
             while next.next_if(|rank| **rank < before + count).is_some() {
-                wanted[bucket] = true;
+                *wanted = true;
             }
             before += count;
         }
-        let nearer = want_distances(counts, median, &mut wanted);
+        let nearer = want_distances(filled, median, &mut wanted);
         before = 0;
-        let mut spans = Vec::new();
-        for (&count, &wanted) in counts.iter().zip(&wanted) {
-            if wanted && count > 0 {
+        let (mut spans, mut buckets) = (Vec::new(), Vec::new());
+        for (&(bucket, count), wanted) in filled.iter().zip(wanted) {
+            if wanted {
                 spans.push((before, count));
+                buckets.push(bucket);
             }
             before += count;
         }
-        Some(Plan { places, median, wanted, spans, nearer })
+        Some(Plan { places, median, wanted: Wanted::of(buckets), spans, nearer })
     }
 
-    fn held(&self, counts: &[u64]) -> u64 {
-        counts.iter().zip(&self.wanted).filter(|(_, wanted)| **wanted).map(|(count, _)| count).sum()
+    /// Values of the wanted buckets.
+    fn held(&self) -> u64 {
+        self.spans.iter().map(|(_, count)| count).sum()
     }
 
     /// From the wanted values in their order, each with how often it came.
@@ -264,16 +346,15 @@ impl Plan {
 
 /// Marks the buckets that may hold the values whose distance from the median is the median one. Returns how many values
 /// lie surely nearer in buckets that are not wanted.
-fn want_distances(counts: &[u64], median: Place, wanted: &mut [bool]) -> u64 {
-    let edges = |bucket: usize| {
-        let low = (bucket as u32) << (32 - BITS);
+fn want_distances(filled: &[(u16, u64)], median: Place, wanted: &mut [bool]) -> u64 {
+    let edges = |bucket: u16| {
+        let low = u32::from(bucket) << (32 - BITS);
         let high = low | ((1 << (32 - BITS)) - 1);
         (f64::from(from_order_key(low)), f64::from(from_order_key(high)))
     };
-    let filled = || counts.iter().enumerate().filter(|(_, count)| **count > 0);
     // Between what the median lies.
     let (mut before, mut from, mut to) = (0, f64::NAN, f64::NAN);
-    for (bucket, &count) in filled() {
+    for &(bucket, count) in filled {
         let holds = |rank: u64| (before..before + count).contains(&rank);
         if holds(median.low) {
             from = edges(bucket).0;
@@ -285,13 +366,14 @@ fn want_distances(counts: &[u64], median: Place, wanted: &mut [bool]) -> u64 {
     }
     // Of each bucket: the least and the most distance of its values, and how many there are. Rounding of a value's
     // distance from the centre is far below a part of a bucket; what it may do at an edge is a millionth.
-    let reach: Vec<(usize, f64, f64, u64)> = filled()
-        .map(|(bucket, &count)| {
+    let reach: Vec<(f64, f64, u64)> = filled
+        .iter()
+        .map(|&(bucket, count)| {
             let (low, high) = edges(bucket);
             let slack = 1e-6 * (low.abs().max(high.abs()) + from.abs().max(to.abs()));
             let least = (low - to).max(from - high).max(0.0) - slack;
             let most = (high - from).max(to - low) + slack;
-            (bucket, least, most, count)
+            (least, most, count)
         })
         .collect();
     let distance_of = |rank: u64, mut ends: Vec<(f64, u64)>| {
@@ -303,13 +385,13 @@ fn want_distances(counts: &[u64], median: Place, wanted: &mut [bool]) -> u64 {
         });
         reached.map_or(f64::INFINITY, |(distance, _)| *distance)
     };
-    let low = distance_of(median.low, reach.iter().map(|r| (r.1, r.3)).collect());
-    let high = distance_of(median.high, reach.iter().map(|r| (r.2, r.3)).collect());
+    let low = distance_of(median.low, reach.iter().map(|r| (r.0, r.2)).collect());
+    let high = distance_of(median.high, reach.iter().map(|r| (r.1, r.2)).collect());
     let mut nearer = 0;
-    for (bucket, least, most, count) in reach {
+    for (wanted, (least, most, count)) in wanted.iter_mut().zip(reach) {
         if least <= high && most >= low {
-            wanted[bucket] = true;
-        } else if most < low && !wanted[bucket] {
+            *wanted = true;
+        } else if most < low && !*wanted {
             nearer += count;
         }
     }

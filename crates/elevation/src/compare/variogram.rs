@@ -8,14 +8,7 @@
 
 use serde::Serialize;
 
-use crate::error::Result;
-use crate::stream::{self, Means};
-use crate::window::{TileGrid, Window};
-
-use super::{Buffers, Observed};
-
-/// Column, row and difference of a cell.
-type Cell = (i64, i64, f64);
+use super::lags::LagClasses;
 
 /// One class of distance.
 #[derive(Clone, Debug, Serialize)]
@@ -101,199 +94,111 @@ fn pair_mean(places: &[(u64, u64)], range: f64, cell_m: (f64, f64)) -> f64 {
     if pairs == 0 { 0.0 } else { sum / pairs as f64 }
 }
 
-/// Side of the windows that are looked at for short distances.
-const WINDOW_PX: u64 = 48;
-/// How many of them, at most, along each axis.
-const WINDOWS: u64 = 14;
-/// Cells of each window that are paired with those of all others, at least.
-const FAR: usize = 12;
-/// And of all windows together, where few are to be had.
-const FAR_OF_ALL: usize = 2000;
-/// Classes of distance for each doubling.
-const PER_DOUBLING: f64 = 2.0;
-const BINS: usize = 64;
-
-#[derive(Clone)]
-struct Pairs {
-    sums: [f64; BINS],
-    lags: [f64; BINS],
-    counts: [u64; BINS],
-}
-
-impl Pairs {
-    const NONE: Pairs = Pairs { sums: [0.0; BINS], lags: [0.0; BINS], counts: [0; BINS] };
-
-    fn add(&mut self, lag: &Lag, difference: f64) {
-        self.sums[lag.bin] += 0.5 * difference * difference;
-        self.lags[lag.bin] += lag.metres;
-        self.counts[lag.bin] += 1;
-    }
-
-    fn merge(&mut self, other: &Pairs) {
-        for bin in 0..BINS {
-            self.sums[bin] += other.sums[bin];
-            self.lags[bin] += other.lags[bin];
-            self.counts[bin] += other.counts[bin];
-        }
-    }
-}
-
-/// How far two cells are apart.
-#[derive(Clone, Copy)]
-struct Lag {
-    cells: f64,
-    metres: f64,
-    bin: usize,
-}
-
-impl Lag {
-    fn new(columns: f64, rows: f64, cell_m: (f64, f64)) -> Lag {
-        let cells = columns.hypot(rows);
-        let bin = ((cells.log2() * PER_DOUBLING + 0.5) as usize).min(BINS - 1);
-        Lag { cells, metres: (columns * cell_m.0).hypot(rows * cell_m.1), bin }
-    }
-}
-
-/// Estimates the variogram on the ground outside all zones.
-pub(super) fn estimate(observed: &Observed<'_>, (median, nmad): (f64, f64), means: Means) -> Result<Variogram> {
-    let grid = &observed.scan.grid;
-    let (mx, my) = observed.scan.unit.metres_per_unit(grid.centre().1);
-    let cell_m = (grid.step_x.abs() * mx, grid.step_y.abs() * my);
-    let size = (WINDOW_PX.min(grid.width), WINDOW_PX.min(grid.height));
-    let count = ((grid.width / size.0).clamp(1, WINDOWS), (grid.height / size.1).clamp(1, WINDOWS));
-    let place = |index: u64, count: u64, whole: u64, size: u64| {
-        if count == 1 { (whole - size) / 2 } else { index * (whole - size) / (count - 1) }
-    };
-    // Tiles of one cell each: a way to number the windows.
-    let numbers = TileGrid::new(count.0, count.1, 1, 1, 0);
-    let state = || (Vec::new(), Buffers::default());
-    let limit = 3.0 * nmad.max(1e-9);
-    // Within a window the same few lags come again and again.
-    let window = 0..WINDOW_PX * WINDOW_PX;
-    let near: Vec<Lag> = window.map(|at| Lag::new((at % WINDOW_PX) as f64, (at / WINDOW_PX) as f64, cell_m)).collect();
-    let parts = stream::gather(&numbers, means.threads, state, |(found, buffers), number| {
-        let (x, y) = (place(number.x, count.0, grid.width, size.0), place(number.y, count.1, grid.height, size.1));
-        let mut cells: Vec<Cell> = Vec::new();
-        observed.cells(Window::new(x, y, size.0, size.1), buffers, |cell| {
-            let value = f64::from(cell.difference) - median;
-            if cell.zones.is_empty() && value.abs() <= limit {
-                cells.push((cell.x as i64, cell.y as i64, value));
-            }
-        })?;
-        let mut within = Pairs::NONE;
-        // A part of the cells with all others of their window.
-        let step = (cells.len() / 160).max(1);
-        for (i, a) in cells.iter().enumerate().step_by(step) {
-            for (j, b) in cells.iter().enumerate() {
-                if i != j {
-                    let at = (a.1 - b.1).unsigned_abs() * WINDOW_PX + (a.0 - b.0).unsigned_abs();
-                    within.add(&near[at as usize], a.2 - b.2);
-                }
-            }
-        }
-        let wanted = FAR.max(FAR_OF_ALL / (count.0 * count.1) as usize);
-        let base = cells.len().div_ceil(step);
-        let step = (cells.len() / wanted).max(1);
-        let few = cells.into_iter().step_by(step).take(wanted).collect();
-        found.push((number.y * count.0 + number.x, within, base, few));
-        Ok(())
-    })?;
-    let mut windows: Vec<(u64, Pairs, usize, Vec<Cell>)> = parts.into_iter().flat_map(|(found, _)| found).collect();
-    windows.sort_by_key(|(number, ..)| *number);
-    let mut pairs = Pairs::NONE;
-    let (mut base, mut far) = (0, Vec::new());
-    for (_, within, cells, few) in windows {
-        pairs.merge(&within);
-        base += cells;
-        far.extend(few);
-    }
-    let mut shares = vec![[0u32; BINS]; far.len()];
-    for (i, a) in far.iter().enumerate() {
-        for (j, b) in far.iter().enumerate().skip(i + 1) {
-            let lag = Lag::new((a.0 - b.0) as f64, (a.1 - b.1) as f64, cell_m);
-            if lag.cells > WINDOW_PX as f64 {
-                pairs.add(&lag, a.2 - b.2);
-                shares[i][lag.bin] += 1;
-                shares[j][lag.bin] += 1;
-            }
-        }
-    }
-    let reach = (grid.width as f64 * cell_m.0).hypot(grid.height as f64 * cell_m.1) / 2.0;
-    // Pairs share their cells: a class rests on as many values as its cells that take an equal part (near, the cells
-    // that are paired with all of their window count fourfold, since they meet all others).
-    let values = |bin: usize| {
-        let parts = shares.iter().map(|of_cell| f64::from(of_cell[bin]));
-        let (sum, squares) = parts.fold((0.0, 0.0), |(sum, squares), part| (sum + part, squares + part * part));
-        if squares > 0.0 { sum * sum / squares } else { 4.0 * base as f64 }
-    };
-    let (bins, values): (Vec<Bin>, Vec<f64>) = (0..BINS)
-        .filter(|&i| pairs.counts[i] >= 50)
-        .map(|i| {
-            let n = pairs.counts[i];
-            let (lag_m, semivariance_m2) = (pairs.lags[i] / n as f64, pairs.sums[i] / n as f64);
-            (Bin { lag_m, semivariance_m2, pairs: n }, values(i).min(n as f64))
-        })
-        .filter(|(bin, _)| bin.lag_m <= reach)
-        .unzip();
-    Ok(fit(bins, &values, cell_m.0.min(cell_m.1)))
-}
-
 /// Two models are believed when they fit so much better than one, in squared standard deviations of the classes: by
-/// chance the best of all pairs of ranges is better by some of them.
+/// chance the best of all pairs of ranges is better by some of them. And when the sill of the second is so many times
+/// (this, its root) the deviation that leaving out each of the windows gives it: where rough and smooth ground lie side
+/// by side classes are known worse than their values say.
 const BELIEVED: f64 = 16.0;
+/// Fewer windows tell no deviation.
+const FEWEST_WINDOWS: usize = 16;
+
+/// A fit of two spherical models, of which one may have no sill.
+#[derive(Clone, Copy)]
+struct Fitted {
+    misfit: f64,
+    sills: [f64; 2],
+    ranges: [f64; 2],
+}
+
+impl Fitted {
+    fn at(&self, lag_m: f64) -> f64 {
+        (0..2).map(|i| self.sills[i] * spherical(lag_m, self.ranges[i])).sum()
+    }
+
+    /// Squared standard deviations by which the classes miss it: a class's mean of squares is known as well as its
+    /// different values allow.
+    fn chi2(&self, classes: &LagClasses) -> f64 {
+        let terms = classes.bins.iter().zip(&classes.values).map(|(bin, independent)| {
+            let model = self.at(bin.lag_m);
+            (model - bin.semivariance_m2).powi(2) * independent / (2.0 * model.max(f64::MIN_POSITIVE).powi(2))
+        });
+        terms.sum()
+    }
+
+    /// Whether both sills stand out from what leaving out single windows makes of them (J. W. Tukey's jackknife).
+    fn stands_out(&self, classes: &LagClasses) -> bool {
+        let n = classes.without.len() as f64;
+        if classes.without.len() < FEWEST_WINDOWS {
+            return true;
+        }
+        let lags: Vec<f64> = classes.bins.iter().map(|bin| bin.lag_m).collect();
+        let solved: Vec<[f64; 2]> = classes.without.iter().map(|part| both_sills(&lags, part, self.ranges)).collect();
+        (0..2).all(|k| {
+            let mean = solved.iter().map(|sills| sills[k]).sum::<f64>() / n;
+            let variance = (n - 1.0) / n * solved.iter().map(|sills| (sills[k] - mean).powi(2)).sum::<f64>();
+            self.sills[k].powi(2) > BELIEVED * variance
+        })
+    }
+}
+
+/// The sums of a weighted least squares of two spherical models: its matrix and its right side.
+fn normal(lags: &[f64], semivariances: &[f64], ranges: [f64; 2]) -> ([[f64; 2]; 2], [f64; 2]) {
+    let (mut m, mut r) = ([[0.0; 2]; 2], [0.0; 2]);
+    for (lag_m, semivariance) in lags.iter().zip(semivariances) {
+        let weight = 1.0 / lag_m.sqrt();
+        let f = ranges.map(|range| spherical(*lag_m, range));
+        for a in 0..2 {
+            r[a] += weight * f[a] * semivariance;
+            for b in 0..2 {
+                m[a][b] += weight * f[a] * f[b];
+            }
+        }
+    }
+    (m, r)
+}
+
+fn both_sills(lags: &[f64], semivariances: &[f64], ranges: [f64; 2]) -> [f64; 2] {
+    let (m, r) = normal(lags, semivariances, ranges);
+    let determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
+    [(r[0] * m[1][1] - r[1] * m[0][1]) / determinant, (r[1] * m[0][0] - r[0] * m[1][0]) / determinant]
+}
 
 /// One spherical model, or two where the classes tell, by weighted least squares, sills not negative, over all pairs of
-/// ranges of a ladder. `values` says how many independent values each class rests on.
-fn fit(bins: Vec<Bin>, values: &[f64], cell_m: f64) -> Variogram {
+/// ranges of a ladder.
+pub(super) fn fit(classes: LagClasses, cell_m: f64) -> Variogram {
+    let bins = &classes.bins;
     let longest = bins.iter().map(|b| b.lag_m).fold(cell_m, f64::max);
-    let mut ranges = vec![cell_m * 0.999];
-    while ranges[ranges.len() - 1] < longest {
-        ranges.push(ranges[ranges.len() - 1] * 1.25);
+    let mut ladder = vec![cell_m * 0.999];
+    while ladder[ladder.len() - 1] < longest {
+        ladder.push(ladder[ladder.len() - 1] * 1.25);
     }
-    let mut best = [(f64::INFINITY, [0.0; 2], [cell_m; 2]); 2];
-    for (i, &short) in ranges.iter().enumerate() {
-        for &long in &ranges[i + 1..] {
-            let (mut m, mut r) = ([[0.0; 2]; 2], [0.0; 2]);
-            for bin in &bins {
-                let weight = 1.0 / bin.lag_m.sqrt();
-                let f = [spherical(bin.lag_m, short), spherical(bin.lag_m, long)];
-                for a in 0..2 {
-                    r[a] += weight * f[a] * bin.semivariance_m2;
-                    for b in 0..2 {
-                        m[a][b] += weight * f[a] * f[b];
-                    }
-                }
-            }
-            let determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
-            let both =
-                [(r[0] * m[1][1] - r[1] * m[0][1]) / determinant, (r[1] * m[0][0] - r[0] * m[1][0]) / determinant];
+    let lags: Vec<f64> = bins.iter().map(|bin| bin.lag_m).collect();
+    let semivariances: Vec<f64> = bins.iter().map(|bin| bin.semivariance_m2).collect();
+    let mut best = [Fitted { misfit: f64::INFINITY, sills: [0.0; 2], ranges: [cell_m; 2] }; 2];
+    for (i, &short) in ladder.iter().enumerate() {
+        for &long in &ladder[i + 1..] {
+            let ranges = [short, long];
+            let (m, r) = normal(&lags, &semivariances, ranges);
+            let both = both_sills(&lags, &semivariances, ranges);
             for sills in [both, [r[0] / m[0][0], 0.0], [0.0, r[1] / m[1][1]]] {
                 if !sills.iter().all(|s| s.is_finite() && *s >= 0.0) {
                     continue;
                 }
-                let misfit: f64 = bins
+                let mut fitted = Fitted { misfit: 0.0, sills, ranges };
+                fitted.misfit = bins
                     .iter()
-                    .map(|bin| {
-                        let model = sills[0] * spherical(bin.lag_m, short) + sills[1] * spherical(bin.lag_m, long);
-                        (model - bin.semivariance_m2).powi(2) / bin.lag_m.sqrt()
-                    })
+                    .map(|bin| (fitted.at(bin.lag_m) - bin.semivariance_m2).powi(2) / bin.lag_m.sqrt())
                     .sum();
                 let of_kind = &mut best[usize::from(sills.iter().all(|s| *s > 0.0))];
-                if misfit < of_kind.0 * (1.0 - 1e-9) {
-                    *of_kind = (misfit, sills, [short, long]);
+                if fitted.misfit < of_kind.misfit * (1.0 - 1e-9) {
+                    *of_kind = fitted;
                 }
             }
         }
     }
-    // A class's mean of squares is known as well as its different values allow.
-    let chi2 = |&(_, sills, ranges): &(f64, [f64; 2], [f64; 2])| -> f64 {
-        let terms = bins.iter().zip(values).map(|(bin, independent)| {
-            let model: f64 = (0..2).map(|i| sills[i] * spherical(bin.lag_m, ranges[i])).sum();
-            (model - bin.semivariance_m2).powi(2) * independent / (2.0 * model.max(f64::MIN_POSITIVE).powi(2))
-        });
-        terms.sum()
-    };
     let [one, two] = best;
-    let (_, sills_m2, ranges_m) = if two.0 < one.0 && chi2(&one) - chi2(&two) > BELIEVED { two } else { one };
-    Variogram { bins, sills_m2, ranges_m }
+    let believed =
+        two.misfit < one.misfit && one.chi2(&classes) - two.chi2(&classes) > BELIEVED && two.stands_out(&classes);
+    let Fitted { sills, ranges, .. } = if believed { two } else { one };
+    Variogram { bins: classes.bins, sills_m2: sills, ranges_m: ranges }
 }

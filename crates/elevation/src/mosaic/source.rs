@@ -14,6 +14,7 @@ use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, MemoryHeights, Patch};
 use crate::window::Window;
 use autoref_raster::masked;
+use autoref_raster::protected::same_file;
 
 use super::Choice;
 
@@ -286,22 +287,44 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
             "give a larger --resolution, or look for a source far away from the others",
         ));
     }
+    let mut taken = HashMap::new();
     for source in &mut sources {
         source.snap(&grid);
         if let Choice::Min(pattern) = choice {
-            let stem = source.path.file_stem().unwrap_or_default().to_string_lossy();
-            let name = PathBuf::from(pattern.replace("{stem}", &stem));
-            let path = if name.is_absolute() || pattern.contains('/') && name.exists() {
-                name
-            } else {
-                source.path.with_file_name("").join(name)
-            };
+            let path = companion_path(&source.path, pattern);
+            if let Some(other) = taken.insert(path.clone(), source.path.clone()) {
+                return Err(Error::usage(
+                    format!(
+                        "{} is the companion of {} and of {}",
+                        path.display(),
+                        other.display(),
+                        source.path.display()
+                    ),
+                    "give each source a companion of its own, named by the whole {stem}",
+                ));
+            }
             let mut companion = Source::open(&path)?;
             companion.snap(&grid);
             source.companion = Some(Box::new(companion));
         }
     }
     Ok((sources, grid))
+}
+
+/// The companion raster of a source. `{stem}` is the source's name; where no such file is, the name up to one of its
+/// underscores, the longest first: the companion of `A_z_mean.tif` by `{stem}_range_mean.tif` is `A_range_mean.tif`.
+fn companion_path(source: &Path, pattern: &str) -> PathBuf {
+    let stem = source.file_stem().unwrap_or_default().to_string_lossy();
+    let path = |stem: &str| {
+        let name = PathBuf::from(pattern.replace("{stem}", stem));
+        if name.is_absolute() || pattern.contains('/') && name.exists() {
+            name
+        } else {
+            source.with_file_name("").join(name)
+        }
+    };
+    let shorter = std::iter::successors(Some(&*stem), |stem| stem.rsplit_once('_').map(|(start, _)| start));
+    shorter.map(path).find(|path| path.exists() && !same_file(path, source)).unwrap_or_else(|| path(&stem))
 }
 
 /// An index raster, which must have the mosaic's grid.
@@ -470,5 +493,24 @@ impl Opened {
         let mut costs = self.read(number, companion, mosaic, window, Interpolation::Bilinear)?;
         costs.truncate(window.area() as usize);
         Ok(costs)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_companion_goes_by_the_longest_name_that_is_there() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        let source = at("north_7_z_mean.tif");
+        let pattern = "{stem}_range_mean.tif";
+        // Nothing there: the name that the whole stem makes, for the message.
+        assert_eq!(companion_path(&source, pattern), at("north_7_z_mean_range_mean.tif"));
+        for name in ["north_range_mean.tif", "north_7_range_mean.tif", "north_7_z_mean_range_mean.tif"] {
+            std::fs::write(at(name), "").expect("a file");
+            assert_eq!(companion_path(&source, pattern), at(name));
+        }
     }
 }

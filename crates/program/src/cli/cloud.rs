@@ -129,6 +129,9 @@ impl Cameras {
     pub fn read(text: &str) -> anyhow::Result<Cameras> {
         let path = Path::new(text);
         if !path.exists() {
+            if !text.contains(',') {
+                bail!("--range-from {text}: there is no such file; give E,N,H, or the name of a table cloud,E,N,H");
+            }
             let numbers = params::numbers("--range-from", text, "E,N,H, or the name of a table cloud,E,N,H");
             return Ok(Cameras::One(numbers?));
         }

@@ -370,9 +370,11 @@ fn document(reports: Vec<Value>) -> Value {
 fn print(report: &Value) -> anyhow::Result<()> {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_string();
     println!("{}: {} points", text(&report["input"]), report["points"]);
-    for step in report["steps"].as_array().into_iter().flatten() {
+    let steps = || report["steps"].as_array().into_iter().flatten();
+    for step in steps() {
+        let ground = step["ground"].as_u64().map_or(String::new(), |ground| format!(" {ground:>12} ground"));
         println!(
-            "  {:<9} {:>12} in {:>12} classified {:>12} dropped",
+            "  {:<9} {:>12} in {:>12} classified {:>12} dropped{ground}",
             text(&step["step"]),
             step["points_in"],
             step["classified"],
@@ -380,6 +382,16 @@ fn print(report: &Value) -> anyhow::Result<()> {
         );
     }
     println!("  {} points in {}", report["points_kept"], text(&report["output"]));
+    // What went in was dropped whole.
+    let emptied = steps().find(|step| step["points_in"].as_u64() > Some(0) && step["points_in"] == step["dropped"]);
+    if let Some(step) = emptied.filter(|_| report["points_kept"] == 0) {
+        eprintln!(
+            "warning: {}: nothing is left after the step {}; look at its limits and at the cloud's heights and \
+             coordinates (cloud info)",
+            text(&report["input"]),
+            text(&step["step"])
+        );
+    }
     Ok(())
 }
 

@@ -487,25 +487,23 @@ fn enter_planar(
     }
 }
 
+/// The transform that was asked for beside or instead of the similarity.
+pub fn model_line(solved: &SolvedRun) -> Option<String> {
+    let model = solved.chosen_model.as_ref()?;
+    let figure = |name: &str| model[name].as_f64();
+    let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
+    let by = model["solver"].as_str().map_or(String::new(), |solver| format!(" by {solver}"));
+    let turn = |i: usize| model["roll_pitch_yaw_deg"][i].as_f64();
+    let turns = turn(0)
+        .zip(turn(1))
+        .zip(turn(2))
+        .map_or(String::new(), |((roll, pitch), yaw)| format!("; roll {roll:.5}°, pitch {pitch:.5}°, yaw {yaw:.5}°"));
+    let name = model["model"].as_str().unwrap_or_default();
+    Some(format!("{name}{by}: RMSE {:.4} m{heights}{turns}", figure("rmse_m").unwrap_or_default()))
+}
+
 /// Lines of the summary.
 pub fn lines(solved: &SolvedRun, line: &mut impl FnMut(&str, String)) {
-    if let Some(model) = &solved.chosen_model {
-        let figure = |name: &str| model[name].as_f64();
-        let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
-        let by = model["solver"].as_str().map_or(String::new(), |solver| format!(" by {solver}"));
-        let turn = |i: usize| model["roll_pitch_yaw_deg"][i].as_f64();
-        let turns = turn(0).zip(turn(1)).zip(turn(2)).map_or(String::new(), |((roll, pitch), yaw)| {
-            format!("; roll {roll:.5}°, pitch {pitch:.5}°, yaw {yaw:.5}°")
-        });
-        line(
-            "Model",
-            format!(
-                "{}{by}: RMSE {:.4} m{heights}{turns}",
-                model["model"].as_str().unwrap_or_default(),
-                figure("rmse_m").unwrap_or_default()
-            ),
-        );
-    }
     let Some(heights) = &solved.heights else { return };
     let from = match heights.frame {
         ModelFrame::Image => "model in the image's grid",

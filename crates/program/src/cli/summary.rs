@@ -25,7 +25,7 @@ const FEW_POINTS: usize = 5;
 pub fn summary(result: &RunResult, detail: Detail) -> String {
     let mut lines = Lines(String::new());
     match &result.outcome {
-        RunOutcome::Solved(run) => solved(result, run, &mut lines),
+        RunOutcome::Solved(run) => solved(result, run, detail, &mut lines),
         RunOutcome::Refused(run) => refused(result, run, &mut lines),
     }
     if detail == Detail::Full {
@@ -61,7 +61,7 @@ pub(super) fn length(metres: f64) -> String {
     if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
 }
 
-fn solved(result: &RunResult, run: &SolvedRun, lines: &mut Lines) {
+fn solved(result: &RunResult, run: &SolvedRun, detail: Detail, lines: &mut Lines) {
     let found = run.matches.len() + run.check_points.len();
     let inside = run.gcps_in_image;
     lines.add("Matched", format!("{found} of {inside} points in the image, {} listed", result.gcps_listed));
@@ -75,36 +75,74 @@ fn solved(result: &RunResult, run: &SolvedRun, lines: &mut Lines) {
     if let Some(heights) = &run.heights {
         lines.add("Heights", solving::heights_in_brief(heights));
     }
-    lines.add("Verdict", verdict(result, run));
+    if let Some(model) = solving::model_line(run) {
+        lines.add("Model", model);
+    }
+    let verdict = Verdict::of(result, run);
+    lines.add("Verdict", verdict.sentence);
+    // The full summary has lines of its own for both.
+    if detail == Detail::Brief {
+        verdict.chance.into_iter().for_each(|chance| lines.add("Chance", chance));
+        verdict.tested.into_iter().for_each(|tested| lines.add("Check points", tested));
+    }
     let look_at = look_at(run);
     if !look_at.is_empty() {
         lines.add("Look at", look_at.join("; "));
     }
 }
 
-/// One plain sentence.
-fn verdict(result: &RunResult, run: &SolvedRun) -> String {
-    let chance = result.log10_false_alarms.map_or(String::new(), |log10| {
-        format!("; chance makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor())
-    });
-    if let Some(diagnosis) = result.diagnoses.first() {
-        return format!("solved, but a mistake in the list is likely: {}", diagnosis.message);
+/// One plain sentence, and what it leaves unsaid of the chance of a false alarm and of the check points.
+struct Verdict {
+    sentence: String,
+    chance: Option<String>,
+    tested: Option<String>,
+}
+
+impl Verdict {
+    fn of(result: &RunResult, run: &SolvedRun) -> Verdict {
+        let chance = result
+            .log10_false_alarms
+            .map(|log10| format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()));
+        let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
+        let tested = tested(run);
+        if let Some(diagnosis) = result.diagnoses.first() {
+            let sentence = format!("solved, but a mistake in the list is likely: {}", diagnosis.message);
+            return Verdict { sentence, chance, tested };
+        }
+        if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
+            let sentence =
+                format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
+            return Verdict { sentence, chance: None, tested };
+        }
+        if let Some(misfit) = Misfit::of(run, &result.candidates) {
+            return Verdict { sentence: misfit.verdict(), chance, tested };
+        }
+        let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
+        let sentence = if let Some(h) = horizontal {
+            let rmse = length(h.rmse_h1_m);
+            format!("solved, and {} check points agree within {rmse} (RMSE){and_chance}", h.check_points)
+        } else if run.matches.len() < FEW_POINTS {
+            let points = run.matches.len();
+            format!("solved from {points} points only: a blunder in one would hardly show{and_chance}")
+        } else {
+            format!("solved; the points agree with each other, no check point tests them{and_chance}")
+        };
+        // The sentence has the RMSE already.
+        let tested = tested.filter(|_| run.accuracy.as_ref().is_some_and(|a| a.figures.nssda.is_some()));
+        Verdict { sentence, chance: None, tested }
     }
-    if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
-        return format!("solved, but a point does not fit: look at it before you trust the rest{chance}");
-    }
-    if let Some(misfit) = Misfit::of(run, &result.candidates) {
-        return misfit.verdict();
-    }
-    let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
-    if let Some(tested) = horizontal {
-        let points = tested.check_points;
-        return format!("solved, and {points} check points agree within {} (RMSE){chance}", length(tested.rmse_h1_m));
-    }
-    if run.matches.len() < FEW_POINTS {
-        return format!("solved from {} points only: a blunder in one would hardly show{chance}", run.matches.len());
-    }
-    format!("solved; the points agree with each other, no check point tests them{chance}")
+}
+
+/// What check points say, with the figures that were asked for.
+fn tested(run: &SolvedRun) -> Option<String> {
+    let figures = &run.accuracy.as_ref()?.figures;
+    let horizontal = figures.horizontal.as_ref()?;
+    let nssda = figures
+        .nssda
+        .as_ref()
+        .map_or(String::new(), |nssda| format!("; NSSDA {} at 95 %", length(nssda.horizontal_95_m)));
+    let points = horizontal.check_points;
+    Some(format!("{points} kept out of the fit, RMSE {}{nssda}", length(horizontal.rmse_h1_m)))
 }
 
 /// Points that a person should see, and why.
