@@ -28,6 +28,7 @@ pub(crate) mod text;
 mod working_crs;
 mod xml;
 
+pub use place::leading_digits;
 pub use read::{GcpList, GcpOptions, ImageGeoreference, read};
 pub use working_crs::{Delivered, Reproject, WorkingCrs};
 

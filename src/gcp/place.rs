@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::gcp::raw::RawPoint;
 use crate::gcp::read::{GcpOptions, ImageGeoreference};
 use autoref_raster::coords::{MapPoint, PixelPoint};
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
 
 /// No coordinate on Earth is larger, in metres, feet or degrees.
@@ -40,7 +40,7 @@ pub(super) fn check(
         notes.push(format!("{}: easting and northing were exchanged in all points (--fix-axes)", path.display()));
     }
     if !options.keep_outside {
-        set_aside(path, points, crs, notes)?;
+        set_aside(path, points, crs, options.image.as_ref(), notes)?;
     }
     refuse_absurd(path, points)
 }
@@ -98,7 +98,13 @@ fn exchanged(path: &Path, points: usize, crs: &Crs) -> Error {
     )
 }
 
-fn set_aside(path: &Path, points: &mut Vec<RawPoint>, crs: &Crs, notes: &mut Vec<String>) -> Result<()> {
+fn set_aside(
+    path: &Path,
+    points: &mut Vec<RawPoint>,
+    crs: &Crs,
+    image: Option<&ImageGeoreference>,
+    notes: &mut Vec<String>,
+) -> Result<()> {
     let outside = |p: &RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
     let names: Vec<String> = points.iter().filter(|p| outside(p)).map(|p| p.gcp.name.clone()).collect();
     if names.is_empty() {
@@ -109,9 +115,10 @@ fn set_aside(path: &Path, points: &mut Vec<RawPoint>, crs: &Crs, notes: &mut Vec
             path,
             "the coordinates",
             format!(
-                "all {} points lie outside the area of use of {}; give the --crs that they are in, or --force outside-area",
+                "all {} points lie outside the area of use of {}{}; give the --crs that they are in, or --force outside-area",
                 names.len(),
-                crs.title()
+                crs.title(),
+                inside_otherwise(points, crs, image).map_or(String::new(), |how| format!(" ({how})"))
             ),
         ));
     }
@@ -123,6 +130,60 @@ fn set_aside(path: &Path, points: &mut Vec<RawPoint>, crs: &Crs, notes: &mut Vec
         listed(&names)
     ));
     Ok(())
+}
+
+/// What would bring all points into the CRS's area of use, or onto the image: feet, the zone's number before the
+/// eastings, leading digits left out.
+fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
+    const ZONE_M: f64 = 1e6;
+    // International and US survey feet are the same here.
+    const FOOT_M: f64 = 0.3048;
+    let all = |place: &dyn Fn(f64, f64) -> (f64, f64)| {
+        points.iter().all(|p| {
+            let (e, n) = place(p.gcp.easting, p.gcp.northing);
+            crs.covers(e, n) == Some(true)
+        })
+    };
+    let zone = (points.first()?.gcp.easting / ZONE_M).floor();
+    if (1.0..=120.0).contains(&zone) && all(&|e, n| (e - zone * ZONE_M, n)) {
+        return Some(format!("they would lie in it without the zone's number {zone} before the eastings"));
+    }
+    if let Some(image) = image
+        && let Some((e, n)) = centre_in(image, crs)
+    {
+        let count = points.len() as f64;
+        let mean = |of: &dyn Fn(&RawPoint) -> f64| points.iter().map(of).sum::<f64>() / count;
+        let wanted = (e - mean(&|p| p.gcp.easting), n - mean(&|p| p.gcp.northing));
+        let corner = image.transform.apply(PixelPoint { x: 0.0, y: 0.0 });
+        let middle =
+            image.transform.apply(PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 });
+        let reach = (corner.easting - middle.easting).hypot(corner.northing - middle.northing);
+        if let Some(digits) = leading_digits(wanted, reach.min(2_000.0)) {
+            return Some(format!("they would lie on the image with {digits}"));
+        }
+    }
+    let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
+    all(&feet).then(|| "they would lie in it if they were feet, brought to metres".to_string())
+}
+
+/// What, added to all coordinates, is about as much as wanted (east, north) when only leading digits are changed: whole
+/// numbers of ten kilometres. In words; `None` where it is not so.
+pub fn leading_digits(wanted_m: (f64, f64), agrees_m: f64) -> Option<String> {
+    const STEP_M: f64 = 10_000.0;
+    let steps = |m: f64| Some((m / STEP_M).round()).filter(|steps| (m - steps * STEP_M).abs() <= agrees_m);
+    let (east, north) = (steps(wanted_m.0)? * STEP_M, steps(wanted_m.1)? * STEP_M);
+    let said = |by: f64, axis: &str| (by != 0.0).then(|| format!("{by:+.0} in all {axis}"));
+    let both: Vec<String> = said(east, "eastings").into_iter().chain(said(north, "northings")).collect();
+    (!both.is_empty()).then(|| format!("{}: digits were left out, or put before them", both.join(" and ")))
+}
+
+/// The middle of an image in another CRS.
+fn centre_in(image: &ImageGeoreference, crs: &Crs) -> Option<(f64, f64)> {
+    let middle = PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 };
+    let MapPoint { easting, northing } = image.transform.apply(middle);
+    let mut point = [Coordinate { x: easting, y: northing, height: None }];
+    Crs::parse(&image.crs_wkt).ok()?.transform(&mut point, crs, f64::INFINITY).ok()?;
+    Some((point[0].x, point[0].y))
 }
 
 /// The first names, and how many more there are.

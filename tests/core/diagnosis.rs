@@ -240,6 +240,24 @@ fn a_ground_factor_shows_in_the_place() {
 }
 
 #[test]
+fn leading_digits_show_in_the_place() {
+    for (east, north) in [(0.0, -7_000_000.0), (-500_000.0, -7_000_000.0), (32_000_000.0, 0.0), (0.0, -30_000.0)] {
+        for setting in settings(7, 50) {
+            let short = setting.edit(|g| (g.easting, g.northing) = (g.easting + east, g.northing + north));
+            let answer = short.ask(&short.priors(), None, Some(setting.known()));
+            assert!(answer.0);
+            short.must_name(Mistake::LeadingDigits, &answer, &[]);
+        }
+    }
+    // Ten kilometres and something is a place of its own.
+    for setting in settings(7, 50) {
+        let elsewhere = setting.edit(|g| g.northing += 14_321.0);
+        let answer = elsewhere.ask(&elsewhere.priors(), None, Some(setting.known()));
+        assert!(answer.1.iter().all(|d| d.mistake != Mistake::LeadingDigits), "{answer:?}");
+    }
+}
+
+#[test]
 fn single_rows_with_swapped_columns_or_in_feet_are_named() {
     for setting in settings(9, 200) {
         let rows = &setting.visible[..2];

@@ -11,7 +11,7 @@
 //! |---|---|
 //! | easting and northing swapped, mirrored image | the pattern, which fits only as its mirror image; the size of the numbers, the image's own georeference, the direction of north or, failing all, the smaller rotation tell which |
 //! | feet for metres | the scale, when it is known; international or US survey feet (2 ppm apart): the place, when the image has one |
-//! | wrong UTM zone, ground coordinates | the place of the image, or for some points of the list the marks they would fall on |
+//! | wrong UTM zone, ground coordinates, leading digits left out | the place of the image, or for some points of the list the marks they would fall on |
 //! | coordinates of two points exchanged, a mistyped digit | a mark where the repaired point would be, and none where it is listed |
 //! | labels exchanged | marks that carry names ([`exchanged_labels`]): names take no part in finding the pattern |
 
@@ -53,6 +53,8 @@ pub enum Mistake {
     WrongUtmZone,
     /// Ground distances for grid distances, or the reverse.
     GridToGround,
+    /// Leading digits of all coordinates are missing, or there are too many.
+    LeadingDigits,
     LabelsExchanged,
 }
 

@@ -1,6 +1,7 @@
 //! Scale and place of a fit against what the image says of itself.
 
 use super::{Certainty, Diagnosis, FOOT_M, GrossErrors, Mistake, US_SURVEY_FOOT_M, neighbours};
+use crate::gcp::leading_digits;
 use crate::matching::Pattern;
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::Coordinate;
@@ -10,6 +11,8 @@ const NEAR_DIAGONALS: f64 = 0.25;
 const NEAR_M: f64 = 2.0;
 /// Scales agree within this (a georeference is rarely worse); factors of ground to grid lie within 0.5 %.
 const SCALE_AGREES: f64 = 0.03;
+/// Leading digits are told where the rest of the coordinates agrees so well: a place by chance does so once in 2,500.
+const LEADING_AGREES_M: f64 = 100.0;
 const GROUND_FACTOR: std::ops::Range<f64> = 2e-5..5e-3;
 
 pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagnosis> {
@@ -50,6 +53,13 @@ pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagno
             }
         }
     }
+    let wanted = (known.centre.easting - solved.easting, known.centre.northing - solved.northing);
+    if let Some(digits) = leading_digits(wanted, near_m.min(LEADING_AGREES_M)) {
+        return told(
+            Mistake::LeadingDigits,
+            format!("the list lies {:.0} km from where the image says it is, but on it with {digits}", found / 1000.0),
+        );
+    }
     ground_factor(known.centre, solved, found).map_or_else(Vec::new, |(factor, rest_m)| {
         told(
             Mistake::GridToGround,
@@ -79,7 +89,8 @@ const CLOSE_SCALE: f64 = 1.3;
 /// The scale by the pattern is 3.28 times, or a 3.28th of, what was known before.
 fn scale_alone(given: &GrossErrors<'_>, pattern: &Pattern) -> Option<Diagnosis> {
     let (low, high) = given.priors.gsd_m_per_px?;
-    let expected = (low * high).sqrt();
+    // What was known, give and take the same share.
+    let expected = (low + high) / 2.0;
     // A rough idea of the scale does not tell feet from anything else.
     if high > 1.5 * low {
         return None;

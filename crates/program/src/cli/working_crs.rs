@@ -37,6 +37,8 @@ pub enum Force {
     Feet,
     /// The list lies on the image only after division by a factor of ground to grid.
     GroundCoordinates,
+    /// The list lies on the image only with other leading digits.
+    LeadingDigits,
     /// Points lie outside the area of use of their CRS.
     OutsideArea,
 }
@@ -50,6 +52,7 @@ impl Force {
                 Some(Force::Feet)
             }
             Mistake::GridToGround => Some(Force::GroundCoordinates),
+            Mistake::LeadingDigits => Some(Force::LeadingDigits),
             Mistake::EastingNorthingSwapped
             | Mistake::MirroredImage
             | Mistake::CoordinatesExchanged
