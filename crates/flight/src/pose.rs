@@ -54,6 +54,23 @@ impl Pose {
         [omega.to_degrees(), phi.to_degrees(), kappa.to_degrees()]
     }
 
+    /// The direction of a camera that is mounted under an aircraft, looks straight down when the aircraft flies level
+    /// and has its image's top towards the nose: yaw clockwise from north, pitch with the nose up, roll with the right
+    /// wing down, degrees (ARINC 705; M. Bäumker and F.-J. Heimes, *New calibration and computing method for direct
+    /// georeferencing of image and scanner data using the position and angular data of an hybrid inertial navigation
+    /// system*, 2001). Metashape, Pix4D, OpenSfM and orthority count so.
+    pub fn under_aircraft(centre: Vector3<f64>, angles: YawPitchRoll) -> Self {
+        let turn = |axis: Vector3<f64>, degrees: f64| *Rotation3::new(axis * degrees.to_radians()).matrix();
+        // Aircraft (nose, right wing, down) to north, east, down.
+        let to_ned = turn(Vector3::z(), angles.yaw_deg)
+            * turn(Vector3::y(), angles.pitch_deg)
+            * turn(Vector3::x(), angles.roll_deg);
+        let to_enu = Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0) * to_ned;
+        // The camera's right is the right wing, its down the tail, its view down.
+        let axes = to_enu * Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+        Pose { rotation: axes.transpose(), centre }
+    }
+
     /// From ω, φ, κ in degrees; see [`Pose::omega_phi_kappa`].
     pub fn from_omega_phi_kappa(centre: Vector3<f64>, degrees: [f64; 3]) -> Self {
         let [o, p, k] = degrees.map(f64::to_radians);
@@ -183,6 +200,30 @@ mod tests {
             let b = Pose::looking(Vector3::zeros(), a).yaw_pitch_roll();
             assert!((a.yaw_deg - b.yaw_deg).abs() + (a.pitch_deg - b.pitch_deg).abs() < 1e-9, "{a:?} {b:?}");
             assert!((a.roll_deg - b.roll_deg).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn under_an_aircraft_the_view_is_down() {
+        let of = |yaw_deg, pitch_deg, roll_deg| {
+            Pose::under_aircraft(Vector3::zeros(), YawPitchRoll { yaw_deg, pitch_deg, roll_deg })
+        };
+        let level = of(30.0, 0.0, 0.0).yaw_pitch_roll();
+        assert!((level.yaw_deg - 30.0).abs() < 1e-9 && (level.pitch_deg + 90.0).abs() < 1e-5, "{level:?}");
+        // The nose up: the view swings forward.
+        let up = of(30.0, 60.0, 0.0).yaw_pitch_roll();
+        assert!((up.yaw_deg - 30.0).abs() < 1e-9 && (up.pitch_deg + 30.0).abs() < 1e-9 && up.roll_deg.abs() < 1e-9);
+        // The right wing down: the view swings to the left.
+        let banked = of(0.0, 0.0, 20.0);
+        let view = banked.rotation.row(2);
+        assert!(view[0] < -0.3 && view[1].abs() < 1e-12 && view[2] < -0.9, "{view:?}");
+        // The two rows of a flight that its adjustment has in ω, φ, κ too, a few degrees from its stated angles.
+        for ((yaw, pitch), opk) in
+            [((92.9, 30.0), [-2.728, -30.083, -93.729]), ((-175.8, 30.0), [-30.071, 1.882, 175.984])]
+        {
+            let adjusted = Pose::from_omega_phi_kappa(Vector3::zeros(), opk).rotation;
+            let turn = Rotation3::from_matrix(&(of(yaw, pitch, 0.0).rotation * adjusted.transpose())).angle();
+            assert!(turn.to_degrees() < 3.0, "{}", turn.to_degrees());
         }
     }
 

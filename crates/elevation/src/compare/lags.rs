@@ -1,9 +1,9 @@
 //! Differences of cells by how far they are apart: the classes of the empirical variogram.
 //!
 //! Windows are spread over the stable ground. Within a window a part of the cells is paired with all others of it.
-//! Between windows γ = E\[v²\] − E\[v v′\]: the mean square of all cells, so that rough and smooth ground side by side are
-//! not taken for a correlation, less the mean product of the cells of a sample; of windows far from each other of all
-//! their cells, which is the product of the means.
+//! Between windows γ = E\[v²\] − E\[v v′\]: the mean square of all cells, so that rough and smooth ground side by side
+//! are not taken for a correlation, less the mean product of the cells of a sample; of windows far from each other of
+//! all their cells, which is the product of the means.
 
 use super::variogram::Bin;
 use super::{Buffers, Observed};

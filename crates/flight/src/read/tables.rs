@@ -3,9 +3,21 @@
 use std::path::Path;
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
+
+/// What yaw, pitch and roll of a table are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Angles {
+    /// The view's: a pitch of 0 is level, -90 straight down ([`YawPitchRoll`]); those of a gimbal.
+    #[default]
+    View,
+    /// The aircraft's that carries the camera: a pitch of 0 looks straight down ([`Pose::under_aircraft`]).
+    Aircraft,
+}
 
 /// A row of a camera table. Angles are degrees; what the table lacks is `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,6 +35,20 @@ pub struct CameraRow {
 }
 
 impl CameraRow {
+    /// The row with the view's angles; what is not stated of an aircraft's pitch and roll is level flight.
+    #[must_use]
+    pub fn with_angles_of_view(mut self, angles: Angles) -> Self {
+        let Some(yaw_deg) = self.yaw_deg.filter(|_| angles == Angles::Aircraft) else { return self };
+        let stated =
+            YawPitchRoll { yaw_deg, pitch_deg: self.pitch_deg.unwrap_or(0.0), roll_deg: self.roll_deg.unwrap_or(0.0) };
+        let view = Pose::under_aircraft(Vector3::zeros(), stated).yaw_pitch_roll();
+        self.yaw_deg = Some(view.yaw_deg);
+        // What the table does not state stays unstated, so that it is not held.
+        let whole = self.pitch_deg.is_some() && self.roll_deg.is_some();
+        (self.pitch_deg, self.roll_deg) = (Some(view.pitch_deg), whole.then_some(view.roll_deg));
+        self
+    }
+
     /// Whether the row states the direction whole, and not only a part of it.
     pub fn is_directed(&self) -> bool {
         let angles = [self.yaw_deg, self.pitch_deg, self.roll_deg];

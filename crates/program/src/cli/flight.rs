@@ -67,6 +67,8 @@ struct AdjustArgs {
     /// Rough camera table whose positions (and directions) count with --sigma-position and --sigma-direction.
     #[arg(long, value_name = "TABLE")]
     cameras: Option<PathBuf>,
+    #[command(flatten)]
+    angles: lists::AnglesArgs,
     /// 1σ of rough positions.
     #[arg(long, value_name = "M", default_value_t = 200.0)]
     sigma_position: f64,
@@ -210,7 +212,7 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     let points = control.in_world(&world, &model, &args.points)?;
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(table) = &args.cameras {
-        let rows = lists::on_map(read::tables::cameras(table)?, table, control.crs.as_ref())?;
+        let rows = lists::on_map(lists::cameras(table, args.angles.angles())?, table, control.crs.as_ref())?;
         let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
         notes.extend(lists::unmatched(&rows, table, &names)?);
         for row in &rows {

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::read::{same_image, tables};
+use autoref_flight::read::same_image;
+use autoref_flight::read::tables::Angles;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 
@@ -23,6 +24,8 @@ pub struct InitArgs {
     /// where there is one.
     #[arg(long, value_name = "TABLE")]
     cameras: Option<PathBuf>,
+    #[command(flatten)]
+    angles: lists::AnglesArgs,
     /// GCPs.
     #[arg(long, value_name = "LIST")]
     gcps: Option<PathBuf>,
@@ -92,7 +95,7 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
         bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
     }
     if let Some(table) = &args.cameras {
-        let rows = tables::cameras(table)?;
+        let rows = lists::cameras(table, args.angles.angles())?;
         let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
         if known == 0 {
             bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
@@ -177,9 +180,11 @@ fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<C
 /// The table that the command line names, or one written from the frames' GPS beside the project; and the CRS of the
 /// project.
 fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Result<(Option<String>, Option<Rough>)> {
-    let rough = |table: PathBuf, sigma_m: f64| Rough { table, sigma_m, pitch_deg: None, ground_m: None };
+    let rough =
+        |table: PathBuf, sigma_m: f64| Rough { table, sigma_m, angles: Angles::View, pitch_deg: None, ground_m: None };
     if let Some(table) = &args.cameras {
-        return Ok((args.crs.clone(), Some(rough(absolute(table)?, default_rough_m()))));
+        let rough = Rough { angles: args.angles.angles(), ..rough(absolute(table)?, default_rough_m()) };
+        return Ok((args.crs.clone(), Some(rough)));
     }
     if args.crs.as_deref().is_some_and(lists::is_local) {
         return Ok((args.crs.clone(), None));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use autoref_flight::Pose;
 use autoref_flight::adjust::{GroundPoint, Role, RoughPose};
-use autoref_flight::read::tables::{self, CameraRow};
+use autoref_flight::read::tables::{self, Angles, CameraRow};
 use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::bounded;
@@ -100,6 +100,48 @@ impl Geodesy for Proj {
         self.back.transform(&mut p).ok()?;
         Some([p[0].x, p[0].y, g[2]])
     }
+}
+
+/// What the yaw, pitch and roll of a camera table are.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct AnglesArgs {
+    /// With a camera table: whose yaw, pitch and roll it states. `view`: a pitch of 0 is level, -90 straight down, as
+    /// of a gimbal; `aircraft`: a pitch of 0 looks straight down, as Metashape, Pix4D and OpenSfM count.
+    #[arg(long, value_enum, default_value = "view")]
+    angles: AnglesWord,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum AnglesWord {
+    View,
+    Aircraft,
+}
+
+impl AnglesArgs {
+    pub fn angles(self) -> Angles {
+        match self.angles {
+            AnglesWord::View => Angles::View,
+            AnglesWord::Aircraft => Angles::Aircraft,
+        }
+    }
+}
+
+/// The rows of a camera table, with the angles of the view.
+///
+/// # Errors
+/// Those of [`tables::cameras`].
+pub fn cameras(table: &Path, angles: Angles) -> Result<Vec<CameraRow>> {
+    let rows = tables::cameras(table)?;
+    let above = rows.iter().filter(|row| row.pitch_deg.is_some_and(|pitch| pitch > 0.0)).count();
+    if above > 0 && angles == Angles::View {
+        tracing::warn!(
+            "{}: the view of {above} of {} rows would look above the horizon; Metashape, Pix4D and OpenSfM count pitch from \
+             straight down: --angles aircraft, or angles = \"aircraft\" under [rough]",
+            table.display(),
+            rows.len()
+        );
+    }
+    Ok(rows.into_iter().map(|row| row.with_angles_of_view(angles)).collect())
 }
 
 /// Rows of a camera table on the map: longitudes and latitudes are brought to `crs`, and directions count from the

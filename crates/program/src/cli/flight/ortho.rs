@@ -17,7 +17,7 @@ use gdal::raster::GdalDataType;
 use nalgebra::Matrix3;
 use serde_json::json;
 
-use super::check_output;
+use super::{check_output, lists};
 use crate::cli::dem::ResourceArgs;
 use draw::Job;
 pub(in crate::cli) use model::Dem;
@@ -36,6 +36,8 @@ pub struct OrthorectifyArgs {
     /// coordinates, or a camera table. Default: cameras.json beside the frame.
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
+    #[command(flatten)]
+    angles: lists::AnglesArgs,
     /// With a camera table: the interior, as for `resect`.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
@@ -51,6 +53,9 @@ pub struct OrthorectifyArgs {
     /// CRS of the cameras. Default: what their file says, else the elevation model's.
     #[arg(long, value_name = "CRS")]
     crs: Option<String>,
+    /// What was taken off the map coordinates of a reconstruction, such as the offset in OpenDroneMap's coords.txt.
+    #[arg(long, value_name = "E,N,H", allow_hyphen_values = true)]
+    shift: Option<String>,
     /// Pixel size on the ground, in units of the CRS. Default: the median size of the frame's pixels across the view.
     #[arg(long, value_name = "M")]
     gsd: Option<f64>,
@@ -73,9 +78,9 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     let frame = open(&args.frame)?;
     let (columns, rows) = frame.raster_size();
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let (camera, pose, stated) = posed(args, &name, [columns as f64, rows as f64])?;
     let dem = Dem::open(&args.dem)?;
-    let (world, pose, eye) = place(&dem, &pose, args.crs.as_deref().or(stated.as_deref()))?;
+    let (camera, pose, in_frame) = posed(args, &name, [columns as f64, rows as f64], dem.crs.as_ref())?;
+    let (world, pose, eye) = place(&dem, &pose, &in_frame)?;
     let sag = if matches!(world, World::Flat { .. }) { 0.0 } else { 0.5 / 6_371_000.0 };
     let axes = world.grid(eye).unwrap_or_else(Matrix3::identity);
     let resources = args.resources.resources();

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use autoref_flight::Error;
-use autoref_flight::read::{same_image, tables};
+use autoref_flight::read::same_image;
+use autoref_flight::read::tables::{Angles, CameraRow};
 use serde::{Deserialize, Serialize};
 
 use super::{interior, lists, views};
@@ -81,6 +82,9 @@ pub struct Rough {
     pub table: PathBuf,
     #[serde(default = "default_rough_m")]
     pub sigma_m: f64,
+    /// What yaw, pitch and roll of the table are.
+    #[serde(default)]
+    pub angles: Angles,
     /// Elevation of the view where the table has none (-20: 20° below the horizon).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pitch_deg: Option<f64>,
@@ -219,7 +223,7 @@ pub struct OrderedFrames {
     pub folder: PathBuf,
     pub masks: views::Masks,
     pub names: Vec<String>,
-    pub rows: Vec<tables::CameraRow>,
+    pub rows: Vec<CameraRow>,
 }
 
 impl OrderedFrames {
@@ -248,7 +252,7 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
         bail!("{}: {} frames match; two or more are needed", folder.display(), names.len());
     }
     let rows = match &project.rough {
-        Some(r) => tables::cameras(&base.join(&r.table))?,
+        Some(r) => lists::cameras(&base.join(&r.table), r.angles)?,
         None => Vec::new(),
     };
     let mut order: Vec<usize> = Vec::new();

@@ -1,9 +1,10 @@
 //! Where a frame stands over its elevation model, and what ground it sees.
 
 use anyhow::{Context, Result, bail};
+use autoref_cloud::params;
 use autoref_elevation::grid::Grid;
 use autoref_flight::ortho::{Surface, View};
-use autoref_flight::read::{self, same_image, tables};
+use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose};
 use autoref_raster::bounded;
@@ -16,8 +17,21 @@ use super::super::{camera_file, lists, set_interior};
 use super::OrthorectifyArgs;
 use super::model::Dem;
 
-/// The frame's camera and pose in map coordinates, and the CRS that its file states.
-pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Result<(Camera, Pose, Option<String>)> {
+/// What the coordinates of a pose are.
+pub(super) enum Frame {
+    /// The map's, in this CRS; in the elevation model's where none is stated.
+    Map(Option<String>),
+    /// East, north, up about a longitude, latitude and height.
+    Tangent([f64; 3]),
+}
+
+/// The frame's camera and pose, and what its coordinates are.
+pub(super) fn posed(
+    args: &OrthorectifyArgs,
+    name: &str,
+    size: [f64; 2],
+    model_crs: Option<&Crs>,
+) -> Result<(Camera, Pose, Frame)> {
     let beside = args.frame.with_file_name("cameras.json");
     let file = match &args.cameras {
         Some(file) => file.clone(),
@@ -30,14 +44,19 @@ pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Resu
     let known = ["cameras.txt", "images.txt", "points3D.txt"];
     let table = file.extension().and_then(|e| e.to_str()).is_some_and(|e| ["csv", "txt", "tsv"].contains(&e))
         && file.file_name().and_then(|n| n.to_str()).is_none_or(|n| !known.contains(&n));
-    let (mut camera, pose, crs) = if table {
-        let rows = tables::cameras(&file)?;
+    let asked = || args.crs.clone();
+    let (mut camera, pose, frame) = if table {
+        if args.shift.is_some() {
+            bail!("--shift is of a reconstruction; write the map coordinates into {}", file.display());
+        }
+        let rows = lists::cameras(&file, args.angles.angles())?;
         let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
             bail!("{}: has no row of `{name}`", file.display())
         };
-        if rows[i].geographic {
-            bail!("{}: longitudes and latitudes; give the map coordinates of the model", file.display())
-        }
+        // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
+        let frame = Frame::Map(asked().filter(|_| !rows[i].geographic));
+        let rows = lists::on_map(vec![rows[i].clone()], &file, model_crs)?;
+        let i = 0;
         let Some(pose) = rows[i].pose(None) else {
             bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
         };
@@ -49,14 +68,26 @@ pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Resu
             None if args.f_px.is_some() => Camera::pinhole(name, size, 1.0, [size[0] / 2.0, size[1] / 2.0]),
             None => bail!("{}: a table has no interior; give --f-px or --camera", file.display()),
         };
-        (camera, pose, None)
+        (camera, pose, frame)
     } else {
         let model = read::reconstruction(&file)?;
         let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
         let text = bounded::read_to_string(&file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
         let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
         let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
-        (model.cameras[model.photographs[i].camera].clone(), model.photographs[i].pose, crs)
+        let about = model.reference_lla.filter(|_| args.shift.is_none() && model_crs.is_some_and(|c| !c.is_local()));
+        let frame = about.map_or_else(|| Frame::Map(asked().or(crs)), Frame::Tangent);
+        let mut pose = model.photographs[i].pose;
+        if let Some(text) = &args.shift {
+            pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
+        } else if about.is_some() {
+            tracing::warn!(
+                "{}: its coordinates are taken as east, north and up about its reference_lla; OpenDroneMap's are map \
+                 coordinates less an offset (the second line of its coords.txt): give that with --shift E,N,0",
+                file.display()
+            );
+        }
+        (model.cameras[model.photographs[i].camera].clone(), pose, frame)
     };
     set_interior(&mut camera, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     if camera.size_px != size {
@@ -78,11 +109,15 @@ pub(super) fn posed(args: &OrthorectifyArgs, name: &str, size: [f64; 2]) -> Resu
         }
         camera.size_px = size;
     }
-    Ok((camera, pose, crs))
+    Ok((camera, pose, frame))
 }
 
 /// The world about the camera in the model's CRS, the pose in it, and the camera's place in the map.
-pub(super) fn place(dem: &Dem, pose: &Pose, crs: Option<&str>) -> Result<(World, Pose, [f64; 3])> {
+pub(super) fn place(dem: &Dem, pose: &Pose, frame: &Frame) -> Result<(World, Pose, [f64; 3])> {
+    let crs = match frame {
+        Frame::Map(crs) => crs.as_deref(),
+        Frame::Tangent(about) => return place_tangent(dem, pose, *about),
+    };
     let eye: [f64; 3] = pose.centre.into();
     let Some(target) = dem.crs.as_ref().filter(|_| crs.is_none_or(|c| !lists::is_local(c))) else {
         let world = World::flat(eye);
@@ -103,6 +138,21 @@ pub(super) fn place(dem: &Dem, pose: &Pose, crs: Option<&str>) -> Result<(World,
     let posed = lists::world_of(Some(&from), eye)?.pose_to_world(pose);
     let posed = posed.with_context(|| format!("the camera lies outside {}", from.title()))?;
     Ok((lists::world_of(Some(target), there)?, posed, there))
+}
+
+/// The same of a pose in the tangent plane about a longitude, latitude and height.
+fn place_tangent(dem: &Dem, pose: &Pose, about: [f64; 3]) -> Result<(World, Pose, [f64; 3])> {
+    let target = dem.crs.as_ref().context("a tangent frame is placed on a map")?;
+    let mut at = [Coordinate { x: about[0], y: about[1], height: None }];
+    Crs::from_epsg(4326)?.transform(&mut at, target, 100.0)?;
+    let world = lists::world_of(Some(target), [at[0].x, at[0].y, about[2]])?;
+    let outside = || format!("the camera lies outside {}", target.title());
+    let posed = world.pose_of_tangent(about, pose).with_context(outside)?;
+    let eye = world.to_map(&posed.centre).with_context(outside)?;
+    // About the camera itself, as with poses on the map.
+    let there = lists::world_of(Some(target), eye)?;
+    let posed = world.pose_to_map(&posed).and_then(|pose| there.pose_to_world(&pose)).with_context(outside)?;
+    Ok((there, posed, eye))
 }
 
 /// Places of the map in the world, exact at nodes of the output's grid and at two heights, linear between.
