@@ -197,6 +197,8 @@ pub enum Outcome {
 
 /// Cells of the finer model along one of the coarser that are told apart, at least.
 const FINEST: f64 = 4.0;
+/// A mean residual of more standard errors of the height than this is no accident.
+const LEANING: f64 = 3.0;
 
 /// Finds what brings `a` onto `b`; both are in metres and on grids of one CRS.
 ///
@@ -247,9 +249,10 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     };
     let before = spread::of(&full, &State::default(), options.means)?;
     let after = spread::of(&full, &fitted.state, options.means)?;
-    if finer > 1 && after.mean.is_finite() {
-        // Ground that coarse cells smooth out leaves differences that lean to one side: a robust height is drawn from
-        // the mean, which averaging keeps, by something that the scatter of blocks does not show.
+    // Ground that coarse cells or a filter smooth out leaves differences that lean to one side: a robust height is drawn
+    // from the mean, which averaging keeps, by something that the scatter of blocks does not show.
+    let leans = after.mean.powi(2) > LEANING.powi(2) * fitted.covariance[(2, 2)];
+    if after.mean.is_finite() && (finer > 1 || leans) {
         fitted.covariance[(2, 2)] += after.mean * after.mean;
     }
     // The other model is read at X + shift: where it is A, A itself moves the other way.
