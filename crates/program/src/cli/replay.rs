@@ -14,6 +14,7 @@ use autoref_review::{Action, PatchFile, Subject, Target};
 use autoref_stream::gcp::{GcpList, WorkingCrs};
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
+use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::replay::{Replayed, replay};
 use autoref_stream::report;
 use autoref_stream::result::RunResult;
@@ -81,6 +82,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             args.candidates.display()
         );
     }
+    keep_reasons(&mut document.result, &recorded);
     settle(&mut document.result, &patch);
     document.result.patch = Some(patch);
     if let Some(delivery) = &delivery {
@@ -97,6 +99,17 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     run::print(&document.result, args.json, args.quiet);
     Ok(document.exit_code())
+}
+
+/// Why points have no mark was seen in the image, which a replay does not look at.
+fn keep_reasons(result: &mut RunResult, recorded: &RunResult) {
+    let seen = recorded.solved().map(|run| run.not_found.as_slice()).unwrap_or_default();
+    let unseen = result.solved_mut().into_iter().flat_map(|run| &mut run.not_found);
+    for lost in unseen.filter(|lost| lost.reason == Reason::Hidden) {
+        if let Some(known) = seen.iter().find(|known| known.name == lost.name && known.reason != Reason::Outside) {
+            *lost = NotFound { x: lost.x, y: lost.y, ..known.clone() };
+        }
+    }
 }
 
 /// What a person rejected or could not see is no doubt of the program's any more.
