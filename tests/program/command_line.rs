@@ -28,6 +28,8 @@ fn manual_pages_are_troff() {
     assert!(page.contains(".TH autoref") && page.contains("Exit codes"), "{page}");
     let page = stdout(&autoref(&["man", "detect"]));
     assert!(page.contains("detect") && page.contains("candidates"), "{page}");
+    let page = stdout(&autoref(&["man", "dem", "align"]));
+    assert!(page.contains(".TH autoref-stream-dem-align") && page.contains("stable"), "{page}");
     let refused = autoref(&["man", "detekt"]);
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&refused.stderr).contains("detect"));

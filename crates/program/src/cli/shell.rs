@@ -24,25 +24,25 @@ pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
 /// Print the manual page (troff) of the program or of one command.
 #[derive(Args, Debug)]
 pub struct ManArgs {
-    /// A command; without it the page of the main job.
-    pub command: Option<String>,
+    /// A command, with its own command where it has some (`dem align`); without it the page of the main job.
+    pub command: Vec<String>,
 }
 
 pub fn man(args: &ManArgs) -> anyhow::Result<()> {
     let mut program = everywhere::command();
     program.build();
-    let (page, title) = match &args.command {
-        None => (program, "autoref-stream".to_string()),
-        Some(name) => {
-            let Some(command) = program.find_subcommand(name) else {
-                let names: Vec<&str> = program.get_subcommands().map(clap::Command::get_name).collect();
-                bail!("there is no command `{name}`; there are {}", names.join(", "));
-            };
-            (command.clone(), format!("autoref-stream-{name}"))
-        }
-    };
+    let (mut page, mut title) = (&program, "autoref-stream".to_string());
+    for name in &args.command {
+        let Some(command) = page.find_subcommand(name) else {
+            let names: Vec<&str> = page.get_subcommands().map(clap::Command::get_name).collect();
+            let there = if names.is_empty() { "none".to_string() } else { names.join(", ") };
+            bail!("there is no command `{name}` of {title}; there are {there}");
+        };
+        title = format!("{title}-{}", command.get_name());
+        page = command;
+    }
     let mut text = Vec::new();
-    clap_mangen::Man::new(page).title(title).render(&mut text).context("cannot make the page")?;
+    clap_mangen::Man::new(page.clone()).title(title).render(&mut text).context("cannot make the page")?;
     crate::out::keep(std::io::stdout().write_all(&text));
     Ok(())
 }
