@@ -621,8 +621,8 @@ fn a_figure_twice_in_a_long_list() {
             Case { priors: Priors { gsd_m_per_px, ..case.priors.clone() }, ..case }
         }
     };
-    let most = run("60 % of a long list's figure twice", 23, 4, repeated(0.6));
+    let most = run("60 % of a long list's figure twice", 23, 2, repeated(0.6));
     assert_eq!((most.right, most.wrong), (0, 0));
-    let few = run("20 % of a long list's figure twice", 24, 4, repeated(0.2));
+    let few = run("20 % of a long list's figure twice", 24, 2, repeated(0.2));
     assert_eq!((few.wrong, few.refused), (0, 0));
 }
