@@ -144,6 +144,16 @@ fn quartic(c: [f64; 5]) -> Vec<f64> {
     roots
 }
 
+/// Whether the points lie on a line or at one place, to a thousandth of their extent.
+fn are_in_line(seen: &[Seen]) -> bool {
+    let Some(far) = seen.iter().map(|s| s.xyz - seen[0].xyz).max_by(|a, b| a.norm().total_cmp(&b.norm())) else {
+        return true;
+    };
+    let along = far.normalize();
+    let beside = |s: &Seen| (s.xyz - seen[0].xyz).cross(&along).norm();
+    far.norm() == 0.0 || seen.iter().all(|s| beside(s) <= 1e-3 * far.norm())
+}
+
 /// Finds the pose; wrong points are named.
 ///
 /// # Errors
@@ -192,6 +202,12 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
         }
     }
     let (_, mut found) = result.ok_or_else(|| {
+        if are_in_line(seen) {
+            return Error::no_result(
+                "the points lie on one line, or at one place, and leave the pose open",
+                "measure a point to the side of it",
+            );
+        }
         Error::no_result(
             "no pose sees the points where they were measured",
             "check the focal length, the order of the coordinates and whether pixels count from the upper left corner",

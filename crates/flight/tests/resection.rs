@@ -80,3 +80,25 @@ fn alike_rays_about_a_point_lose_no_pose() {
         }
     }
 }
+
+#[test]
+fn points_on_a_line_are_said_to_be() {
+    let camera = Camera::pinhole("c", [4000.0, 3000.0], 3000.0, [2000.0, 1500.0]);
+    let seen = |place: &dyn Fn(f64) -> [f64; 3], pixel: &dyn Fn(f64) -> [f64; 2]| -> Vec<Seen> {
+        let point = |i: i32| {
+            let t = f64::from(i);
+            Seen { name: i.to_string(), xyz: place(t).into(), sigma_m: Vector3::zeros(), pixel: pixel(t) }
+        };
+        (0..6).map(point).collect()
+    };
+    let line = seen(&|t| [10.0 * t, 20.0 * t, 0.0], &|t| [600.0 + 300.0 * t, 1500.0]);
+    let place = seen(&|_| [5.0, 5.0, 0.0], &|_| [2000.0, 1500.0]);
+    for seen in [line, place] {
+        let refused = resect(&camera, &seen, &ResectOptions::default()).expect_err("the pose is open");
+        assert!(refused.to_string().contains("one line"), "{refused}");
+    }
+    let spread = seen(&|t| [10.0 * t, 7.0 * t * t, 0.0], &|t| [9.0 * t, 1.0]);
+    if let Err(refused) = resect(&camera, &spread, &ResectOptions::default()) {
+        assert!(!refused.to_string().contains("one line"), "{refused}");
+    }
+}
