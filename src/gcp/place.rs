@@ -145,8 +145,16 @@ fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeorefer
         })
     };
     let zone = (points.first()?.gcp.easting / ZONE_M).floor();
-    if (1.0..=120.0).contains(&zone) && all(&|e, n| (e - zone * ZONE_M, n)) {
-        return Some(format!("they would lie in it without the zone's number {zone} before the eastings"));
+    if (1.0..=60.0).contains(&zone) && all(&|e, n| (e - zone * ZONE_M, n)) {
+        let title = crs.title();
+        let own = title.split("zone ").nth(1).map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
+        return match own {
+            Some(Some(own)) if own == zone.to_string() => {
+                Some(format!("they would lie in it without the zone's number {zone} before the eastings"))
+            }
+            Some(_) => Some(format!("the {zone} before the eastings is another zone's number")),
+            None => None,
+        };
     }
     if let Some(image) = image
         && let Some((e, n)) = centre_in(image, crs)

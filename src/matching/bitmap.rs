@@ -13,6 +13,9 @@ const NEEDLESS_LOOK: f64 = 0.03;
 /// Of the field's diagonal: some roundings of 2⁻²⁴ each.
 const SINGLE_PRECISION: f64 = 1e-6;
 
+/// Cells before the field: one that is empty, and so much that what lies on the field's border is not rounded into it.
+const RIM: f64 = 1.01;
+
 /// Where a candidate may be within a radius, a bit a cell: most predictions are answered by one look. The outermost
 /// cells lie outside the field and are empty.
 pub(super) struct Bitmap {
@@ -39,7 +42,7 @@ impl Bitmap {
     /// Column and row; the whole parts say in which cell `p` is.
     #[inline]
     pub fn cell_of(&self, p: PixelPoint) -> (f64, f64) {
-        ((p.x - self.origin.x) * self.cells_per_px + 1.0, (p.y - self.origin.y) * self.cells_per_px + 1.0)
+        ((p.x - self.origin.x) * self.cells_per_px + RIM, (p.y - self.origin.y) * self.cells_per_px + RIM)
     }
 
     /// Radii from 8 px up, by 2, as long as chance hits leave something to see.
@@ -60,8 +63,8 @@ impl Bitmap {
         let density = field.points().len() as f64 / field.area_px2();
         let rare_px = (NEEDLESS_LOOK / density).sqrt() - 2.0 * radius_px;
         let cell_px = rare_px.max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
-        let columns = (field.width_px / cell_px) as usize + 3;
-        let rows = (field.height_px / cell_px) as usize + 3;
+        let columns = (field.width_px / cell_px + RIM) as usize + 2;
+        let rows = (field.height_px / cell_px + RIM) as usize + 2;
         let mut bitmap = Bitmap {
             radius_px,
             cells_per_px: 1.0 / cell_px,

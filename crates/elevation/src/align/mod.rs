@@ -249,8 +249,8 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     };
     let before = spread::of(&full, &State::default(), options.means)?;
     let after = spread::of(&full, &fitted.state, options.means)?;
-    // Ground that coarse cells or a filter smooth out leaves differences that lean to one side: a robust height is drawn
-    // from the mean, which averaging keeps, by something that the scatter of blocks does not show.
+    // Ground that coarse cells or a filter smooth out leaves differences that lean to one side: a robust height is
+    // drawn from the mean, which averaging keeps, by something that the scatter of blocks does not show.
     let leans = after.mean.powi(2) > LEANING.powi(2) * fitted.covariance[(2, 2)];
     if after.mean.is_finite() && (finer > 1 || leans) {
         fitted.covariance[(2, 2)] += after.mean * after.mean;

@@ -161,7 +161,7 @@ impl Buckets {
                 values.sort_unstable();
                 values.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u64)).collect()
             }
-            Buckets::All(counts) => (0..).zip(counts).filter(|(_, count)| *count > 0).collect(),
+            Buckets::All(counts) => (0..=u16::MAX).zip(counts).filter(|(_, count)| *count > 0).collect(),
         }
     }
 }

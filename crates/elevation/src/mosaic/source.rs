@@ -323,8 +323,12 @@ fn companion_path(source: &Path, pattern: &str) -> PathBuf {
             source.with_file_name("").join(name)
         }
     };
+    let whole = path(&stem);
+    if whole.exists() {
+        return whole;
+    }
     let shorter = std::iter::successors(Some(&*stem), |stem| stem.rsplit_once('_').map(|(start, _)| start));
-    shorter.map(path).find(|path| path.exists() && !same_file(path, source)).unwrap_or_else(|| path(&stem))
+    shorter.map(path).find(|path| path.exists() && !same_file(path, source)).unwrap_or(whole)
 }
 
 /// An index raster, which must have the mosaic's grid.
@@ -508,6 +512,11 @@ mod tests {
         let pattern = "{stem}_range_mean.tif";
         // Nothing there: the name that the whole stem makes, for the message.
         assert_eq!(companion_path(&source, pattern), at("north_7_z_mean_range_mean.tif"));
+        // A source may be its own companion; a shorter name does not take its place.
+        for name in ["north_7_z_mean.tif", "north.tif"] {
+            std::fs::write(at(name), "").expect("a file");
+        }
+        assert_eq!(companion_path(&source, "{stem}.tif"), source);
         for name in ["north_range_mean.tif", "north_7_range_mean.tif", "north_7_z_mean_range_mean.tif"] {
             std::fs::write(at(name), "").expect("a file");
             assert_eq!(companion_path(&source, pattern), at(name));

@@ -32,6 +32,8 @@ pub struct CameraRow {
     pub roll_deg: Option<f64>,
     pub omega_phi_kappa_deg: Option<[f64; 3]>,
     pub line: Option<String>,
+    /// The angles come from those of an aircraft of which some were not stated.
+    pub taken_level: bool,
 }
 
 impl CameraRow {
@@ -43,16 +45,16 @@ impl CameraRow {
             YawPitchRoll { yaw_deg, pitch_deg: self.pitch_deg.unwrap_or(0.0), roll_deg: self.roll_deg.unwrap_or(0.0) };
         let view = Pose::under_aircraft(Vector3::zeros(), stated).yaw_pitch_roll();
         self.yaw_deg = Some(view.yaw_deg);
-        // What the table does not state stays unstated, so that it is not held.
-        let whole = self.pitch_deg.is_some() && self.roll_deg.is_some();
-        (self.pitch_deg, self.roll_deg) = (Some(view.pitch_deg), whole.then_some(view.roll_deg));
+        // Straight down the view's yaw says nothing without its roll.
+        self.taken_level = self.pitch_deg.is_none() || self.roll_deg.is_none();
+        (self.pitch_deg, self.roll_deg) = (Some(view.pitch_deg), Some(view.roll_deg));
         self
     }
 
     /// Whether the row states the direction whole, and not only a part of it.
     pub fn is_directed(&self) -> bool {
         let angles = [self.yaw_deg, self.pitch_deg, self.roll_deg];
-        self.omega_phi_kappa_deg.is_some() || angles.iter().all(Option::is_some)
+        self.omega_phi_kappa_deg.is_some() || !self.taken_level && angles.iter().all(Option::is_some)
     }
 
     /// The pose that the row states; `None` when it has no direction. `pitch_deg` stands in for a pitch that is not
@@ -243,6 +245,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
             roll_deg: value(5)?,
             omega_phi_kappa_deg: opk,
             line: at[9].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
+            taken_level: false,
         });
     }
     if rows.is_empty() {
@@ -431,6 +434,21 @@ mod tests {
         let path = std::env::temp_dir().join(format!("autoref-flight-table-{}-{n}", std::process::id()));
         std::fs::write(&path, text).expect("writable");
         (path.clone(), Gone(path))
+    }
+
+    #[test]
+    fn an_aircraft_that_states_no_roll_flies_level() {
+        let row = |pitch_deg, roll_deg| CameraRow { yaw_deg: Some(30.0), pitch_deg, roll_deg, ..CameraRow::default() };
+        let pose = |row: &CameraRow| row.pose(None).expect("a direction").rotation;
+        let whole = row(Some(-2.0), Some(0.0)).with_angles_of_view(Angles::Aircraft);
+        let part = row(Some(-2.0), None).with_angles_of_view(Angles::Aircraft);
+        assert!(whole.is_directed() && !part.is_directed());
+        assert!((pose(&whole) - pose(&part)).norm() < 1e-12);
+        let level = row(None, Some(2.0)).with_angles_of_view(Angles::Aircraft);
+        let stated = row(Some(0.0), Some(2.0)).with_angles_of_view(Angles::Aircraft);
+        assert!((pose(&level) - pose(&stated)).norm() < 1e-12);
+        let view = row(Some(-20.0), Some(1.0));
+        assert_eq!(view.clone().with_angles_of_view(Angles::View), view);
     }
 
     #[test]

@@ -32,8 +32,8 @@ pub struct OrthorectifyArgs {
     /// Elevation model, north up; the orthophoto takes its CRS.
     #[arg(long, value_name = "DEM")]
     dem: PathBuf,
-    /// Where the frame was taken from: the result of `solve`, `adjust` or `resect`, any reconstruction in map
-    /// coordinates, or a camera table. Default: cameras.json beside the frame.
+    /// Where the frame was taken from: the result of `solve`, `adjust` or `resect`, a reconstruction in map coordinates
+    /// (--shift) or about its `reference_lla`, or a camera table. Default: cameras.json beside the frame.
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]

@@ -75,7 +75,9 @@ pub(super) fn posed(
         let text = bounded::read_to_string(&file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
         let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
         let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
-        let about = model.reference_lla.filter(|_| args.shift.is_none() && model_crs.is_some_and(|c| !c.is_local()));
+        // Who names a CRS says that the coordinates are the map's.
+        let on_map = args.shift.is_some() || args.crs.is_some() || model_crs.is_none_or(Crs::is_local);
+        let about = model.reference_lla.filter(|_| !on_map);
         let frame = about.map_or_else(|| Frame::Map(asked().or(crs)), Frame::Tangent);
         let mut pose = model.photographs[i].pose;
         if let Some(text) = &args.shift {
