@@ -26,7 +26,7 @@ const FAR: usize = 12;
 const FAR_OF_ALL: usize = 2000;
 /// Windows whose middles are farther apart than this have one distance.
 const ONE_DISTANCE_PX: f64 = 4.0 * WINDOW_PX as f64;
-/// LagClasses of distance for each doubling.
+/// Classes of distance for each doubling.
 const PER_DOUBLING: f64 = 2.0;
 const BINS: usize = 64;
 /// Fewer pairs are no class.
