@@ -1,0 +1,150 @@
+//! `flight adjust`: a model on the ground, its blunders, and what is wrong with its input.
+
+use std::path::Path;
+
+use super::{Flight, Place, autoref, expect, has_the_keys, json, said, text};
+use serde_json::Value;
+
+#[test]
+fn adjust_brings_a_model_to_the_ground() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, gcps, out) = (place.at("model"), place.at("gcps.txt"), place.at("cameras.json"));
+    let arguments = [
+        "flight",
+        "adjust",
+        text(&model),
+        "--gcps",
+        text(&gcps),
+        "--sigma-ground",
+        "0.05",
+        "--check",
+        "G2,G5",
+        "-o",
+        text(&out),
+        "--json",
+    ];
+    let output = autoref(&arguments, None, &[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    has_the_keys(&document);
+    assert!(place.flight.worst_camera_m(&document) < 0.05, "{}", place.flight.worst_camera_m(&document));
+    let checks: Vec<&str> =
+        document["check_points"].as_array().expect("a list").iter().filter_map(|c| c["name"].as_str()).collect();
+    assert_eq!(checks, ["G2", "G5"]);
+    assert!(document["blunders"].as_array().is_some_and(Vec::is_empty), "{}", document["blunders"]);
+    assert_eq!(serde_json::from_slice::<Value>(&std::fs::read(&out).expect("written")).expect("JSON"), document);
+    expect(&autoref(&arguments, None, &[]), 2, &["cameras.json exists", "--overwrite"]);
+    // cameras.json is a reconstruction too; without ties, GCPs alone hold it.
+    expect(
+        &autoref(&["flight", "adjust", text(&out), "--gcps", text(&gcps), "--free", "none", "--json"], None, &[]),
+        0,
+        &[],
+    );
+}
+
+#[test]
+fn adjust_names_the_wrong_gcp_and_frame() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let mut flight = Flight::new();
+    let (frame, pixel) = &mut flight.gcps[3].2[1];
+    pixel[0] += 14.0;
+    let wrong = flight.model.photographs[*frame].name.clone();
+    flight.gcps[6].1.z += 30.0;
+    let list = place.write("wrong.txt", &flight.gcp_list());
+    let output = autoref(
+        &["flight", "adjust", text(&place.at("model")), "--gcps", text(&list), "--sigma-ground", "0.5", "--json"],
+        None,
+        &[],
+    );
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    let named: Vec<(&str, Option<&str>)> = document["blunders"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|b| (b["gcp"].as_str().expect("a name"), b["frame"].as_str()))
+        .collect();
+    assert!(named.len() == 2 && named.contains(&("G3", Some(&wrong))) && named.contains(&("G6", None)), "{named:?}");
+    let output = autoref(
+        &["flight", "adjust", text(&place.at("model")), "--gcps", text(&list), "--sigma-ground", "0.5"],
+        None,
+        &[],
+    );
+    expect(&output, 0, &[&format!("blunder: GCP G3 in {wrong}"), "blunder: GCP G6 on the ground"]);
+}
+
+#[test]
+fn adjust_says_what_is_wrong_with_its_input() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, gcps) = (place.at("model"), place.at("gcps.txt"));
+    let adjust = |model: &Path, gcps: &Path, more: &[&str]| {
+        autoref(&[&["flight", "adjust", text(model), "--gcps", text(gcps), "--json"], more].concat(), None, &[])
+    };
+    // One frame that nobody knows is a note, a list of such frames is an error.
+    let one = place.write("one.txt", &(place.flight.gcp_list() + "1100 2000 5 10 10 other.png G9\n"));
+    let output = adjust(&model, &one, &[]);
+    expect(&output, 0, &["other.png"]);
+    assert!(json(&output)["notes"].to_string().contains("other.png"));
+    let all = place.write("all.txt", &place.flight.gcp_list().replace(" f", " g"));
+    let output = adjust(&model, &all, &[]);
+    expect(&output, 2, &["all.txt", "g0.png"]);
+    assert!(json(&output)["error"]["message"].as_str().is_some_and(|m| m.contains("all.txt")));
+    expect(&adjust(&model, &gcps, &["--check", "G77"]), 2, &["gcps.txt", "G77"]);
+    expect(&adjust(&model, &gcps, &["--free", "q9"]), 2, &["q9"]);
+    expect(&adjust(&place.at("nothing"), &gcps, &[]), 2, &["nothing"]);
+    expect(&adjust(&model, &place.at("nothing.txt"), &[]), 2, &["nothing.txt"]);
+    // Two GCPs do not place a block: it ran, and there is no result.
+    let few: String = place
+        .flight
+        .gcp_list()
+        .lines()
+        .filter(|l| !l.contains("G") || l.ends_with("G0") || l.ends_with("G1"))
+        .fold(String::new(), |all, l| all + l + "\n");
+    let output = adjust(&model, &place.write("few.txt", &few), &[]);
+    expect(&output, 1, &["3 are needed"]);
+    assert_eq!(json(&output)["error"]["kind"], "refused");
+    // Truncated in the middle of a row, of every file.
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        let cut = place.at(&format!("cut-{name}"));
+        place.flight.write_model(&cut);
+        let whole = std::fs::read(cut.join(name)).expect("there");
+        std::fs::write(cut.join(name), &whole[..whole.len() * 7 / 10]).expect("written");
+        let output = adjust(&cut, &gcps, &[]);
+        assert!(matches!(output.status.code(), Some(0 | 2)), "{name}: {}", said(&output));
+        if output.status.code() == Some(2) {
+            expect(&output, 2, &["cut-"]);
+        }
+    }
+}
+
+/// A table without directions, and one without the whole direction, fix where cameras stand.
+#[test]
+fn positions_count_alone() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (mut places, mut partly) = (String::from("name,x,y,z\n"), String::from("name,x,y,z,yaw,pitch\n"));
+    for p in &place.flight.model.photographs {
+        let (c, a) = (p.pose.centre, p.pose.yaw_pitch_roll());
+        places += &format!("{},{},{},{}\n", p.name, c.x, c.y, c.z);
+        partly += &format!("{},{},{},{},{},{}\n", p.name, c.x, c.y, c.z, a.yaw_deg + 40.0, a.pitch_deg);
+    }
+    let (model, gcps) = (place.at("model"), place.at("gcps.txt"));
+    let adjusted = |table: &str| {
+        let table = place.write("places.csv", table);
+        let words = ["flight", "adjust", text(&model), "--gcps", text(&gcps), "--cameras", text(&table), "--json"];
+        autoref(&[&words[..], &["--sigma-position", "0.01", "--sigma-ground", "20"]].concat(), None, &[])
+    };
+    for table in [&places, &partly] {
+        let output = adjusted(table);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        let sigma = document["cameras"][0]["sigma_e"].as_f64().expect("a number");
+        assert!(place.flight.worst_camera_m(&document) < 0.05 && sigma < 0.02, "{sigma}: {table}");
+    }
+    expect(&adjusted("name,x,y,z\nother.png,1,2,3\n"), 2, &["places.csv", "none of its names (other.png)"]);
+    let twice = places.clone() + "f0.png,1,2,3\n";
+    expect(&adjusted(&twice), 2, &["places.csv", "`f0.png` has row 2 already"]);
+}

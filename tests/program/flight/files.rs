@@ -1,0 +1,70 @@
+//! `flight init` writes what `flight solve` reads, `flight export` what MicMac reads.
+
+use std::path::Path;
+use std::process::Command;
+
+use super::{Place, autoref, expect, text};
+
+#[test]
+fn init_writes_what_solve_reads_and_refuses_what_is_not_there() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let written: toml::Value = toml::from_str(&std::fs::read_to_string(&toml).expect("there")).expect("TOML");
+    assert_eq!(written["camera"]["f_px"].as_float(), Some(500.0));
+    assert_eq!(
+        (written["gcps"]["sigma_ground_m"].as_float(), written["gcps"]["sigma_image_px"].as_float()),
+        (Some(25.0), Some(5.0))
+    );
+    let (frames, table, gcps) = (place.at("frames"), place.at("table.csv"), place.at("gcps.txt"));
+    let init = |folder: &Path, table: &Path, gcps: &Path, name: &str| {
+        let out = place.at(name);
+        autoref(
+            &["flight", "init", text(folder), "--cameras", text(table), "--gcps", text(gcps), "-o", text(&out)],
+            None,
+            &[],
+        )
+    };
+    expect(&init(&frames, &table, &gcps, "FLIGHT.toml"), 2, &["FLIGHT.toml exists", "--overwrite"]);
+    expect(&init(&place.at("nowhere"), &table, &gcps, "a.toml"), 2, &["nowhere"]);
+    expect(&init(&frames, &table, &place.at("no.txt"), "a.toml"), 2, &["no.txt"]);
+    let others = place.write("others.csv", "name,x,y,z\nQ1,1,2,3\n");
+    expect(&init(&frames, &others, &gcps, "a.toml"), 2, &["others.csv", "none of its 1 names"]);
+    let broken = place.write("broken.csv", "name,x,y,z\nf0,1,two,3\n");
+    expect(&init(&frames, &broken, &gcps, "a.toml"), 2, &["broken.csv", "row 2", "`two`"]);
+    std::fs::create_dir(place.at("empty")).expect("a folder");
+    expect(&init(&place.at("empty"), &table, &gcps, "a.toml"), 2, &["empty", "no frames"]);
+    assert!(!place.at("a.toml").exists());
+}
+
+#[test]
+fn export_writes_what_micmac_reads() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let folder = place.at("micmac");
+    let export = |more: &[&str]| {
+        let words = [&["flight", "export", text(&toml), "-o", text(&folder)], more].concat();
+        autoref(&words, None, &[])
+    };
+    expect(&export(&["--pixel-mm", "0.02"]), 0, &[]);
+    let read = |name: &str| std::fs::read_to_string(place.at("micmac").join(name)).expect("written");
+    assert!(read("MicMac-LocalChantierDescripteur.xml").contains("<CalcName> 10 </CalcName>"), "500 px of 0.02 mm");
+    assert_eq!(read("NameCpleVisib.xml").matches("<Cple>").count(), 4 + 3 + 2);
+    assert!(read("commands.sh").contains("mm3d GCPBascule '(f0\\.png|"), "{}", read("commands.sh"));
+    let checked = Command::new("sh").arg("-n").arg(place.at("micmac").join("commands.sh")).status().expect("a shell");
+    assert!(checked.success());
+    // The list that it came from and the two that it became say the same.
+    let ground = autoref_flight::read::micmac::read_ground_points(&place.at("micmac").join("GCP-S3D.xml"));
+    assert_eq!(ground.expect("points").len(), place.flight.gcps.len());
+    let adjusted = |list: &str| {
+        let list = place.at("micmac").join(list);
+        place.flight.write_model(&place.at("prepared"));
+        let model = place.at("prepared");
+        autoref(&["flight", "adjust", text(&model), "--gcps", text(&list), "--json"], None, &[])
+    };
+    expect(&adjusted("GCP-S3D.xml"), 0, &[]);
+    expect(&export(&[]), 2, &["MicMac-LocalChantierDescripteur.xml", "--overwrite"]);
+    expect(&export(&["--overwrite"]), 0, &[]);
+    expect(&export(&["--overwrite", "--pixel-mm", "0"]), 2, &["--pixel-mm"]);
+}

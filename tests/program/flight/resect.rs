@@ -1,0 +1,118 @@
+//! `flight resect`: one frame placed by its points.
+
+use std::path::Path;
+
+use super::{Flight, Place, autoref, expect, json, text};
+use crate::common::data;
+use nalgebra::Vector3;
+use serde_json::Value;
+
+#[test]
+fn resect_places_a_frame_and_names_the_blunder() {
+    let place = Place::new();
+    let gcps = place.at("gcps.txt");
+    let resect = |frame: &str, gcps: &Path, more: &[&str]| {
+        let some = ["flight", "resect", frame, "--gcps", text(gcps), "--f-px", "500", "--size", "480,480", "--json"];
+        autoref(&[&some, more].concat(), None, &[])
+    };
+    let output = resect("f2.png", &gcps, &[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    let truth = place.flight.model.photographs[2].pose;
+    let off = |d: &Value| {
+        (Vector3::from_iterator((0..3).map(|i| d["C"][i].as_f64().expect("a number"))) - truth.centre).norm()
+    };
+    assert!(off(&document) < 0.1 && document["blunders"].as_array().is_some_and(Vec::is_empty), "{document}");
+    for key in ["name", "e", "n", "h", "yaw_deg", "pitch_deg", "roll_deg", "C", "R", "f_px", "rms_px"] {
+        assert!(!document[key].is_null(), "{key}");
+    }
+    let mut flight = Flight::new();
+    let gcp = flight.gcps.iter_mut().find(|g| g.2.iter().any(|s| s.0 == 2)).expect("seen");
+    gcp.2.iter_mut().find(|s| s.0 == 2).expect("seen").1[1] += 60.0;
+    let wrong = gcp.0.clone();
+    let list = place.write("wrong.txt", &flight.gcp_list());
+    let document = json(&resect("f2.png", &list, &[]));
+    assert!(document["blunders"] == serde_json::json!([wrong]) && off(&document) < 1.0, "{document}");
+    expect(&resect("f9.png", &gcps, &[]), 1, &["f9.png", "gcps.txt"]);
+    let two: String = place
+        .flight
+        .gcp_list()
+        .lines()
+        .filter(|l| l.contains("f2.png"))
+        .take(2)
+        .fold("local\n".into(), |all, l| all + l + "\n");
+    expect(&resect("f2.png", &place.write("two.txt", &two), &[]), 1, &["3 are needed"]);
+    expect(&resect("f2.png", &gcps, &["--pp-px", "1"]), 2, &["--pp-px"]);
+    for sigma in ["0", "nan", "-1"] {
+        let at = ["--position", "0,0,100", &format!("--sigma-position={sigma}")];
+        expect(&resect("f2.png", &gcps, &at), 2, &["--sigma-position"]);
+    }
+}
+
+/// What a list says of its points counts where one frame is placed too: check points, accuracies, and three points that
+/// several poses see.
+#[test]
+fn resect_heeds_what_the_list_says() {
+    let place = Place::new();
+    let table = |sigma: &dyn Fn(usize) -> &'static str, off_m: &dyn Fn(usize) -> f64, check: Option<usize>| {
+        let mut text = String::from("name,x,y,z,image,px,py,role,sigma_m\n");
+        let seen = place.flight.gcps.iter().filter_map(|(name, xyz, seen)| {
+            let at = seen.iter().find(|(frame, _)| *frame == 2)?.1;
+            Some((name, xyz, at))
+        });
+        for (i, (name, xyz, at)) in seen.enumerate() {
+            let role = if check == Some(i) { "check" } else { "control" };
+            let x = xyz.x + off_m(i);
+            let row = format!("{name},{x},{},{},f2.png,{},{},{role},{}\n", xyz.y, xyz.z, at[0], at[1], sigma(i));
+            text.push_str(&row);
+        }
+        place.write("points.csv", &text)
+    };
+    let resect = |list: &Path| {
+        let frame = ["f2.png", "--f-px", "500", "--size", "480,480", "--json", "--sigma-image", "0.1"];
+        let output = autoref(&[&["flight", "resect", "--gcps", text(list)][..], &frame].concat(), None, &[]);
+        expect(&output, 0, &[]);
+        json(&output)
+    };
+    let truth = place.flight.model.photographs[2].pose.centre;
+    let off =
+        |d: &Value| (Vector3::from_iterator((0..3).map(|i| d["C"][i].as_f64().expect("a number"))) - truth).norm();
+    // Two of six are coarse, say so, and are 20 m off.
+    let coarse = |i: usize| i % 3 == 1;
+    let found =
+        resect(&table(&|i| if coarse(i) { "20" } else { "0.02" }, &|i| if coarse(i) { 20.0 } else { 0.0 }, None));
+    assert!(off(&found) < 1.0 && found["blunders"] == serde_json::json!([]), "{found}");
+    // A wrong check point takes no part, and shows what it misses.
+    let found = resect(&table(&|_| "", &|i| if i == 1 { 50.0 } else { 0.0 }, Some(1)));
+    assert!(off(&found) < 0.1 && found["blunders"] == serde_json::json!([]), "{found}");
+    let check = &found["check_points"][0];
+    assert!(check["d_px"].as_f64().expect("a number") > 5.0, "{found}");
+    let three: String = std::fs::read_to_string(table(&|_| "", &|_| 0.0, None))
+        .expect("written")
+        .lines()
+        .take(4)
+        .fold(String::new(), |all, line| all + line + "\n");
+    let found = resect(&place.write("three.csv", &three));
+    let poses = found["alternatives"].as_array().expect("a list");
+    let nearest = poses.iter().chain([&found]).map(off).fold(f64::INFINITY, f64::min);
+    assert!(nearest < 1.0, "one of them is right: {found}");
+    assert_eq!(poses.is_empty(), !found["notes"].to_string().contains("three points allow"), "{found}");
+}
+
+/// Ten points clicked in a photograph of a glacier, one of them 150 px off.
+#[test]
+fn the_wrong_point_of_kronebreen_is_named() {
+    let Some(list) = data("oblique_svalbard/KR1_2014.txt") else { return };
+    let interior = ["--f-px", "6248", "--pp-px", "2575.84,1473.41", "--distortion", "k1=-0.1322,k2=0.3939,k3=-0.8149"];
+    let held = ["--position", "447618.893,8759606.114,410.523", "--sigma-position", "20"];
+    for (case, more) in [("position held", [&interior[..], &held[..]].concat()), ("free", interior.to_vec())] {
+        let some = ["flight", "resect", "KR1_2014.JPG", "--gcps", text(&list), "--size", "5184,3456", "--json"];
+        let output = autoref(&[&some, &more[..]].concat(), None, &[]);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        let blunders: Vec<&str> =
+            document["blunders"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+        assert_eq!(blunders, ["4"], "{case}: {document}");
+        assert_eq!(document["gcps"].as_array().map(Vec::len), Some(10));
+    }
+}
