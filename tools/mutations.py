@@ -49,7 +49,7 @@ MUTATIONS = [
      "if patch.schema != SCHEMA || patch.schema_version != SCHEMA_VERSION {", "if false {", ["-p", "autoref-review"]),
     ("synth: noise without a seed", "crates/synth/src/rng.rs",
      "mix(seed ^ (x as u64)", "mix((x as u64)", ["-p", "autoref-synth", "--lib"]),
-    ("program: a refusal exits with 0", "crates/program/src/cli/run.rs",
+    ("program: a refusal exits with 0", "crates/program/src/cli/document.rs",
      "Status::Refused => ExitCode::from(1)", "Status::Refused => ExitCode::SUCCESS", PROGRAM + ["main_job::"]),
 ]
 

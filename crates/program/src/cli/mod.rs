@@ -16,6 +16,7 @@ pub mod dem;
 pub mod detect;
 pub mod diagnosis;
 pub mod distance;
+mod document;
 pub mod errors;
 pub mod everywhere;
 pub mod fiducials;

@@ -20,7 +20,8 @@ use autoref_stream::report;
 use autoref_stream::result::RunResult;
 
 use crate::cli::accuracy;
-use crate::cli::run::{self, Document, NO_MARK_THERE};
+use crate::cli::document::{Document, NO_MARK_THERE};
+use crate::cli::run;
 use crate::cli::solve::SolveArgs;
 use crate::cli::solving;
 

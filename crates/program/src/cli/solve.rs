@@ -14,8 +14,9 @@ use clap::Args;
 use crate::cli::accuracy::{self, extent};
 use crate::cli::common::{self, GcpArgs, MatchArgs};
 use crate::cli::diagnosis;
+use crate::cli::document::Document;
 use crate::cli::replay;
-use crate::cli::run::{self, Document};
+use crate::cli::run;
 use crate::cli::solving::{ImagePlace, SolvingArgs};
 use crate::cli::working_crs;
 

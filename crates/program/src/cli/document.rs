@@ -1,0 +1,297 @@
+//! The document of a run, put together from what the search found.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use autoref_raster::RasterInfo;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::crs::Crs;
+use autoref_raster::memory_plan;
+use autoref_stream::candidate::Candidate;
+use autoref_stream::gcp::GcpList;
+use autoref_stream::matching::diagnosis::Diagnosis;
+use autoref_stream::matching::{Effort, Evidence, Pattern};
+use autoref_stream::pipeline::georeference::{FoundMark, Orientation, Outcome, Run};
+use autoref_stream::pipeline::reasons::reasons;
+use autoref_stream::result::{
+    FitFigures, ImageInfo, LEAST_MISFIT_PX, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
+    SolvedRun, Status, Timings,
+};
+
+/// A result under construction.
+pub struct Document {
+    pub result: RunResult,
+}
+
+impl Document {
+    pub fn new(list: &GcpList, gcp_file: &Path, outcome: &Outcome, candidates: Vec<Candidate>) -> Self {
+        let (came_of_it, evidence) = match outcome {
+            Outcome::Solved(orientation) => {
+                let solved = solved(orientation, list, &candidates);
+                (RunOutcome::Solved(Box::new(solved)), Searched::of_solved(orientation))
+            }
+            Outcome::Refused(evidence) => {
+                let refused = RefusedRun { reason: evidence.reason.clone(), best_pattern: evidence.best.clone() };
+                (RunOutcome::Refused(Box::new(refused)), Searched::of_refused(evidence))
+            }
+        };
+        let mut result = RunResult {
+            program: format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
+            outcome: came_of_it,
+            advice: evidence.advice,
+            image: None,
+            gcp_file: gcp_file.display().to_string(),
+            options: serde_json::Value::Null,
+            crs: list.crs.as_ref().map(autoref_raster::crs::Crs::label),
+            gcps_listed: list.gcps.len(),
+            gcps: list.gcps.clone(),
+            delivered: !list.working_crs.is_plain(),
+            candidates_found: candidates.len(),
+            candidates,
+            log10_false_alarms: evidence.log10_false_alarms,
+            runner_up: evidence.runner_up,
+            search_cut: evidence.search.search_cut,
+            search: Some(evidence.search),
+            prior_georeference: None,
+            diagnoses: evidence.diagnoses,
+            warnings: list.notes.clone(),
+            patch: None,
+            files_written: Vec::new(),
+            reading: None,
+            second_pass: None,
+            colour_search: None,
+            memory_plan: None,
+            timings: Timings::default(),
+            peak_memory_bytes: None,
+            elapsed_s: 0.0,
+        };
+        if let Outcome::Solved(orientation) = outcome {
+            let notes = fit_notes(&result, orientation, list);
+            result.warnings.extend(notes);
+        }
+        if let Some(effort) = result.search.as_ref().filter(|effort| effort.search_cut) {
+            result.warnings.push(format!(
+                "--time-limit ended the search after {} of {:.3e} hypotheses",
+                effort.hypotheses_tried, effort.hypotheses_possible
+            ));
+        }
+        Document { result }
+    }
+
+    pub(super) fn describe_reading(
+        &mut self,
+        info: &RasterInfo,
+        run: &Run,
+        all: autoref_raster::ReadStats,
+        open_s: f64,
+    ) {
+        self.result.image = Some(ImageInfo {
+            path: info.path.display().to_string(),
+            width: info.width,
+            height: info.height,
+            bands: info.bands,
+            reader: info.reader.to_string(),
+            description: info.description.clone(),
+        });
+        let scan = run.scan.scan_reads;
+        self.result.reading = Some(Reading {
+            blocks_in_file: info.blocks,
+            blocks_decoded: scan.blocks_decoded,
+            blocks_skipped: scan.blocks_skipped,
+            bytes_read: scan.bytes_read,
+            window_blocks_decoded: all.blocks_decoded - scan.blocks_decoded,
+            window_bytes_read: all.bytes_read - scan.bytes_read,
+        });
+        let timings = &mut self.result.timings;
+        timings.open_s = open_s;
+        timings.scan_s = run.scan.timings.scan_s;
+        timings.examine_s = run.scan.timings.examine_s;
+        timings.match_s = run.match_s;
+        timings.rematch_s = run.rematch_s;
+    }
+
+    /// An existing georeference is reported, with how far the new one moves the image.
+    pub(super) fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
+        let Some(old) = info.geotransform else { return };
+        let same_crs = match (&info.crs_wkt, &list.crs) {
+            (Some(wkt), Some(crs)) if !crs.is_geographic() => {
+                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
+            }
+            _ => false,
+        };
+        let centre = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
+        let moved_m = self.result.geotransform().filter(|_| same_crs).map(|new| {
+            let (a, b) = (old.apply(centre), new.apply(centre));
+            (a.easting - b.easting).hypot(a.northing - b.northing)
+                * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
+        });
+        if self.result.solved().is_some() {
+            self.result.warnings.push(match moved_m {
+                Some(moved) => format!("the image's own georeference is overridden; its centre moves by {moved:.3} m"),
+                None => "the image's own georeference is overridden".into(),
+            });
+        }
+        self.result.prior_georeference =
+            Some(PriorGeoreference { geotransform: old, crs: info.crs_wkt.clone(), moved_m });
+    }
+
+    pub fn finish(&mut self, started: Instant) {
+        self.result.peak_memory_bytes = memory_plan::peak_resident_bytes();
+        self.result.elapsed_s = started.elapsed().as_secs_f64();
+    }
+
+    pub fn exit_code(&self) -> ExitCode {
+        match self.result.status() {
+            Status::Solved => ExitCode::SUCCESS,
+            Status::Refused => ExitCode::from(1),
+        }
+    }
+}
+
+/// What the search leaves on record, whether it was believed or not.
+struct Searched {
+    advice: Vec<String>,
+    log10_false_alarms: Option<f64>,
+    runner_up: Option<Pattern>,
+    search: Effort,
+    diagnoses: Vec<Diagnosis>,
+}
+
+impl Searched {
+    fn of_solved(orientation: &Orientation) -> Self {
+        Searched {
+            advice: orientation.diagnoses.iter().map(|d| d.message.clone()).collect(),
+            log10_false_alarms: Some(orientation.evidence.pattern.log10_false_alarms),
+            runner_up: orientation.evidence.runner_up.clone(),
+            search: orientation.evidence.effort.clone(),
+            diagnoses: orientation.diagnoses.clone(),
+        }
+    }
+
+    fn of_refused(evidence: &Evidence) -> Self {
+        Searched {
+            advice: evidence.advice.clone(),
+            log10_false_alarms: evidence.best.as_ref().map(|p| p.log10_false_alarms),
+            runner_up: evidence.runner_up.clone(),
+            search: evidence.effort.clone(),
+            diagnoses: evidence.diagnoses.clone(),
+        }
+    }
+}
+
+fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -> SolvedRun {
+    let solution = &orientation.solution;
+    let matches = orientation
+        .marks
+        .iter()
+        .zip(&solution.pairs)
+        .map(|(mark, pair)| {
+            let mut row = row(mark, orientation, list);
+            row.leave_one_out_m = pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m).map(|(e, n)| e.hypot(n));
+            row.redundancy = Some(pair.redundancy);
+            row.detectable_blunder_m = pair.detectable_blunder_m;
+            row.outlier = pair.outlier;
+            row
+        })
+        .collect();
+    let name = |&i: &usize| list.gcps[i].name.clone();
+    SolvedRun {
+        geotransform: solution.geotransform,
+        fit: FitFigures::from(solution),
+        chosen_model: None,
+        matches,
+        check_points: check_rows(orientation, list),
+        gcps_in_image: orientation.marks.len() + orientation.check_marks.len() + orientation.not_found.len(),
+        not_found: reasons(None, orientation, &list.gcps, candidates).unwrap_or_default(),
+        outside: orientation.outside.iter().map(name).collect(),
+        names: orientation.evidence.names,
+        accuracy: None,
+        expected_errors: Vec::new(),
+        heights: None,
+        solution: Some(solution.clone()),
+    }
+}
+
+/// Check points that are much farther off than the others are flagged; they count all the same.
+fn check_rows(orientation: &Orientation, list: &GcpList) -> Vec<MatchRow> {
+    /// So many times the deviation that half of them have.
+    const TIMES: f64 = 4.5;
+    let mut rows: Vec<MatchRow> = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
+    let mut lengths_px: Vec<f64> = rows.iter().map(|row| row.residual_px).collect();
+    lengths_px.sort_by(f64::total_cmp);
+    // The half of a pair is its better one.
+    let Some(half) = lengths_px.get(lengths_px.len().saturating_sub(1) / 2) else { return rows };
+    let limit_px = (TIMES * half / 1.1774).max(LEAST_MISFIT_PX);
+    rows.iter_mut().for_each(|row| row.outlier = row.residual_px > limit_px);
+    rows
+}
+
+/// What a person should know of the fit.
+fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
+    let mut notes = orientation.solution.warnings.clone();
+    let checks = result.solved().map_or(&[][..], |solved| &solved.check_points);
+    let all = result.matches().iter().chain(checks);
+    let outliers: Vec<&str> = all.filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
+    if !outliers.is_empty() {
+        notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+    }
+    notes.extend(near_misses(&result.candidates, orientation, list));
+    notes
+}
+
+/// How a doubt begins about a point whose mark is missing.
+pub const NO_MARK_THERE: &str = "no mark where it must be";
+
+/// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
+fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<String> {
+    const NEAR_PX: f64 = 60.0;
+    let solution = &orientation.solution;
+    let all = || orientation.marks.iter().chain(&orientation.check_marks);
+    let taken = |c: &Candidate| all().any(|found| found.mark.centre == c.centre);
+    orientation
+        .not_found
+        .iter()
+        .filter_map(|&gcp| {
+            let place = solution.similarity.invert(list.gcps[gcp].position());
+            let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
+            let nearest = candidates
+                .iter()
+                .filter(|c| !taken(c))
+                .map(distance)
+                .filter(|d| *d < NEAR_PX)
+                .min_by(f64::total_cmp)?;
+            Some(format!(
+                "{}: {NO_MARK_THERE}, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
+                list.gcps[gcp].name,
+                nearest * solution.scale_m_per_px
+            ))
+        })
+        .collect()
+}
+
+fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow {
+    let gcp = &list.gcps[found.gcp];
+    let computed = orientation.solution.similarity.apply(found.mark.centre);
+    let (e, n) = (gcp.easting - computed.easting, gcp.northing - computed.northing);
+    MatchRow {
+        gcp: gcp.name.clone(),
+        x: found.mark.centre.x,
+        y: found.mark.centre.y,
+        easting: gcp.easting,
+        northing: gcp.northing,
+        height: gcp.height,
+        survey_sigma_m: gcp.sigma_m,
+        residual_e_m: e,
+        residual_n_m: n,
+        residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,
+        covariance_px2: found.mark.covariance_px2,
+        score: found.mark.score,
+        found_by: found.found_by,
+        leave_one_out_m: None,
+        redundancy: None,
+        detectable_blunder_m: None,
+        outlier: false,
+        code: found.mark.code.clone(),
+    }
+}
