@@ -68,6 +68,38 @@ const GPS_M: f64 = 20.0;
 const IMAGES: [&str; 6] = ["tif", "tiff", "png", "jpg", "jpeg", "jp2"];
 
 pub fn init(args: &InitArgs) -> Result<ExitCode> {
+    check_numbers(args)?;
+    check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
+    let folder = absolute(&args.folder)?;
+    let pattern = image_pattern(&folder)?;
+    let names = frames_in(&folder, &pattern)?;
+    if names.is_empty() {
+        bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
+    }
+    check_table(args, &folder, &names)?;
+    check_points(args)?;
+    let told: Vec<frames::Told> = names.iter().map(|n| frames::told(&folder.join(n))).collect();
+    let camera = init_camera(args, &folder.join(&names[0]), &told)?;
+    let (crs, rough) = init_rough(args, &names, &told)?;
+    let project = Project {
+        crs,
+        frames: Frames { folder, pattern },
+        masks: None,
+        camera,
+        rough,
+        gcps: init_gcps(args)?,
+        pairs: Pairs::default(),
+        adjust: Adjust::default(),
+    };
+    let text = format!("# A flight of {} frames; `autoref-stream flight solve` takes it.\n", names.len())
+        + &toml::to_string(&project)?;
+    autoref_raster::atomic::write(&args.output, text.as_bytes())?;
+    println!("{}", args.output.display());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses numbers of the command line that cannot be.
+fn check_numbers(args: &InitArgs) -> Result<()> {
     if args.pp_px.as_ref().is_some_and(|p| p.len() != 2) {
         bail!("--pp-px: 2 numbers with a comma between them are expected");
     }
@@ -79,9 +111,12 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     if let Some(f_px) = args.f_px.filter(|f| !(*f > 0.0 && f.is_finite())) {
         bail!("--f-px {f_px}: a positive number of pixels is expected");
     }
-    check_output(Some(&args.output), Existing::of_flag(args.overwrite))?;
-    let folder = absolute(&args.folder)?;
-    let all = frames_in(&folder, &["*".into()])?;
+    Ok(())
+}
+
+/// `*.jpg` and so on: an ending as it is written for every kind of image in the folder.
+fn image_pattern(folder: &Path) -> Result<Vec<String>> {
+    let all = frames_in(folder, &["*".into()])?;
     let extension = |n: &str| n.rsplit_once('.').map(|(_, e)| e.to_lowercase());
     let mut pattern: Vec<String> = all
         .iter()
@@ -90,63 +125,54 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
         .collect();
     pattern.sort();
     pattern.dedup();
-    let names = frames_in(&folder, &pattern)?;
-    if names.is_empty() {
-        bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
+    Ok(pattern)
+}
+
+/// Refuses a camera table that names none of the frames; tells how many it names.
+fn check_table(args: &InitArgs, folder: &Path, names: &[String]) -> Result<()> {
+    let Some(table) = &args.cameras else { return Ok(()) };
+    let rows = lists::cameras(table, args.angles.angles())?;
+    let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
+    if known == 0 {
+        bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
     }
-    if let Some(table) = &args.cameras {
-        let rows = lists::cameras(table, args.angles.angles())?;
-        let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
-        if known == 0 {
-            bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
-        }
-        eprintln!("{known} of {} rows of the table are frames", rows.len());
-    }
-    if let Some(list) = &args.gcps
-        && !list.is_file()
-    {
+    eprintln!("{known} of {} rows of the table are frames", rows.len());
+    Ok(())
+}
+
+/// Refuses a list of GCPs that is not there, and check points that it does not have.
+fn check_points(args: &InitArgs) -> Result<()> {
+    let Some(list) = &args.gcps else { return Ok(()) };
+    if !list.is_file() {
         bail!("{}: is not there", list.display());
     }
-    if let (Some(list), false) = (&args.gcps, args.check.is_empty()) {
-        let points = lists::PointArgs {
-            gcps: list.clone(),
-            observations: args.observations.clone(),
-            crs: args.crs.clone(),
-            check: args.check.clone(),
-            sigma_ground: None,
-            sigma_image: args.sigma_image,
-        };
-        if let Some(known) = points.load_first()? {
-            known.named_checks(&points)?;
-        }
+    if args.check.is_empty() {
+        return Ok(());
     }
-    let told: Vec<frames::Told> = names.iter().map(|n| frames::told(&folder.join(n))).collect();
-    let camera = init_camera(args, &folder.join(&names[0]), &told)?;
-    let (crs, rough) = init_rough(args, &names, &told)?;
-    let project = Project {
-        crs,
-        frames: Frames { folder, pattern },
-        masks: None,
-        camera,
-        rough,
-        gcps: match &args.gcps {
-            Some(list) => Some(Gcps {
-                list: absolute(list)?,
-                observations: args.observations.as_deref().map(absolute).transpose()?,
-                sigma_ground_m: args.sigma_ground,
-                sigma_image_px: args.sigma_image,
-                check: args.check.clone(),
-            }),
-            None => None,
-        },
-        pairs: Pairs::default(),
-        adjust: Adjust::default(),
+    let points = lists::PointArgs {
+        gcps: list.clone(),
+        observations: args.observations.clone(),
+        crs: args.crs.clone(),
+        check: args.check.clone(),
+        sigma_ground: None,
+        sigma_image: args.sigma_image,
     };
-    let text = format!("# A flight of {} frames; `autoref-stream flight solve` takes it.\n", names.len())
-        + &toml::to_string(&project)?;
-    autoref_raster::atomic::write(&args.output, text.as_bytes())?;
-    println!("{}", args.output.display());
-    Ok(ExitCode::SUCCESS)
+    if let Some(known) = points.load_first()? {
+        known.named_checks(&points)?;
+    }
+    Ok(())
+}
+
+/// The GCPs of the project.
+fn init_gcps(args: &InitArgs) -> Result<Option<Gcps>> {
+    let Some(list) = &args.gcps else { return Ok(None) };
+    Ok(Some(Gcps {
+        list: absolute(list)?,
+        observations: args.observations.as_deref().map(absolute).transpose()?,
+        sigma_ground_m: args.sigma_ground,
+        sigma_image_px: args.sigma_image,
+        check: args.check.clone(),
+    }))
 }
 
 /// Focal lengths of one camera do not differ by more.
