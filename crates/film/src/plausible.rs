@@ -5,7 +5,7 @@ use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
 use super::interior::Pose;
 use super::resolution::Resolution;
-use super::types::{FrameResult, FrameStatus, InteriorModel, MarkStatus};
+use super::types::{FrameResult, FrameStatus, InteriorModel, InteriorOrientation, MarkStatus};
 
 /// Assemblies by chance above which a frame is looked at by a person.
 const MOST_CHANCE: f64 = 2e-3;
@@ -24,6 +24,13 @@ const GLASS_MM: f64 = 9.0;
 /// Differences of scale between the axes that are told: film alone shrinks unevenly by a tenth of a per cent.
 const TOLD_STRETCH: f64 = 0.003;
 
+/// What speaks against a frame as a whole, and what is worth knowing of it.
+#[derive(Default)]
+struct Said {
+    doubts: Vec<String>,
+    notes: Vec<String>,
+}
+
 impl Finder {
     /// Adds to `result` what speaks against it as a whole, and what is worth knowing of its scale.
     pub(super) fn doubt_whole(
@@ -34,84 +41,110 @@ impl Finder {
         result: &mut FrameResult,
     ) {
         let Some(interior) = &result.interior else { return };
-        let mut doubts = vec![];
-        let mut notes = vec![];
+        let mut said = Said::default();
         if assembly.chance > MOST_CHANCE {
-            doubts.push(format!(
+            said.doubts.push(format!(
                 "so many places look like marks that {} of them would agree as well by chance; say --pixel-um, --turn or --mirrored, \
                  or take a smaller --box-share",
                 interior.marks.len()
             ));
         }
-        let pixel_um = interior.pixel_um;
-        let off = |other: f64| (pixel_um / other).ln();
-        let told = |what: String, other: f64| {
-            format!(
-                "by the marks a pixel is {pixel_um:.2} µm, by {what} {other:.2} µm ({:+.1} %)",
-                100.0 * (pixel_um / other - 1.0)
-            )
-        };
-        let by_file = stated.map(|r| (r, r.pixel_um())).filter(|(_, um)| off(*um).abs() < NONSENSE.ln());
-        if let Some(given) = options.pixel_um {
-            if off(given).abs() > ASTRAY {
-                doubts.push(told("--pixel-um".into(), given));
-            }
-        } else if let Some((resolution, um)) = by_file {
-            let text = told(format!("the file's resolution ({:.0} dpi)", resolution.0[0]), um);
-            if off(um).abs() > ASTRAY && !resolution.is_usual_default() {
-                doubts.push(format!("{text}: if the marks are right, say --pixel-um {pixel_um:.1}"));
-            } else if off(um).abs() > TOLD {
-                notes.push(text);
-            }
-        }
+        let by_file =
+            stated.map(|r| (r, r.pixel_um())).filter(|(_, um)| off(interior.pixel_um, *um).abs() < NONSENSE.ln());
+        said.against_stated_scale(interior.pixel_um, options.pixel_um, by_file);
         if let Some(resolution) = stated.filter(|_| by_file.is_none()) {
-            notes.push(format!("the file's resolution ({:.0} dpi) is not that of the scan", resolution.0[0]));
+            said.notes.push(format!("the file's resolution ({:.0} dpi) is not that of the scan", resolution.0[0]));
         }
-        if options.pixel_um.is_none() && by_file.is_none_or(|(r, um)| r.is_usual_default() && off(um).abs() > ASTRAY) {
-            let turned = (interior.rotation_deg / 90.0).round() as i64 % 2 != 0;
-            let [w, h] = self.camera.film_size_mm;
-            let film = if turned { [h, w] } else { [w, h] };
-            let [px, py] = interior.pixel_xy_um;
-            let shown = [result.width as f64 * px / 1e3, result.height as f64 * py / 1e3];
-            let whole = |k: usize| (-CUT_MM..GLASS_MM).contains(&(shown[k] - film[k]));
-            let says = format!(
-                "by the marks the scan shows {:.1} x {:.1} mm, the camera's film is {:.0} x {:.0} mm",
-                shown[0], shown[1], film[0], film[1]
-            );
-            if !(0..2).all(|k| SHOWN.contains(&(shown[k] / film[k]))) {
-                doubts.push(format!("{says}: if that is right, say --pixel-um {pixel_um:.1}"));
-            } else if !(0..2).any(whole) {
-                doubts.push(format!(
-                    "{says}, and no resolution tells the scale: a camera of another size whose marks lie alike would fit as well; if \
-                     this one is right, say --pixel-um {pixel_um:.1}"
-                ));
-            }
+        let no_scale = by_file.is_none_or(|(r, um)| r.is_usual_default() && off(interior.pixel_um, um).abs() > ASTRAY);
+        if options.pixel_um.is_none() && no_scale {
+            said.doubts.extend(self.doubt_of_size(interior, [result.width as f64, result.height as f64]));
         }
-        let [x, y] = interior.pixel_xy_um;
-        if interior.model != InteriorModel::Similarity && (x / y).ln().abs() > TOLD_STRETCH {
-            notes.push(format!(
-                "the scan's axes differ in scale by {:.2} %: a pixel is {x:.3} x {y:.3} µm",
-                100.0 * (x / y - 1.0)
-            ));
+        said.notes.extend(note_of_axes(interior));
+        said.tell(result);
+    }
+
+    /// Why the marks show another size of film than the camera's, where nothing but them tells the scale.
+    fn doubt_of_size(&self, interior: &InteriorOrientation, [width, height]: [f64; 2]) -> Option<String> {
+        let turned = (interior.rotation_deg / 90.0).round() as i64 % 2 != 0;
+        let [w, h] = self.camera.film_size_mm;
+        let film = if turned { [h, w] } else { [w, h] };
+        let [px, py] = interior.pixel_xy_um;
+        let shown = [width * px / 1e3, height * py / 1e3];
+        let whole = |k: usize| (-CUT_MM..GLASS_MM).contains(&(shown[k] - film[k]));
+        let says = format!(
+            "by the marks the scan shows {:.1} x {:.1} mm, the camera's film is {:.0} x {:.0} mm",
+            shown[0], shown[1], film[0], film[1]
+        );
+        let pixel_um = interior.pixel_um;
+        if !(0..2).all(|k| SHOWN.contains(&(shown[k] / film[k]))) {
+            return Some(format!("{says}: if that is right, say --pixel-um {pixel_um:.1}"));
         }
-        result.notes.extend(notes);
-        if doubts.is_empty() {
-            return;
-        }
-        match &mut result.status {
-            FrameStatus::Doubtful { reasons } | FrameStatus::Failed { reasons } => reasons.extend(doubts),
-            status @ FrameStatus::Ok => *status = FrameStatus::Doubtful { reasons: doubts },
-        }
-        for mark in result.marks.iter_mut().filter(|m| m.status == MarkStatus::Ok) {
-            mark.status = MarkStatus::Doubtful;
-            mark.reason = Some("its frame as a whole is in doubt".to_owned());
-        }
+        (!(0..2).any(whole)).then(|| {
+            format!(
+                "{says}, and no resolution tells the scale: a camera of another size whose marks lie alike would fit as well; if \
+                 this one is right, say --pixel-um {pixel_um:.1}"
+            )
+        })
     }
 
     /// More than this a fit may not leave, whatever agrees: micrometres.
     pub(super) fn most_rmse_um(&self, options: &FindOptions, pose: &Pose) -> f64 {
         options.agreement_um + RMSE_PX * 1e3 / pose.px_per_mm()
     }
+}
+
+/// How far one size of a pixel is from another, logarithmically.
+fn off(pixel_um: f64, other: f64) -> f64 {
+    (pixel_um / other).ln()
+}
+
+impl Said {
+    /// Compares the size of a pixel by the marks with that of the command line, or else of the file.
+    fn against_stated_scale(&mut self, pixel_um: f64, given: Option<f64>, by_file: Option<(Resolution, f64)>) {
+        let told = |what: String, other: f64| {
+            format!(
+                "by the marks a pixel is {pixel_um:.2} µm, by {what} {other:.2} µm ({:+.1} %)",
+                100.0 * (pixel_um / other - 1.0)
+            )
+        };
+        if let Some(given) = given {
+            if off(pixel_um, given).abs() > ASTRAY {
+                self.doubts.push(told("--pixel-um".into(), given));
+            }
+        } else if let Some((resolution, um)) = by_file {
+            let text = told(format!("the file's resolution ({:.0} dpi)", resolution.0[0]), um);
+            let off = off(pixel_um, um).abs();
+            if off > ASTRAY && !resolution.is_usual_default() {
+                self.doubts.push(format!("{text}: if the marks are right, say --pixel-um {pixel_um:.1}"));
+            } else if off > TOLD {
+                self.notes.push(text);
+            }
+        }
+    }
+
+    /// Puts it into the result: with a doubt the frame and all its marks are doubtful.
+    fn tell(self, result: &mut FrameResult) {
+        result.notes.extend(self.notes);
+        if self.doubts.is_empty() {
+            return;
+        }
+        match &mut result.status {
+            FrameStatus::Doubtful { reasons } | FrameStatus::Failed { reasons } => reasons.extend(self.doubts),
+            status @ FrameStatus::Ok => *status = FrameStatus::Doubtful { reasons: self.doubts },
+        }
+        for mark in result.marks.iter_mut().filter(|m| m.status == MarkStatus::Ok) {
+            mark.status = MarkStatus::Doubtful;
+            mark.reason = Some("its frame as a whole is in doubt".to_owned());
+        }
+    }
+}
+
+/// That the axes of the scan differ in scale, where the model lets them.
+fn note_of_axes(interior: &InteriorOrientation) -> Option<String> {
+    let [x, y] = interior.pixel_xy_um;
+    (interior.model != InteriorModel::Similarity && (x / y).ln().abs() > TOLD_STRETCH).then(|| {
+        format!("the scan's axes differ in scale by {:.2} %: a pixel is {x:.3} x {y:.3} µm", 100.0 * (x / y - 1.0))
+    })
 }
 
 /// Pixels of root mean square that measuring may leave beside what film does.
