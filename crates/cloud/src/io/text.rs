@@ -111,31 +111,69 @@ fn content(bytes: &[u8]) -> &str {
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let mut file = BufReader::with_capacity(1 << 20, file);
-    let mut line = 0;
-    let mut bytes = Vec::new();
-    let mut names: Option<Vec<String>> = None;
-    let mut in_remark = false;
-    let columns = loop {
-        let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, line);
-        let Some(text) = next_line(path, &mut file, &mut line, &mut bytes)? else {
-            break names.as_ref().map_or(3, Vec::len);
+    let (mut line, mut bytes) = (0, Vec::new());
+    let (head, columns) = first_row(path, &mut file, &mut line, &mut bytes)?;
+    if !(3..=MOST_COLUMNS).contains(&columns) {
+        return Err(Error::format(
+            path,
+            format!("line {}", line + 1),
+            format!("{columns} columns; x, y, z are needed"),
+        ));
+    }
+    let names = names_of(path, head, columns, line)?;
+    let axes = axes_among(path, &names)?;
+    let header = Header {
+        format: Format::Text,
+        points: None,
+        schema: schema_of(&names, axes),
+        precision: Precision::Double,
+        crs: None,
+        shift: None,
+        las: None,
+        description: format!("text, {columns} columns"),
+    };
+    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes })))
+}
+
+/// The words that stand above the numbers.
+struct Head {
+    names: Vec<String>,
+    /// They stand in a remark, which may be a sentence.
+    in_remark: bool,
+}
+
+/// Reads up to the first row of numbers, which is the next to be read then. Answers the head above it and how many
+/// columns there are; of a table without rows those of the head, or three.
+fn first_row(
+    path: &Path,
+    file: &mut BufReader<File>,
+    line: &mut u64,
+    bytes: &mut Vec<u8>,
+) -> Result<(Option<Head>, usize)> {
+    let mut head: Option<Head> = None;
+    loop {
+        let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, *line);
+        let Some(text) = next_line(path, file, line, bytes)? else {
+            let columns = head.as_ref().map_or(3, |head| head.names.len());
+            return Ok((head, columns));
         };
         let row = match remark(text) {
             // Other remarks say nothing of the table.
-            Some(rest) if names.is_some() || !names_all_axes(&words(rest)) => continue,
+            Some(rest) if head.is_some() || !names_all_axes(&words(rest)) => continue,
             Some(rest) => words(rest),
             None => words(text),
         };
         if row.iter().all(|word| number(word).is_some()) {
             // PTS files begin with the number of points.
-            if row.len() == 1 && names.is_none() && row[0].parse::<u64>().is_ok() {
+            if row.len() == 1 && head.is_none() && row[0].parse::<u64>().is_ok() {
                 continue;
             }
+            let columns = row.len();
             file.seek(std::io::SeekFrom::Start(before.0)).map_err(|e| Error::io(path, "seek", e))?;
-            line = before.1;
-            break row.len();
+            *line = before.1;
+            return Ok((head, columns));
         }
-        if names.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
+        if head.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
             let what = format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z");
             return Err(Error::format(path, format!("line {line}"), what));
         }
@@ -144,25 +182,30 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             "class" | "scalar_classification" => "classification".to_string(),
             other => other.to_string(),
         };
-        names = Some(row.iter().map(named).collect());
-        in_remark = remark(text).is_some();
-    };
-    if !(3..=MOST_COLUMNS).contains(&columns) {
-        return Err(Error::format(
-            path,
-            format!("line {}", line + 1),
-            format!("{columns} columns; x, y, z are needed"),
-        ));
+        head = Some(Head { names: row.iter().map(named).collect(), in_remark: remark(text).is_some() });
     }
+}
+
+/// The names of the columns: those of the head, or x, y, z and numbers. `line` is the one before the first row.
+fn names_of(path: &Path, head: Option<Head>, columns: usize, line: u64) -> Result<Vec<String>> {
     // A sentence about x, y and z is no head.
-    let names = names.filter(|names| !in_remark || names.len() == columns).unwrap_or_else(|| {
-        let axes = ["x", "y", "z"].map(String::from);
-        axes.into_iter().chain((4..=columns).map(|number| format!("column_{number}"))).collect()
-    });
+    let head = head.filter(|head| !head.in_remark || head.names.len() == columns);
+    let names = head.map_or_else(
+        || {
+            let axes = ["x", "y", "z"].map(String::from);
+            axes.into_iter().chain((4..=columns).map(|number| format!("column_{number}"))).collect()
+        },
+        |head| head.names,
+    );
     if names.len() != columns {
         let what = format!("{columns} numbers below a head of {} columns", names.len());
         return Err(Error::format(path, format!("line {}", line + 1), what));
     }
+    Ok(names)
+}
+
+/// Which columns x, y and z are; no name may be there twice.
+fn axes_among(path: &Path, names: &[String]) -> Result<[usize; 3]> {
     let mut axes = [0; 3];
     for (place, words) in axes.iter_mut().zip(AXES) {
         *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
@@ -172,22 +215,16 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     if let Some(twice) = (1..names.len()).find(|&index| names[..index].contains(&names[index])) {
         return Err(Error::format(path, "head", format!("the column `{}` is there twice", names[twice])));
     }
+    Ok(axes)
+}
+
+fn schema_of(names: &[String], axes: [usize; 3]) -> Schema {
     let mut schema = Schema::default();
     for (index, name) in names.iter().enumerate() {
         let axis = axes.iter().position(|&axis| axis == index);
         schema.push(axis.map_or(name.as_str(), |axis| ["x", "y", "z"][axis]), Kind::F64);
     }
-    let header = Header {
-        format: Format::Text,
-        points: None,
-        schema,
-        precision: Precision::Double,
-        crs: None,
-        shift: None,
-        las: None,
-        description: format!("text, {columns} columns"),
-    };
-    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes })))
+    schema
 }
 
 impl PointReader for TextReader {
