@@ -8,7 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Motif;
-use crate::candidate::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
+use crate::candidate::descent::{End, FIRST_DAMPING, Normal, Surface, at_rest, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
@@ -248,7 +248,7 @@ impl Surface<PARAMETERS> for Problem<'_> {
     }
 
     fn rests(&self, step: &Vector, (before, after): (f64, f64), (): &()) -> bool {
-        step[0].hypot(step[1]) < STILL && before - after < SHARE_STILL * before
+        at_rest(step[0].hypot(step[1]), before, after)
     }
 }
 

@@ -8,9 +8,23 @@ pub(crate) const FIRST_DAMPING: f64 = 1e-3;
 /// A descent ends where even a step so heavily damped leads nowhere.
 const MOST_DAMPING: f64 = 1e9;
 /// A centre that moves less than this, pixels or cells, has come to rest.
-pub(crate) const STILL: f64 = 2e-4;
+const STILL: f64 = 2e-4;
 /// So does a cost that falls by a smaller share.
-pub(crate) const SHARE_STILL: f64 = 1e-4;
+const SHARE_STILL: f64 = 1e-4;
+
+/// Whether a descent is at rest whose centre moved so far, from one cost to the next.
+pub(crate) fn at_rest(centre_moved: f64, before: f64, after: f64) -> bool {
+    centre_moved < STILL && before - after < SHARE_STILL * before
+}
+
+/// How far residuals are trusted when they are weighed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Trust {
+    /// All alike.
+    Even,
+    /// By Tukey's biweight: what is far off loses its weight.
+    Robust,
+}
 
 /// The normal equations at a place, with the cost there.
 pub(crate) struct Normal<const N: usize> {

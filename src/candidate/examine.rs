@@ -17,7 +17,7 @@ use super::jpeg_fit::{Refined, refine};
 use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
 use super::pixel_set::PixelSet;
-use super::scene::{RING_PX, Scene};
+use super::scene::{OwnPaint, RING_PX, Scene};
 use super::score::{Populations, score};
 use super::shadow::{self, Relit};
 use super::split::region_of;
@@ -95,7 +95,7 @@ pub fn examine(
         Figure::No => {}
     }
     let patch = near(pixels, region);
-    let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
+    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
     examine_whole(&scene, pixels, region, classifier, profile, gates)
 }
 
@@ -105,7 +105,7 @@ pub(super) fn figure_of(region: &Region, pixels: &dyn Pixels, classifier: &Class
         return Figure::No;
     }
     let patch = pixels.whole();
-    Scene::new(region, &patch, classifier, true).map_or(Figure::No, |scene| figure(&scene, profile))
+    Scene::new(region, &patch, classifier, OwnPaint::Piece).map_or(Figure::No, |scene| figure(&scene, profile))
 }
 
 /// The same for a region whose scene is there.
@@ -170,7 +170,7 @@ fn measure_against_ground(looks: &Looks<'_>, scene: &Scene<'_>, around: Around<'
         evidence = look_again(scene, around, region, classifier, profile)?;
     }
     let Some(wide) = wide else { return Some(evidence) };
-    let Some(seen) = Scene::new(region, &wide, classifier, true) else { return Some(evidence) };
+    let Some(seen) = Scene::new(region, &wide, classifier, OwnPaint::Piece) else { return Some(evidence) };
     looks.widened(evidence, &seen, around)
 }
 
@@ -399,7 +399,7 @@ pub fn measure(
     gates: &Gates,
 ) -> Option<Evidence> {
     let patch = near(pixels, region);
-    let scene = Scene::new(region, &patch, classifier, profile.filters == Filters::default())?;
+    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
     measure_whole(&scene, pixels, region, classifier, profile, gates)
 }
 

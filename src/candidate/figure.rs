@@ -17,7 +17,7 @@ use super::hull::{convex_hull, edges, twice_area};
 use super::paint_share::{Across, plateau, ring_ground};
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
-use super::score::Populations;
+use super::score::RING_LOOK;
 use super::split::region_of;
 use crate::profile::{Profile, Shape};
 use autoref_raster::coords::PixelPoint;
@@ -149,7 +149,7 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     if turned.correlation < LEAST_HALF || quarter.abs() < LEAST_QUARTER {
         return None;
     }
-    let score = Populations::of(false).score(across.contrast, turned.rms, 0.0);
+    let score = RING_LOOK.score(across.contrast, turned.rms, 0.0);
     let region = region_of(&scene.own, scene.patch)?;
     let window = &scene.patch.window;
     let byte = [paint[0], paint[1], paint[2]].map(|v| v.clamp(0.0, 255.0).round() as u8);

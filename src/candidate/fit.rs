@@ -8,7 +8,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
+use super::descent::{End, FIRST_DAMPING, Normal, Surface, Trust, at_rest, descend};
 use super::kernels::{self, Model, PARAMETERS, Samples};
 use autoref_raster::coords::PixelPoint;
 
@@ -174,7 +174,7 @@ impl Surface<PARAMETERS> for Slope<'_> {
         // it.
         const FAR: f64 = 1.5;
         const SLOW: f64 = 0.95;
-        let small = step[0].abs().max(step[1].abs()) < STILL && (before - after) < SHARE_STILL * before;
+        let small = at_rest(step[0].abs().max(step[1].abs()), before, after);
         small || (there.rms > FAR * self.rms_limit && after > SLOW * before)
     }
 }
@@ -227,7 +227,7 @@ impl Problem<'_> {
     }
 
     /// Sets the weights from the noise model and Tukey's biweight of what the fit leaves over.
-    fn reweigh(&mut self, seen: &Seen, robust: bool) {
+    fn reweigh(&mut self, seen: &Seen, trust: Trust) {
         // Residuals beyond this many standard deviations lose their weight; 4.7 is 95 % efficient on Gaussian noise.
         const CUT: f64 = 4.7;
         let (ground, paint, edge) = (self.priors.ground_sd, self.paint_sd, self.edge_sd);
@@ -235,12 +235,10 @@ impl Problem<'_> {
             let variance =
                 ground * ground * (1.0 - v) * (1.0 - v) + paint * paint * v * v + 4.0 * edge * edge * v * (1.0 - v);
             let z = r * r / variance / (CUT * CUT);
-            let trust = if !robust {
-                1.0
-            } else if z < 1.0 {
-                (1.0 - z) * (1.0 - z)
-            } else {
-                0.0
+            let trust = match trust {
+                Trust::Even => 1.0,
+                Trust::Robust if z < 1.0 => (1.0 - z) * (1.0 - z),
+                Trust::Robust => 0.0,
             };
             trust / variance
         };
@@ -300,14 +298,14 @@ pub fn fit(
     };
     let mut seen = Seen::default();
     problem.look(&p, &mut seen);
-    problem.reweigh(&seen, false);
+    problem.reweigh(&seen, Trust::Even);
     p = problem.descend(p, 12, rms_limit)?;
     problem.look(&p, &mut seen);
     let rounds = if seen.rms() > rms_limit { 0 } else { 2 };
     for round in 0..rounds {
         problem.paint_sd = seen.spread(0.9, 1.1).unwrap_or(problem.paint_sd).clamp(0.012, 0.25);
         problem.edge_sd = seen.spread(0.15, 0.85).unwrap_or(problem.edge_sd).clamp(0.015, 0.25);
-        problem.reweigh(&seen, true);
+        problem.reweigh(&seen, Trust::Robust);
         p = problem.descend(p, if round == 0 { 8 } else { 6 }, f64::INFINITY)?;
         problem.look(&p, &mut seen);
     }

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::pixel_set::PixelSet;
+use crate::profile::Filters;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use autoref_raster::Patch;
@@ -12,6 +13,22 @@ use autoref_raster::srgb::{linear_from_srgb, linear_of_bytes};
 pub(super) const RING_PX: (usize, usize) = (4, 9);
 /// So far from paint its blur reaches.
 const BLURRED_PX: usize = 2;
+
+/// Which paint of a patch is a region's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OwnPaint {
+    /// Exactly the 8-connected set that its first pixel is in.
+    Piece,
+    /// All paint inside its bounds.
+    InBounds,
+}
+
+impl OwnPaint {
+    /// Mask filters change the outlines of regions, so that none is a piece of the paint any more.
+    pub(crate) fn under(filters: &Filters) -> OwnPaint {
+        if *filters == Filters::default() { OwnPaint::Piece } else { OwnPaint::InBounds }
+    }
+}
 
 /// A patch split into the candidate's own paint, other paint, and ground.
 #[derive(Clone)]
@@ -32,9 +49,8 @@ pub(crate) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// `None` when none of the candidate's pixels is in the patch. `connected` says that the region is exactly the
-    /// 8-connected set that its first pixel is in; with mask filters it is the paint inside the bounds instead.
-    pub fn new(region: &Region, patch: &'a Patch, classifier: &Classifier, connected: bool) -> Option<Scene<'a>> {
+    /// `None` when none of the candidate's pixels is in the patch.
+    pub fn new(region: &Region, patch: &'a Patch, classifier: &Classifier, own_paint: OwnPaint) -> Option<Scene<'a>> {
         if patch.window.is_empty() {
             return None;
         }
@@ -46,7 +62,7 @@ impl<'a> Scene<'a> {
             .window
             .contains(first_x, first_y)
             .then(|| (first_y - patch.window.y) as usize * width + (first_x - patch.window.x) as usize)
-            .filter(|&i| connected && paint.has(i));
+            .filter(|&i| own_paint == OwnPaint::Piece && paint.has(i));
         let own = match start {
             Some(start) => paint.piece(start),
             None => {

@@ -47,7 +47,7 @@ pub(super) struct Populations {
     clutter: Population,
 }
 
-const RING_LOOK: Populations = Populations {
+pub(super) const RING_LOOK: Populations = Populations {
     mark: Population { mean: [3.23, -3.45], covariance: [0.126, -0.071, 0.107] },
     clutter: Population { mean: [0.99, -1.40], covariance: [0.212, -0.082, 0.280] },
 };

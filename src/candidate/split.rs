@@ -8,7 +8,7 @@ use super::examine::{examine_part, examine_whole, figure_of, measure_scene, near
 use super::figure::Figure;
 use super::gates::Gates;
 use super::pixel_set::PixelSet;
-use super::scene::Scene;
+use super::scene::{OwnPaint, Scene};
 use super::score::score;
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
@@ -35,7 +35,7 @@ pub fn examine_parts(
         Figure::No => {}
     }
     let inner = near(pixels, region);
-    let Some(scene) = Scene::new(region, &inner, classifier, true) else { return Vec::new() };
+    let Some(scene) = Scene::new(region, &inner, classifier, OwnPaint::Piece) else { return Vec::new() };
     let single = gates.single(region);
     let whole = single.then(|| examine_whole(&scene, pixels, region, classifier, profile, gates)).flatten();
     let middles = middles(&scene, region, classifier, profile, gates.mark_side_px().0);

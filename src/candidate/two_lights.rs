@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::descent::{End, FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
+use super::descent::{End, FIRST_DAMPING, Normal, Surface, Trust, at_rest, descend};
 use super::fit::{Fit, Form, add_priors, correlated_scatter};
 use super::kernels::{self, Model, Sample, Samples};
 use super::pixel_set::PixelSet;
@@ -88,12 +88,6 @@ pub(super) fn fit(
         lights.reweigh(&p, Trust::Robust);
     }
     lights.report(&p)
-}
-
-#[derive(Clone, Copy)]
-enum Trust {
-    Even,
-    Robust,
 }
 
 struct Lights {
@@ -307,7 +301,7 @@ impl Surface<PARAMETERS> for Lights {
     }
 
     fn rests(&self, step: &Vector, (before, after): (f64, f64), _: &Normal<PARAMETERS>) -> bool {
-        step[0].abs().max(step[1].abs()) < STILL && (before - after) < SHARE_STILL * before
+        at_rest(step[0].abs().max(step[1].abs()), before, after)
     }
 }
 

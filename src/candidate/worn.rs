@@ -13,7 +13,7 @@ use super::fit::Fit;
 use super::gates::{Gates, moments_rectangle};
 use super::local::Local;
 use super::paint_share::{Across, best_fit, plateau, ring_ground};
-use super::scene::{RING_PX, Scene};
+use super::scene::{OwnPaint, RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
 use crate::profile::Profile;
@@ -126,14 +126,14 @@ impl Worn {
     pub fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
         let evidence = self.measure(region, pixels)?;
         let patch = near(pixels, region);
-        let scene = Scene::new(region, &patch, &self.classifier, true)?;
+        let scene = Scene::new(region, &patch, &self.classifier, OwnPaint::Piece)?;
         candidate(evidence, &scene, region, &self.classifier, &self.profile, &self.gates)
     }
 
     /// What was measured of the region, or of what it grows into, whichever looks more like a mark.
     pub fn measure(&self, region: &Region, pixels: &dyn Pixels) -> Option<Evidence> {
         let patch = near(pixels, region);
-        let scene = Scene::new(region, &patch, &self.classifier, true)?;
+        let scene = Scene::new(region, &patch, &self.classifier, OwnPaint::Piece)?;
         let grown = match whole::whole(&scene, plateau(&scene)) {
             Whole::Beaten | Whole::Endless => return None,
             Whole::Is => None,

@@ -9,7 +9,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::black_white::fit::{Sample, tukey_weights};
-use crate::candidate::descent::{FIRST_DAMPING, Normal, SHARE_STILL, STILL, Surface, descend};
+use crate::candidate::descent::{FIRST_DAMPING, Normal, Surface, at_rest, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
 
@@ -233,7 +233,7 @@ impl Surface<PARAMETERS> for Problem<'_> {
     }
 
     fn rests(&self, step: &Vector, (before, after): (f64, f64), (): &()) -> bool {
-        step[0].hypot(step[1]) < STILL && before - after < SHARE_STILL * before
+        at_rest(step[0].hypot(step[1]), before, after)
     }
 }
 
