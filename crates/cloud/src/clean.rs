@@ -263,7 +263,7 @@ fn run_step(
                 let here = points.par_iter_mut().filter(|point| point.is_active()).map(|point| {
                     let out = !crop.keeps(to_map(point.xyz, shift));
                     if out {
-                        point.classify(NOISE, number, true);
+                        point.take_out(NOISE, number);
                     }
                     u64::from(out)
                 });

@@ -62,7 +62,7 @@ pub fn low_points(tiles: &Tiles, cell_m: f64, gap_m: f64, budget_bytes: u64, ste
         let before = noise;
         for point in points.iter_mut().filter(|point| point.is_active()) {
             if point.xyz[2] < cells[&cell(point.xyz)].floor(gap_m) {
-                point.classify(NOISE, step, true);
+                point.take_out(NOISE, step);
                 noise += 1;
             }
         }

@@ -69,7 +69,7 @@ pub fn statistical(
             let before = noise;
             for (point, mean) in points.iter_mut().zip(means) {
                 if mean >= threshold {
-                    point.classify(NOISE, step, true);
+                    point.take_out(NOISE, step);
                     noise += 1;
                 }
             }
@@ -107,7 +107,7 @@ pub fn radius(tiles: &mut Tiles, radius: f64, least: usize, kept_points: usize, 
 pub(crate) fn mark(tiles: &Tiles, which: &[Vec<u32>], step: u8) -> Result<u64> {
     tiles.update(|number, points: &mut [Point]| {
         for &index in &which[number] {
-            points[index as usize].classify(NOISE, step, true);
+            points[index as usize].take_out(NOISE, step);
         }
         Ok(!which[number].is_empty())
     })?;

@@ -52,10 +52,14 @@ impl Point {
     pub fn is_active(&self) -> bool {
         self.step_byte() & 0x80 == 0
     }
-    /// Gives it a class; `out` takes it from the steps that follow.
-    pub fn classify(&mut self, class: u8, step: u8, out: bool) {
-        let step = (step & 0x7f) | if out { 0x80 } else { 0 };
-        self.tag = (self.tag & INDEX_MASK) | u64::from(class) << INDEX_BITS | u64::from(step) << 56;
+    /// Gives it a class; the steps that follow still see it.
+    pub fn classify(&mut self, class: u8, step: u8) {
+        self.tag = (self.tag & INDEX_MASK) | u64::from(class) << INDEX_BITS | u64::from(step & 0x7f) << 56;
+    }
+    /// Gives it a class and takes it from the steps that follow.
+    pub fn take_out(&mut self, class: u8, step: u8) {
+        self.classify(class, step);
+        self.tag |= 0x80 << 56;
     }
     fn encode(&self) -> [u8; RECORD_BYTES] {
         let mut bytes = [0; RECORD_BYTES];

@@ -49,6 +49,10 @@ impl Place {
     const fn bits(byte: usize, right: u32, bits: u32) -> Place {
         Place { byte, bytes: 1, right, bits, signed: false, unit: 1.0 }
     }
+
+    fn numbers(&self) -> Bits {
+        if self.signed { Bits::Signed(self.bits) } else { Bits::Unsigned(self.bits) }
+    }
 }
 
 /// What point formats 6 to 8 know, by the names that other formats give it (without underscores).
@@ -312,15 +316,25 @@ fn put(bytes: &mut [u8], at: usize, what: &[u8]) {
     bytes[at..at + what.len()].copy_from_slice(what);
 }
 
+/// Numbers that so many bits hold.
+#[derive(Clone, Copy)]
+enum Bits {
+    Unsigned(u32),
+    Signed(u32),
+}
+
 /// The value of a field as a whole number of `unit`.
 ///
 /// # Errors
 /// When it has not so many bits.
-fn whole(path: &Path, field: &Field, raw: &[u8], unit: f64, bits: u32, signed: bool) -> Result<i64> {
+fn whole(path: &Path, field: &Field, raw: &[u8], unit: f64, bits: Bits) -> Result<i64> {
     let value = field.value(raw);
     let number = (value / unit).round();
-    let span = (1u64 << bits) as f64;
-    let (least, most) = if signed { (-span / 2.0, span / 2.0 - 1.0) } else { (0.0, span - 1.0) };
+    let span = |bits: u32| (1u64 << bits) as f64;
+    let (bits, least, most) = match bits {
+        Bits::Signed(bits) => (bits, -span(bits) / 2.0, span(bits) / 2.0 - 1.0),
+        Bits::Unsigned(bits) => (bits, 0.0, span(bits) - 1.0),
+    };
     if !(least..=most).contains(&number) {
         let what = format!("`{}` of {value} in the {bits} bits that LAS has for it", field.name);
         return Err(Error::unsupported(path, what, "name the output .ply"));
@@ -365,7 +379,7 @@ impl LasWriter {
         // The only return of a pulse, unless the source knows better.
         self.record[14] = 0x11;
         for (field, place) in &recipe.known {
-            let number = whole(&self.path, field, point.raw, place.unit, place.bits, place.signed)?;
+            let number = whole(&self.path, field, point.raw, place.unit, place.numbers())?;
             let mask = (1u64 << place.bits) - 1;
             let mut word = [0; 8];
             word[..place.bytes].copy_from_slice(&self.record[place.byte..place.byte + place.bytes]);
@@ -375,7 +389,7 @@ impl LasWriter {
         }
         self.record[16] = match (point.class, &recipe.class) {
             (Some(class), _) => class,
-            (None, Some(field)) => whole(&self.path, field, point.raw, 1.0, 8, false)? as u8,
+            (None, Some(field)) => whole(&self.path, field, point.raw, 1.0, Bits::Unsigned(8))? as u8,
             (None, None) => 0,
         };
         let time = recipe.gps_time.as_ref().map_or(0.0, |field| field.value(point.raw));
@@ -384,7 +398,7 @@ impl LasWriter {
             for (index, field) in colours.iter().enumerate() {
                 // Eight bits are spread over sixteen, as the specification asks.
                 let spread = if matches!(field.kind, Kind::U8) { 257.0 } else { 1.0 };
-                let value = whole(&self.path, field, point.raw, 1.0 / spread, 16, false)? as u16;
+                let value = whole(&self.path, field, point.raw, 1.0 / spread, Bits::Unsigned(16))? as u16;
                 put(&mut self.record, 30 + 2 * index, &value.to_le_bytes());
             }
         }

@@ -206,8 +206,11 @@ pub enum Objects {
 
 /// Gives a point its class; 1 when it is not ground.
 fn classify(point: &mut Point, is_ground: bool, step: u8, objects: Objects) -> u64 {
-    let class = if is_ground { GROUND } else { OBJECT };
-    point.classify(class, step, !is_ground && objects == Objects::Go);
+    match objects {
+        _ if is_ground => point.classify(GROUND, step),
+        Objects::Stay => point.classify(OBJECT, step),
+        Objects::Go => point.take_out(OBJECT, step),
+    }
     u64::from(!is_ground)
 }
 
