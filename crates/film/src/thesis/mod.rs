@@ -137,21 +137,32 @@ fn predict(
         let patch = mean(&mut rows.flat_map(|j| columns.clone().map(move |i| grey.at(i, j))));
         detected.is_none_or(|d| distance(d.centre, *at) <= reach_px) && patch < all
     };
-    let very_dark = all < f64::from(DARK);
-    for equalised in if very_dark { [true].iter() } else { [false, true].iter() } {
-        let mask = thresholded(grey, px_per_mm, *equalised, very_dark);
+    let ways: &[Way] = if all < f64::from(DARK) { &[Way::VeryDark] } else { &[Way::AsScanned, Way::Equalised] };
+    for &way in ways {
+        let mask = thresholded(grey, px_per_mm, way);
         let smooth = smoothed(&mask, FINE_BLUR_PX * PIXEL_MM * px_per_mm);
         let points = corners::corners(&smooth, mask.window().width as usize, PIXEL_MM * px_per_mm);
         let found = constellation.find(&points).map(|p| grey.to_scan(p[0], p[1])).filter(passes);
         if let Some(at) = found {
-            return Some(Predicted { at, by_detector: false, equalised: *equalised });
+            return Some(Predicted { at, by_detector: false, equalised: way != Way::AsScanned });
         }
     }
     detected.map(|d| Predicted { at: d.centre, by_detector: true, equalised: true })
 }
 
+/// How the levels of a scan come to a threshold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// As they are, unless they have but one peak.
+    AsScanned,
+    /// Every level as frequent as the others.
+    Equalised,
+    /// The same of a frame that is very dark.
+    VeryDark,
+}
+
 /// What is darker than the valley after the mark's peak, without noise.
-fn thresholded(grey: &Grey, px_per_mm: f64, equalise: bool, very_dark: bool) -> Mask {
+fn thresholded(grey: &Grey, px_per_mm: f64, way: Way) -> Mask {
     let unit = PIXEL_MM * px_per_mm;
     let blurred = |values: &[f32]| {
         let mut out = values.to_vec();
@@ -161,14 +172,15 @@ fn thresholded(grey: &Grey, px_per_mm: f64, equalise: bool, very_dark: bool) -> 
     let mut levels = blurred(&grey.data);
     let mut histogram = threshold::histogram(&levels);
     let single = threshold::peaks(&histogram) <= 1;
-    let equalise = equalise || single;
+    let equalise = way != Way::AsScanned || single;
     if equalise {
         levels = blurred(&threshold::equalised(&grey.data));
         histogram = threshold::histogram(&levels);
     }
-    let limit = match (very_dark, equalise) {
-        (true, _) => threshold::flat_after_peak(&histogram),
-        (false, equalised) => threshold::valley(&histogram, !equalised),
+    let limit = match way {
+        Way::VeryDark => threshold::flat_after_peak(&histogram),
+        _ if equalise => threshold::valley(&histogram, threshold::Peak::Anywhere),
+        _ => threshold::valley(&histogram, threshold::Peak::InTheDark),
     };
     let mut mask = Mask::new(Window::whole(grey.width as u64, grey.height as u64));
     for (n, v) in levels.iter().enumerate() {

@@ -59,12 +59,20 @@ fn highest(h: &[f64]) -> usize {
     (0..h.len()).max_by(|a, b| h[*a].total_cmp(&h[*b]).then(b.cmp(a))).unwrap_or(0)
 }
 
+/// Where the peak of a mark may lie among the levels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Peak {
+    Anywhere,
+    /// At [`MOST_PEAK`] at most.
+    InTheDark,
+}
+
 /// Equations 8.4 to 8.6: the first valley below half of the mark's peak, which is the highest below Otsu's threshold,
-/// and that threshold at most. `bounded`: the peak lies at level 20 at most.
-pub(super) fn valley(h: &[f64; 256], bounded: bool) -> u8 {
+/// and that threshold at most.
+pub(super) fn valley(h: &[f64; 256], where_it_lies: Peak) -> u8 {
     let most = otsu(h);
     let mut peak = highest(&h[..=most]);
-    if bounded && peak > MOST_PEAK {
+    if where_it_lies == Peak::InTheDark && peak > MOST_PEAK {
         peak = highest(&h[..=MOST_PEAK]);
     }
     let valley = turns(&slopes(h), -1.0).find(|i| *i > peak && h[*i] < 0.5 * h[peak]);
@@ -108,7 +116,7 @@ mod tests {
     fn the_valley_lies_between_the_marks_peak_and_the_ground() {
         let h = bells(&[(12.0, 3.0, 0.3), (60.0, 10.0, 0.4), (170.0, 20.0, 0.3)]);
         assert_eq!(peaks(&h), 3);
-        let level = valley(&h, true);
+        let level = valley(&h, Peak::InTheDark);
         assert!((22..45).contains(&level), "{level}");
         assert!(otsu(&h) > 80, "two classes alone would take the dark ground for the mark");
     }
