@@ -214,26 +214,18 @@ fn compare(rows: &[Row]) -> Vec<Value> {
     let mut out = vec![weighted(&pairs, &names)];
     let level = flat(&pairs);
     for solver in SolverArg::ALL {
-        out.push(entry(
-            "plane",
-            solver.json_name(),
-            "pixels to metres",
-            &names,
-            &level,
-            solver.in_space(&level),
-            false,
-        ));
+        out.push(entry(Space::Plane, solver.json_name(), "pixels to metres", &names, &level, solver.in_space(&level)));
     }
     for (kind, name) in [(planar::Kind::Affine, "Affine"), (planar::Kind::Projective, "Projective")] {
         out.push(match planar::fit(&pairs, kind) {
             Ok(fit) => {
                 let residuals: Vec<[Option<f64>; 3]> =
                     fit.residuals_m.iter().map(|r| [Some(r[0]), Some(r[1]), None]).collect();
-                let mut value = statistics("plane", name, "pixels to metres", &names, &residuals);
+                let mut value = statistics(Space::Plane, name, "pixels to metres", &names, &residuals);
                 value["leave_one_out_rmse_m"] = json!(fit.leave_one_out_rmse_m);
                 value
             }
-            Err(why) => failed("plane", name, "pixels to metres", &format!("{why:?}")),
+            Err(why) => failed(Space::Plane, name, "pixels to metres", &format!("{why:?}")),
         });
     }
     let full: Vec<&Row> = rows.iter().filter(|r| r.is_full()).collect();
@@ -254,13 +246,13 @@ fn compare(rows: &[Row]) -> Vec<Value> {
             .map(|r| PointPair { model: Vector3::new(at(r).easting, at(r).northing, elevation(r)), target: target(r) })
             .collect();
         for solver in SolverArg::ALL {
-            out.push(entry("space", solver.json_name(), "metres", &names, &metric, solver.in_space(&metric), true));
+            out.push(entry(Space::Full, solver.json_name(), "metres", &names, &metric, solver.in_space(&metric)));
         }
         // By what the survey states, where it states it for all.
         let weights: Option<Vec<f64>> = full.iter().map(|r| r.sigma_m.map(|s| s.powi(-2))).collect();
         if let Some(weights) = weights {
             let solved = absolute::solve_weighted(&metric, &weights, absolute::Method::Umeyama).map(|o| (o, None));
-            out.push(entry("space", "UmeyamaWeighted", "metres", &names, &metric, solved, true));
+            out.push(entry(Space::Full, "UmeyamaWeighted", "metres", &names, &metric, solved));
         }
         if full.len() < rows.len() {
             out.push(partly(rows, &|r| {
@@ -274,7 +266,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
         .map(|r| PointPair { model: Vector3::new(r.pixel.x, -r.pixel.y, elevation(r)), target: target(r) })
         .collect();
     for solver in SolverArg::ALL {
-        out.push(entry("space", solver.json_name(), "mixed", &names, &mixed, solver.in_space(&mixed), true));
+        out.push(entry(Space::Full, solver.json_name(), "mixed", &names, &mixed, solver.in_space(&mixed)));
     }
     out
 }
@@ -298,15 +290,15 @@ fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Value {
     }
     match partial::adjust(&points) {
         Ok(fit) => {
-            let mut value = statistics("space", "KrausPartial", "metres", &names, &fit.residuals);
-            turned(&mut value, fit.scale, &fit.rotation, true);
+            let mut value = statistics(Space::Full, "KrausPartial", "metres", &names, &fit.residuals);
+            turned(&mut value, fit.scale, &fit.rotation, Space::Full);
             value["sigma0_m"] = json!(fit.sigma0);
             let count = |known: Known| points.iter().filter(|p| p.known == known).count();
             value["plan_only"] = json!(count(Known::Plan));
             value["height_only"] = json!(count(Known::Height));
             value
         }
-        Err(why) => failed("space", "KrausPartial", "metres", &format!("{why:?}")),
+        Err(why) => failed(Space::Full, "KrausPartial", "metres", &format!("{why:?}")),
     }
 }
 
@@ -316,7 +308,7 @@ fn weighted(pairs: &[Pair], names: &[&str]) -> Value {
         Ok(solution) => {
             let residuals: Vec<[Option<f64>; 3]> =
                 solution.pairs.iter().map(|p| [Some(p.residual_e_m), Some(p.residual_n_m), None]).collect();
-            let mut value = statistics("plane", "Similarity", "pixels to metres", names, &residuals);
+            let mut value = statistics(Space::Plane, "Similarity", "pixels to metres", names, &residuals);
             value["scale"] = json!(solution.scale_m_per_px);
             value["rotation_deg"] = json!(solution.rotation_deg);
             let left_out: Option<Vec<f64>> = solution
@@ -328,28 +320,41 @@ fn weighted(pairs: &[Pair], names: &[&str]) -> Value {
                 json!(left_out.map(|squares| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()));
             value
         }
-        Err(why) => failed("plane", "Similarity", "pixels to metres", &format!("{why:?}")),
+        Err(why) => failed(Space::Plane, "Similarity", "pixels to metres", &format!("{why:?}")),
+    }
+}
+
+/// What a solver places points in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Space {
+    Plane,
+    Full,
+}
+
+impl Space {
+    fn word(self) -> &'static str {
+        match self {
+            Space::Plane => "plane",
+            Space::Full => "space",
+        }
+    }
+
+    /// A residual of heights, which a plane has not.
+    fn height(self, residual: f64) -> Option<f64> {
+        (self == Space::Full).then_some(residual)
     }
 }
 
 type InSpace = Result<(absolute::AbsoluteOrientation, Option<f64>), absolute::Undetermined>;
 
-fn entry(
-    space: &str,
-    solver: &str,
-    units: &str,
-    names: &[&str],
-    points: &[PointPair],
-    solved: InSpace,
-    in_space: bool,
-) -> Value {
+fn entry(space: Space, solver: &str, units: &str, names: &[&str], points: &[PointPair], solved: InSpace) -> Value {
     debug_assert_eq!(names.len(), points.len());
     match solved {
         Ok((orientation, sigma0)) => {
             let residuals: Vec<[Option<f64>; 3]> =
-                orientation.residuals.iter().map(|r| [Some(r.x), Some(r.y), in_space.then_some(r.z)]).collect();
+                orientation.residuals.iter().map(|r| [Some(r.x), Some(r.y), space.height(r.z)]).collect();
             let mut value = statistics(space, solver, units, names, &residuals);
-            turned(&mut value, orientation.scale, &orientation.rotation, in_space);
+            turned(&mut value, orientation.scale, &orientation.rotation, space);
             value["sigma0_m"] = json!(sigma0);
             value
         }
@@ -357,23 +362,23 @@ fn entry(
     }
 }
 
-fn turned(value: &mut Value, scale: f64, rotation: &Matrix3<f64>, in_space: bool) {
+fn turned(value: &mut Value, scale: f64, rotation: &Matrix3<f64>, space: Space) {
     value["scale"] = json!(scale);
     let turns = absolute::roll_pitch_yaw_deg(rotation);
     value["rotation_deg"] = json!(turns[2]);
-    if in_space {
+    if space == Space::Full {
         value["roll_deg"] = json!(turns[0]);
         value["pitch_deg"] = json!(turns[1]);
         value["yaw_deg"] = json!(turns[2]);
     }
 }
 
-fn failed(space: &str, solver: &str, units: &str, why: &str) -> Value {
-    json!({"space": space, "solver": solver, "units": units, "status": "undetermined", "reason": why})
+fn failed(space: Space, solver: &str, units: &str, why: &str) -> Value {
+    json!({"space": space.word(), "solver": solver, "units": units, "status": "undetermined", "reason": why})
 }
 
 /// RMSE is √(mean of squared lengths), divisor n, for each axis over the points that are known in it.
-fn statistics(space: &str, solver: &str, units: &str, names: &[&str], residuals: &[[Option<f64>; 3]]) -> Value {
+fn statistics(space: Space, solver: &str, units: &str, names: &[&str], residuals: &[[Option<f64>; 3]]) -> Value {
     let rms = |axis: usize| {
         let known: Vec<f64> = residuals.iter().filter_map(|r| r[axis]).collect();
         (!known.is_empty()).then(|| (known.iter().map(|v| v * v).sum::<f64>() / known.len() as f64).sqrt())
@@ -388,7 +393,7 @@ fn statistics(space: &str, solver: &str, units: &str, names: &[&str], residuals:
         .map(|((name, r), length)| json!({"gcp": name, "e_m": r[0], "n_m": r[1], "h_m": r[2], "length_m": length}))
         .collect();
     json!({
-        "space": space,
+        "space": space.word(),
         "solver": solver,
         "units": units,
         "status": "solved",

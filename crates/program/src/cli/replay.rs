@@ -98,7 +98,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             Existing::of_flag(args.overwrite),
         )?;
     }
-    run::print(&document.result, args.json, args.quiet);
+    run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())
 }
 

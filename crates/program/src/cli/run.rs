@@ -202,7 +202,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
-    print(&document.result, args.json, args.quiet);
+    print(&document.result, Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())
 }
 
@@ -349,8 +349,17 @@ fn write_outputs(
     Ok(transaction.commit()?)
 }
 
+/// What the command line says of printing.
+#[derive(Clone, Copy, Debug)]
+pub struct Printing {
+    /// The document on standard output; the summary goes to stderr then.
+    pub json: bool,
+    /// No summary.
+    pub quiet: bool,
+}
+
 /// The summary a surveyor reads, or the document.
-pub fn print(result: &RunResult, json: bool, quiet: bool) {
+pub fn print(result: &RunResult, Printing { json, quiet }: Printing) {
     if json {
         print!("{}", result.to_json());
     }

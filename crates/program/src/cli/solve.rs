@@ -112,6 +112,6 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         document.result.files_written.push(output.display().to_string());
         common::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
-    run::print(&document.result, args.json, args.quiet);
+    run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())
 }
