@@ -285,8 +285,8 @@ impl Scene {
         }
         match self.border {
             Border::None => {}
-            Border::Nodata { value, .. } => self.cut_border(window, value, true, &mut out),
-            Border::Alpha { .. } => self.cut_border(window, 0, false, &mut out),
+            Border::Nodata { value, .. } => self.cut_border(window, value, ToldBy::Value, &mut out),
+            Border::Alpha { .. } => self.cut_border(window, 0, ToldBy::Alpha, &mut out),
         }
         Ok(out)
     }
@@ -352,7 +352,7 @@ impl Scene {
 
     /// `value` outside; inside, when the value itself tells what is outside, a pixel that happens to look like it is
     /// moved by one level of green.
-    fn cut_border<T: Sample>(&self, window: Window, value: u8, tells: bool, out: &mut [T]) {
+    fn cut_border<T: Sample>(&self, window: Window, value: u8, outside: ToldBy, out: &mut [T]) {
         let nodata = f32::from(value);
         for y in window.y..window.bottom() {
             for x in window.x..window.right() {
@@ -360,12 +360,19 @@ impl Scene {
                 let pixel = &mut out[at..at + 3];
                 if !self.is_valid(x, y) {
                     pixel.fill(T::from_scaled(nodata * T::SCALE));
-                } else if tells && pixel.iter().all(|s| s.level() == nodata) {
+                } else if outside == ToldBy::Value && pixel.iter().all(|s| s.level() == nodata) {
                     pixel[1] = T::from_scaled(if value == 255 { 254.0 } else { nodata + 1.0 } * T::SCALE);
                 }
             }
         }
     }
+}
+
+/// What tells where the image ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ToldBy {
+    Value,
+    Alpha,
 }
 
 fn add_noise<T: Sample>(table: &NoiseTable, window: Window, out: &mut [T]) {
