@@ -130,11 +130,11 @@ pub fn fill_holes(mask: &mut Mask, max_side_px: u64) {
                 if x + 1 >= window.right() || seen.get(x, y) {
                     continue;
                 }
-                let Some(hole) = bounded_set(mask, (x, y), false, max_side_px) else { continue };
+                let Some(hole) = bounded_set(mask, (x, y), max_side_px) else { continue };
                 for &(u, v) in &hole {
                     seen.set(u, v, true);
                 }
-                if bounded_set(mask, (x - 1, y), true, max_side_px).is_some() {
+                if bounded_set(mask, (x - 1, y), max_side_px).is_some() {
                     fills.extend(hole);
                 }
             }
@@ -147,8 +147,9 @@ pub fn fill_holes(mask: &mut Mask, max_side_px: u64) {
 
 /// The set of equal pixels connected to `start` (8-connected foreground, 4-connected background); `None` when it is
 /// larger than `max_side_px` on a side, or background that touches the window's edge.
-fn bounded_set(mask: &Mask, start: (u64, u64), foreground: bool, max_side_px: u64) -> Option<Vec<(u64, u64)>> {
+fn bounded_set(mask: &Mask, start: (u64, u64), max_side_px: u64) -> Option<Vec<(u64, u64)>> {
     let window = mask.window();
+    let foreground = mask.get(start.0, start.1);
     let mut set = std::collections::BTreeSet::from([start]);
     let mut todo = vec![start];
     let mut bounds = Window::new(start.0, start.1, 1, 1);

@@ -22,7 +22,7 @@ use crate::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 /// [`Error::Unsupported`] when GDAL must do it, [`Error::Limit`] when one block is larger than `cache_bytes` and cannot
 /// be decoded row by row.
 pub fn open(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
-    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, true)?, cache_bytes))
+    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, Georeference::ByGdal)?, cache_bytes))
 }
 
 /// Like [`open`], but uncompressed interleaved 8-bit blocks are mapped instead of read into buffers.
@@ -30,7 +30,7 @@ pub fn open(all: &Directories, index: usize, cache_bytes: u64) -> Result<Chunked
 /// # Errors
 /// Those of [`open`].
 pub fn open_mapped(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
-    let mut decoder = TiffDecoder::new(all, index, cache_bytes, true)?;
+    let mut decoder = TiffDecoder::new(all, index, cache_bytes, Georeference::ByGdal)?;
     decoder.mapped = true;
     Ok(ChunkedSource::new(decoder, cache_bytes))
 }
@@ -40,7 +40,7 @@ pub fn open_mapped(all: &Directories, index: usize, cache_bytes: u64) -> Result<
 /// # Errors
 /// Those of [`open`].
 pub fn open_pixels(all: &Directories, index: usize, cache_bytes: u64) -> Result<ChunkedSource<TiffDecoder>> {
-    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, false)?, cache_bytes))
+    Ok(ChunkedSource::new(TiffDecoder::new(all, index, cache_bytes, Georeference::NotAsked)?, cache_bytes))
 }
 
 /// Whether the file holds any block of a chunk; a sparse file leaves blocks out.
@@ -62,6 +62,20 @@ impl std::ops::BitOrAssign for Stored {
             *self = Stored::InFile;
         }
     }
+}
+
+/// Who is asked where the image lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Georeference {
+    ByGdal,
+    NotAsked,
+}
+
+/// Which blocks belong to a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Blocks {
+    Touching,
+    Inside,
 }
 
 #[derive(Default)]
@@ -97,7 +111,7 @@ pub struct TiffDecoder {
 }
 
 impl TiffDecoder {
-    fn new(all: &Directories, index: usize, cache_bytes: u64, georeference: bool) -> Result<Self> {
+    fn new(all: &Directories, index: usize, cache_bytes: u64, georeference: Georeference) -> Result<Self> {
         let layout = Layout::read(all, index)?;
         if all.mask_of(index)?.is_some() || side_file(&all.path, ".msk").exists() {
             let what = "a mask beside the image by the native reader";
@@ -126,7 +140,10 @@ impl TiffDecoder {
                 remedy: crate::open::retile_remedy(&all.path),
             });
         }
-        let facts = if georeference { Facts::of_file(&all.path, index) } else { Facts::default() };
+        let facts = match georeference {
+            Georeference::ByGdal => Facts::of_file(&all.path, index),
+            Georeference::NotAsked => Facts::default(),
+        };
         let info = RasterInfo {
             path: all.path.clone(),
             width,
@@ -437,13 +454,13 @@ impl TiffDecoder {
 
     /// The parts of the file, offset and length in bytes, that hold the blocks of `window`, in runs as long as
     /// possible.
-    fn runs(&self, window: Window, whole_chunks: bool, mut tell: impl FnMut((u64, u64))) {
+    fn runs(&self, window: Window, which: Blocks, mut tell: impl FnMut((u64, u64))) {
         let planes: Vec<usize> = if self.layout.planar { self.planes.clone() } else { vec![0] };
         for plane in planes {
             let first = plane as u64 * self.layout.blocks_per_plane();
             let mut run = (0, 0);
             for (block, part) in self.blocks_of(window) {
-                if whole_chunks && !window.contains_window(&part) {
+                if which == Blocks::Inside && !window.contains_window(&part) {
                     continue;
                 }
                 let (offset, length) = self.layout.extent(first + block);
@@ -491,12 +508,12 @@ impl ChunkDecoder for TiffDecoder {
     }
 
     fn prefetch(&self, window: Window) {
-        self.runs(window, false, |run| mapping::read_ahead(&self.file, run));
+        self.runs(window, Blocks::Touching, |run| mapping::read_ahead(&self.file, run));
     }
 
     fn release(&self, window: Window) {
         if self.drop_behind {
-            self.runs(window, true, |run| mapping::advise(&self.file, run, rustix::fs::Advice::DontNeed));
+            self.runs(window, Blocks::Inside, |run| mapping::advise(&self.file, run, rustix::fs::Advice::DontNeed));
         }
     }
 }
