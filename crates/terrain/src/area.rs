@@ -77,7 +77,7 @@ impl Areas {
     }
 }
 
-/// Root of `i`, with the path halved; after `of` every run points at its root.
+/// Root of `i`, at which all on the path to it point from now on; after `of` every run points at its root.
 fn find(parent: &mut [u32], i: u32) -> u32 {
     let mut root = i;
     while parent[root as usize] != root {
