@@ -40,6 +40,7 @@ mod residual_analysis;
 pub mod run;
 pub mod sample;
 pub mod selftest;
+mod sets;
 pub mod shell;
 pub mod solve;
 pub mod solving;

@@ -16,6 +16,7 @@ use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::progress::Steps;
+use crate::cli::sets::Sets;
 
 use super::views::{Counted, Interior, Masks, Shelf, View, homography, mapped};
 
@@ -381,25 +382,16 @@ impl Ties {
                 Some(before)
             })
             .collect();
-        let mut parent: Vec<usize> = (0..self.places.iter().map(Vec::len).sum()).collect();
-        fn root(parent: &mut [usize], mut k: usize) -> usize {
-            while parent[k] != k {
-                parent[k] = parent[parent[k]];
-                k = parent[k];
-            }
-            k
-        }
+        let mut sets = Sets::apart(self.places.iter().map(Vec::len).sum());
         for Pair { frames: (a, b), ties } in &self.pairs {
             for (p, q) in ties {
-                let (p, q) = (root(&mut parent, start[*a] + p), root(&mut parent, start[*b] + q));
-                parent[p.max(q)] = p.min(q);
+                sets.unite(start[*a] + p, start[*b] + q);
             }
         }
         let mut by_root: BTreeMap<usize, Track> = BTreeMap::new();
         for (frame, places) in self.places.iter().enumerate() {
             for (k, place) in places.iter().enumerate() {
-                let root = root(&mut parent, start[frame] + k);
-                by_root.entry(root).or_default().push((frame, *place));
+                by_root.entry(sets.root(start[frame] + k)).or_default().push((frame, *place));
             }
         }
         let once = |t: &Track| t.windows(2).all(|w| w[0].0 != w[1].0);

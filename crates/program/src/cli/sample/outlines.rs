@@ -8,6 +8,8 @@ use autoref_raster::window::Window;
 use autoref_raster::{RasterInfo, RasterSource, read_patch};
 use autoref_stream::learn::{OUTLINE_REACH_PX, Outlined};
 
+use crate::cli::sets::Sets;
+
 /// Most marks of a mask or a file of polygons.
 const MOST_MARKS: usize = 10_000;
 /// Widest outline, pixels: no mark is as large.
@@ -94,14 +96,7 @@ fn runs(mask: &dyn RasterSource) -> Result<Vec<Run>> {
 
 /// Groups of runs that touch, corners included, in order of their first run.
 fn connected(runs: &[Run]) -> Vec<Vec<Run>> {
-    let mut parent: Vec<usize> = (0..runs.len()).collect();
-    fn root(parent: &mut [usize], mut i: usize) -> usize {
-        while parent[i] != i {
-            parent[i] = parent[parent[i]];
-            i = parent[i];
-        }
-        i
-    }
+    let mut sets = Sets::apart(runs.len());
     let mut above = 0;
     for (i, run) in runs.iter().enumerate() {
         // Runs of the row above that end before this one begins touch no later run either.
@@ -110,16 +105,14 @@ fn connected(runs: &[Run]) -> Vec<Vec<Run>> {
         }
         let mut j = above;
         while j < i && runs[j].y + 1 == run.y && runs[j].from <= run.to {
-            let (a, b) = (root(&mut parent, j), root(&mut parent, i));
-            let (low, high) = (a.min(b), a.max(b));
-            parent[high] = low;
+            sets.unite(j, i);
             j += 1;
         }
     }
     let mut groups: Vec<Vec<Run>> = Vec::new();
     let mut place = vec![usize::MAX; runs.len()];
     for (i, run) in runs.iter().enumerate() {
-        let root = root(&mut parent, i);
+        let root = sets.root(i);
         if place[root] == usize::MAX {
             place[root] = groups.len();
             groups.push(Vec::new());
