@@ -253,17 +253,14 @@ impl Field {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::matching::draws::Draws;
     use proptest::prelude::*;
 
     #[test]
     fn points_in_twos_have_company_and_even_ones_have_none() {
-        let mut state = 7u64;
-        let mut uniform = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut draws = Draws::new(7);
         let even: Vec<PixelPoint> =
-            (0..300).map(|_| PixelPoint { x: 8000.0 * uniform(), y: 6000.0 * uniform() }).collect();
+            (0..300).map(|_| PixelPoint { x: 8000.0 * draws.uniform(), y: 6000.0 * draws.uniform() }).collect();
         let twos: Vec<PixelPoint> =
             even[..150].iter().flat_map(|p| [*p, PixelPoint { x: p.x + 20.0, y: p.y }]).collect();
         let (even, twos) = (Field::new(even, Some((8000.0, 6000.0))), Field::new(twos, Some((8000.0, 6000.0))));

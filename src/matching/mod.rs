@@ -29,6 +29,7 @@
 
 mod bitmap;
 pub mod diagnosis;
+mod draws;
 mod duplicates;
 pub mod evidence;
 mod explain;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
+use crate::matching::draws::Draws;
 use crate::matching::evidence::{CLOSEST_PX, LEVELS_PX, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::looks::Looking;
@@ -173,13 +174,9 @@ fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
             distances.extend((i + 1..n).map(|j| distance(i, j)));
         }
     } else {
-        let mut state = 0x2545_F491_4F6C_DD1Du64;
-        let mut next = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) as usize % n
-        };
+        let mut draws = Draws::new(0x2545_F491_4F6C_DD1D);
         while distances.len() < 100_000 {
-            let (i, j) = (next(), next());
+            let (i, j) = (draws.below(n), draws.below(n));
             if i != j {
                 distances.push(distance(i, j));
             }
