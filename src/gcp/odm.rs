@@ -17,6 +17,11 @@ use autoref_raster::error::{Error, Result};
 /// What OpenDroneMap's labels of check points begin with.
 pub const CHECK_PREFIX: &str = "CHK-";
 
+/// The name of the check point that a label is of.
+fn check_point(label: &str) -> Option<&str> {
+    label.strip_prefix(CHECK_PREFIX).filter(|name| !name.is_empty())
+}
+
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {
     let upper = line.trim().to_uppercase();
@@ -43,8 +48,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     } else {
         let mut list = csv_list::parse(path, &rows)?;
         for point in &mut list.points {
-            if let Some(rest) = point.gcp.name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty()) {
-                point.gcp.name = rest.to_string();
+            if let Some(name) = check_point(&point.gcp.name) {
+                point.gcp.name = name.to_string();
                 point.gcp.role = GcpRole::Check;
             }
         }
@@ -135,8 +140,8 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
         );
         placed.insert(key, points.len());
         labelled.insert(name.clone(), points.len());
-        let (name, role) = match name.strip_prefix(CHECK_PREFIX).filter(|rest| !rest.is_empty()) {
-            Some(rest) => (rest.to_string(), GcpRole::Check),
+        let (name, role) = match check_point(&name) {
+            Some(name) => (name.to_string(), GcpRole::Check),
             None => (name, GcpRole::Control),
         };
         let gcp = Gcp { height, role, ..Gcp::control(name, place[0], place[1]) };
