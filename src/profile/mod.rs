@@ -461,7 +461,11 @@ impl Profile {
         Profile::parse(&text).map_err(|(place, what)| Error::format(path, place, what))
     }
 
-    /// Parses and validates; on failure the place in the text and what is wrong there.
+    /// Parses and validates.
+    ///
+    /// # Errors
+    /// The place in the text and what is wrong there: no TOML, a field that no profile has, or a value that it cannot
+    /// have.
     pub fn parse(text: &str) -> std::result::Result<Profile, (String, String)> {
         let profile: Profile = toml::from_str(text).map_err(|e| {
             let place = e.span().map_or("profile".to_owned(), |span| {

@@ -136,6 +136,9 @@ impl Camera {
     }
 
     /// Pixel and its derivatives by the point and by the parameters of `which`, written behind each other.
+    ///
+    /// # Panics
+    /// When `N` is less than three and the parameters of `which` together.
     pub fn project_with_parameters<const N: usize>(&self, point: [f64; 3], which: &[Parameter]) -> [Dual<N>; 2] {
         assert!(which.len() + 3 <= N, "room for the derivatives");
         let mut values = self.values.map(Dual::<N>::constant);

@@ -19,10 +19,18 @@ pub(crate) struct Element {
 const DEEPEST: usize = 64;
 
 impl Element {
+    /// What a file holds, in an element without a name.
+    ///
+    /// # Errors
+    /// When the file cannot be read as text; and those of [`Element::parse`].
     pub fn read(path: &Path) -> Result<Element> {
         Element::parse(path, &read_text(path)?)
     }
 
+    /// What a text holds, in an element without a name; `path` is for messages.
+    ///
+    /// # Errors
+    /// When the XML is broken, elements are nested too deep, one ends that never began, or one never ends.
     pub fn parse(path: &Path, text: &str) -> Result<Element> {
         let mut reader = Reader::from_str(text);
         let mut stack = vec![Element::default()];

@@ -70,6 +70,10 @@ impl GdalName {
         GdalName { path: path.to_path_buf(), name }
     }
 
+    /// Opens it for reading.
+    ///
+    /// # Errors
+    /// What GDAL says when no driver recognises the file or the driver cannot open it.
     pub fn open(&self) -> Result<Dataset> {
         let flags = GdalOpenFlags::GDAL_OF_READONLY
             | GdalOpenFlags::GDAL_OF_RASTER

@@ -7,6 +7,9 @@ use gdal::raster::RasterBand;
 use crate::error::{Error, Result};
 
 /// Whether a band has an alpha band or a mask beside it; a nodata value is none.
+///
+/// # Errors
+/// When GDAL cannot say what masks the band.
 pub fn has_mask(path: &Path, band: &RasterBand<'_>) -> Result<bool> {
     let flags = band.mask_flags().map_err(|e| Error::gdal(path, e))?;
     Ok(!flags.is_all_valid() && !flags.is_nodata())

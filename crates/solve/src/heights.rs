@@ -93,11 +93,17 @@ pub struct HeightCorrection {
 
 impl HeightCorrection {
     /// The fit that was chosen.
+    ///
+    /// # Panics
+    /// When `fits` holds none of the model `chosen`, which [`solve`] never leaves out.
     pub fn chosen_fit(&self) -> &HeightFit {
         self.fits.iter().find(|fit| fit.model == self.chosen).expect("the choice is among the fits")
     }
 
     /// Metres to add to the model's height at a map position.
+    ///
+    /// # Panics
+    /// As [`HeightCorrection::chosen_fit`].
     pub fn at(&self, position: MapPoint) -> f64 {
         let (u, v) = self.local(position);
         self.chosen_fit().coefficients_m.iter().zip(terms(u, v)).map(|(c, t)| c * t).sum()

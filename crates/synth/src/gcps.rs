@@ -54,6 +54,9 @@ pub fn read_gcp_csv(path: &Path) -> Result<Vec<SynthGcp>> {
 }
 
 /// The points as a GeoJSON FeatureCollection, with the old `crs` member when an EPSG code is given.
+///
+/// # Errors
+/// When the file cannot be written.
 pub fn write_gcp_geojson(path: &Path, gcps: &[SynthGcp], epsg: Option<u32>) -> Result<()> {
     let features: Vec<_> = gcps
         .iter()

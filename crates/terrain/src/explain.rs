@@ -15,6 +15,9 @@ use crate::write;
 /// Stages `NAME_Class.tif` (probability of keep, 0…255; 0 and 255 where the method has none), `NAME_Entropy.tif` (⅟₃₂
 /// bit a step), `NAME_Scatter.svg` (entropy against intensity by class) and, for nearest neighbours,
 /// `NAME_Distance.tif` (distance to the nearest sample, ⅟₁₀₀ a step).
+///
+/// # Errors
+/// When a plane cannot be read, the classes do not fit into `memory_bytes`, or a file cannot be written.
 pub fn stage(
     transaction: &mut Transaction,
     names: &Names,

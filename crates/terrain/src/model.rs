@@ -56,6 +56,9 @@ pub fn shipped_samples() -> Vec<Sample> {
 pub const CORE_PX: u64 = 256;
 
 /// Features of the pixels of `window`, `margin` more on every side, mirrored at the frame's border.
+///
+/// # Errors
+/// When the plane cannot be read.
 pub fn measured(plane: &Plane, window: &Window, margin: usize) -> Result<(Measured, Vec<u8>)> {
     let around = HALO_PX + margin;
     let (w, h) = (window.width as usize + 2 * around, window.height as usize + 2 * around);

@@ -75,8 +75,10 @@ impl Strip {
         }
     }
 
-    /// Gives a point to the cells whose centre is nearer than `radius`. The error is the memory that medians would need
-    /// at least.
+    /// Gives a point to the cells whose centre is nearer than `radius`.
+    ///
+    /// # Errors
+    /// The memory in bytes that medians would need at least, when they have more values than the strip may hold.
     pub fn add(&mut self, place: [f64; 2], value: f64, radius: f64) -> Result<(), u64> {
         let rows = self.frame.rows_near(place[1], radius);
         let columns = self.frame.columns_near(place[0], radius);
@@ -132,6 +134,9 @@ impl Strip {
 
     /// Appends the counts, then each statistic, to the planes; NaN where no point is. Some rows at a time, so that
     /// results take no memory beside the cells.
+    ///
+    /// # Errors
+    /// When the scratch disk takes no more rows of a plane.
     pub fn finish(mut self, stats: &[(String, Stat)], planes: &mut [Plane]) -> std::io::Result<()> {
         let medians = self.values.take().map(|values| {
             let mut medians = vec![f64::NAN; self.count.len()];

@@ -17,11 +17,18 @@ pub(super) struct Plane {
 }
 
 impl Plane {
+    /// One without rows.
+    ///
+    /// # Errors
+    /// When the scratch folder takes no new file.
     pub fn new(scratch: &mut Scratch, columns: usize) -> Result<Plane> {
         Ok(Plane { file: scratch.file()?, columns, rows: 0 })
     }
 
     /// Whole rows.
+    ///
+    /// # Errors
+    /// When the scratch disk does not take the rows.
     pub fn append(&mut self, values: &[f64]) -> std::io::Result<()> {
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         self.file.write_all_at(&bytes, self.rows * self.columns as u64 * 8)?;
@@ -29,6 +36,10 @@ impl Plane {
         Ok(())
     }
 
+    /// So many rows from `row` on.
+    ///
+    /// # Errors
+    /// When the rows cannot be read back, or were never appended.
     pub fn read(&self, row: usize, rows: usize) -> std::io::Result<Vec<f64>> {
         let mut bytes = vec![0; rows * self.columns * 8];
         self.file.read_exact_at(&mut bytes, row as u64 * self.columns as u64 * 8)?;
@@ -44,11 +55,19 @@ pub(super) struct PointFile {
 }
 
 impl PointFile {
+    /// One without records, each of a place and values: so many numbers together.
+    ///
+    /// # Errors
+    /// When no file can be made in `parent`.
     pub fn new(parent: &Path, numbers: usize) -> Result<PointFile> {
         let file = tempfile::tempfile_in(parent).map_err(|e| Error::io(parent, "make a scratch file in", e))?;
         Ok(PointFile { file: BufWriter::with_capacity(1 << 16, file), numbers, bytes: 0 })
     }
 
+    /// Appends a record.
+    ///
+    /// # Errors
+    /// When the scratch disk does not take the record.
     pub fn push(&mut self, place: &[f64; 2], values: &[f64]) -> Result<()> {
         for value in place.iter().chain(values) {
             self.file.write_all(&value.to_le_bytes()).map_err(|e| {
@@ -60,6 +79,9 @@ impl PointFile {
     }
 
     /// All records in their order; from the beginning each time.
+    ///
+    /// # Errors
+    /// When what is buffered cannot be written or a record cannot be read back; and the first that `each` returns.
     pub fn each(&mut self, mut each: impl FnMut(&[f64]) -> Result<()>) -> Result<()> {
         let failed = |e: std::io::Error| {
             Error::usage(format!("the scratch disk cannot be read: {e}"), "choose another --scratch")

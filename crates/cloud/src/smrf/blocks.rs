@@ -98,6 +98,9 @@ impl Blocks {
     }
 
     /// Makes room for a block, with NaN in `plane`.
+    ///
+    /// # Errors
+    /// When the scratch disk does not take the block.
     pub fn open(&mut self, key: Key, plane: &Plane, scratch: &Scratch) -> Result<()> {
         let next = self.slots.len() as u64;
         if let std::collections::btree_map::Entry::Vacant(entry) = self.slots.entry(key) {
@@ -110,6 +113,9 @@ impl Blocks {
     }
 
     /// Adds the blocks around those that there are.
+    ///
+    /// # Errors
+    /// When the scratch disk does not take a block.
     pub fn surround(&mut self, plane: &Plane, scratch: &Scratch) -> Result<()> {
         for (row, column) in self.keys() {
             for key in (row - 1..=row + 1).flat_map(|row| (column - 1..=column + 1).map(move |column| (row, column))) {
@@ -165,11 +171,18 @@ pub struct Plane {
 }
 
 impl Plane {
+    /// One without blocks.
+    ///
+    /// # Errors
+    /// When the scratch folder takes no new file.
     pub fn new(scratch: &mut Scratch) -> Result<Plane> {
         Ok(Plane { file: scratch.file()? })
     }
 
     /// The cells of `rect`; where no block is, `elsewhere` of column and row.
+    ///
+    /// # Errors
+    /// When a row of a block cannot be read back.
     pub fn read(
         &self,
         scratch: &Scratch,
@@ -196,6 +209,9 @@ impl Plane {
     }
 
     /// Writes the cells of `rect` out of a surface that covers `window`.
+    ///
+    /// # Errors
+    /// When the scratch disk does not take a row of a block.
     pub fn write(&self, scratch: &Scratch, blocks: &Blocks, rect: Rect, window: Rect, surface: &Surface) -> Result<()> {
         let mut bytes = Vec::with_capacity(rect.width() * 8);
         blocks.pieces(rect, |column, row, length, place| {
@@ -221,6 +237,9 @@ pub struct Coarse {
 impl Coarse {
     /// The means of the known cells of `plane`, holes filled. Cells are joined 16 × 16, or more where that is not
     /// enough.
+    ///
+    /// # Errors
+    /// When a block cannot be read back.
     pub fn new(blocks: &Blocks, plane: &Plane, scratch: &Scratch) -> Result<Coarse> {
         let (frame, origin) = (&blocks.frame, blocks.origin);
         let extent = |factor: i64| {
@@ -273,6 +292,9 @@ impl Coarse {
 }
 
 /// Refuses what the blocks would need beyond the budget.
+///
+/// # Errors
+/// [`Error::Limit`] when a square of `cells` by `cells` needs more than `allowed` bytes.
 pub fn check_window(cells: usize, cell_bytes: u64, allowed: u64, what: String) -> Result<()> {
     let needed = (cells as u64).saturating_mul(cells as u64).saturating_mul(cell_bytes);
     if needed > allowed {

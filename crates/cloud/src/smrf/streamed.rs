@@ -28,6 +28,10 @@ const HEIGHT_BYTES: u64 = 8;
 const OPENING_BYTES: u64 = 33;
 
 /// Classifies the active points of a wide cloud.
+///
+/// # Errors
+/// [`Error::Limit`] when a block with its halo, or an opening, does not fit into `budget_bytes`, or points lie so far
+/// apart that their blocks outgrow the scratch disk; and those of the scratch disk.
 pub fn ground(
     tiles: &mut Tiles,
     frame: Frame,

@@ -155,6 +155,9 @@ struct Block {
 }
 
 /// One streamed pass over all overlaps, and the adjustment.
+///
+/// # Errors
+/// When a source or its mask cannot be read.
 pub fn estimate(
     sources: &[Source],
     grid: &Grid,

@@ -258,6 +258,11 @@ fn check_alike(sources: &[Source]) -> Result<()> {
 }
 
 /// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
+///
+/// # Errors
+/// When `resolution` is no positive length, there is no input, a source or companion cannot be opened, sources differ
+/// in bands, type of samples, scale, palette or CRS, two of them have one companion, or the grid has more than 2³¹ − 1
+/// rows or columns.
 pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
     if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
         return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
@@ -332,6 +337,9 @@ fn companion_path(source: &Path, pattern: &str) -> PathBuf {
 }
 
 /// An index raster, which must have the mosaic's grid.
+///
+/// # Errors
+/// When it cannot be opened, or has another grid than `grid`.
 pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
     let mut index = Source::open(path)?;
     index.snap(grid);
@@ -421,6 +429,9 @@ impl Opened {
     }
 
     /// All bands of a source in a window of the mosaic; NaN where there is nothing.
+    ///
+    /// # Errors
+    /// When the source cannot be opened, or its cells or its mask not be read.
     pub fn read(
         &mut self,
         _number: usize,
@@ -486,6 +497,9 @@ impl Opened {
     }
 
     /// What the cells of a source cost; infinite where nobody says.
+    ///
+    /// # Errors
+    /// Those of [`Opened::read`], of the companion.
     pub fn read_companion(
         &mut self,
         number: usize,

@@ -54,7 +54,11 @@ impl Skyline {
         self.rows[i][i - self.first[i]]
     }
 
-    /// L with L Lᵀ = this; `Err(row)` where the matrix is not positive definite: a pivot below `least` of its diagonal.
+    /// L with L Lᵀ = this.
+    ///
+    /// # Errors
+    /// The row where the matrix is not positive definite: its pivot is no number, not positive, or at most `least` of
+    /// the diagonal.
     pub fn cholesky(mut self, least: f64) -> Result<Self, usize> {
         for i in 0..self.size() {
             let original = self.diagonal(i);

@@ -78,6 +78,9 @@ pub struct Landscape {
 
 impl Landscape {
     /// Hills, ridges and a sea around a place: `side_m` wide, heights up to about `relief_m`.
+    ///
+    /// # Panics
+    /// When `cell_m` is zero.
     pub fn drawn(seed: u64, centre: [f64; 2], side_m: f64, cell_m: f64, relief_m: f64) -> Landscape {
         let cells = (side_m / cell_m).round().max(2.0) as usize;
         let corner = [centre[0] - side_m / 2.0, centre[1] + side_m / 2.0];

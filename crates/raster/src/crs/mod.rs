@@ -114,6 +114,11 @@ impl Crs {
         Crs::describe(&reference, kind).map_err(|e| bad(&e))
     }
 
+    /// The system that has this code.
+    ///
+    /// # Errors
+    /// When PROJ does not know the code, or it is of no system for a map: geocentric, vertical alone, or neither
+    /// geographic nor projected.
     pub fn from_epsg(code: u32) -> Result<Crs> {
         Crs::parse(&format!("EPSG:{code}"))
     }

@@ -32,6 +32,10 @@ pub struct Table {
 
 impl Table {
     /// From the sixteen counts and the symbols of a DHT segment.
+    ///
+    /// # Errors
+    /// When the segment is short, holds more codes of a length than there are, or another number of symbols than its
+    /// counts say.
     pub fn new(spec: &[u8]) -> Result<Table, NotDecoded> {
         let (counts, symbols) = spec.split_at_checked(16).ok_or(NotDecoded)?;
         let mut table =
@@ -163,6 +167,9 @@ impl<'a> Bits<'a> {
     }
 
     /// Goes on behind a restart marker, which must come next.
+    ///
+    /// # Errors
+    /// When the bits before it were not all data or are not all taken, or another marker comes next.
     pub fn restart(&mut self, number: u8) -> Result<(), NotDecoded> {
         if !self.sound() || self.count - self.lent * 8 >= 8 {
             return Err(NotDecoded);

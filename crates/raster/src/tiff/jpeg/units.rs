@@ -26,6 +26,9 @@ impl<'a> Units<'a> {
     }
 
     /// One row of units into the half of the planes that `slot` says.
+    ///
+    /// # Errors
+    /// When a restart marker is missing, or a code or a value is none of the tables.
     pub fn row(&mut self, kernel: Kernel, slot: usize, planes: &mut [Vec<u8>; 3]) -> Result<(), NotDecoded> {
         match kernel {
             Kernel::Scalar => self.row_by(kernel, slot, planes),
