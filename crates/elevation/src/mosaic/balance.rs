@@ -217,7 +217,7 @@ fn gather(
         return Ok(());
     }
     let values: Vec<Vec<f64>> =
-        near.iter().map(|&i| opened.read(i, &sources[i], grid, window, interpolation)).collect::<Result<_>>()?;
+        near.iter().map(|&i| opened.read(&sources[i], grid, window, interpolation)).collect::<Result<_>>()?;
     let (width, height) = (window.width as usize, window.height as usize);
     for (i, &first) in near.iter().enumerate() {
         for (j, &second) in near.iter().enumerate().skip(i + 1) {

@@ -389,7 +389,7 @@ impl Whole<'_> {
     /// All bands of a source, balanced.
     fn read(&self, worker: &mut Worker, number: usize, window: Window) -> Result<Vec<f64>> {
         let source = &self.sources[number];
-        let mut values = worker.opened.read(number, source, &self.grid, window, self.job.resampling)?;
+        let mut values = worker.opened.read(source, &self.grid, window, self.job.resampling)?;
         if let Some(balance) = self.balance {
             let area = window.area() as usize;
             for (at, value) in values.iter_mut().enumerate().filter(|(_, v)| !v.is_nan()) {
@@ -428,9 +428,7 @@ impl Whole<'_> {
         for (rank, &number) in order.iter().enumerate() {
             let rank = rank as f64;
             let costs: Option<Vec<f64>> = match choice {
-                Choice::Min(_) => {
-                    Some(worker.opened.read_companion(number, &self.sources[number], &self.grid, window)?)
-                }
+                Choice::Min(_) => Some(worker.opened.read_companion(&self.sources[number], &self.grid, window)?),
                 Choice::Nearest => Some(self.sources[number].distances(&self.grid, window)),
                 _ => None,
             };
@@ -466,7 +464,7 @@ impl Whole<'_> {
         tile: &mut Tile,
     ) -> Result<()> {
         let area = window.area() as usize;
-        let numbers = worker.opened.read(usize::MAX, index, &self.grid, window, Interpolation::Nearest)?;
+        let numbers = worker.opened.read(index, &self.grid, window, Interpolation::Nearest)?;
         for &number in near {
             let wanted = (number + 1) as f64;
             if !numbers.contains(&wanted) {

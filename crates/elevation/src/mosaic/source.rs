@@ -434,7 +434,6 @@ impl Opened {
     /// When the source cannot be opened, or its cells or its mask not be read.
     pub fn read(
         &mut self,
-        _number: usize,
         source: &Source,
         mosaic: &Grid,
         window: Window,
@@ -500,15 +499,9 @@ impl Opened {
     ///
     /// # Errors
     /// Those of [`Opened::read`], of the companion.
-    pub fn read_companion(
-        &mut self,
-        number: usize,
-        source: &Source,
-        mosaic: &Grid,
-        window: Window,
-    ) -> Result<Vec<f64>> {
+    pub fn read_companion(&mut self, source: &Source, mosaic: &Grid, window: Window) -> Result<Vec<f64>> {
         let Some(companion) = &source.companion else { return Ok(vec![f64::INFINITY; window.area() as usize]) };
-        let mut costs = self.read(number, companion, mosaic, window, Interpolation::Bilinear)?;
+        let mut costs = self.read(companion, mosaic, window, Interpolation::Bilinear)?;
         costs.truncate(window.area() as usize);
         Ok(costs)
     }
