@@ -38,7 +38,7 @@ MUTATIONS = [
      "[1e3 * (at[0] - mm[0]), 1e3 * (at[1] - mm[1])]", "[1e2 * (at[0] - mm[0]), 1e2 * (at[1] - mm[1])]",
      ["-p", "autoref-film", "--lib"]),
     ("terrain: a closing that only dilates", "crates/terrain/src/morphology.rs",
-     "erode(&dilate(mask, kernel), kernel)", "dilate(mask, kernel)", ["-p", "autoref-terrain"]),
+     "erode(dilated, kernel)", "dilated", ["-p", "autoref-terrain"]),
     ("cloud: a threshold below the mean", "crates/cloud/src/outliers.rs",
      "mean + multiplier * deviation", "mean - multiplier * deviation", ["-p", "autoref-cloud"]),
     ("elevation: aspects point uphill", "crates/elevation/src/gradient.rs",
