@@ -18,9 +18,16 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     autoref_raster::initialise_gdal(0);
     let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
     let name = if zipped { PathBuf::from("/vsizip/").join(path) } else { path.to_path_buf() };
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("kml")) {
+        // GDAL holds the whole text.
+        autoref_raster::bounded::read(path, "a list", super::read::LARGEST_LIST_BYTES)?;
+    }
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
-    let dataset =
-        Dataset::open_ex(&name, DatasetOptions { open_flags: flags, ..Default::default() }).map_err(|_| {
+    // GDAL would leave a description of a GML file beside it.
+    let gml = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gml"));
+    let open_options: Option<&[&str]> = if gml { Some(&["WRITE_GFS=NO"]) } else { None };
+    let dataset = Dataset::open_ex(&name, DatasetOptions { open_flags: flags, open_options, ..Default::default() })
+        .map_err(|_| {
             Error::unsupported(
                 path,
                 "no list of points that this program or GDAL's OGR reads",

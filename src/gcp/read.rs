@@ -14,7 +14,7 @@ use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 
 /// Lists are small; what is larger is another file.
-const LARGEST_LIST_BYTES: u64 = 32 << 20;
+pub(super) const LARGEST_LIST_BYTES: u64 = 32 << 20;
 /// Matching weighs every pair of points against every other point.
 const MOST_POINTS: usize = 2_000;
 /// Of which a list may be chosen by name.

@@ -182,7 +182,11 @@ fn utm_of_mean(path: &Path, gcps: &[Gcp], source: &Crs, notes: &mut Vec<String>)
     Ok(utm)
 }
 
-fn change(
+/// Brings points from one CRS into another, in place; says in `notes` what a change of datum costs.
+///
+/// # Errors
+/// Those of [`Crs::transform`], and when heights cannot be brought along.
+pub(super) fn change(
     path: &Path,
     gcps: &mut [Gcp],
     source: &Crs,

@@ -46,8 +46,9 @@ impl Field {
             (low, high) = ((0.0, 0.0), (1.0, 1.0));
         }
         let (width, height) = ((high.0 - low.0).max(1.0), (high.1 - low.1).max(1.0));
-        // About one point a cell; never more than four million cells.
+        // About one point a cell; never more than four million cells, nor as many along a thin field.
         let cell = (width * height / points.len().max(1) as f64).sqrt().max((width * height / 4e6).sqrt()).max(1.0);
+        let cell = cell.max(width.max(height) / 4e6);
         let (columns, rows) = ((width / cell) as usize + 1, (height / cell) as usize + 1);
         let mut field = Field {
             points,

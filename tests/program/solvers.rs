@@ -130,6 +130,35 @@ fn a_list_is_converted_and_its_losses_are_listed() {
     assert!(String::from_utf8_lossy(&text.stdout).contains("Lost: crs EPSG:25832"));
 }
 
+/// The expected coordinates are pyproj's.
+#[test]
+fn a_list_is_brought_into_another_crs() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    std::fs::write(path("a.csv"), "name,easting,northing\nP1,570406.861,7032516.804\nP2,570413.367,7032503.482\n")
+        .expect("writable");
+    let (input, output) = (path("a.csv"), path("b.geojson"));
+    let said = document(&[
+        "gcps",
+        "convert",
+        &input,
+        "-o",
+        &output,
+        "--crs",
+        "EPSG:25832",
+        "--to-crs",
+        "EPSG:25833",
+        "--json",
+    ]);
+    assert_eq!((&said["crs"], &said["lost"]), (&Value::from("EPSG:25833"), &Value::Array(Vec::new())));
+    let written: Value = serde_json::from_slice(&std::fs::read(&output).expect("an output")).expect("JSON");
+    assert_eq!(written["features"][0]["geometry"]["coordinates"], serde_json::json!([270957.0477, 7039952.2885]));
+    let without = program(&["gcps", "convert", &input, "-o", &path("c.csv"), "--to-crs", "EPSG:25833"]);
+    let line = String::from_utf8_lossy(&without.stderr);
+    assert!(without.status.code() == Some(2) && line.contains("a.csv") && line.contains("--crs"), "{line}");
+    assert!(!Path::new(&path("c.csv")).exists());
+}
+
 /// `--refine never` keeps the first match; every `--solver` writes a similarity of its own.
 #[test]
 fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {

@@ -3,6 +3,7 @@
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, CString, c_char};
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -24,16 +25,11 @@ pub struct Drawing<'a> {
     pub colours: Option<&'a Path>,
 }
 
-/// Refuses a model without any height; looks no further than the first.
-///
-/// # Errors
-/// When there is none, or the model cannot be read.
-pub fn check_heights(model: &Path) -> Result<()> {
-    const CELLS_AT_A_TIME: usize = 1 << 20;
-    let dataset = crate::model::open_dataset(model)?;
-    if dataset.raster_count() == 0 {
-        return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
-    }
+/// Cells that are read at a time.
+const CELLS_AT_A_TIME: usize = 1 << 20;
+
+/// Heights of a model, piece by piece, until `see` has seen enough.
+fn look(model: &Path, dataset: &gdal::Dataset, mut see: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     let (nodata, (width, height), (_, block)) = (band.no_data_value(), band.size(), band.block_size());
     let width_at_a_time = width.clamp(1, CELLS_AT_A_TIME);
@@ -43,10 +39,42 @@ pub fn check_heights(model: &Path) -> Result<()> {
             let size = (width_at_a_time.min(width - x), rows_at_a_time.min(height - y));
             let heights =
                 band.read_as::<f64>((x as isize, y as isize), size, size, None).map_err(|e| Error::gdal(model, e))?;
-            if heights.data().iter().any(|v| v.is_finite() && Some(*v) != nodata) {
-                return Ok(());
+            for v in heights.data().iter().filter(|v| v.is_finite() && Some(**v) != nodata) {
+                if see(*v).is_break() {
+                    return Ok(());
+                }
             }
         }
+    }
+    Ok(())
+}
+
+/// The least and the greatest height.
+fn extremes(model: &Path, dataset: &gdal::Dataset) -> Result<(f64, f64)> {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    look(model, dataset, |v| {
+        (low, high) = (low.min(v), high.max(v));
+        ControlFlow::Continue(())
+    })?;
+    Ok((low, high))
+}
+
+/// Refuses a model without any height; looks no further than the first.
+///
+/// # Errors
+/// When there is none, or the model cannot be read.
+pub fn check_heights(model: &Path) -> Result<()> {
+    let dataset = crate::model::open_dataset(model)?;
+    if dataset.raster_count() == 0 {
+        return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
+    }
+    let mut found = false;
+    look(model, &dataset, |_| {
+        found = true;
+        ControlFlow::Break(())
+    })?;
+    if found {
+        return Ok(());
     }
     Err(Error::unsupported(model, "no cell has a height", "look at its nodata value with gdalinfo -stats"))
 }
@@ -60,7 +88,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
-    let colours = drawing.colours.map(Colours::read).transpose()?;
+    let colours = drawing.colours.map(|table| Colours::read(table, || extremes(model, &dataset))).transpose()?;
     let mut options = drawing.options.clone();
     options.extend(
         ["-of", "GTiff", "-co", "COMPRESS=DEFLATE", "-co", "TILED=YES", "-co", "BIGTIFF=IF_SAFER"].map(str::to_string),
@@ -111,10 +139,14 @@ struct Colours {
 }
 
 impl Colours {
-    fn read(path: &Path) -> Result<Self> {
+    /// Shares of the range of heights become heights: GDAL would write the range into a file beside the model.
+    fn read(path: &Path, extremes: impl FnOnce() -> Result<(f64, f64)>) -> Result<Self> {
         static COUNT: AtomicU64 = AtomicU64::new(0);
-        let text = bounded::read(path, "a table of colours", bounded::TEXT_BYTES)?;
+        let mut text = bounded::read(path, "a table of colours", bounded::TEXT_BYTES)?;
         check_colours(path, &text)?;
+        if text.contains(&b'%') {
+            text = in_heights(&String::from_utf8_lossy(&text), extremes()?).into_bytes();
+        }
         let name = format!("/vsimem/autoref-colours-{}.txt", COUNT.fetch_add(1, Ordering::Relaxed));
         gdal::vsi::create_mem_file(&name, text).map_err(|e| Error::gdal(path, e))?;
         Ok(Colours { name })
@@ -125,6 +157,18 @@ impl Drop for Colours {
     fn drop(&mut self) {
         let _ = gdal::vsi::unlink_mem_file(&self.name);
     }
+}
+
+/// A table whose heights in per cent of the range are heights.
+fn in_heights(text: &str, (low, high): (f64, f64)) -> String {
+    let of_line = |line: &str| {
+        let share = line.split_once('%').and_then(|(share, rest)| Some((share.trim().parse::<f64>().ok()?, rest)));
+        match share {
+            Some((share, rest)) => format!("{}{rest}\n", low + (high - low) * share / 100.0),
+            None => format!("{line}\n"),
+        }
+    };
+    text.lines().map(of_line).collect()
 }
 
 fn check_colours(path: &Path, text: &[u8]) -> Result<()> {

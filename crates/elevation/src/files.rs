@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::kept::Room;
 use crate::model::Model;
-use crate::output::{self, Form};
+use crate::output::{self, Cut, Form};
 use crate::source::{Heights, Patch};
 use crate::stream::Means;
 use crate::zones::{Ring, Zones};
@@ -117,6 +117,10 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
             let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) else { continue };
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
             collect_polygons(geometry, &mut polygons);
+            if polygons.iter().flatten().flatten().any(|(x, y)| !(x.is_finite() && y.is_finite())) {
+                let place = format!("polygon {}", areas.len() + 1);
+                return Err(Error::format(path, place, "a coordinate of a corner is not finite"));
+            }
             // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.
             let degrees = |&(x, y): &(f64, f64)| x.abs() <= 360.0 && y.abs() <= 90.0;
             let own =
@@ -261,7 +265,7 @@ impl AlignedFiles {
         }
         output::produce(
             &grid,
-            1024,
+            Cut::of_one_band(1024),
             self.means.threads,
             Vec::new,
             |heights: &mut Vec<f64>, window| {

@@ -11,7 +11,7 @@ use gdal::raster::GdalType;
 use crate::error::Result;
 use crate::grid::GroundUnit;
 use crate::model::Model;
-use crate::output::{self, Form};
+use crate::output::{self, Cut, Form};
 use crate::source::{Heights, Patch};
 use crate::window::Window;
 
@@ -110,7 +110,7 @@ impl Job<'_> {
         let dataset = output::create::<T>(out, form)?;
         output::produce(
             &form.grid,
-            1024,
+            Cut::of_one_band(1024),
             form.threads,
             Vec::new,
             |heights: &mut Vec<f64>, window| {

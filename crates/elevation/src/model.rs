@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use gdal::raster::GdalDataType;
-use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
+use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
 use crate::coords::GeoTransform;
 use crate::crs::Crs;
@@ -258,6 +258,9 @@ pub fn open_heights(path: &Path) -> Result<Dataset> {
     open_named(Path::new(&xml), path)
 }
 
+/// What is decoded at once of a raster; a file of a kilobyte can name a block of gigabytes.
+const LARGEST_BLOCK_BYTES: u64 = 512 << 20;
+
 fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
     let flags = GdalOpenFlags::GDAL_OF_READONLY
         | GdalOpenFlags::GDAL_OF_RASTER
@@ -277,6 +280,20 @@ fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
     })?;
     if let Ok(band) = opened.rasterband(1) {
         autoref_raster::refuse_signed_bytes(path, &band)?;
+        let by_pixel = opened.metadata_item("INTERLEAVE", "IMAGE_STRUCTURE").is_some_and(|way| way == "PIXEL");
+        let (across, down) = band.block_size();
+        let bands = if by_pixel { opened.raster_count() } else { 1 };
+        let needed = [across, down, bands]
+            .into_iter()
+            .fold(u64::from(band.band_type().bytes()), |bytes, count| bytes.saturating_mul(count as u64));
+        if needed > LARGEST_BLOCK_BYTES {
+            return Err(Error::Limit {
+                what: format!("{}: one block of {across} x {down} cells", path.display()),
+                needed,
+                allowed: LARGEST_BLOCK_BYTES,
+                remedy: format!("cut it anew: gdal_translate -co TILED=YES {} tiled.tif", path.display()),
+            });
+        }
     }
     Ok(opened)
 }

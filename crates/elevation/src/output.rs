@@ -13,8 +13,31 @@ use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::window::Window;
 
-/// Side of the blocks in files that are written.
+/// Side of the blocks in files that are written, of few bands.
 pub const FILE_BLOCK_PX: u64 = 256;
+
+/// Side of the blocks of a file with so many bands: tiles hold them all.
+pub fn block_px(bands: usize) -> u64 {
+    const MOST_VALUES: u64 = 1 << 18;
+    let fits = |side: &u64| side * side * bands as u64 <= MOST_VALUES;
+    [FILE_BLOCK_PX, 128, 64, 32].into_iter().find(fits).unwrap_or(16)
+}
+
+/// How a file that is written is cut up.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut {
+    /// Width of the tiles, brought up to whole blocks.
+    pub tile_px: u64,
+    /// Side of the file's blocks, and the height of the tiles.
+    pub block_px: u64,
+}
+
+impl Cut {
+    /// Of a file with one band.
+    pub fn of_one_band(tile_px: u64) -> Self {
+        Cut { tile_px, block_px: FILE_BLOCK_PX }
+    }
+}
 
 /// What the file is told of its content.
 #[derive(Clone, Copy, Debug)]
@@ -37,10 +60,14 @@ pub fn create<T: GdalType>(path: &Path, form: &Form<'_>) -> Result<Dataset> {
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let predictor = format!("PREDICTOR={}", form.predictor);
     let threads = format!("NUM_THREADS={}", form.threads.max(1));
+    let [across, down] = ["X", "Y"].map(|axis| format!("BLOCK{axis}SIZE={}", block_px(form.bands)));
     let options = RasterCreationOptions::from_iter([
         "TILED=YES",
-        "BLOCKXSIZE=256",
-        "BLOCKYSIZE=256",
+        // A block that holds all bands is read back, decoded and written again for each of them when it leaves GDAL's
+        // cache too early, and decoded again for each when overviews are made.
+        "INTERLEAVE=BAND",
+        &across,
+        &down,
         "COMPRESS=DEFLATE",
         "ZLEVEL=1",
         "SPARSE_OK=TRUE",
@@ -88,14 +115,14 @@ pub fn finish(path: &Path, mut dataset: Dataset) -> Result<()> {
     dataset.flush_cache().and_then(|()| dataset.close()).map_err(|e| Error::gdal(path, e))
 }
 
-/// Windows of whole file blocks, row by row: as wide as `tile_px` and one block high.
-fn windows(grid: &Grid, tile_px: u64) -> impl Fn(u64) -> Option<Window> + use<> {
-    let side = tile_px.max(1).next_multiple_of(FILE_BLOCK_PX).min(grid.width.max(1));
+/// Windows of whole file blocks, row by row: as wide as a tile and one block high.
+fn windows(grid: &Grid, cut: Cut) -> impl Fn(u64) -> Option<Window> + use<> {
+    let side = cut.tile_px.max(1).next_multiple_of(cut.block_px).min(grid.width.max(1));
     let (width, height) = (grid.width, grid.height);
     let columns = width.div_ceil(side);
     move |id| {
-        let (x, y) = (id % columns * side, id / columns * FILE_BLOCK_PX);
-        (y < height).then(|| Window::new(x, y, side.min(width - x), FILE_BLOCK_PX.min(height - y)))
+        let (x, y) = (id % columns * side, id / columns * cut.block_px);
+        (y < height).then(|| Window::new(x, y, side.min(width - x), cut.block_px.min(height - y)))
     }
 }
 
@@ -113,13 +140,13 @@ struct Line<R> {
 /// The first error of `job` or `sink`.
 pub fn produce<S: Send, R: Send>(
     grid: &Grid,
-    tile_px: u64,
+    cut: Cut,
     threads: usize,
     state: impl Fn() -> S + Sync,
     job: impl Fn(&mut S, Window) -> Result<R> + Sync,
     mut sink: impl FnMut(Window, R) -> Result<()>,
 ) -> Result<Vec<S>> {
-    let window_of = windows(grid, tile_px);
+    let window_of = windows(grid, cut);
     let threads = threads.max(1);
     let line = Mutex::new(Line { next: 0, written: 0, ready: BTreeMap::new(), failed: None, workers: threads });
     let changed = Condvar::new();

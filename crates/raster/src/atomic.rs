@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use crate::error::{Error, Result};
+use crate::fingerprint::Fingerprint;
 use crate::protected::refuse_input;
 use crate::written::Written;
 
@@ -251,6 +252,19 @@ impl Transaction {
     pub fn paths(&self) -> Vec<PathBuf> {
         let files = self.staged.iter().map(|staged| staged.target.clone());
         files.chain(self.edits.iter().map(|edit| edit.path().to_path_buf())).collect()
+    }
+
+    /// What is staged, each file by its target with the fingerprint of its content.
+    ///
+    /// # Errors
+    /// When a staged file cannot be read.
+    pub fn fingerprints(&self) -> Result<Vec<(PathBuf, String)>> {
+        let of_file = |staged: &Staged| {
+            let mut fingerprint = Fingerprint::default();
+            fingerprint.file(&staged.temporary)?;
+            Ok((staged.target.clone(), fingerprint.hex()))
+        };
+        self.staged.iter().map(of_file).collect()
     }
 
     /// Puts everything in place.

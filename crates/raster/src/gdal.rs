@@ -184,10 +184,11 @@ impl GdalDecoder {
         let (bw, bh) = first.block_size();
         let block = ((bw as u64).clamp(1, width), (bh as u64).clamp(1, height));
         let pixel_bytes = (meaning.samples() * sample.bytes()) as u64;
-        let block_bytes = (block.0 * block.1).saturating_mul(pixel_bytes);
+        // A block is decoded whole, also where the image is smaller.
+        let block_bytes = (bw as u64).saturating_mul(bh as u64).saturating_mul(pixel_bytes);
         if block_bytes > cache_bytes {
             return Err(Error::Limit {
-                what: format!("{}: one block of {} x {} pixels", name.path.display(), block.0, block.1),
+                what: format!("{}: one block of {bw} x {bh} pixels", name.path.display()),
                 needed: block_bytes,
                 allowed: cache_bytes,
                 remedy: super::open::retile_remedy(&name.path),

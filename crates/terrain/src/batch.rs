@@ -1,5 +1,6 @@
 //! Frames one after another: what is taught once, a mask and a report for each, and what is done already is left alone.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -99,6 +100,8 @@ pub struct Report {
     pub reduce: usize,
     /// Names of the files that were written, in the folder of the masks.
     pub outputs: Vec<String>,
+    /// What they hold, but for this report: fingerprints by name.
+    pub contents: BTreeMap<String, String>,
     pub fingerprint: String,
 }
 
@@ -322,7 +325,7 @@ pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, o
     if !options.extras.probability {
         classes.probability = None;
     }
-    let report = report(frame, &names, &reduced, &classes, options, fingerprint);
+    let mut report = report(frame, &names, &reduced, &classes, options, fingerprint);
     // Its share is told; a mask less while the outlines are traced.
     classes.unsure = None;
     let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
@@ -344,6 +347,8 @@ pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, o
     if options.extras.explain {
         crate::explain::stage(&mut transaction, &names, &reduced, classifier, memory)?;
     }
+    report.contents =
+        transaction.fingerprints()?.into_iter().map(|(path, hex)| (resume::name_of(&path), hex)).collect();
     let json = serde_json::to_string_pretty(&report).expect("a report is plain data");
     transaction.stage_bytes(&names.report, json.as_bytes())?;
     transaction.commit()?;
@@ -397,6 +402,7 @@ fn report(
         method: options.method.name(),
         reduce: reduced.factor,
         outputs: names.written(options, classes.probability.is_some()),
+        contents: BTreeMap::new(),
         fingerprint,
     }
 }

@@ -1,5 +1,6 @@
 //! What a run leaves beside a mask, and what a later run makes of it: done frames are left alone, stale files go.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use autoref_raster::bounded;
@@ -70,7 +71,7 @@ impl Names {
     }
 }
 
-fn name_of(path: &Path) -> String {
+pub(crate) fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
@@ -136,10 +137,20 @@ impl Earlier {
         self.0["outputs"].as_array().into_iter().flatten().filter_map(|name| name.as_str())
     }
 
-    /// Was it made from the same, and is everything still there that was written?
+    fn contents(&self) -> BTreeMap<String, String> {
+        let known = self.0["contents"].as_object().into_iter().flatten();
+        known.filter_map(|(name, hex)| Some((name.clone(), hex.as_str()?.to_string()))).collect()
+    }
+
+    /// Was it made from the same, and is everything still there as it was written?
     pub(crate) fn is_whole(&self, names: &Names, fingerprint: &str) -> bool {
         let all = names.all();
-        let there = |path: &Path| std::fs::metadata(path).is_ok_and(|found| found.is_file() && found.len() > 0);
+        let there = |path: &Path| {
+            let mut now = Fingerprint::default();
+            // The report itself was read to get here.
+            path == names.report
+                || now.file(path).is_ok() && self.0["contents"][name_of(path)].as_str() == Some(now.hex().as_str())
+        };
         let written = |name: &str| all.iter().any(|path| name_of(path) == name && there(path));
         self.0["fingerprint"] == fingerprint && self.outputs().count() > 0 && self.outputs().all(written)
     }
@@ -185,6 +196,7 @@ impl Earlier {
             method: methods.into_iter().find(|name| earlier["method"] == *name).unwrap_or("auto"),
             reduce: earlier["reduce"].as_u64().unwrap_or(4) as usize,
             outputs: self.outputs().map(String::from).collect(),
+            contents: self.contents(),
             fingerprint: earlier["fingerprint"].as_str().unwrap_or_default().into(),
         }
     }

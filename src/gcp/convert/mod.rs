@@ -1,7 +1,7 @@
 //! One list of GCPs into another format, with every loss named.
 //!
-//! Coordinates stay in the CRS of the list, digit by digit where the format allows it; only KML and GPX, which know
-//! nothing but longitude and latitude, change them. What the other format cannot hold is left out and listed in
+//! Coordinates stay in the CRS of the list, digit by digit where the format allows it, unless another is asked for;
+//! KML and GPX know nothing but longitude and latitude, and change them. What the other format cannot hold is left out and listed in
 //! [`Converted::lost`]; nothing is put in its place.
 
 mod losses;
@@ -14,6 +14,7 @@ use std::str::FromStr;
 use crate::gcp::Gcp;
 use crate::gcp::raw::{RawPoint, Seen};
 use crate::gcp::read;
+use crate::gcp::working_crs;
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
@@ -178,6 +179,8 @@ pub struct ConvertOptions {
     pub to: Option<ListFormat>,
     /// CRS of the coordinates, over what the list says.
     pub crs: Option<String>,
+    /// CRS that the coordinates are brought into. Default: they stay as they are.
+    pub to_crs: Option<String>,
     /// Layer of a file with several.
     pub layer: Option<String>,
     /// How far off a change of datum may be, metres. Default: [`DEFAULT_DATUM_ACCURACY_M`].
@@ -197,6 +200,10 @@ pub struct Converted {
     pub files: Vec<PathBuf>,
 }
 
+/// Decimals of projected coordinates: 0.1 mm where the unit is a metre, and of longitude and latitude: 0.01 mm.
+const LENGTH_DIGITS: i32 = 4;
+const DEGREE_DIGITS: i32 = 10;
+
 /// A list on its way.
 pub(super) struct Survey {
     pub points: Vec<RawPoint>,
@@ -206,6 +213,28 @@ pub(super) struct Survey {
 impl Survey {
     fn gcps(&self) -> impl Iterator<Item = &Gcp> {
         self.points.iter().map(|p| &p.gcp)
+    }
+
+    /// Brings all points into another CRS.
+    ///
+    /// # Errors
+    /// When the list has no CRS, or PROJ has no way between the two that is good enough.
+    fn project(&mut self, input: &Path, target: Crs, worst_accuracy_m: f64, notes: &mut Vec<String>) -> Result<()> {
+        let Some(source) = &self.crs else {
+            return Err(Error::usage(
+                format!("{} names no coordinate reference system: nothing can be brought from it", input.display()),
+                "give --crs, the one of its coordinates",
+            ));
+        };
+        let mut gcps: Vec<Gcp> = self.gcps().cloned().collect();
+        working_crs::change(input, &mut gcps, source, &target, worst_accuracy_m, notes)?;
+        let per_unit = 10f64.powi(if target.is_geographic() { DEGREE_DIGITS } else { LENGTH_DIGITS });
+        for (point, gcp) in self.points.iter_mut().zip(gcps) {
+            let rounded = |value: f64| (value * per_unit).round() / per_unit;
+            point.gcp = Gcp { easting: rounded(gcp.easting), northing: rounded(gcp.northing), ..gcp };
+        }
+        self.crs = Some(target);
+        Ok(())
     }
 
     fn any(&self, has: impl Fn(&Gcp) -> bool) -> bool {
@@ -235,9 +264,13 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     };
     let (raw, from) = read::parse(input, options.layer.as_deref(), options.from)?;
     let (points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
-    let survey = Survey { points, crs };
-    if survey.points.is_empty() {
+    if points.is_empty() {
         return Err(Error::format(input, "the list", "it holds no points"));
+    }
+    let worst_accuracy_m = options.datum_accuracy_m.unwrap_or(DEFAULT_DATUM_ACCURACY_M);
+    let mut survey = Survey { points, crs };
+    if let Some(target) = &options.to_crs {
+        survey.project(input, Crs::parse(target)?, worst_accuracy_m, &mut notes)?;
     }
     losses::refuse(input, &survey, to)?;
     let mut lost = losses::of(&survey, to);
@@ -246,7 +279,6 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         let text = words::write(&survey, to)?;
         transaction.stage_bytes(output, text.as_bytes())?;
     } else {
-        let worst_accuracy_m = options.datum_accuracy_m.unwrap_or(DEFAULT_DATUM_ACCURACY_M);
         lost.extend(vectors::write(&survey, to, worst_accuracy_m, output, &mut transaction)?);
     }
     if to == ListFormat::Odm && survey.points.iter().all(|p| p.pixels.is_empty()) {

@@ -228,6 +228,13 @@ impl Grid {
         let (west, east) = (low(|c| c.easting), high(|c| c.easting));
         let (south, north) = (low(|c| c.northing), high(|c| c.northing));
         let pixel = resolution.unwrap_or_else(|| transform.scale());
+        let longest = (east - west).max(north - south);
+        if pixel > longest {
+            return Err(Error::usage(
+                format!("a warped copy with pixels of {pixel:e}, and the image is {longest:.3} across"),
+                "give a smaller --resolution, in map units",
+            ));
+        }
         // A thousandth of a pixel is no reason for another column.
         let count = |length: f64| (length / pixel - 1e-3).ceil().max(1.0);
         let (columns, rows) = (count(east - west), count(north - south));

@@ -113,6 +113,9 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
             return Err(Error::format(path, format!("chunk table at byte {at}"), format!("{chunks} chunks")));
         }
     }
+    if inside.is_none() && at != -1 {
+        return Err(Error::format(path, "chunk table", format!("it is said to begin at byte {at}, outside the file")));
+    }
     reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
     Ok(())
 }

@@ -269,11 +269,19 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     add_crs(path, &mut head, &mut vlrs, target)?;
     let extent = (0..3).map(|axis| target.max[axis] - target.min[axis]).fold(0.0, f64::max);
     let scale = [step(extent, target.source.precision); 3];
+    if !matches!(target.source.precision, Precision::Steps(_)) && scale[0] > COARSEST_STEP {
+        let [low, high] = [target.min, target.max].map(|at| at.map(|v| format!("{v:.6e}")).join(", "));
+        let what = format!("coordinates from ({low}) to ({high}): LAS would round them all to {}", scale[0]);
+        return Err(Error::unsupported(path, what, "take the stray points out of the cloud, or name the output .ply"));
+    }
     let offset =
         [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
     let recipe = Recipe { class, gps_time, colours, known, extra };
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
 }
+
+/// Coarser steps than this would harm what was given in full: with 32 bits they reach over 4,000 km.
+const COARSEST_STEP: f64 = 1e-3;
 
 /// The power of ten in which coordinates are counted: a tenth of a millimetre where that is fine enough and fits.
 fn step(extent: f64, precision: Precision) -> f64 {

@@ -26,7 +26,7 @@ use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
 use crate::grid::{Grid, GroundUnit};
 use crate::kept::Room;
-use crate::output::{self, Form};
+use crate::output::{self, Cut, Form};
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Means as Averaged};
 use crate::stream::{self, Means};
@@ -281,7 +281,7 @@ impl CompareJob<'_> {
         let sampling = preview::Sampling::of(grid.width, grid.height);
         let parts = output::produce(
             &grid,
-            1024,
+            Cut::of_one_band(1024),
             means.threads,
             || (First::default(), Buffers::default()),
             |(first, buffers), window| {

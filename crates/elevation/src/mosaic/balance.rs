@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::grid::Grid;
-use crate::output;
+use crate::output::{self, Cut};
 use crate::resample::Interpolation;
 use crate::window::Window;
 
@@ -173,7 +173,7 @@ pub fn estimate(
     }
     let states = output::produce(
         grid,
-        256,
+        Cut { tile_px: 256, block_px: 256 },
         threads,
         || (Opened::default(), Vec::<Block>::new()),
         |(opened, blocks), window| {

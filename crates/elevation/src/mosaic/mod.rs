@@ -18,7 +18,7 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::files::Resources;
 use crate::grid::Grid;
-use crate::output::{self, Form};
+use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
 use crate::window::Window;
 use source::{Opened, Source};
@@ -226,15 +226,26 @@ impl MosaicJob<'_> {
         })
     }
 
+    /// Tiles that are narrower where there are many bands.
+    fn cut(&self, bands: usize) -> Cut {
+        let block_px = output::block_px(bands);
+        let wanted = self.resources.tile_px.unwrap_or(512).min(1024);
+        let affordable = (MOST_TILE_BYTES / 8 / bands as u64 / block_px).max(block_px);
+        Cut { tile_px: wanted.min(affordable), block_px }
+    }
+
     fn threads(&self, sources: &[Source]) -> usize {
         // Tile, sources and companions, and the datasets that stay open; a tile that is blended sees its surroundings.
         let halo = 2 * blend::halo_px(self.blend_px);
         let grown = (512 + halo) * (256 + halo) / (512 * 256);
-        let each = (24 << 20) + (sources[0].bands as u64) * (8 << 20) * (1 + grown);
+        let each = (24 << 20) + MOST_TILE_BYTES.min((sources[0].bands as u64) << 20) * 8 * (1 + grown);
         let spare = self.resources.memory_budget_bytes.saturating_sub(128 << 20);
         self.resources.threads.clamp(1, (spare / each).max(1) as usize)
     }
 }
+
+/// The values of a tile, in double precision.
+const MOST_TILE_BYTES: u64 = 4 << 20;
 
 /// Least and largest number that cells of a kind hold.
 fn range(kind: GdalDataType) -> (f64, f64) {
@@ -292,7 +303,7 @@ impl Whole<'_> {
         let count = self.sources.len();
         let states = output::produce(
             &self.grid,
-            self.job.resources.tile_px.unwrap_or(512).min(1024),
+            self.job.cut(first.bands),
             threads,
             || Worker { opened: Opened::default(), cells: vec![0; count + 1] },
             |worker, window| {
@@ -547,11 +558,17 @@ fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> Result<()> {
     let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
     let source = crate::model::open_dataset(plain)?;
     let threads = format!("NUM_THREADS={}", threads.max(1));
+    let bands = source.raster_count();
+    let sample = source.rasterband(1).map_err(failed)?.band_type().bytes() as usize;
+    // GDAL gathers a block of all bands.
+    let fits = |side: &usize| side * side * bands * sample <= 4 << 20;
+    let block = format!("BLOCKSIZE={}", [512, 256, 128].into_iter().find(fits).unwrap_or(128));
     let options = RasterCreationOptions::from_iter([
         "COMPRESS=DEFLATE",
         "PREDICTOR=YES",
         "BIGTIFF=IF_SAFER",
         "SPARSE_OK=TRUE",
+        &block,
         &threads,
     ]);
     let driver = DriverManager::get_driver_by_name("COG").map_err(failed)?;

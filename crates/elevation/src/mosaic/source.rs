@@ -100,10 +100,11 @@ impl Source {
 
     /// The cells that a window of the mosaic needs, with neighbours.
     fn part(&self, mosaic: &Grid, window: Window) -> Option<Window> {
-        const NEIGHBOURS: f64 = 3.0;
+        // Cells that meet cells need no others, whose blocks would be decoded for nothing.
+        let neighbours = if self.on_grid { -SNAP_PX } else { 3.0 };
         let along = |first: u64, count: u64, from: (f64, f64), own: (f64, f64), size: u64| {
-            let a = (from.0 + first as f64 * from.1 - own.0) / own.1 - NEIGHBOURS;
-            let b = (from.0 + (first + count) as f64 * from.1 - own.0) / own.1 + NEIGHBOURS;
+            let a = (from.0 + first as f64 * from.1 - own.0) / own.1 - neighbours;
+            let b = (from.0 + (first + count) as f64 * from.1 - own.0) / own.1 + neighbours;
             let low = a.floor().clamp(0.0, size as f64) as u64;
             let high = b.ceil().clamp(0.0, size as f64) as u64;
             (high > low).then_some((low, high - low))
@@ -464,12 +465,10 @@ impl Opened {
         };
         let at_edge =
             part.x == 0 || part.y == 0 || part.right() == source.grid.width || part.bottom() == source.grid.height;
-        for band in 1..=source.bands {
-            let colour = source.colours.get(band - 1);
-            let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
-            let band = dataset.rasterband(band).map_err(failed)?;
-            let mut values = vec![0.0; size.0 * size.1];
-            band.read_into_slice((part.x as isize, part.y as isize), size, size, &mut values, None).map_err(failed)?;
+        let planes = all_bands(dataset, source, part)?;
+        for (number, mut values) in (1..).zip(planes) {
+            let colour = source.colours.get(number - 1);
+            let band = dataset.rasterband(number).map_err(|e| Error::gdal(&source.path, e))?;
             for value in &mut values {
                 let void = source.nodata.is_some_and(|n| *value == n || *value == f64::from(n as f32));
                 if void || !value.is_finite() {
@@ -505,6 +504,40 @@ impl Opened {
         costs.truncate(window.area() as usize);
         Ok(costs)
     }
+}
+
+/// The bands of a window as they are in the file: block by block with all bands, so that a block which holds them all is
+/// decoded once whatever the size of GDAL's cache.
+fn all_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<Vec<f64>>> {
+    let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
+    let bands = (1..=source.bands).map(|number| dataset.rasterband(number)).collect::<std::result::Result<Vec<_>, _>>();
+    let bands = bands.map_err(failed)?;
+    let (across, down) = match bands.as_slice() {
+        [first, _, ..] => first.block_size(),
+        // One band has no others to wait for.
+        _ => (part.right() as usize, part.bottom() as usize),
+    };
+    let mut planes = vec![vec![0.0; part.area() as usize]; source.bands];
+    let mut block = Vec::new();
+    // From one edge of a block to the next.
+    let cuts = |first: u64, end: u64, side: u64| {
+        let edges =
+            std::iter::successors(Some(first), move |at| Some((at / side + 1) * side)).take_while(move |at| *at < end);
+        edges.map(move |at| (at, ((at / side + 1) * side).min(end) - at))
+    };
+    for (y, height) in cuts(part.y, part.bottom(), down as u64) {
+        for (x, width) in cuts(part.x, part.right(), across as u64) {
+            let size = (width as usize, height as usize);
+            block.resize(size.0 * size.1, 0.0);
+            for (band, plane) in bands.iter().zip(&mut planes) {
+                band.read_into_slice((x as isize, y as isize), size, size, &mut block, None).map_err(failed)?;
+                let at = ((y - part.y) * part.width + (x - part.x)) as usize;
+                let lines = plane[at..].chunks_mut(part.width as usize);
+                lines.zip(block.chunks_exact(size.0)).for_each(|(to, from)| to[..size.0].copy_from_slice(from));
+            }
+        }
+    }
+    Ok(planes)
 }
 
 #[cfg(test)]

@@ -75,13 +75,24 @@ pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing)
     }
     let said = |path: &Path| Dataset::open(path).ok()?.metadata_item("TIFFTAG_IMAGEDESCRIPTION", "");
     if said(image).as_deref() == Some(description) && said(mask).as_deref() == Some(description) {
-        return Ok(true);
+        // A file that was cut short is made again.
+        return Ok(ends(image) && ends(mask));
     }
     let there = if image.exists() { image } else { mask };
     Err(Error::usage(
         format!("the output {} exists and was made otherwise", there.display()),
         "give --overwrite to replace it, or another folder",
     ))
+}
+
+/// Whether the last row of a raster can be read.
+fn ends(path: &Path) -> bool {
+    let last_row = || {
+        let dataset = Dataset::open(path).ok()?;
+        let (width, height) = dataset.raster_size();
+        dataset.rasterband(1).ok()?.read_as::<u16>((0, height as isize - 1), (width, 1), (width, 1), None).ok()
+    };
+    last_row().is_some()
 }
 
 /// Writes `image` and its mask (255 terrain, 0 marks, boxes and what lies outside the scan), both grey tiled TIFFs with

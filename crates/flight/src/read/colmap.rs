@@ -32,6 +32,12 @@ const MODELS: [(&str, usize); 13] = [
     ("SIMPLE_DIVISION", 4),
 ];
 
+/// Whether a file is called like one of a model's.
+pub fn is_name(path: &Path) -> bool {
+    path.file_stem()
+        .is_some_and(|stem| ["cameras", "images", "points3D", "rigs", "frames"].iter().any(|name| stem == *name))
+}
+
 /// The folder of a model: itself, or the largest of `sparse/0`, `0`, `1`, … below.
 pub fn model_folder(path: &Path) -> Option<PathBuf> {
     let has = |p: &Path| {

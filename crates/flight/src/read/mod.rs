@@ -13,6 +13,9 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::pose::Pose;
 
+/// No coordinate of a map, nor of a model at any scale that means something, is as large.
+pub const FARTHEST: f64 = 1e12;
+
 /// A photograph of a reconstruction.
 #[derive(Clone, Debug)]
 pub struct Photograph {
@@ -78,6 +81,21 @@ pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) 
 /// # Errors
 /// When nothing that is known lies there, or it is broken.
 pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
+    let model = any_reconstruction(path)?;
+    match model.photographs.iter().find(|p| p.pose.centre.iter().any(|v| !(v.abs() < FARTHEST))) {
+        Some(astray) => Err(Error::format(
+            path,
+            format!("the frame `{}`", astray.name),
+            format!(
+                "its camera stands at ({:e}, {:e}, {:e})",
+                astray.pose.centre.x, astray.pose.centre.y, astray.pose.centre.z
+            ),
+        )),
+        None => Ok(model),
+    }
+}
+
+fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
     if path.is_dir() {
         if let Some(folder) = colmap::model_folder(path) {
             return colmap::read(&folder);
@@ -100,7 +118,12 @@ pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("json") => opensfm::read(path),
         Some("xml") => micmac::read_orientations(path.parent().unwrap_or(Path::new("."))),
-        Some("bin" | "txt") => colmap::read(path.parent().unwrap_or(Path::new("."))),
+        Some("bin" | "txt") if colmap::is_name(path) => colmap::read(path.parent().unwrap_or(Path::new("."))),
+        Some("bin" | "txt") if path.exists() => Err(Error::format(
+            path,
+            "the name",
+            "is none of a COLMAP model's files (cameras, images, points3D as .txt or .bin); give its cameras.txt or its folder",
+        )),
         _ if !path.exists() => Err(Error::io(path, "open", std::io::Error::from(std::io::ErrorKind::NotFound))),
         _ => Err(Error::format(
             path,

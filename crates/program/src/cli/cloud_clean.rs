@@ -382,6 +382,15 @@ fn print(report: &Value) -> anyhow::Result<()> {
         );
     }
     println!("  {} points in {}", report["points_kept"], text(&report["output"]));
+    let outside = steps().find(|step| {
+        step["step"] == "crop" && step["points_in"].as_u64() > Some(0) && step["points_in"] == step["classified"]
+    });
+    if outside.is_some() && report["points_kept"] != 0 {
+        eprintln!(
+            "warning: {}: no point lies within --crop, so all are noise now; look at its reference system (cloud info)",
+            text(&report["input"])
+        );
+    }
     // What went in was dropped whole.
     let emptied = steps().find(|step| step["points_in"].as_u64() > Some(0) && step["points_in"] == step["dropped"]);
     if let Some(step) = emptied.filter(|_| report["points_kept"] == 0) {

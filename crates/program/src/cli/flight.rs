@@ -254,7 +254,10 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
 
 fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
-        if list.as_ref().is_some_and(|l| l.len() != count) {
+        if list
+            .as_ref()
+            .is_some_and(|l| l.len() != count || !l.iter().all(|v| v.abs() < autoref_flight::read::FARTHEST))
+        {
             bail!("--{name}: {count} numbers with commas between them are expected");
         }
     }

@@ -34,14 +34,16 @@ pub struct ConvertArgs {
     /// Format of the output, of the same ones. Default: by its name.
     #[arg(long, value_name = "FORMAT")]
     to: Option<ListFormat>,
-    /// CRS of the coordinates (EPSG code, WKT, PROJ string or a file with one), over what the list says. Nothing is
-    /// projected.
+    /// CRS of the coordinates (EPSG code, WKT, PROJ string or a file with one), over what the list says.
     #[arg(long, value_name = "CRS")]
     crs: Option<String>,
+    /// Bring the coordinates into this CRS. Default: they stay as they are (KML and GPX have longitude and latitude).
+    #[arg(long, value_name = "CRS")]
+    to_crs: Option<String>,
     /// Layer of a file with several.
     #[arg(long, value_name = "NAME")]
     gcp_layer: Option<String>,
-    /// Accept a change of datum (to KML and GPX) that is good to so many metres.
+    /// Accept a change of datum that is good to so many metres.
     #[arg(long, value_name = "M")]
     datum_accuracy: Option<f64>,
     /// Replace an existing output.
@@ -59,6 +61,7 @@ pub fn run(args: &GcpsArgs) -> anyhow::Result<()> {
         from: args.from,
         to: args.to,
         crs: args.crs.clone(),
+        to_crs: args.to_crs.clone(),
         layer: args.gcp_layer.clone(),
         datum_accuracy_m: args.datum_accuracy,
     };

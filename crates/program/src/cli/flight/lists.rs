@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail};
 use autoref_flight::Pose;
 use autoref_flight::adjust::{GroundPoint, Role, RoughPose};
 use autoref_flight::read::tables::{self, Angles, CameraRow};
-use autoref_flight::read::{Reconstruction, micmac, opensfm, same_image};
+use autoref_flight::read::{self, Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs, Way};
@@ -399,6 +399,16 @@ pub fn load(
     }
     if control.points.is_empty() {
         bail!("{}: there are no points", list.display());
+    }
+    let fine = |pixel: &[f64; 2]| pixel.iter().all(|v| v.abs() < read::FARTHEST);
+    for point in &control.points {
+        if let Some((image, [x, y])) = point.seen.iter().find(|(_, pixel)| !fine(pixel)) {
+            bail!(
+                "{}: the point `{}` was seen in `{image}` at ({x:e}, {y:e}); correct its pixel",
+                observations.unwrap_or(list).display(),
+                point.name
+            );
+        }
     }
     Ok(control)
 }

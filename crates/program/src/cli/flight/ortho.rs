@@ -110,9 +110,6 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
         GdalDataType::UInt16 => job.write::<u16>(&out, wkt, Some(65535.0))?,
         _ => job.write::<f32>(&out, wkt, None)?,
     };
-    if seen == 0 {
-        eprintln!("autoref-stream: no pixel of the orthophoto is seen by the frame");
-    }
     if args.json {
         let document = json!({
             "output": out.display().to_string(), "width": grid.width, "height": grid.height, "gsd": gsd,

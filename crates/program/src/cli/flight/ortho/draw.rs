@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use autoref_elevation::grid::Grid;
-use autoref_elevation::output::{self, Form};
+use autoref_elevation::output::{self, Cut, Form};
 use autoref_flight::ortho::{Place, View};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
 use autoref_raster::masked::has_mask;
@@ -106,19 +106,33 @@ impl Job<'_> {
             predictor: if alpha.is_some() { 2 } else { 3 },
             threads: self.threads,
         };
-        let mut seen = 0u64;
-        autoref_raster::atomic::with_temporary(out, |temporary| {
+        // `None` until the whole is drawn.
+        let mut seen = None;
+        let written = autoref_raster::atomic::with_temporary(out, |temporary| {
             let plain = temporary.with_extension("plain.tif");
-            let result = self
-                .stream::<T>(&plain, &form, &bands, &mut seen)
-                .and_then(|()| cloud_optimised(&plain, temporary, self.threads));
+            let result = self.stream::<T>(&plain, &form, &bands).and_then(|count| {
+                seen = Some(count);
+                // An empty picture is left out: the error only takes the temporary file away.
+                if count == 0 { Err(RasterError::usage("nothing is seen", "")) } else { Ok(()) }
+            });
+            let result = result.and_then(|()| cloud_optimised(&plain, temporary, self.threads));
             let _ = std::fs::remove_file(&plain);
             result
-        })?;
-        Ok(seen)
+        });
+        if seen == Some(0) {
+            return Err(autoref_flight::Error::no_result(
+                format!("no pixel of an orthophoto is seen by {}", self.args.frame.display()),
+                "look at the camera's position and angles, the heights of --dem, and --gsd",
+            )
+            .into());
+        }
+        written?;
+        Ok(seen.unwrap_or(0))
     }
 
-    fn stream<T: Sample>(&self, plain: &Path, form: &Form<'_>, bands: &Bands, seen: &mut u64) -> RasterResult<()> {
+    /// How many pixels are seen.
+    fn stream<T: Sample>(&self, plain: &Path, form: &Form<'_>, bands: &Bands) -> RasterResult<u64> {
+        let mut seen = 0;
         let dataset = output::create::<T>(plain, form)?;
         if bands.alpha.is_some() {
             let mut band = dataset.rasterband(form.bands).map_err(|e| RasterError::gdal(plain, e))?;
@@ -126,7 +140,7 @@ impl Job<'_> {
         }
         output::produce(
             &self.grid,
-            self.tile_px,
+            Cut { tile_px: self.tile_px, block_px: output::block_px(form.bands) },
             self.threads,
             || None,
             |source: &mut Option<Dataset>, window| {
@@ -140,11 +154,12 @@ impl Job<'_> {
                 Ok((values, count))
             },
             |window, (values, count)| {
-                *seen += count;
+                seen += count;
                 output::put(plain, &dataset, window, &values)
             },
         )?;
-        output::finish(plain, dataset)
+        output::finish(plain, dataset)?;
+        Ok(seen)
     }
 
     /// Fills `part` of the tile `whole`; a part that needs too much of the frame at once is done in halves.

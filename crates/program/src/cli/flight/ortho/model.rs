@@ -26,6 +26,9 @@ pub(super) fn open(path: &Path) -> Result<Dataset> {
     Dataset::open(path).map_err(|e| RasterError::gdal(path, e).into())
 }
 
+/// In units of the map; no model of the ground is as fine.
+const LEAST_CELL: f64 = 1e-6;
+
 impl Dem {
     pub fn open(path: &Path) -> Result<Self> {
         let dataset = open(path)?;
@@ -37,6 +40,14 @@ impl Dem {
         let grid = grid.ok_or_else(|| {
             RasterError::unsupported(path, "a rotated elevation model", "warp it to north up with gdalwarp")
         })?;
+        if grid.step_x.abs().min(grid.step_y.abs()) < LEAST_CELL {
+            return Err(RasterError::unsupported(
+                path,
+                format!("an elevation model with cells of {:e} x {:e}", grid.step_x.abs(), grid.step_y.abs()),
+                "look at its georeference with gdalinfo",
+            )
+            .into());
+        }
         let crs = match dataset.spatial_ref().and_then(|s| s.to_wkt()) {
             Ok(wkt) if !wkt.is_empty() => Some(Crs::parse(&wkt)?),
             _ => None,

@@ -82,6 +82,14 @@ pub(super) fn posed(
         let mut pose = model.photographs[i].pose;
         if let Some(text) = &args.shift {
             pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
+            if pose.centre.iter().any(|v| v.abs() > read::FARTHEST) {
+                bail!(
+                    "--shift {text}: the camera would stand at ({:e}, {:e}, {:e})",
+                    pose.centre.x,
+                    pose.centre.y,
+                    pose.centre.z
+                );
+            }
         } else if about.is_some() {
             tracing::warn!(
                 "{}: its coordinates are taken as east, north and up about its reference_lla; OpenDroneMap's are map \
