@@ -139,7 +139,9 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
             str::to_string,
         );
         placed.insert(key, points.len());
-        labelled.insert(name.clone(), points.len());
+        if label.is_some() {
+            labelled.insert(name.clone(), points.len());
+        }
         let (name, role) = match check_point(&name) {
             Some(name) => (name.to_string(), GcpRole::Check),
             None => (name, GcpRole::Control),

@@ -23,9 +23,7 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         autoref_raster::bounded::read(path, "a list", super::read::LARGEST_LIST_BYTES)?;
     }
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
-    // GDAL would leave a description of a GML file beside it.
-    let gml = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gml"));
-    let open_options: Option<&[&str]> = if gml { Some(&["WRITE_GFS=NO"]) } else { None };
+    let open_options = autoref_raster::vector_options(path);
     let dataset = Dataset::open_ex(&name, DatasetOptions { open_flags: flags, open_options, ..Default::default() })
         .map_err(|_| {
             Error::unsupported(

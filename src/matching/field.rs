@@ -258,6 +258,13 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
+    fn a_point_far_away_makes_no_field_of_all_cells_on_the_way() {
+        let points = [(0.0, 0.0), (40.0, 3.0), (1e20, 5.0)].map(|(x, y)| PixelPoint { x, y });
+        let field = Field::new(points.to_vec(), None);
+        assert!(field.starts.len() < 10_000_000, "{} cells", field.starts.len());
+    }
+
+    #[test]
     fn points_in_twos_have_company_and_even_ones_have_none() {
         let mut draws = Draws::new(7);
         let even: Vec<PixelPoint> =

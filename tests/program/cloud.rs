@@ -308,6 +308,15 @@ fn bad_clouds_are_refused_in_one_line() {
     done(&["clean", &folder.text("plain.ply"), "-o", &laz, "--json"]);
     let packed = std::fs::read(&laz).expect("readable");
     refuse("cut.laz", &packed[..packed.len() / 2], "cut.laz");
+    // Where the points begin stands in the header, and there where the chunks are listed.
+    let begin = u32::from_le_bytes(packed[96..100].try_into().expect("four bytes")) as usize;
+    let mut astray = packed.clone();
+    astray[begin..begin + 8].copy_from_slice(&(1i64 << 46).to_le_bytes());
+    refuse("astray.laz", &astray, "chunk table");
+    // One point far away would round all others to metres in LAS; PLY holds them.
+    let far = folder.put("far.csv", "x,y,z\n639940.25,485150.5,84.1\n639941.5,485151.25,84.2\n1e10,485152,85\n");
+    refused(&["clean", &far, "-o", &out], "LAS would round them", &folder.at("out.laz"));
+    done(&["clean", &far, "-o", &folder.text("far.ply"), "--json"]);
     for seed in 0..40usize {
         let mut broken = packed.clone();
         for k in 0..3 {

@@ -369,6 +369,19 @@ fn a_page_has_a_map_and_bad_tables_of_colours_are_named() {
     std::fs::write(&table, "0 0 0 255\n300 green\n50% 1 2 3 4\n1000,255,0,0\nnv 0 0 0\n").expect("writable");
     let output = autoref(&["dem", "colour", text(&a), "--table", text(&table), "-o", text(&folder.at("c.tif"))]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // Nothing is left beside the model, and a share of the range is the height that it says.
+    assert!(!folder.at("a.tif.aux.xml").exists());
+    let (heights, _) = read(&a);
+    let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    let ramp = format!("{low} 0 0 0\n{} 100 0 0\n{high} 200 0 0\n", low + (high - low) / 4.0);
+    let drawn = |table_text: &str, name: &str| {
+        std::fs::write(&table, table_text).expect("writable");
+        let out = folder.at(name);
+        let output = autoref(&["dem", "colour", text(&a), "--table", text(&table), "-o", text(&out)]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        read(&out).0
+    };
+    assert_eq!(drawn("0% 0 0 0\n25% 100 0 0\n100% 200 0 0\n", "share.tif"), drawn(&ramp, "height.tif"));
 }
 
 /// GDAL's warper brings the same heights to the ellipsoid by itself: the two ways must meet.

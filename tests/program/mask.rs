@@ -148,6 +148,12 @@ fn frames_that_are_done_are_left_alone() {
     let again = mask(&[&arguments[..], &["--resume"]].concat());
     let said = lines(&again);
     assert_eq!((&said[0]["status"], &said[1]["status"]), (&"unchanged".into(), &"done".into()));
+    // One byte of a mask is enough.
+    let mut bytes = std::fs::read(folder.at("masks/a_Masq.tif")).expect("there");
+    *bytes.last_mut().expect("not empty") ^= 1;
+    std::fs::write(folder.at("masks/a_Masq.tif"), bytes).expect("writable");
+    let again = lines(&mask(&[&arguments[..], &["--resume"]].concat()));
+    assert_eq!((&again[0]["status"], &again[1]["status"]), (&"done".into(), &"unchanged".into()));
     // Another option makes another mask.
     let other = mask(&[&arguments[..], &["--resume", "--least-area", "0.01"]].concat());
     assert!(lines(&other).iter().all(|line| line["status"] == "done"));

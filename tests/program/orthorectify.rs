@@ -160,6 +160,8 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     write_dem(&far, (20, 20), [90_000.0, 90_000.0], 2.0, |_, _| 0.0);
     expect(&run(&far, "x.tif", &[]).0, 1, &["far.tif", "none of its rays"]);
     expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
+    expect(&run(&dem, "x.tif", &["--gsd", "100000"]).0, 1, &["no pixel", "--gsd"]);
+    expect(&run(&dem, "x.tif", &["--shift", "1e20,0,0"]).0, 2, &["--shift 1e20,0,0"]);
     let other = place.at("frames").join("q.png");
     std::fs::copy(&frame, &other).expect("copied");
     let x = place.at("x.tif");

@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::crop::{self, Crop};
 use crate::error::{Error, Result};
 use crate::io::{self, Header, OutPoint, Target};
+use crate::kdtree::Bounds;
 use crate::outliers::{self, NOISE, OutlierStatistics};
 use crate::schema::Batch;
 use crate::smrf;
@@ -130,6 +131,11 @@ fn unit_of(crs: Option<&str>) -> String {
 }
 
 impl Plan {
+    /// Whether points of a class are left out.
+    fn drops(&self, class: u8) -> bool {
+        (class == NOISE && self.drop_noise) || (class == OBJECT && self.drop_objects)
+    }
+
     fn working_bytes(&self) -> u64 {
         self.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20)
     }
@@ -180,13 +186,14 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         Step::Crop(Crop::Range { camera, .. }) => Some(*camera),
         _ => None,
     });
+    let bounds = if kept == 0 { tiles.bounds } else { kept_bounds(&tiles, plan, dropped)? };
     let target = Target {
         source: &header,
         shift,
         points: kept,
         with_range: camera.is_some(),
-        min: tiles.bounds.min,
-        max: tiles.bounds.max,
+        min: bounds.min,
+        max: bounds.max,
         crs_wkt: plan.crs_wkt.as_deref(),
     };
     let summary = write(input, output, named, &target, &mut tiles, plan, camera)?;
@@ -205,6 +212,22 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         steps,
         summary,
     })
+}
+
+/// What the points that are written span. LAS counts in tenths of a millimetre up to some 200 km; in a wider cloud a
+/// stray point that was dropped must not make its steps coarse.
+fn kept_bounds(tiles: &Tiles, plan: &Plan, dropped: u64) -> Result<Bounds> {
+    const WIDE: f64 = 2e5;
+    let all = &tiles.bounds;
+    if dropped == 0 || (0..3).all(|axis| all.max[axis] - all.min[axis] <= WIDE) {
+        return Ok(*all);
+    }
+    let mut bounds = Bounds::EMPTY;
+    for tile in 0..tiles.tiles.len() {
+        let points = tiles.load(tile)?;
+        points.iter().filter(|p| !plan.drops(p.class())).for_each(|p| bounds.add(p.xyz));
+    }
+    Ok(bounds)
 }
 
 /// Reads all points and shares them out.
@@ -338,7 +361,7 @@ fn write(
             index += 1;
             let Some((class, step)) = verdict else { continue };
             let step = step & 0x7f;
-            let dropped = (class == NOISE && plan.drop_noise) || (class == OBJECT && plan.drop_objects);
+            let dropped = plan.drops(class);
             summary.add(xyz, class, step, dropped);
             if dropped {
                 continue;

@@ -181,7 +181,8 @@ fn check_colours(path: &Path, text: &[u8]) -> Result<()> {
         }
         let words: Vec<&str> =
             line.split(|c: char| c.is_whitespace() || c == ',' || c == ':').filter(|word| !word.is_empty()).collect();
-        let height = words[0].trim_end_matches('%').parse::<f64>().is_ok() || words[0].eq_ignore_ascii_case("nv");
+        let height = words[0].strip_suffix('%').unwrap_or(words[0]).parse::<f64>().is_ok()
+            || words[0].eq_ignore_ascii_case("nv");
         let numbers = words[1..].iter().all(|word| word.parse::<f64>().is_ok());
         let named = words.len() == 2 && words[1].chars().all(|letter| letter.is_ascii_alphabetic());
         if !height || !(named || (numbers && (4..=5).contains(&words.len()))) {

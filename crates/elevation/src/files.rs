@@ -108,7 +108,9 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
     autoref_raster::bounded::refuse_endless(path)?;
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
-    let dataset = Dataset::open_ex(path, DatasetOptions { open_flags: flags, ..Default::default() }).map_err(failed)?;
+    let open_options = autoref_raster::vector_options(path);
+    let options = DatasetOptions { open_flags: flags, open_options, ..Default::default() };
+    let dataset = Dataset::open_ex(path, options).map_err(failed)?;
     let mut areas: Vec<(String, Vec<Vec<Ring>>)> = Vec::new();
     let target = (!wkt.is_empty()).then(|| crate::crs::Crs::parse(wkt)).transpose()?;
     for mut layer in dataset.layers() {
@@ -118,7 +120,8 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
             collect_polygons(geometry, &mut polygons);
             if polygons.iter().flatten().flatten().any(|(x, y)| !(x.is_finite() && y.is_finite())) {
-                let place = format!("polygon {}", areas.len() + 1);
+                let place =
+                    format!("feature {}", feature.fid().map_or_else(|| "without a number".into(), |id| id.to_string()));
                 return Err(Error::format(path, place, "a coordinate of a corner is not finite"));
             }
             // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.

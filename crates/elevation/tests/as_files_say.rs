@@ -251,6 +251,33 @@ fn joined(
     job.run()
 }
 
+/// Blocks of the files and of the tiles are smaller where there are many bands: every cell still comes to its place.
+#[test]
+fn a_mosaic_of_many_bands_has_every_cell() {
+    const BANDS: usize = 37;
+    let folder = tempfile::tempdir().expect("a folder");
+    let value = |band: usize, x: usize, y: usize| (band * 1000 + (x * 7 + y * 13) % 997) as u16;
+    let inputs: Vec<PathBuf> = [0usize, 150]
+        .map(|x0| {
+            let path = folder.path().join(format!("{x0}.tif"));
+            let set = create::<u16>(&path, (170, 130), BANDS, "EPSG:32633", [x0 as f64, 1.0, 0.0, 130.0, 0.0, -1.0]);
+            for band in 1..=BANDS {
+                let cells = (0..170 * 130).map(|i| value(band, x0 + i % 170, i / 170)).collect();
+                put(&set, band, cells);
+            }
+            path
+        })
+        .to_vec();
+    let out = folder.path().join("all.tif");
+    let made = joined(Choice::Last, Interpolation::Bilinear, None, &inputs, &out).expect("joined");
+    assert_eq!((made.width, made.height, made.bands), (320, 130, BANDS));
+    for band in [1, 2, 19, BANDS] {
+        for (i, cell) in read(&out, band).into_iter().enumerate() {
+            assert_eq!(cell, f64::from(value(band, i % 320, i / 320)), "band {band}, cell {i}");
+        }
+    }
+}
+
 /// Four bytes a side, one colour; the left half is transparent or masked.
 fn picture(path: &Path, x0: f64, bands: usize, value: u8, half: bool) -> PathBuf {
     let set = create::<u8>(path, (40, 40), bands, "EPSG:32633", [x0, 1.0, 0.0, 40.0, 0.0, -1.0]);

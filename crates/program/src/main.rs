@@ -15,7 +15,8 @@ fn main() -> ExitCode {
     let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let times = cli::init_log(&cli);
     let profile_json = cli.profile_json.clone();
-    let result = cli::inputs::guard(&matches)
+    let result = cli::inputs::check_numbers(&matches)
+        .and_then(|()| cli::inputs::guard(&matches))
         .map_err(anyhow::Error::from)
         .and_then(|()| profile_json.iter().try_for_each(|path| cli::stage_times::check(path)))
         .and_then(|()| {

@@ -53,6 +53,14 @@ pub fn initialise_gdal(cache_bytes: u64) {
     });
 }
 
+/// Options with which GDAL opens a file of points or polygons and leaves nothing beside it: of GML it writes a
+/// description.
+pub fn vector_options(path: &Path) -> Option<&'static [&'static str]> {
+    let ends = |end: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
+    let (gml, xml) = (ends("gml"), ends("xml"));
+    (gml || xml).then_some(&["WRITE_GFS=NO"])
+}
+
 /// What GDAL is asked to open: a path or one of its own names (`/vsicurl/…`, `GTIFF_DIR:2:a.tif`).
 #[derive(Clone, Debug)]
 pub(super) struct GdalName {

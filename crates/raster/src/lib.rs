@@ -53,7 +53,7 @@ mod written;
 
 pub use elevation::ElevationModel;
 pub use error::{Error, Result};
-pub use gdal::{GdalSource, hear_gdal, initialise_gdal};
+pub use gdal::{GdalSource, hear_gdal, initialise_gdal, vector_options};
 pub use height_band::{HeightBand, refuse_signed_bytes, set_height_unit};
 pub use open::{open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};

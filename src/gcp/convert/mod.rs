@@ -226,6 +226,10 @@ impl Survey {
                 "give --crs, the one of its coordinates",
             ));
         };
+        // Columns of the old coordinates go with them.
+        for point in &mut self.points {
+            point.attributes = losses::extra(point).cloned().collect();
+        }
         let mut gcps: Vec<Gcp> = self.gcps().cloned().collect();
         working_crs::change(input, &mut gcps, source, &target, worst_accuracy_m, notes)?;
         let per_unit = 10f64.powi(if target.is_geographic() { DEGREE_DIGITS } else { LENGTH_DIGITS });

@@ -1,7 +1,7 @@
 // The affine and projective transforms of crates/solve/src/planar.rs, for runs that chose one. The same equations; their least
 // squares go by one-sided Jacobi rotations (J. C. Nash, "A one-sided transformation method for the singular value
 // decomposition and algebraic eigenproblem", The Computer Journal 18, 1975) where Rust has nalgebra's decomposition.
-// tests/program/report.rs compares the results.
+// tests/program/report compares the results.
 const Planar = (() => {
   const RANK = 1e-6, ARM = 65536;
   const sum = (values) => values.reduce((a, b) => a + b, 0);

@@ -1,6 +1,6 @@
 "use strict";
 // The weighted similarity of crates/solve/src/similarity.rs with the same operations in the same order, so that a replay of a
-// patch gives the numbers that this page showed. Change both together; tests/program/report.rs compares them.
+// patch gives the numbers that this page showed. Change both together; tests/program/report compares them.
 const Fit = (() => {
   const BAARDA_SQRT_LAMBDA = 4.13;
   const length = (x, y) => Math.sqrt(x * x + y * y);

@@ -101,7 +101,9 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
         return Ok(());
     }
     let mut at = i64::from_le_bytes(word);
-    if at == -1 && reader.seek(SeekFrom::End(-8)).is_ok() && reader.read_exact(&mut word).is_ok() {
+    // What lies before the points says, as -1 does, that the place stands at the end of the file.
+    let begin = i64::try_from(header.points_offset).unwrap_or(i64::MAX);
+    if at <= begin && reader.seek(SeekFrom::End(-8)).is_ok() && reader.read_exact(&mut word).is_ok() {
         at = i64::from_le_bytes(word);
     }
     let inside = u64::try_from(at).ok().filter(|&at| at >= header.points_offset && at.saturating_add(8) <= file_bytes);
@@ -113,8 +115,12 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
             return Err(Error::format(path, format!("chunk table at byte {at}"), format!("{chunks} chunks")));
         }
     }
-    if inside.is_none() && at != -1 {
-        return Err(Error::format(path, "chunk table", format!("it is said to begin at byte {at}, outside the file")));
+    if inside.is_none() && at > begin {
+        return Err(Error::format(
+            path,
+            "chunk table",
+            "the file ends before it: it is truncated, or its place is wrong",
+        ));
     }
     reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
     Ok(())

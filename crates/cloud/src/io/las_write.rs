@@ -272,7 +272,8 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     if !matches!(target.source.precision, Precision::Steps(_)) && scale[0] > COARSEST_STEP {
         let [low, high] = [target.min, target.max].map(|at| at.map(|v| format!("{v:.6e}")).join(", "));
         let what = format!("coordinates from ({low}) to ({high}): LAS would round them all to {}", scale[0]);
-        return Err(Error::unsupported(path, what, "take the stray points out of the cloud, or name the output .ply"));
+        let remedy = "drop the stray points (--z or --crop, with --drop noise), or name the output .ply";
+        return Err(Error::unsupported(path, what, remedy));
     }
     let offset =
         [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
@@ -280,7 +281,7 @@ fn make(path: &Path, target: &Target<'_>) -> Result<Plan> {
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
 }
 
-/// Coarser steps than this would harm what was given in full: with 32 bits they reach over 4,000 km.
+/// Coarser steps than this would harm what was given in full: they are taken from 2,000 km on.
 const COARSEST_STEP: f64 = 1e-3;
 
 /// The power of ten in which coordinates are counted: a tenth of a millimetre where that is fine enough and fits.
@@ -297,7 +298,12 @@ fn step(extent: f64, precision: Precision) -> f64 {
 fn add_crs(path: &Path, head: &mut [u8], vlrs: &mut Vec<Vlr>, target: &Target<'_>) -> Result<()> {
     let wkt = match (&target.source.las, &target.source.crs) {
         (Some(las), _) if las.crs().is_some() => None,
-        (None, Some(named)) => Some(Crs::parse(named)?.wkt().to_string()),
+        (None, Some(named)) => Some(match Crs::parse(named) {
+            Ok(crs) => crs.wkt().to_string(),
+            // WKT that PROJ does not understand goes on as it came.
+            Err(_) if named.contains('[') => named.clone(),
+            Err(error) => return Err(error),
+        }),
         _ => target.crs_wkt.map(str::to_string),
     };
     let Some(wkt) = wkt else { return Ok(()) };

@@ -38,8 +38,8 @@ pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u3
     let grid = pair.template.grid();
     let mut state = start;
     state.surface = state.surface.of_degree(Degree::Level);
-    state.surface.coefficients[0] += spread::of(pair, &state, means)?.median;
     let mut rows_apart = (grid.width * grid.height / ENOUGH_CELLS).clamp(1, MOST_APART);
+    state.surface.coefficients[0] += step(pair, &state, means, rows_apart)?.height_m;
     for pass in 1..=MOST_PASSES {
         let step = step(pair, &state, means, rows_apart)?;
         state.surface.coefficients[0] += step.height_m;
@@ -73,10 +73,58 @@ struct Step {
     height_m: f64,
 }
 
+/// Classes of directions, from west over south, without an arc tangent for every cell.
+struct Aspects {
+    /// Where each class of a quarter begins, as [`Aspects::share`].
+    begins: [f64; QUARTER + 1],
+    /// The class in which each step of the share begins.
+    first: [u8; Aspects::STEPS + 1],
+}
+
+/// Classes of a quarter.
+const QUARTER: usize = ASPECTS / 4;
+
+impl Aspects {
+    const STEPS: usize = 256;
+
+    fn new() -> Self {
+        let begins = std::array::from_fn(|class| {
+            let (across, along) = (class as f64 / QUARTER as f64 * std::f64::consts::FRAC_PI_2).sin_cos();
+            // The last one is never reached.
+            if class == QUARTER { f64::INFINITY } else { Self::share(along, across) }
+        });
+        let class_at = |share: f64| begins.iter().rposition(|&begin| begin <= share).unwrap_or(0) as u8;
+        Aspects { begins, first: std::array::from_fn(|step| class_at(step as f64 / Self::STEPS as f64)) }
+    }
+
+    /// Rises with the angle from 0 to 1 over a quarter.
+    fn share(along: f64, across: f64) -> f64 {
+        across / (along + across)
+    }
+
+    /// The class of a direction, which must not be (0, 0).
+    fn of(&self, east: f64, north: f64) -> usize {
+        let (quarter, along, across) = match (east < 0.0, north < 0.0) {
+            (true, false) if north == 0.0 => (0, -east, 0.0),
+            (_, true) if east < 0.0 => (0, -east, -north),
+            (_, true) => (1, -north, east),
+            (false, false) if east > 0.0 => (2, east, north),
+            _ => (3, north, -east),
+        };
+        let share = Self::share(along, across);
+        let mut class = usize::from(self.first[(share * Self::STEPS as f64) as usize]);
+        while self.begins[class + 1] <= share {
+            class += 1;
+        }
+        quarter * QUARTER + class
+    }
+}
+
 /// What a worker gathers, and its buffers.
 struct Worker {
     classes: Vec<FloatHistogram<BITS>>,
     differences: FloatHistogram<{ spread::BITS }>,
+    aspects: Aspects,
     scratch: MovedBuffers,
     template: Vec<f64>,
     other: Vec<f64>,
@@ -88,6 +136,7 @@ impl Worker {
         Worker {
             classes: vec![FloatHistogram::default(); ASPECTS],
             differences: FloatHistogram::default(),
+            aspects: Aspects::new(),
             scratch: MovedBuffers::default(),
             template: Vec::new(),
             other: Vec::new(),
@@ -122,8 +171,7 @@ impl Worker {
                 let tangent = (east * east + north * north).sqrt();
                 let quotient = difference / tangent;
                 if tangent > LEAST_TANGENT && !quotient.is_nan() {
-                    let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;
-                    self.classes[((turn * ASPECTS as f64) as usize).min(ASPECTS - 1)].add(quotient as f32);
+                    self.classes[self.aspects.of(east, north)].add(quotient as f32);
                 }
             }
         }
@@ -170,4 +218,25 @@ fn cosine(classes: &[FloatHistogram<BITS>]) -> Option<(f64, f64)> {
     }
     let solution = matrix.lu().solve(&right)?;
     Some((solution[0], solution[1]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_of_aspect_are_those_of_the_arc_tangent() {
+        let aspects = Aspects::new();
+        for k in 0..72_000 {
+            let angle = (f64::from(k) + 0.5) / 72_000.0 * std::f64::consts::TAU - std::f64::consts::PI;
+            for length in [1e-3, 0.3, 40.0] {
+                let (north, east) = (length * angle.sin(), length * angle.cos());
+                let turn = north.atan2(east) / std::f64::consts::TAU + 0.5;
+                assert_eq!(aspects.of(east, north), (turn * ASPECTS as f64) as usize, "{angle}");
+            }
+        }
+        // West is the end of the circle and its beginning: either class is right.
+        let on_axes = [(-1.0, 0.0), (0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, -0.0)];
+        assert_eq!(on_axes.map(|(east, north)| aspects.of(east, north)), [0, 18, 36, 54, 0]);
+    }
 }

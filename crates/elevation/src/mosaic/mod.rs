@@ -197,6 +197,15 @@ impl MosaicJob<'_> {
             let remedy = "bring them to another type with gdal_translate -ot (Float64 holds 53 bits)";
             return Err(Error::unsupported(&first.path, what, remedy));
         }
+        let needed = 4 * self.tile_bytes(first.bands, blend::halo_px(self.blend_px));
+        if needed > self.resources.memory_budget_bytes {
+            return Err(Error::Limit {
+                what: format!("--blend {} of {} bands", self.blend_px, first.bands),
+                needed,
+                allowed: self.resources.memory_budget_bytes,
+                remedy: "give a narrower --blend, or more --memory".into(),
+            });
+        }
         let mixes = match self.choice {
             Choice::Median => Some("--choose median"),
             Choice::Feather => Some("--choose feather"),
@@ -234,11 +243,22 @@ impl MosaicJob<'_> {
         Cut { tile_px: wanted.min(affordable), block_px }
     }
 
+    /// What a worker holds.
+    fn worker_bytes(&self, bands: usize) -> u64 {
+        // The tile on its way to the file, and what is read of two sources.
+        (24 << 20) + 4 * self.tile_bytes(bands, 0) + 4 * self.tile_bytes(bands, blend::halo_px(self.blend_px))
+    }
+
+    /// The values of a tile and of so many cells around it.
+    fn tile_bytes(&self, bands: usize, halo_px: u64) -> u64 {
+        let cut = self.cut(bands);
+        let width = cut.tile_px.next_multiple_of(cut.block_px) + 2 * halo_px;
+        width * (cut.block_px + 2 * halo_px) * bands as u64 * 8
+    }
+
     fn threads(&self, sources: &[Source]) -> usize {
         // Tile, sources and companions, and the datasets that stay open; a tile that is blended sees its surroundings.
-        let halo = 2 * blend::halo_px(self.blend_px);
-        let grown = (512 + halo) * (256 + halo) / (512 * 256);
-        let each = (24 << 20) + MOST_TILE_BYTES.min((sources[0].bands as u64) << 20) * 8 * (1 + grown);
+        let each = self.worker_bytes(sources[0].bands);
         let spare = self.resources.memory_budget_bytes.saturating_sub(128 << 20);
         self.resources.threads.clamp(1, (spare / each).max(1) as usize)
     }

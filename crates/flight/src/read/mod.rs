@@ -82,7 +82,7 @@ pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) 
 /// When nothing that is known lies there, or it is broken.
 pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
     let model = any_reconstruction(path)?;
-    match model.photographs.iter().find(|p| p.pose.centre.iter().any(|v| !(v.abs() < FARTHEST))) {
+    match model.photographs.iter().find(|p| p.pose.centre.iter().any(|v| v.is_nan() || v.abs() >= FARTHEST)) {
         Some(astray) => Err(Error::format(
             path,
             format!("the frame `{}`", astray.name),

@@ -337,7 +337,9 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         f.len() >= 5 && f[..5].iter().all(|w| w.parse::<f64>().is_ok())
     };
     let crs = (!numeric(first)).then(|| first.to_string());
-    let heading = crs.as_deref().is_some_and(|l| split(l).len() >= 5 && !l.contains('+') && !l.contains('['));
+    // Five words or more may be titles or the name of a CRS (`ETRS89 / UTM zone 32N`), which has a number in it.
+    let of_titles = |l: &str| split(l).len() >= 5 && !l.contains(|c: char| c.is_ascii_digit() || "+[".contains(c));
+    let heading = crs.as_deref().is_some_and(of_titles);
     // OpenDroneMap counts from the centre of the first pixel; `local` is our own word, and counts as we do.
     let of_odm = crs.as_deref().is_some_and(|l| !heading && !l.eq_ignore_ascii_case("local"));
     let first_px = if of_odm { 0.5 } else { 0.0 };
@@ -490,6 +492,15 @@ mod tests {
         let (path, _gone) = file("EPSG:25833\n1 2 3 10.5 20.5 a.jpg P1\n1 2 3 11 21 b.jpg P1\n");
         let (crs, points) = image_points(&path).expect("a list");
         assert_eq!((crs.as_deref(), points.len(), points[1].image.as_str()), (Some("EPSG:25833"), 2, "b.jpg"));
+        for named in ["ETRS89 / UTM zone 32N", "WGS 84 / UTM zone 33N", "Amersfoort / RD New"] {
+            let text = format!("{named}\n1 2 3 10.5 20.5 a.jpg P1\n");
+            let (path, _gone) = file(&text);
+            let (crs, points) = image_points(&path).expect("a list");
+            assert_eq!((crs.as_deref(), points[0].pixel), (Some(named), Some([11.0, 21.0])));
+        }
+        let (path, _gone) = file("Est Nord Alt Sp Zl Bild\n1 2 3 10.5 20.5 a.jpg\n");
+        let (crs, points) = image_points(&path).expect("a list");
+        assert_eq!((crs, points[0].pixel), (None, Some([10.5, 20.5])));
         let (path, _gone) =
             file("name;x;y;z;image;px;py;role;sigma_m\nA;1,5;2;3;a.jpg;863,25;5;check;0,05\nCHK-B;1;2;3;a.jpg;1;2;;\n");
         let (_, points) = image_points(&path).expect("a list");

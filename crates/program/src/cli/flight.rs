@@ -258,7 +258,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
             .as_ref()
             .is_some_and(|l| l.len() != count || !l.iter().all(|v| v.abs() < autoref_flight::read::FARTHEST))
         {
-            bail!("--{name}: {count} numbers with commas between them are expected");
+            bail!("--{name}: {count} numbers with commas between them, none beyond all maps, are expected");
         }
     }
     check_sigmas(&[

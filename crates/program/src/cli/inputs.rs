@@ -19,6 +19,24 @@ const OUTPUTS: &[&str] =
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
 const REPLACED: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
 
+/// No length, angle, number of pixels or limit that means anything is as large.
+const LARGEST_NUMBER: f64 = 1e15;
+
+/// Refuses numbers that are none, or larger than anything that is measured: every option that takes a number.
+///
+/// # Errors
+/// [`Error::Usage`] naming the option.
+pub fn check_numbers(matches: &ArgMatches) -> Result<(), Error> {
+    for id in matches.ids() {
+        let Ok(Some(mut values)) = matches.try_get_many::<f64>(id.as_str()) else { continue };
+        if let Some(value) = values.find(|value| value.is_nan() || value.abs() > LARGEST_NUMBER) {
+            let option = id.as_str().replace('_', "-");
+            return Err(Error::usage(format!("--{option}: {value:e} is no number to work with"), "see --help"));
+        }
+    }
+    matches.subcommand().map_or(Ok(()), |(_, inner)| check_numbers(inner))
+}
+
 /// Protects what the command reads and refuses outputs that would harm it.
 ///
 /// # Errors
@@ -151,6 +169,24 @@ mod tests {
         "use_index",
         "zones",
     ];
+
+    #[test]
+    fn a_number_that_is_none_is_refused_whatever_takes_it() {
+        let said = |words: &str| {
+            let words = std::iter::once("autoref-stream").chain(words.split(' '));
+            let matches = super::super::Cli::command().try_get_matches_from(words).expect("words that are known");
+            check_numbers(&matches).map_err(|e| e.to_string())
+        };
+        for (words, option) in [
+            ("dem profile a.tif --line 0,0 --step inf -o b.csv", "--step"),
+            ("cloud grid a.las -o b --cell 1e308", "--cell"),
+            ("flight export a.toml -o b --pixel-mm NaN", "--pixel-mm"),
+            ("flight resect a.tif --gcps b.csv --position 1,2,1e300", "--position"),
+        ] {
+            assert!(said(words).is_err_and(|text| text.contains(option)), "{words}");
+        }
+        assert_eq!(said("cloud grid a.las -o b --cell 0.5"), Ok(()));
+    }
 
     fn paths(command: &clap::Command, found: &mut Vec<String>) {
         let path = std::any::TypeId::of::<PathBuf>();

@@ -391,10 +391,18 @@ pub fn load(
         };
         // They have the last word: what the list says of images is left out.
         control.points.iter_mut().for_each(|p| p.seen.clear());
+        let mut unlisted = Vec::new();
         for (image, name, pixel) in measured {
-            if let Some(p) = control.points.iter_mut().find(|p| p.name == name) {
-                p.seen.push((image, pixel));
+            match control.points.iter_mut().find(|p| p.name == name) {
+                Some(p) => p.seen.push((image, pixel)),
+                None => unlisted.push(name),
             }
+        }
+        unlisted.sort();
+        unlisted.dedup();
+        if !unlisted.is_empty() {
+            let (file, names) = (file.display(), some_of(&unlisted));
+            tracing::warn!("{file}: measures points that are not in {}: {names}", list.display());
         }
     }
     if control.points.is_empty() {

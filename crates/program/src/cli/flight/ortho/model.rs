@@ -40,14 +40,6 @@ impl Dem {
         let grid = grid.ok_or_else(|| {
             RasterError::unsupported(path, "a rotated elevation model", "warp it to north up with gdalwarp")
         })?;
-        if grid.step_x.abs().min(grid.step_y.abs()) < LEAST_CELL {
-            return Err(RasterError::unsupported(
-                path,
-                format!("an elevation model with cells of {:e} x {:e}", grid.step_x.abs(), grid.step_y.abs()),
-                "look at its georeference with gdalinfo",
-            )
-            .into());
-        }
         let crs = match dataset.spatial_ref().and_then(|s| s.to_wkt()) {
             Ok(wkt) if !wkt.is_empty() => Some(Crs::parse(&wkt)?),
             _ => None,
@@ -55,6 +47,14 @@ impl Dem {
         if crs.as_ref().is_some_and(Crs::is_geographic) {
             let remedy = "project it first (gdalwarp -t_srs)";
             return Err(RasterError::unsupported(path, "an elevation model in degrees", remedy).into());
+        }
+        if grid.step_x.abs().min(grid.step_y.abs()) < LEAST_CELL {
+            return Err(RasterError::unsupported(
+                path,
+                format!("an elevation model with cells of {:e} x {:e}", grid.step_x.abs(), grid.step_y.abs()),
+                "look at its georeference with gdalinfo",
+            )
+            .into());
         }
         // What the elevation commands make of scale, offset and unit.
         let metres = autoref_elevation::model::Model::open(path)?.metres();
