@@ -317,6 +317,11 @@ fn bad_clouds_are_refused_in_one_line() {
     let far = folder.put("far.csv", "x,y,z\n639940.25,485150.5,84.1\n639941.5,485151.25,84.2\n1e10,485152,85\n");
     refused(&["clean", &far, "-o", &out], "LAS would round them", &folder.at("out.laz"));
     done(&["clean", &far, "-o", &folder.text("far.ply"), "--json"]);
+    // Dropped, it has no say: steps are as fine as ever.
+    let fine = folder.text("fine.las");
+    done(&["clean", &far, "-o", &fine, "--z", "84,84.9", "--drop", "noise", "--json"]);
+    let head = std::fs::read(&fine).expect("readable");
+    assert!(f64::from_le_bytes(head[131..139].try_into().expect("eight bytes")) <= 1e-4);
     for seed in 0..40usize {
         let mut broken = packed.clone();
         for k in 0..3 {

@@ -1,8 +1,8 @@
 //! One list of GCPs into another format, with every loss named.
 //!
-//! Coordinates stay in the CRS of the list, digit by digit where the format allows it, unless another is asked for;
-//! KML and GPX know nothing but longitude and latitude, and change them. What the other format cannot hold is left out and listed in
-//! [`Converted::lost`]; nothing is put in its place.
+//! Coordinates stay in the CRS of the list, digit by digit where the format allows it, unless another is asked for; KML
+//! and GPX know nothing but longitude and latitude, and change them. What the other format cannot hold is left out and
+//! listed in [`Converted::lost`]; nothing is put in its place.
 
 mod losses;
 mod vectors;

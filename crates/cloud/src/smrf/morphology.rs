@@ -1,14 +1,11 @@
 //! Grey openings with discs.
 
-// Instructions that only machines with AVX2 have.
-#![allow(unsafe_code)]
-
 use rayon::prelude::*;
 
 use super::surface::Surface;
 
-/// Rows of one piece of work, at least.
-const LEAST_BAND_ROWS: usize = 64;
+/// Rows of one piece of work.
+const BAND_ROWS: usize = 64;
 
 /// What is taken over the disc.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,68 +27,40 @@ pub fn extremum(surface: &Surface, radius: usize, which: Extremum) -> Surface {
 }
 
 fn over_discs(surface: &Surface, radius: usize, better: impl Fn(f64, f64) -> f64 + Sync) -> Surface {
+    let (columns, rows) = (surface.columns, surface.rows);
     let half_widths: Vec<usize> = (0..=radius).map(|dy| (radius * radius - dy * dy).isqrt()).collect();
     let mut result = surface.clone();
-    // Rows around a band are widened for it, too: as few bands as there are threads.
-    let band_rows = surface.rows.div_ceil(rayon::current_num_threads()).max(LEAST_BAND_ROWS);
-    result.values.par_chunks_mut(band_rows * surface.columns).enumerate().for_each(|(band, out)| {
-        let begin = band * band_rows;
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has the instructions, as was just asked.
-            unsafe { with_avx2(surface, begin, out, &half_widths, &better) };
-            return;
+    result.values.par_chunks_mut(BAND_ROWS * columns).enumerate().for_each(|(band, out)| {
+        let begin = band * BAND_ROWS;
+        let end = begin + out.len() / columns;
+        let mut wide = vec![0.0; columns];
+        let mut wider = vec![0.0; columns];
+        for source in begin.saturating_sub(radius)..(end + radius).min(rows) {
+            wide.copy_from_slice(surface.row(source));
+            let mut half = 0;
+            for dy in (0..=radius).rev() {
+                while half < half_widths[dy] {
+                    widen(&wide, &mut wider, half, &better);
+                    std::mem::swap(&mut wide, &mut wider);
+                    half += 1;
+                }
+                let mut combine = |row: usize| {
+                    if (begin..end).contains(&row) {
+                        let target = &mut out[(row - begin) * columns..(row - begin + 1) * columns];
+                        target.iter_mut().zip(&wide).for_each(|(a, &b)| *a = better(*a, b));
+                    }
+                };
+                combine(source + dy);
+                if dy > 0 && dy <= source {
+                    combine(source - dy);
+                }
+            }
         }
-        of_band(surface, begin, out, &half_widths, &better);
     });
     result
 }
 
-/// [`of_band`] with registers of four numbers: the same comparisons, the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn with_avx2(
-    surface: &Surface,
-    begin: usize,
-    out: &mut [f64],
-    half_widths: &[usize],
-    better: &impl Fn(f64, f64) -> f64,
-) {
-    of_band(surface, begin, out, half_widths, better);
-}
-
-/// The rows from `begin` on that `out` holds.
-#[inline(always)]
-fn of_band(surface: &Surface, begin: usize, out: &mut [f64], half_widths: &[usize], better: &impl Fn(f64, f64) -> f64) {
-    let (columns, rows, radius) = (surface.columns, surface.rows, half_widths.len() - 1);
-    let end = begin + out.len() / columns;
-    let mut wide = vec![0.0; columns];
-    let mut wider = vec![0.0; columns];
-    for source in begin.saturating_sub(radius)..(end + radius).min(rows) {
-        wide.copy_from_slice(surface.row(source));
-        let mut half = 0;
-        for dy in (0..=radius).rev() {
-            while half < half_widths[dy] {
-                widen(&wide, &mut wider, half, better);
-                std::mem::swap(&mut wide, &mut wider);
-                half += 1;
-            }
-            let mut combine = |row: usize| {
-                if (begin..end).contains(&row) {
-                    let target = &mut out[(row - begin) * columns..(row - begin + 1) * columns];
-                    target.iter_mut().zip(&wide).for_each(|(a, &b)| *a = better(*a, b));
-                }
-            };
-            combine(source + dy);
-            if dy > 0 && dy <= source {
-                combine(source - dy);
-            }
-        }
-    }
-}
-
 /// From half-width `half` to the next one.
-#[inline(always)]
 fn widen(wide: &[f64], wider: &mut [f64], half: usize, better: &impl Fn(f64, f64) -> f64) {
     let n = wide.len();
     if n == 1 {
@@ -100,10 +69,8 @@ fn widen(wide: &[f64], wider: &mut [f64], half: usize, better: &impl Fn(f64, f64
     }
     wider[0] = better(wide[0], wide[1]);
     wider[n - 1] = better(wide[n - 1], wide[n - 2]);
-    // Slices of one length: no bound is checked in the loop.
-    let (left, right) = (&wide[..n - 2], &wide[2..]);
-    for ((to, &l), &r) in wider[1..n - 1].iter_mut().zip(left).zip(right) {
-        *to = better(l, r);
+    for x in 1..n - 1 {
+        wider[x] = better(wide[x - 1], wide[x + 1]);
     }
     if half == 0 {
         wider.iter_mut().zip(wide).for_each(|(a, &b)| *a = better(*a, b));
@@ -148,14 +115,7 @@ mod tests {
             let values = (0..columns * rows).map(value).collect();
             let surface = Surface { columns, rows, values };
             for which in [Extremum::Least, Extremum::Greatest] {
-                let expected = brute(&surface, radius as isize, which);
-                prop_assert_eq!(&extremum(&surface, radius, which).values, &expected);
-                // Without the processor's wide registers.
-                let half_widths: Vec<usize> = (0..=radius).map(|dy| (radius * radius - dy * dy).isqrt()).collect();
-                let mut plain = surface.values.clone();
-                let better = |a: f64, b: f64| if which == Extremum::Least { a.min(b) } else { a.max(b) };
-                of_band(&surface, 0, &mut plain, &half_widths, &better);
-                prop_assert_eq!(plain, expected);
+                prop_assert_eq!(extremum(&surface, radius, which).values, brute(&surface, radius as isize, which));
             }
         }
     }

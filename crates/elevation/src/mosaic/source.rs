@@ -506,8 +506,8 @@ impl Opened {
     }
 }
 
-/// The bands of a window as they are in the file: block by block with all bands, so that a block which holds them all is
-/// decoded once whatever the size of GDAL's cache.
+/// The bands of a window as they are in the file: block by block with all bands, so that a block which holds them all
+/// is decoded once whatever the size of GDAL's cache.
 fn all_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<Vec<f64>>> {
     let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
     let bands = (1..=source.bands).map(|number| dataset.rasterband(number)).collect::<std::result::Result<Vec<_>, _>>();

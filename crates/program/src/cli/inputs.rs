@@ -173,19 +173,19 @@ mod tests {
     #[test]
     fn a_number_that_is_none_is_refused_whatever_takes_it() {
         let said = |words: &str| {
-            let words = std::iter::once("autoref-stream").chain(words.split(' '));
+            let words = std::iter::once("autoref-stream").chain(words.split('|'));
             let matches = super::super::Cli::command().try_get_matches_from(words).expect("words that are known");
             check_numbers(&matches).map_err(|e| e.to_string())
         };
         for (words, option) in [
-            ("dem profile a.tif --line 0,0 --step inf -o b.csv", "--step"),
-            ("cloud grid a.las -o b --cell 1e308", "--cell"),
-            ("flight export a.toml -o b --pixel-mm NaN", "--pixel-mm"),
-            ("flight resect a.tif --gcps b.csv --position 1,2,1e300", "--position"),
+            ("dem|profile|a.tif|--line|0,0 5,5|--step|inf|-o|b.csv", "--step"),
+            ("cloud|grid|a.las|-o|b|--cell|1e308", "--cell"),
+            ("flight|export|a.toml|-o|b|--pixel-mm|NaN", "--pixel-mm"),
+            ("flight|resect|a.tif|--gcps|b.csv|--position|1,2,1e300", "--position"),
         ] {
             assert!(said(words).is_err_and(|text| text.contains(option)), "{words}");
         }
-        assert_eq!(said("cloud grid a.las -o b --cell 0.5"), Ok(()));
+        assert_eq!(said("cloud|grid|a.las|-o|b|--cell|0.5"), Ok(()));
     }
 
     fn paths(command: &clap::Command, found: &mut Vec<String>) {
