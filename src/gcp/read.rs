@@ -238,6 +238,9 @@ pub(super) fn settled(
         (None, CrsClaim::None) => None,
     };
     settle_order(path, &mut points, order, stated.as_ref(), &mut notes);
+    if let Some(crs) = &stated {
+        refuse_no_degrees(path, &points, crs)?;
+    }
     Ok((points, stated, notes))
 }
 

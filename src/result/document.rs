@@ -168,6 +168,9 @@ impl<'a> Document<'a> {
     fn outcome(&mut self) -> Result<RunOutcome, Contradiction> {
         match self.status {
             Status::Solved => {
+                if self.heights.as_ref().is_some_and(|heights| !heights.correction.has_its_choice()) {
+                    return Err(Contradiction::Missing("heights.correction.fits of the chosen model"));
+                }
                 let need = |value: Option<f64>, name| value.ok_or(Contradiction::Missing(name));
                 Ok(RunOutcome::Solved(Box::new(SolvedRun {
                     geotransform: self.geotransform.ok_or(Contradiction::Missing("geotransform"))?,

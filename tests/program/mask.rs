@@ -134,6 +134,14 @@ fn outlines_are_the_mask_and_mend_another_run() {
     let output = mask(&mended);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(read(&folder.at("first/a_Masq.tif")), read(&folder.at("second/a_Masq.tif")));
+    // What lies beside the frame does nothing, and that is said.
+    let beside =
+        std::fs::read_to_string(&all).expect("there").replace("[0,", "[9000,").replace(&format!("[{WIDE},"), "[9900,");
+    std::fs::write(&all, beside).expect("writable");
+    let third = folder.text("third");
+    let output = mask(&[&[a.as_str(), "-o", &third, "--json", "--global", &all], &TAUGHT[..]].concat());
+    let said = &lines(&output)[0]["warnings"];
+    assert!(said.to_string().contains("--global: feature 1 lies outside the frame"), "{said}");
 }
 
 #[test]

@@ -195,6 +195,8 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         min: bounds.min,
         max: bounds.max,
         crs_wkt: plan.crs_wkt.as_deref(),
+        scratch: &plan.scratch,
+        memory_bytes: plan.working_bytes(),
     };
     let summary = write(input, output, named, &target, &mut tiles, plan, camera)?;
     Ok(CleanReport {
@@ -379,6 +381,8 @@ fn write(
         }
         writer.write(&points)?;
     }
+    // An octree needs the memory.
+    drop(verdicts);
     let written = writer.finish()?;
     if written != target.points {
         let what = format!("{written} points are kept, {} were counted: the file changed meanwhile", target.points);

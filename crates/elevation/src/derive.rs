@@ -231,10 +231,14 @@ pub fn line_driver(out: &Path) -> Result<&'static str> {
     }
 }
 
+/// Heights that [`contour`] draws lines at, at most.
+const MOST_LEVELS: f64 = 100_000.0;
+
 /// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile); tells how many.
 ///
 /// # Errors
-/// GDAL's own words, when it cannot.
+/// An interval that is not positive or cuts the model's heights into more than 100,000 levels; GDAL's own words, when
+/// it cannot.
 pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64> {
     use gdal::spatial_ref::SpatialRef;
     use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
@@ -244,6 +248,7 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
     let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
     let source = crate::model::open_heights(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
+    check_levels(model, &band, interval)?;
     let driver = DriverManager::get_driver_by_name(line_driver(out)?).map_err(failed)?;
     let mut dataset = driver.create_vector_only(out).map_err(failed)?;
     let wkt = source.projection();
@@ -286,6 +291,23 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
     let options = DatasetOptions { open_flags: GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
     let written = Dataset::open_ex(out, options).map_err(failed)?;
     Ok(written.layer(0).map_err(failed)?.feature_count())
+}
+
+/// Refuses an interval that would draw lines until the disk is full.
+fn check_levels(model: &Path, band: &gdal::raster::RasterBand<'_>, interval: f64) -> Result<()> {
+    // A model without any height has no range, and no lines.
+    let Ok(range) = band.compute_raster_min_max(false) else { return Ok(()) };
+    let levels = (range.max - range.min) / interval;
+    if levels > MOST_LEVELS {
+        let message = format!(
+            "{}: heights from {} to {} cut at every {interval} make {levels:.0} levels, and {MOST_LEVELS} is the limit",
+            model.display(),
+            range.min,
+            range.max
+        );
+        return Err(Error::usage(message, "give a larger --interval, or declare the model's nodata value"));
+    }
+    Ok(())
 }
 
 /// A virtual raster of `source` as `gdalwarp` makes it with these options.

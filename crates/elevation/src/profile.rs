@@ -41,7 +41,7 @@ pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f6
     if !(total > 0.0 && step > 0.0 && total.is_finite()) || total / step > MOST {
         return Err(Error::usage(
             format!("a line of {total} m in steps of {step} m"),
-            "give at least two different positions and a fitting --step",
+            format!("give at least two different positions and a --step that makes {MOST:.0} stations at most"),
         ));
     }
     let mut stations = Vec::new();

@@ -217,6 +217,9 @@ fn lines_are_counted_whatever_their_format() {
     let count = |name: &str| derive::contour(&hills, &folder.path().join(name), 20.0, 0.0).expect("lines");
     assert!(count("a.gpkg") > 5);
     assert_eq!(count("b.gpkg"), count("b.geojson"));
+    let endless = derive::contour(&hills, &folder.path().join("c.gpkg"), 1e-6, 0.0).expect_err("millions of levels");
+    assert!(endless.to_string().contains("--interval"), "{endless}");
+    assert!(!folder.path().join("c.gpkg").exists());
 }
 
 fn mosaic(inputs: &[PathBuf], out: &Path) {

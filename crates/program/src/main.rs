@@ -1,5 +1,6 @@
 //! Parse, run, exit code: 0 solved, 1 ran but not solved, 2 error.
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{ArgMatches, FromArgMatches};
@@ -10,9 +11,12 @@ mod cli;
 
 fn main() -> ExitCode {
     autoref_raster::hear_gdal();
-    let matches = cli::everywhere::command().get_matches_from(cli::joined(std::env::args_os()));
+    let arguments = cli::joined(std::env::args_os());
+    let (matches, cli) = match parsed(&arguments) {
+        Ok(both) => both,
+        Err(error) => return cli::option_errors::tell(&error, &arguments),
+    };
     let files_as_json = cli::everywhere::mute(&matches);
-    let cli = cli::Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let times = cli::init_log(&cli);
     let profile_json = cli.profile_json.clone();
     let result = cli::inputs::check_numbers(&matches)
@@ -50,6 +54,12 @@ fn main() -> ExitCode {
     }
 }
 
+fn parsed(arguments: &[OsString]) -> clap::error::Result<(ArgMatches, cli::Cli)> {
+    let matches = cli::everywhere::command().try_get_matches_from(arguments)?;
+    let cli = cli::Cli::from_arg_matches(&matches)?;
+    Ok((matches, cli))
+}
+
 /// The chain of causes in one line, without the debug noise and without control characters.
 fn one_line(error: &anyhow::Error) -> String {
     let mut words: Vec<String> = Vec::new();
@@ -59,8 +69,25 @@ fn one_line(error: &anyhow::Error) -> String {
             words.push(cause);
         }
     }
-    let line = words.join(": ").replace('\n', " ");
-    line.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+    printable(&words.join(": ").replace('\n', " "))
+}
+
+/// A word of more letters, a cell of a broken list perhaps, is cut; a path may have as many as the system takes.
+const LONGEST_WORD: usize = 200;
+
+/// Without control characters, and without words that fill a screen.
+fn printable(line: &str) -> String {
+    let cut = |word: &str| {
+        let letters = word.chars().count();
+        if letters <= LONGEST_WORD || word.contains('/') {
+            return word.to_string();
+        }
+        let head: String = word.chars().take(LONGEST_WORD - 20).collect();
+        let tail: String = word.chars().skip(letters - 10).collect();
+        format!("{head}…{tail}")
+    };
+    let line: Vec<String> = line.split(' ').map(cut).collect();
+    line.join(" ").chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
 }
 
 /// Whether the command that was given has `--json` on.

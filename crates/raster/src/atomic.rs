@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use crate::bounded::companions_of;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
 use crate::protected::refuse_input;
@@ -105,14 +106,6 @@ fn watched<R>(path: &Path, produce: impl FnOnce() -> Result<R>) -> Result<R> {
     let made = produce()?;
     watch.nothing_failed()?;
     Ok(made)
-}
-
-/// Ends of the files without which a file of this ending cannot be read: those of a Shapefile.
-fn companions_of(path: &Path) -> &'static [&'static str] {
-    match path.extension() {
-        Some(end) if end.eq_ignore_ascii_case("shp") => &["shx", "dbf", "prj", "cpg"],
-        _ => &[],
-    }
 }
 
 /// Whether there is something at `path` that is neither file nor folder.

@@ -49,19 +49,27 @@ pub fn read_to_string(path: &Path, what: &str, most_bytes: u64) -> Result<String
         .map_err(|e| Error::io(path, "read", std::io::Error::new(std::io::ErrorKind::InvalidData, e.utf8_error())))
 }
 
-/// Refuses what can be read for ever or makes a reader wait: pipes, sockets, devices. What is not there is left to the
-/// caller.
+/// Refuses what can be read for ever or makes a reader wait: pipes, sockets, devices, in the place of the file or of
+/// one that is read with it. What is not there is left to the caller.
 ///
 /// # Errors
 /// [`Error::Unsupported`].
 pub fn refuse_endless(path: &Path) -> Result<()> {
-    match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() && !found.is_dir() => Err(Error::unsupported(
-            path,
-            "a pipe or a device in place of a file",
-            "save what comes out of it as a file and name that",
-        )),
-        _ => Ok(()),
+    let companions = companions_of(path).iter().map(|end| path.with_extension(end));
+    for file in std::iter::once(path.to_path_buf()).chain(companions) {
+        if std::fs::metadata(&file).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+            let what = "a pipe or a device in place of a file";
+            return Err(Error::unsupported(&file, what, "save what comes out of it as a file and name that"));
+        }
+    }
+    Ok(())
+}
+
+/// Ends of the files without which a file of this ending cannot be read: those of a Shapefile.
+pub(crate) fn companions_of(path: &Path) -> &'static [&'static str] {
+    match path.extension() {
+        Some(end) if end.eq_ignore_ascii_case("shp") => &["shx", "dbf", "prj", "cpg"],
+        _ => &[],
     }
 }
 

@@ -100,6 +100,11 @@ impl HeightCorrection {
         self.fits.iter().find(|fit| fit.model == self.chosen).expect("the choice is among the fits")
     }
 
+    /// Whether the fit that was chosen is there: what is read from a file may lack it.
+    pub fn has_its_choice(&self) -> bool {
+        self.fits.iter().any(|fit| fit.model == self.chosen)
+    }
+
     /// Metres to add to the model's height at a map position.
     ///
     /// # Panics

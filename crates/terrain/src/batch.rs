@@ -326,6 +326,7 @@ pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, o
         classes.probability = None;
     }
     let mut report = report(frame, &names, &reduced, &classes, options, fingerprint);
+    report.warnings.extend(by_hand::beside(frame, reduced.width, reduced.height, given));
     // Its share is told; a mask less while the outlines are traced.
     classes.unsure = None;
     let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);

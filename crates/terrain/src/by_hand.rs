@@ -45,6 +45,21 @@ pub fn speaks_of(frame: &Path, given: &Given) -> bool {
     !layers(frame, given).is_empty()
 }
 
+/// What is said of `frame` and lies beside it: nothing comes of it.
+pub fn beside<'a>(frame: &Path, width: u64, height: u64, given: &'a Given) -> Vec<String> {
+    let of = |option: &'static str, shapes: &'a [Shape]| shapes.iter().map(move |shape| (option, shape));
+    let shapes = of("--global", &given.global).chain(of("--mend", &given.mended));
+    let lost = shapes.filter(|(_, shape)| {
+        let [left, top, right, bottom] = shape.bounds();
+        let meets = left < width as f64 && top < height as f64 && right > 0.0 && bottom > 0.0;
+        shape.is_of(frame) && !meets
+    });
+    let told = |(option, shape): (&str, &Shape)| {
+        format!("{option}: {} lies outside the frame of {width} × {height} px", shape.place)
+    };
+    lost.map(told).collect()
+}
+
 /// Lays what a person said over `classes`, at the reduced scale.
 ///
 /// # Errors

@@ -1,7 +1,9 @@
 //! Clouds in files, read and written point by point.
 
+mod copc;
 mod las;
 mod las_header;
+mod las_plan;
 mod las_write;
 mod ply;
 mod ply_write;
@@ -19,6 +21,8 @@ use crate::schema::{Batch, Schema};
 pub enum Format {
     Las,
     Laz,
+    /// LAZ with an octree; read as LAZ.
+    Copc,
     Ply,
     Text,
 }
@@ -28,6 +32,7 @@ impl Format {
         match self {
             Format::Las => "LAS",
             Format::Laz => "LAZ",
+            Format::Copc => "COPC",
             Format::Ply => "PLY",
             Format::Text => "text",
         }
@@ -139,6 +144,10 @@ pub struct Target<'a> {
     pub max: [f64; 3],
     /// WKT of the output when the source has none.
     pub crs_wkt: Option<&'a str>,
+    /// Folder for scratch files.
+    pub scratch: &'a Path,
+    /// What the writer may take for itself.
+    pub memory_bytes: u64,
 }
 
 /// Creates `path` in the format of `named`'s extension.
@@ -159,12 +168,14 @@ pub fn create(path: &Path, named: &Path, target: &Target<'_>) -> Result<Box<dyn 
 pub fn format_of(path: &Path) -> Result<Format> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if name.ends_with(".copc.laz") {
-        return Err(Error::unsupported(path, "writing COPC", "name the output .laz and index it with another program"));
+        return Ok(Format::Copc);
     }
     match name.rsplit_once('.').map(|(_, extension)| extension) {
         Some("las") => Ok(Format::Las),
         Some("laz") => Ok(Format::Laz),
         Some("ply") => Ok(Format::Ply),
-        _ => Err(Error::unsupported(path, "this extension for a cloud", "name the output .laz, .las or .ply")),
+        _ => {
+            Err(Error::unsupported(path, "this extension for a cloud", "name the output .laz, .copc.laz, .las or .ply"))
+        }
     }
 }

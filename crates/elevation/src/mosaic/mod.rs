@@ -199,12 +199,14 @@ impl MosaicJob<'_> {
         }
         let needed = 4 * self.tile_bytes(first.bands, blend::halo_px(self.blend_px));
         if needed > self.resources.memory_budget_bytes {
-            return Err(Error::Limit {
-                what: format!("--blend {} of {} bands", self.blend_px, first.bands),
-                needed,
-                allowed: self.resources.memory_budget_bytes,
-                remedy: "give a narrower --blend, or more --memory".into(),
-            });
+            let (what, remedy) = match self.blend_px {
+                0 => (format!("{}: {} bands", first.path.display(), first.bands), "give more --memory, or fewer bands"),
+                blend => {
+                    (format!("--blend {blend} of {} bands", first.bands), "give a narrower --blend, or more --memory")
+                }
+            };
+            let allowed = self.resources.memory_budget_bytes;
+            return Err(Error::Limit { what, needed, allowed, remedy: remedy.into() });
         }
         let mixes = match self.choice {
             Choice::Median => Some("--choose median"),

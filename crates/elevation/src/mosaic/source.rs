@@ -234,9 +234,9 @@ fn check_alike(sources: &[Source]) -> Result<()> {
                 "bring them to colours with gdal_translate -expand rgb",
             ));
         }
-        let same = source.wkt == *wkt
-            || crate::crs::Crs::parse(&source.wkt).ok().map(|c| c.label())
-                == reference.as_ref().map(crate::crs::Crs::label);
+        let own = || crate::crs::Crs::parse(&source.wkt).ok();
+        // What cannot be parsed is like nothing but itself.
+        let same = source.wkt == *wkt || reference.as_ref().zip(own()).is_some_and(|(a, b)| a.label() == b.label());
         if !same {
             let first = sources[0].path.display();
             return Err(match (wkt.is_empty(), source.wkt.is_empty()) {

@@ -13,8 +13,8 @@
 
 use nalgebra::{Matrix5, Vector5};
 
-use super::cosine::{cosine, cosine_back};
 use crate::window::{Grey, read_grey};
+use autoref_cosine::{cosine, cosine_back};
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;

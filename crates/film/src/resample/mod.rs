@@ -4,7 +4,6 @@
 //! ([`lighting`]).
 
 pub mod banding;
-mod cosine;
 pub mod kernel;
 pub mod lighting;
 

@@ -5,6 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::FARTHEST;
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
 
@@ -228,6 +229,12 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let (Some(x), Some(y)) = (value(0)?, value(1)?) else {
             return Err(Error::format(path, format!("row {row}"), "x or y is missing"));
         };
+        let xyz = [x, y, value(2)?.unwrap_or(0.0)];
+        let off_earth = geographic && !(x.abs() <= 360.0 && y.abs() <= 90.0);
+        if off_earth || xyz.iter().any(|v| v.abs() >= FARTHEST) {
+            let what = format!("`{name}` stands at ({x}, {y}, {}), which is no place on Earth", xyz[2]);
+            return Err(Error::format(path, format!("row {row}"), what));
+        }
         if let Some(before) = firsts.insert(name.clone(), row) {
             let what = format!("`{name}` has row {before} already; a frame has one place: take one of them out");
             return Err(Error::format(path, format!("row {row}"), what));
@@ -238,7 +245,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         };
         rows.push(CameraRow {
             name,
-            xyz: [x, y, value(2)?.unwrap_or(0.0)],
+            xyz,
             geographic,
             yaw_deg: value(3)?,
             pitch_deg: value(4)?,
@@ -483,6 +490,11 @@ mod tests {
         assert_eq!((row.xyz, row.geographic), ([15.25, 78.5, 900.0], true));
         let (path, _gone) = file("name,x,y\na,1,2\nb,1,3\na,5,2\n");
         assert!(cameras(&path).expect_err("twice").to_string().contains("row 4: `a` has row 2 already"));
+        for (text, row) in [("name,x,y\na,1,2\nb,1e20,3\n", "row 3"), ("name,lon,lat,h\na,15,98,5\n", "row 2")] {
+            let (path, _gone) = file(text);
+            let said = cameras(&path).expect_err("nowhere").to_string();
+            assert!(said.contains(row) && said.contains("no place on Earth"), "{said}");
+        }
         let (path, _gone) = file("name,x,y\na,1,north\n");
         assert!(cameras(&path).expect_err("no number").to_string().contains("row 2: `north` is no number for y"));
     }

@@ -290,11 +290,11 @@ fn steps_of(cloud: &Path, written: &[Written], elevation_angle: f64) -> anyhow::
 
 fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanArgs) -> anyhow::Result<Value> {
     let mut outputs = Transaction::new();
-    let (mut report, mut output_bytes): (Option<CleanReport>, u64) = (None, 0);
+    let (mut report, mut output_bytes, mut content): (Option<CleanReport>, u64, _) = (None, 0, Fingerprint::default());
     outputs.stage(target, |temporary| {
         report = Some(clean::clean(cloud, temporary, target, plan)?);
         output_bytes = std::fs::metadata(temporary).map_err(|e| Error::io(target, "look at", e))?.len();
-        Ok(())
+        content.file(temporary)
     })?;
     let report = report.context("the cloud was cleaned")?;
     let mut value = serde_json::to_value(&report)?;
@@ -306,6 +306,7 @@ fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanAr
     }
     value["files_written"] = json!(written);
     value["output_bytes"] = json!(output_bytes);
+    value["output_fingerprint"] = json!(content.hex());
     outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&value)?.as_bytes())?;
     outputs.commit()?;
     Ok(value)
@@ -329,8 +330,13 @@ fn identity(cloud: &Path, parameters: &Value, steps: &[Step]) -> anyhow::Result<
 fn finished(target: &Path, identity: &Value) -> Option<Value> {
     let text = bounded::read_to_string(&beside(target, "json"), "a report", bounded::DOCUMENT_BYTES).ok()?;
     let report: Value = serde_json::from_str(&text).ok()?;
-    let whole = std::fs::metadata(target).is_ok_and(|output| report["output_bytes"] == output.len());
-    (target.is_file() && whole && report["identity"] == *identity).then_some(report)
+    let size = std::fs::metadata(target).is_ok_and(|output| report["output_bytes"] == output.len());
+    if !(target.is_file() && size && report["identity"] == *identity) {
+        return None;
+    }
+    let mut content = Fingerprint::default();
+    content.file(target).ok()?;
+    (report["output_fingerprint"] == content.hex()).then_some(report)
 }
 
 /// One document for all clouds: steps with their sums, and each cloud's own.

@@ -99,8 +99,17 @@ impl GridArgs {
     }
 }
 
+/// Coordinates of maps have no finer digits.
+const LEAST_CELL: f64 = 1e-9;
+
 pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     params::positive("--cell", "cell", args.cell)?;
+    if args.cell < LEAST_CELL {
+        bail!(
+            "--cell: {} is no side of a cell that a file can tell from the next; give at least {LEAST_CELL}",
+            args.cell
+        );
+    }
     if !(args.power > 0.0 && args.power <= 10.0) {
         bail!("--power: {} is not above 0 and at most 10; 1 to 3 are usual", args.power);
     }

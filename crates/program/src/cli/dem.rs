@@ -229,7 +229,7 @@ struct ProfileArgs {
     /// Positions in the models' CRS, parted by blanks or semicolons: "x,y x,y …".
     #[arg(long, value_name = "X,Y …", allow_hyphen_values = true, value_parser = positions)]
     line: Line,
-    /// Metres between two stations. Default: a cell of the first model.
+    /// Metres between two stations, of which there are 5,000,000 at most. Default: a cell of the first model.
     #[arg(long, value_name = "M")]
     step: Option<f64>,
     /// The table. Default: standard output.

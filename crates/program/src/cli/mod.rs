@@ -30,6 +30,7 @@ pub mod mask;
 mod mask_camera;
 mod mask_light;
 pub mod mosaic;
+pub mod option_errors;
 pub mod patterns;
 pub mod plan;
 pub mod positions;

@@ -158,6 +158,9 @@ fn of_xmp(packet: &str, key: &str) -> Option<f64> {
     rest[..end].trim_start_matches('+').parse().ok()
 }
 
+/// What flies higher takes no aerial photographs.
+const HIGHEST_M: f64 = 100_000.0;
+
 /// EXIF's focal length and GPS, and the direction of a gimbal (DJI's XMP).
 pub fn told(frame: &Path) -> Told {
     let Ok(set) = Dataset::open(frame) else { return Told::default() };
@@ -182,7 +185,7 @@ pub fn told(frame: &Path) -> Told {
     // 35 mm film is 36 mm wide.
     let f_px = positive(number("FocalLengthIn35mmFilm")).map(|f| f / 36.0 * w.max(h) as f64).or_else(by_sensor);
     // A hemisphere that is not named is not guessed.
-    let degrees = |name: &str, [positive, negative]: [&str; 2]| {
+    let degrees = |name: &str, [positive, negative]: [&str; 2], most: f64| {
         let n = numbers(&tag(name)?);
         let value = n.first()? + n.get(1).unwrap_or(&0.0) / 60.0 + n.get(2).unwrap_or(&0.0) / 3600.0;
         let hemisphere = tag(&format!("{name}Ref"))?.trim().to_uppercase();
@@ -191,13 +194,13 @@ pub fn told(frame: &Path) -> Told {
             h if h == negative => -1.0,
             _ => return None,
         };
-        Some(sign * value).filter(|v| v.is_finite())
+        Some(sign * value).filter(|v| v.abs() <= most)
     };
     let packet = set.metadata_domain("xml:XMP").map(|lines| lines.join("\n")).unwrap_or_default();
     let below = tag("GPSAltitudeRef").is_some_and(|r| r.trim().ends_with('1'));
-    let height = number("GPSAltitude").filter(|h| h.is_finite() && *h != 0.0).map(|h| if below { -h } else { h });
+    let height = number("GPSAltitude").filter(|h| *h != 0.0 && h.abs() < HIGHEST_M).map(|h| if below { -h } else { h });
     let height_m = height.or_else(|| of_xmp(&packet, "drone-dji:AbsoluteAltitude"));
-    let place = degrees("GPSLongitude", ["E", "W"]).zip(degrees("GPSLatitude", ["N", "S"]));
+    let place = degrees("GPSLongitude", ["E", "W"], 180.0).zip(degrees("GPSLatitude", ["N", "S"], 90.0));
     // A receiver without a fix writes zeros.
     let place = place.filter(|p| *p != (0.0, 0.0)).map(|(x, y)| [x, y]);
     let gimbal = |which: &str| of_xmp(&packet, &format!("drone-dji:Gimbal{which}Degree"));
@@ -233,6 +236,11 @@ pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option
         None => earth.utm_zone(placed[0].2[0], placed[0].2[1])?,
     };
     let mut warnings = Vec::new();
+    let lost: Vec<String> =
+        names.iter().zip(told).filter(|(_, t)| t.place.is_none()).map(|(name, _)| name.clone()).collect();
+    if !lost.is_empty() {
+        warnings.push(format!("no position in the EXIF of {}: not in the table", some_of(&lost)));
+    }
     let without: Vec<String> =
         placed.iter().filter(|(_, t, _)| t.height_m.is_none()).map(|(name, ..)| (*name).clone()).collect();
     if !without.is_empty() {

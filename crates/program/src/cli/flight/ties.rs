@@ -104,13 +104,14 @@ impl Database {
     fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let options = DatasetOptions { open_flags: GdalOpenFlags::GDAL_OF_VECTOR, ..DatasetOptions::default() };
-        let set = Dataset::open_ex(path, options).with_context(|| format!("{name}: cannot be read"))?;
+        let set = Dataset::open_ex(path, options)
+            .with_context(|| format!("{name}: cannot be read; delete it and run again"))?;
         Ok(Database { set, name })
     }
 
     /// Columns and bytes of the table's row for an image.
     fn blob(&self, table: &str, image: &str) -> Result<Option<(usize, Vec<u8>)>> {
-        let failed = || format!("{}: {table} cannot be read", self.name);
+        let failed = || format!("{}: {table} cannot be read; delete the file and run again", self.name);
         let query = format!(
             "SELECT t.cols AS c, hex(t.data) AS d FROM images i JOIN {table} t ON i.image_id = t.image_id WHERE i.name = '{}'",
             image.replace('\'', "''")
@@ -126,7 +127,7 @@ impl Database {
 
     /// Matches of two images that COLMAP found to agree with a relative orientation: indices of their features.
     fn verified(&self) -> Result<Vec<Verified>> {
-        let failed = || format!("{}: cannot be read", self.name);
+        let failed = || format!("{}: cannot be read; delete it and run again", self.name);
         let rows = |query: &str| -> Result<Vec<[String; 2]>> {
             let Some(mut layer) = self.set.execute_sql(query, None, Dialect::DEFAULT).with_context(failed)? else {
                 return Ok(Vec::new());

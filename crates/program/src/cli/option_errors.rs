@@ -1,0 +1,85 @@
+//! What the option parser refuses, said as every other error: one line, and an object with `--json`.
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use serde_json::json;
+
+use crate::out;
+
+/// Prints help and versions as the parser has them, an error as one line.
+pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
+    if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        error.exit();
+    }
+    let (message, help) = (message(error), help(error));
+    let line = format!("autoref-stream: {message}; see {help}");
+    out::error_line(&line);
+    if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
+        let said =
+            json!({"kind": "usage", "file": null, "place": null, "message": line, "remedy": format!("see {help}")});
+        out::product(&format!("{}\n", serde_json::to_string_pretty(&json!({"error": said})).expect("plain data")));
+    }
+    ExitCode::from(2)
+}
+
+/// The parser's paragraphs but those of usage and help, joined.
+fn message(error: &clap::Error) -> String {
+    let text = error.render().to_string();
+    let mut paragraphs: Vec<String> = Vec::new();
+    for paragraph in text.split("\n\n") {
+        let paragraph = paragraph.trim();
+        if paragraph.starts_with("Usage:") || paragraph.starts_with("For more information") {
+            continue;
+        }
+        let lines: Vec<&str> = paragraph.lines().map(str::trim).filter(|l| !l.is_empty()).collect();
+        let joined = match lines.as_slice() {
+            [head, rest @ ..] if head.ends_with(':') => format!("{head} {}", rest.join(", ")),
+            all => all.join(" "),
+        };
+        if !joined.is_empty() {
+            paragraphs.push(joined);
+        }
+    }
+    crate::printable(paragraphs.join("; ").trim_start_matches("error: "))
+}
+
+/// The help that explains the command.
+fn help(error: &clap::Error) -> String {
+    let usage = match error.get(ContextKind::Usage) {
+        Some(ContextValue::StyledStr(usage)) => usage.to_string(),
+        _ => String::new(),
+    };
+    let is_name = |word: &&str| word.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !word.starts_with('-');
+    let commands = usage.trim_start_matches("Usage:").split_whitespace().skip(1).take_while(is_name);
+    let words: Vec<&str> = ["autoref-stream"].into_iter().chain(commands).chain(["--help"]).collect();
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{help, message};
+
+    fn refused(line: &str) -> (String, String) {
+        let words = ["autoref-stream"].into_iter().chain(line.split(' '));
+        let error = crate::cli::everywhere::command().try_get_matches_from(words).expect_err("a wrong option");
+        (message(&error), help(&error))
+    }
+
+    #[test]
+    fn every_refusal_is_one_line() {
+        for (line, holds, see) in [
+            ("--bogus", "unexpected argument '--bogus' found", "autoref-stream --help"),
+            ("detect a.tif --tile abc", "invalid value 'abc' for '--tile <N>'", "--help"),
+            ("cloud clean", "not provided: --out <OUT>, <IN>...", "autoref-stream cloud clean --help"),
+            ("dem align a.tif --to b.tif -o c --stabel x", "a similar argument exists: '--stable'", "dem align --help"),
+            ("gcps converd", "convert", "--help"),
+        ] {
+            let (said, help) = refused(line);
+            assert!(said.contains(holds), "{line}: {said}");
+            assert!(!said.contains('\n') && !said.contains("Usage") && !said.contains("error:"), "{line}: {said}");
+            assert!(help.ends_with(see), "{line}: {help}");
+        }
+    }
+}
