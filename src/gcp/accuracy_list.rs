@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::csv_list::{NAMES, find, tidy};
 use super::text::{self, SEPARATORS};
+use super::titles::{NAMES, find, tidy};
 use crate::gcp::Gcp;
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};

@@ -16,6 +16,7 @@ mod accuracy_list;
 pub mod convert;
 mod csv_list;
 mod geojson;
+mod headerless;
 mod kof;
 pub mod odm;
 mod ogr;
@@ -25,6 +26,7 @@ mod raw;
 mod read;
 mod select;
 pub(crate) mod text;
+mod titles;
 mod working_crs;
 mod xml;
 

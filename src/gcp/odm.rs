@@ -31,18 +31,31 @@ pub(super) fn is_crs_line(line: &str) -> bool {
         .any(|start| upper.starts_with(start))
 }
 
-/// Whether the rows after the first line look like observations, whatever the first line says.
+/// Whether the rows look like observations: from the first line on, when they name image files, else after it, whatever
+/// it says. Any word may name an image there, but a number is none.
 pub(super) fn has_observations(lines: &[Line<'_>]) -> bool {
-    lines
-        .iter()
-        .skip(1)
-        .find(|line| !line.is_comment())
-        .is_some_and(|line| observation(&fields(line.text)).is_some() && observation(&fields(lines[0].text)).is_none())
+    let names_an_image = |line: &Line<'_>| {
+        observation(&fields(line.text)).is_some_and(|seen| crate::gcp::text::number(seen.image).is_none())
+    };
+    let second = lines.iter().skip(1).find(|line| !line.is_comment());
+    begins_with_a_row(lines) || (second.is_some_and(names_an_image) && observation(&fields(lines[0].text)).is_none())
+}
+
+/// Whether the first line is an observation in an image file: the list names no CRS.
+fn begins_with_a_row(lines: &[Line<'_>]) -> bool {
+    const IMAGES: [&str; 9] = ["jpg", "jpeg", "tif", "tiff", "png", "dng", "jp2", "bmp", "webp"];
+    let is_image = |name: &str| {
+        name.rsplit_once('.').is_some_and(|(_, end)| IMAGES.iter().any(|known| end.eq_ignore_ascii_case(known)))
+    };
+    lines.first().and_then(|line| observation(&fields(line.text)).map(|seen| is_image(seen.image))) == Some(true)
 }
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
-    let crs = CrsClaim::read(path, lines[0].place(), lines[0].text);
-    let rows: Vec<Line<'_>> = lines[1..].iter().filter(|line| !line.is_comment()).copied().collect();
+    let (crs, from) = match begins_with_a_row(lines) {
+        true => (CrsClaim::None, 0),
+        false => (CrsClaim::read(path, lines[0].place(), lines[0].text), 1),
+    };
+    let rows: Vec<Line<'_>> = lines[from..].iter().filter(|line| !line.is_comment()).copied().collect();
     let mut list = if rows.first().is_some_and(|row| observation(&fields(row.text)).is_some()) {
         observations(path, &rows)?
     } else {

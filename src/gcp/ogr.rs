@@ -3,11 +3,13 @@
 
 use std::path::{Path, PathBuf};
 
-use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
+use gdal::vector::{
+    Feature, FieldValue, Geometry, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z,
+};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::{Gcp, csv_list};
+use crate::gcp::{Gcp, csv_list, titles as known_titles};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -43,11 +45,21 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         return table(path, &mut layer, titles);
     }
     let titled = titles.into_iter().chain(PLACEHOLDERS.map(str::to_string)).collect::<Vec<_>>();
-    let mut points = Vec::new();
+    let (mut points, mut without) = (Vec::new(), Vec::new());
     for (i, feature) in layer.features().enumerate() {
-        points.push(point(path, i + 1, &feature, &titled)?);
+        match feature.geometry() {
+            // GDAL hands out one without a name where there is none.
+            Some(geometry) if !geometry.geometry_name().is_empty() => {
+                points.push(point(path, i + 1, &feature, geometry, &titled)?);
+            }
+            _ => without.push((i + 1).to_string()),
+        }
     }
-    Ok(RawList::new(points, crs))
+    let mut list = RawList::new(points, crs);
+    if !without.is_empty() {
+        list.notes.push(format!("{}: passed over, without a geometry: feature {}", path.display(), without.join(", ")));
+    }
+    Ok(list)
 }
 
 /// The layer that is named, or the only one with points; of GPX's the waypoints.
@@ -122,11 +134,14 @@ fn table(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Resu
     Ok(list)
 }
 
-fn point(path: &Path, number: usize, feature: &Feature<'_>, titles: &[String]) -> Result<RawPoint> {
+fn point(
+    path: &Path,
+    number: usize,
+    feature: &Feature<'_>,
+    geometry: &Geometry,
+    titles: &[String],
+) -> Result<RawPoint> {
     let place = format!("feature {number}");
-    let Some(geometry) = feature.geometry() else {
-        return Err(Error::format(path, place, "it has no geometry; points are expected"));
-    };
     let kind = geometry_type_flatten(geometry.geometry_type());
     let (x, y, z) = match kind {
         OGRwkbGeometryType::wkbPoint if !geometry.is_empty() => geometry.get_point(0),
@@ -146,7 +161,7 @@ fn point(path: &Path, number: usize, feature: &Feature<'_>, titles: &[String]) -
     let mut titles = titles.to_vec();
     // Columns that repeat the coordinates must not win over the geometry.
     for (i, title) in titles.iter_mut().enumerate().take(own.len()) {
-        if csv_list::is_coordinate(title) {
+        if known_titles::is_coordinate(title) {
             *title = format!("attribute {i}");
         }
     }

@@ -145,7 +145,10 @@ fn recognised(path: &Path, text: &str) -> ListFormat {
         return ListFormat::Qgis;
     }
     let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
-    if content.first().is_some_and(|first| odm::is_crs_line(first.text)) || odm::has_observations(&content) {
+    // "WGS84 Latitude,WGS84 Longitude" begins as the name of a CRS does.
+    let has_titles = content.first().is_some_and(|first| csv_list::is_header(*first));
+    let has_crs = content.first().is_some_and(|first| odm::is_crs_line(first.text));
+    if !has_titles && (has_crs || odm::has_observations(&content)) {
         return ListFormat::Odm;
     }
     ListFormat::Csv
@@ -241,6 +244,7 @@ pub(super) fn settled(
     if let Some(crs) = &stated {
         refuse_no_degrees(path, &points, crs)?;
     }
+    refuse_geocentric(path, &points)?;
     Ok((points, stated, notes))
 }
 
@@ -421,6 +425,27 @@ fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: O
                 ));
             }
         }
+    }
+}
+
+/// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and none
+/// has a height that ground has.
+fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
+    const RADII_M: std::ops::Range<f64> = 6.33e6..6.4e6;
+    const HIGHEST_M: f64 = 10_000.0;
+    let is_geocentric = |p: &RawPoint| {
+        p.gcp
+            .height
+            .is_some_and(|z| z.abs() > HIGHEST_M && RADII_M.contains(&p.gcp.easting.hypot(p.gcp.northing).hypot(z)))
+    };
+    match points.first() {
+        Some(first) if points.iter().all(is_geocentric) => Err(Error::format(
+            path,
+            &first.place,
+            "the coordinates count from the centre of the Earth (geocentric X, Y, Z): bring them to a map first, for \
+             example with `cs2cs EPSG:4978 EPSG:32633`",
+        )),
+        _ => Ok(()),
     }
 }
 

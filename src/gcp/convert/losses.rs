@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ListFormat, Survey};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{Gcp, GcpRole, csv_list, text};
+use crate::gcp::{Gcp, GcpRole, text, titles};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 
@@ -122,15 +122,15 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
         let value = value.trim();
         let said = without_apostrophe(value) == name
             || (has_a_meaning(title) && values.contains(&text::angle(value)) && !value.is_empty());
-        let tidied = csv_list::tidy(title);
-        let own = OWN.contains(&title.as_str()) || csv_list::is_role(&tidied);
+        let tidied = titles::tidy(title);
+        let own = OWN.contains(&title.as_str()) || titles::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)
     })
 }
 
 /// Whether a reader would take the title for a part of a GCP.
 pub(super) fn has_a_meaning(title: &str) -> bool {
-    csv_list::is_known(title)
+    titles::is_known(title)
 }
 
 fn kof(survey: &Survey) -> Vec<String> {

@@ -29,9 +29,12 @@ pub struct CleanArgs {
     /// The clouds; each is cleaned alone.
     #[arg(required = true, value_name = "IN")]
     clouds: Vec<PathBuf>,
-    /// Output: a .laz, .las or .ply file, or a folder (always for several clouds), which then gets NAME.laz.
+    /// Output: a .laz, .copc.laz, .las or .ply file, or a folder (always for several clouds), which then gets NAME.laz.
     #[arg(short, long = "out", value_name = "OUT")]
     output: PathBuf,
+    /// In a folder: write NAME.copc.laz, LAZ with an octree that viewers load piece by piece.
+    #[arg(long)]
+    copc: bool,
 
     /// Keep heights from MIN to MAX.
     #[arg(long, value_name = "MIN,MAX", allow_hyphen_values = true, help_heading = "Steps")]
@@ -173,6 +176,9 @@ impl CleanArgs {
     fn targets(&self) -> anyhow::Result<Vec<PathBuf>> {
         let named = io::format_of(&self.output).is_ok() && !self.output.is_dir();
         if named && self.clouds.len() == 1 {
+            if self.copc && io::format_of(&self.output)? != io::Format::Copc {
+                bail!("--copc: name the output .copc.laz, not {}", self.output.display());
+            }
             return Ok(vec![self.output.clone()]);
         }
         let extension = self.output.extension();
@@ -183,8 +189,9 @@ impl CleanArgs {
         }
         std::fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot make the folder", self.output.display()))?;
+        let end = if self.copc { "copc.laz" } else { "laz" };
         let targets: Vec<PathBuf> =
-            self.clouds.iter().map(|cloud| self.output.join(format!("{}.laz", stem(cloud)))).collect();
+            self.clouds.iter().map(|cloud| self.output.join(format!("{}.{end}", stem(cloud)))).collect();
         for (index, target) in targets.iter().enumerate() {
             if let Some(other) = targets[..index].iter().position(|other| other == target) {
                 let (a, b) = (&self.clouds[other], &self.clouds[index]);
