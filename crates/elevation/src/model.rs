@@ -62,6 +62,18 @@ impl Model {
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         let wkt = dataset.projection();
         let crs = if wkt.is_empty() { None } else { Some(Crs::parse(&wkt)?) };
+        let [_, south, _, north] = grid.bounds();
+        // Grids that are registered on the poles reach half a cell beyond.
+        let reach = 90.0 + grid.step_y.abs();
+        let degrees = crs.as_ref().is_some_and(|crs| crs.is_geographic() && crs.unit_name().starts_with("deg"));
+        if degrees && !(south >= -reach && north <= reach) {
+            let what = format!("latitudes from {south} to {north} degrees");
+            return Err(Error::unsupported(
+                path,
+                what,
+                "give it the CRS that its coordinates are in, with gdal_edit.py",
+            ));
+        }
         let (kind, block) = (band.band_type(), band.block_size());
         let band = HeightBand::of(path, &band, crs.as_ref())?;
         let pool = Mutex::new(vec![dataset]);

@@ -210,3 +210,12 @@ pub fn produce<S: Send, R: Send>(
         failed.map_or(Ok(states), Err)
     })
 }
+
+/// The mask of a window: 255 where there is something.
+pub(crate) fn put_mask(path: &Path, dataset: &Dataset, window: Window, mask: Vec<u8>) -> Result<()> {
+    let (at, size) = ((window.x as isize, window.y as isize), (window.width as usize, window.height as usize));
+    dataset
+        .rasterband(1)
+        .and_then(|band| band.open_mask_band()?.write(at, size, &mut Buffer::new(size, mask)))
+        .map_err(|e| Error::gdal(path, e))
+}

@@ -282,6 +282,43 @@ fn a_mosaic_of_many_bands_has_every_cell() {
 }
 
 /// Four bytes a side, one colour; the left half is transparent or masked.
+/// A colour with a band of 0 is there where 0 in all bands is nothing.
+#[test]
+fn colours_are_nodata_as_a_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, colours: [[u8; 3]; 3], nodata: f64| {
+        let path = folder.path().join(name);
+        let mut set = create::<u8>(&path, (3, 1), 3, "EPSG:32633", [500_000.0, 1.0, 0.0, 40.0, 0.0, -1.0]);
+        for band in 0..3 {
+            let mut plane = set.rasterband(band + 1).expect("a band");
+            plane.set_no_data_value(Some(nodata)).expect("set");
+            let values = colours.map(|colour| colour[band]).to_vec();
+            plane.write((0, 0), (3, 1), &mut Buffer::new((3, 1), values)).expect("written");
+        }
+        set.flush_cache().expect("written");
+        path
+    };
+    let read = |path: &Path| {
+        let set = Dataset::open(path).expect("a mosaic");
+        let band = |b: usize| {
+            let band = set.rasterband(b + 1).expect("a band");
+            band.read_as::<u8>((0, 0), (3, 1), (3, 1), None).expect("read").data().to_vec()
+        };
+        let bands = [0, 1, 2].map(band);
+        [0, 1, 2].map(|cell| [0, 1, 2].map(|b: usize| bands[b][cell]))
+    };
+    let above = [[0, 200, 50], [200, 0, 50], [0, 0, 0]];
+    let inputs = [write("a.tif", above, 0.0), write("b.tif", [[7, 7, 7]; 3], 0.0)];
+    let out = folder.path().join("m.tif");
+    mosaic(&inputs, &out);
+    assert_eq!(read(&out), [[0, 200, 50], [200, 0, 50], [7, 7, 7]]);
+    mosaic_by(Choice::Median, &inputs, &out);
+    assert_eq!(read(&out)[2], [7, 7, 7]);
+    // Black that another file does not call nothing is moved by one.
+    mosaic(&[inputs[0].clone(), write("c.tif", [[0, 0, 0]; 3], 255.0)], &out);
+    assert_eq!(read(&out), [[0, 200, 50], [200, 0, 50], [1, 0, 0]]);
+}
+
 fn picture(path: &Path, x0: f64, bands: usize, value: u8, half: bool) -> PathBuf {
     let set = create::<u8>(path, (40, 40), bands, "EPSG:32633", [x0, 1.0, 0.0, 40.0, 0.0, -1.0]);
     let there = |i: usize| if half && i % 40 < 20 { 0 } else { 255 };

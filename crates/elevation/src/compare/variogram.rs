@@ -99,6 +99,8 @@ fn pair_mean(places: &[(u64, u64)], range: f64, cell_m: (f64, f64)) -> f64 {
 /// (this, its root) the deviation that leaving out each of the windows gives it: where rough and smooth ground lie side
 /// by side classes are known worse than their values say.
 const BELIEVED: f64 = 16.0;
+/// From a millimetre to the Moon.
+const MOST_RANGES: usize = 128;
 /// Fewer windows tell no deviation.
 const FEWEST_WINDOWS: usize = 16;
 
@@ -169,7 +171,8 @@ pub(super) fn fit(classes: LagClasses, cell_m: f64) -> Variogram {
     let bins = &classes.bins;
     let longest = bins.iter().map(|b| b.lag_m).fold(cell_m, f64::max);
     let mut ladder = vec![cell_m * 0.999];
-    while ladder[ladder.len() - 1] < longest {
+    // Sides that are none make no ladder.
+    while ladder[ladder.len() - 1] < longest && ladder.len() < MOST_RANGES {
         ladder.push(ladder[ladder.len() - 1] * 1.25);
     }
     let lags: Vec<f64> = bins.iter().map(|bin| bin.lag_m).collect();

@@ -51,19 +51,20 @@ impl Whole<'_> {
         let (mut sums, mut weights) = (vec![0.0; area * bands], vec![0.0; area]);
         for number in numbers {
             let values = self.read(worker, number as usize - 1, around)?;
-            let first = &values[..whole.index.len()];
+            let cells = whole.index.len();
+            let there: Vec<bool> = (0..cells).map(|cell| super::holds(&values, cells, cell)).collect();
             let size = (width, around.height as usize);
             let won = tent(whole.index.iter().map(|&n| u32::from(n == number)).collect(), size, radius as usize);
-            let known = tent(first.iter().map(|v| u32::from(!v.is_nan())).collect(), size, radius as usize);
+            let known = tent(there.iter().map(|there| u32::from(*there)).collect(), size, radius as usize);
             let all = ((2 * radius + 1) as f64).powi(4);
             for (at, &cell) in inner.iter().enumerate() {
-                if won[cell] == 0 || first[cell].is_nan() {
+                if won[cell] == 0 || !there[cell] {
                     continue;
                 }
                 let weight = f64::from(won[cell]) * (2.0 * f64::from(known[cell]) / all - 1.0).max(LEAST);
                 weights[at] += weight;
                 for band in 0..bands {
-                    sums[band * area + at] += weight * values[band * whole.index.len() + cell];
+                    sums[band * area + at] += weight * values[band * cells + cell];
                 }
             }
         }

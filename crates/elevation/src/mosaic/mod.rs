@@ -3,6 +3,7 @@
 mod balance;
 mod blend;
 mod graph;
+mod mix;
 mod page;
 mod source;
 
@@ -12,7 +13,7 @@ pub use blend::WIDEST_BLEND_PX;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use gdal::raster::{Buffer, ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
+use gdal::raster::{ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -334,19 +335,19 @@ impl Whole<'_> {
                     if number > 0 {
                         worker.cells[number as usize - 1] += 1;
                     }
-                    worker.cells[count] += u64::from(!tile.values[cell].is_nan());
+                    worker.cells[count] += u64::from(holds(&tile.values, tile.index.len(), cell));
                 }
                 let values: Vec<T> = tile.values.iter().map(|&v| cast(if v.is_nan() { void } else { v })).collect();
                 let area = window.area() as usize;
-                let there = |v: &f64| if v.is_nan() { 0 } else { 255 };
-                let mask: Vec<u8> = tile.values[..area].iter().map(there).collect();
+                let there = |cell| if holds(&tile.values, area, cell) { 255 } else { 0 };
+                let mask: Vec<u8> = (0..area).map(there).collect();
                 Ok(Some((values, tile.index, mask)))
             },
             |window, made| {
                 let Some((values, numbers, mask)) = made else { return Ok(()) };
                 output::put(path, &dataset, window, &values)?;
                 if masked {
-                    put_mask(path, &dataset, window, mask)?;
+                    output::put_mask(path, &dataset, window, mask)?;
                 }
                 if let Some((path, dataset)) = &index {
                     output::put(path, dataset, window, &numbers)?;
@@ -436,9 +437,19 @@ impl Whole<'_> {
         let first = &self.sources[0];
         if let Some(nodata) = first.nodata.filter(|_| first.whole_numbers()) {
             let (least, most) = range(first.kind);
-            // A value that would be read as "nothing" is moved by one.
+            // What would be read as "nothing" is moved by one: a value, or of a colour its first band.
             let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
-            values.iter_mut().filter(|v| v.round().clamp(least, most) == nodata).for_each(|value| *value = beside);
+            let is_nodata = |value: f64| value.round().clamp(least, most) == nodata;
+            let (area, colours) = (window.area() as usize, first.colour_bands());
+            if colours.len() > 1 {
+                for cell in 0..area {
+                    if colours.iter().all(|band| is_nodata(values[band * area + cell])) {
+                        values[colours[0] * area + cell] = beside;
+                    }
+                }
+            } else {
+                values.iter_mut().filter(|value| is_nodata(**value)).for_each(|value| *value = beside);
+            }
         }
         Ok(values)
     }
@@ -476,7 +487,7 @@ impl Whole<'_> {
             }
             let values = self.read(worker, number, window)?;
             for cell in 0..area {
-                if cost(cell) < best[cell] && !values[cell].is_nan() {
+                if cost(cell) < best[cell] && holds(&values, area, cell) {
                     best[cell] = cost(cell);
                     tile.index[cell] = number as u32 + 1;
                     for band in 0..values.len() / area {
@@ -504,7 +515,7 @@ impl Whole<'_> {
                 continue;
             }
             let values = self.read(worker, number, window)?;
-            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && !values[cell].is_nan()) {
+            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && holds(&values, area, cell)) {
                 tile.index[cell] = number as u32 + 1;
                 for band in 0..values.len() / area {
                     tile.values[band * area + cell] = values[band * area + cell];
@@ -513,64 +524,11 @@ impl Whole<'_> {
         }
         Ok(())
     }
-
-    fn median(&self, worker: &mut Worker, near: &[usize], window: Window, tile: &mut Tile) -> Result<()> {
-        // A row at a time where many sources meet, so that not all of them are held whole.
-        let rows = (window.height / (near.len() as u64).div_ceil(8)).max(1);
-        let mut y = window.y;
-        while y < window.bottom() {
-            let part = Window::new(window.x, y, window.width, rows.min(window.bottom() - y));
-            let area = part.area() as usize;
-            let all: Vec<Vec<f64>> =
-                near.iter().map(|&number| self.read(worker, number, part)).collect::<Result<_>>()?;
-            let mut values = Vec::with_capacity(all.len());
-            for band in 0..tile.values.len() / window.area() as usize {
-                for cell in 0..area {
-                    values.clear();
-                    values.extend(all.iter().map(|v| v[band * area + cell]).filter(|v| !v.is_nan()));
-                    values.sort_unstable_by(f64::total_cmp);
-                    let n = values.len();
-                    if n > 0 {
-                        let target =
-                            band * window.area() as usize + (y - window.y) as usize * window.width as usize + cell;
-                        tile.values[target] = (values[(n - 1) / 2] + values[n / 2]) / 2.0;
-                    }
-                }
-            }
-            y += rows;
-        }
-        Ok(())
-    }
-
-    fn feather(&self, worker: &mut Worker, near: &[usize], window: Window, tile: &mut Tile) -> Result<()> {
-        let area = window.area() as usize;
-        let mut weights = vec![0.0; tile.values.len()];
-        let mut sums = vec![0.0; tile.values.len()];
-        for &number in near {
-            let edges = self.sources[number].edge_distances(&self.grid, window);
-            let values = self.read(worker, number, window)?;
-            for (at, value) in values.iter().enumerate().filter(|(_, v)| !v.is_nan()) {
-                let weight = edges[at % area].max(1e-6);
-                weights[at] += weight;
-                sums[at] += weight * value;
-            }
-        }
-        for (value, (sum, weight)) in tile.values.iter_mut().zip(sums.iter().zip(&weights)) {
-            if *weight > 0.0 {
-                *value = sum / weight;
-            }
-        }
-        Ok(())
-    }
 }
 
-/// The mask of a window: 255 where there is something.
-fn put_mask(path: &Path, dataset: &gdal::Dataset, window: Window, mask: Vec<u8>) -> Result<()> {
-    let (at, size) = ((window.x as isize, window.y as isize), (window.width as usize, window.height as usize));
-    dataset
-        .rasterband(1)
-        .and_then(|band| band.open_mask_band()?.write(at, size, &mut Buffer::new(size, mask)))
-        .map_err(|e| Error::gdal(path, e))
+/// Whether a cell holds anything: black paint has no red, and is there.
+fn holds(values: &[f64], area: usize, cell: usize) -> bool {
+    values.iter().skip(cell).step_by(area).any(|value| !value.is_nan())
 }
 
 /// The tiled copy as a Cloud Optimized GeoTIFF with overviews.

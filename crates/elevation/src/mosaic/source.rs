@@ -84,6 +84,12 @@ impl Source {
         })
     }
 
+    /// Bands that are no opacity.
+    pub fn colour_bands(&self) -> Vec<usize> {
+        let opacity = |band: usize| self.colours.get(band) == Some(&ColorInterpretation::AlphaBand);
+        (0..self.bands).filter(|band| !opacity(*band)).collect()
+    }
+
     pub fn whole_numbers(&self) -> bool {
         !matches!(self.kind, GdalDataType::Float32 | GdalDataType::Float64)
     }
@@ -465,16 +471,11 @@ impl Opened {
         };
         let at_edge =
             part.x == 0 || part.y == 0 || part.right() == source.grid.width || part.bottom() == source.grid.height;
-        let planes = all_bands(dataset, source, part)?;
+        let mut planes = all_bands(dataset, source, part)?;
+        source.leave_out_nodata(&mut planes);
         for (number, mut values) in (1..).zip(planes) {
             let colour = source.colours.get(number - 1);
             let band = dataset.rasterband(number).map_err(|e| Error::gdal(&source.path, e))?;
-            for value in &mut values {
-                let void = source.nodata.is_some_and(|n| *value == n || *value == f64::from(n as f32));
-                if void || !value.is_finite() {
-                    *value = f64::NAN;
-                }
-            }
             // What is transparent is not there: its opacity is no part of a median or a mean either.
             if colour == Some(&ColorInterpretation::AlphaBand) {
                 values.iter_mut().filter(|value| **value == 0.0).for_each(|value| *value = f64::NAN);
@@ -503,6 +504,25 @@ impl Opened {
         let mut costs = self.read(companion, mosaic, window, Interpolation::Bilinear)?;
         costs.truncate(window.area() as usize);
         Ok(costs)
+    }
+}
+
+impl Source {
+    /// Puts NaN where there is nothing. Colours in whole numbers are nothing where all bands are nodata: red that is 0
+    /// beside green is a colour. Other bands are read each for itself.
+    fn leave_out_nodata(&self, planes: &mut [Vec<f64>]) {
+        let is_void = |value: f64| self.nodata.is_some_and(|n| value == n || value == f64::from(n as f32));
+        let colours = self.colour_bands();
+        let as_one = self.whole_numbers() && colours.len() > 1;
+        for cell in 0..planes.first().map_or(0, Vec::len) {
+            let all = as_one && colours.iter().all(|band| is_void(planes[*band][cell]));
+            for plane in planes.iter_mut() {
+                let value = &mut plane[cell];
+                if all || (!as_one && is_void(*value)) || !value.is_finite() {
+                    *value = f64::NAN;
+                }
+            }
+        }
     }
 }
 

@@ -82,6 +82,9 @@ impl Layout {
         }
         let sample = sample_type(all, index)?;
         let codec = codec(all, index)?;
+        if codec == Codec::Jpeg && sample != SampleType::U8 {
+            return Err(unsupported(all, "JPEG of more than 8 bits"));
+        }
         let planar = match all.first(index, tag::PLANAR_CONFIGURATION)?.unwrap_or(1) {
             1 => false,
             2 => samples > 1,
