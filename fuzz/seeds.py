@@ -25,6 +25,22 @@ def las():
     return bytes(header) + points
 
 
+def e57():
+    """Two points in one packet, without the checksums of the pages, which the target adds."""
+    axes = "".join(f'<cartesian{axis} type="Float" precision="single"/>' for axis in "XYZ")
+    colour = '<colorRed type="Integer" minimum="0" maximum="255"/>'
+    points = f'<points type="CompressedVector" fileOffset="48" recordCount="2"><prototype type="Structure">{axes}{colour}</prototype></points>'
+    pose = '<pose type="Structure"><translation type="Structure"><x type="Float">1</x><y type="Float">2</y><z type="Float">3</z></translation></pose>'
+    root = '<formatName type="String">ASTM E57 3D Imaging Data File</formatName><guid type="String">g</guid><versionMajor type="Integer">1</versionMajor>'
+    xml = f'<e57Root type="Structure">{root}<data3D type="Vector"><vectorChild type="Structure">{pose}{points}</vectorChild></data3D></e57Root>'.encode()
+    packet = struct.pack("<BBHH4H", 1, 0, 43, 4, 8, 8, 8, 2) + struct.pack("<6f2B", 1, 2, 3, 4, 5, 6, 7, 8) + bytes(4)
+    section = struct.pack("<B7x3Q", 1, 32 + len(packet), 80, 0) + packet
+    header = b"ASTM-E57" + struct.pack("<2I4Q", 1, 0, 1024, 48 + len(section), len(xml), 1024)
+    content = header + section + xml
+    assert len(packet) == 44 and len(content) <= 1020
+    return content
+
+
 def tiff(keys):
     """A picture of 2 x 2 grey pixels with this GeoKeyDirectory."""
     data = struct.pack(f"<{len(keys)}H", *keys) + b"\1\2\3\4"
@@ -91,6 +107,7 @@ SEEDS = {
     ]),
     "cloud_las": (None, [las()]),
     "cloud_laz": (None, [las()]),
+    "cloud_e57": (None, [e57()]),
     "cloud_xyz": (None, [b"x y z intensity\n1 2 3 4\n5 6 7 8\n", b"1;2;3\n4;5;6\n", b"// c\n1,2,3\n"]),
 }
 

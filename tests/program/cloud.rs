@@ -301,7 +301,7 @@ fn bad_clouds_are_refused_in_one_line() {
     refuse("nan.ply", &ply(&[[0.0; 3], [f32::NAN, 1.0, 1.0], [1.0, 2.0, f32::INFINITY]], Order::Big), "not finite");
     refuse("empty.las", b"", "empty");
     refuse("words.xyz", b"x y z\n1 2 3\n4 five 6\n", "five");
-    refuse("e57.e57", b"ASTM-E57 and more", "E57");
+    refuse("e57.e57", b"ASTM-E57 and more", "E57 header");
     // A LAS file with its scale set to 0, and cut files.
     let las = folder.text("good.las");
     done(&["clean", &folder.put("plain.ply", &whole), "-o", &las, "--json"]);

@@ -132,6 +132,7 @@ fn write(path: &Path, points: &[([f64; 3], f64)], memory_bytes: u64) {
         crs: Some("EPSG:25833".into()),
         shift: None,
         las: None,
+        intensity: None,
         description: String::new(),
     };
     let all = || points.iter().map(|(xyz, _)| xyz);

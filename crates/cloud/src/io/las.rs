@@ -52,6 +52,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         precision: Precision::Steps(header.scale),
         crs: header.crs(),
         shift: None,
+        intensity: None,
         description: format!("{} 1.{}, point format {}{copc}", format.name(), header.minor, header.point_format),
         las: Some(header.clone()),
     };

@@ -50,9 +50,11 @@ impl Place {
     }
 }
 
+pub(super) const INTENSITY: usize = 12;
+
 /// What point formats 6 to 8 know, by the names that other formats give it (without underscores).
 const KNOWN: [(&[&str], Place); 14] = [
-    (&["intensity", "grey", "gray"], Place::word(12, 2)),
+    (&["intensity", "grey", "gray"], Place::word(INTENSITY, 2)),
     (&["returnnumber"], Place::bits(14, 0, 4)),
     (&["numberofreturns"], Place::bits(14, 4, 4)),
     (&["synthetic"], Place::bits(15, 0, 1)),
@@ -207,7 +209,10 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     let known: Vec<(Field, Place)> = KNOWN
         .into_iter()
         .filter(|(_, place)| has_room(place))
-        .filter_map(|(names, place)| Some((named(names)?, place)))
+        .filter_map(|(names, place)| {
+            let field = named(names)?;
+            Some((if place.byte == INTENSITY { spread(field, target.source.intensity) } else { field }, place))
+        })
         .collect();
     let mut taken = vec!["x".to_string(), "y".into(), "z".into()];
     taken.extend([&class, &gps_time].into_iter().flatten().map(|field| field.name.clone()));
@@ -259,6 +264,13 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
         [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
     let recipe = Recipe { class, gps_time, colours, known, extra, tail: None };
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
+}
+
+/// Intensities between other limits are spread over the sixteen bits, as the specification asks.
+fn spread(field: Field, limits: Option<[f64; 2]>) -> Field {
+    let Some([least, most]) = limits else { return field };
+    let factor = 65_535.0 / (most - least);
+    Field { scale: field.scale * factor, shift: (field.shift - least) * factor, ..field }
 }
 
 /// Coarser steps than this would harm what was given in full: they are taken from 2,000 km on.

@@ -10,7 +10,7 @@ use laz::{LasZipCompressor, LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 
 use super::copc::{self, Builder};
 use super::las_header::{self, VLR_HEADER_BYTES};
-use super::las_plan::{self, Bits, Plan, Recipe, put, vlr_of};
+use super::las_plan::{self, Bits, INTENSITY, Plan, Recipe, put, vlr_of};
 use super::{Format, OutPoint, PointWriter, Target};
 use crate::error::{Error, Result};
 use crate::schema::{Field, Kind};
@@ -170,6 +170,10 @@ impl LasWriter {
         // The only return of a pulse, unless the source knows better.
         self.record[14] = 0x11;
         for (field, place) in &recipe.known {
+            if place.byte == INTENSITY && field.value(point.raw).is_nan() {
+                // 0 says that there is none.
+                continue;
+            }
             let number = whole(&self.path, field, point.raw, place.unit, place.numbers())?;
             let mask = (1u64 << place.bits) - 1;
             let mut word = [0; 8];

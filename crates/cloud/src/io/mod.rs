@@ -1,6 +1,9 @@
 //! Clouds in files, read and written point by point.
 
 mod copc;
+mod e57;
+mod e57_packets;
+mod e57_schema;
 mod las;
 mod las_header;
 mod las_plan;
@@ -24,6 +27,7 @@ pub enum Format {
     /// LAZ with an octree; read as LAZ.
     Copc,
     Ply,
+    E57,
     Text,
 }
 
@@ -34,6 +38,7 @@ impl Format {
             Format::Laz => "LAZ",
             Format::Copc => "COPC",
             Format::Ply => "PLY",
+            Format::E57 => "E57",
             Format::Text => "text",
         }
     }
@@ -60,6 +65,8 @@ pub struct Header {
     pub crs: Option<String>,
     /// Map coordinates less the file's, when the file says so.
     pub shift: Option<[f64; 3]>,
+    /// Between which limits intensities lie that are no whole numbers of 16 bits, as LAS has them.
+    pub intensity: Option<[f64; 2]>,
     /// What a LAS file says of itself.
     pub las: Option<LasHeader>,
     /// `LAS 1.4, point format 6` and the like.
@@ -75,7 +82,7 @@ pub trait PointReader: Send {
     fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()>;
 }
 
-/// Opens a cloud: LAS, LAZ (also COPC) and PLY by their first bytes, everything else as a table of text.
+/// Opens a cloud: LAS, LAZ (also COPC), PLY and E57 by their first bytes, everything else as a table of text.
 ///
 /// # Errors
 /// When the file cannot be opened, or its header breaks the format's rules.
@@ -98,7 +105,7 @@ pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     } else if magic.starts_with(b"ply ") || magic.starts_with(b"ply\n") || magic.starts_with(b"ply\r") {
         ply::open(path)
     } else if magic.starts_with(b"ASTM-E57") {
-        Err(Error::unsupported(path, "E57", "convert it to LAZ or PLY first"))
+        e57::open(path)
     } else {
         text::open(path)
     }

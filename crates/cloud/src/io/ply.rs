@@ -213,6 +213,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         precision: if single { Precision::Single } else { Precision::Double },
         crs: parsed.crs,
         shift: parsed.shift,
+        intensity: None,
         las: None,
         description: format!("PLY, {encoding}"),
     };

@@ -90,7 +90,7 @@ fn next_line<'a>(
         }
         *line += 1;
         if read as u64 == MOST_LINE_BYTES || bytes.contains(&0) {
-            let what = "this is neither LAS, LAZ, PLY nor a table of text";
+            let what = "this is neither LAS, LAZ, PLY, E57 nor a table of text";
             return Err(Error::format(path, format!("line {line}"), what));
         }
         if let Cow::Owned(text) = String::from_utf8_lossy(bytes) {
@@ -129,6 +129,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         precision: Precision::Double,
         crs: None,
         shift: None,
+        intensity: None,
         las: None,
         description: format!("text, {columns} columns"),
     };

@@ -12,7 +12,7 @@ use clap::{Args, Subcommand};
 
 use super::common::{self, Bytes};
 
-/// Clean, grid and describe point clouds (LAS, LAZ, COPC, PLY, text) of any size in bounded memory.
+/// Clean, grid and describe point clouds (LAS, LAZ, COPC, PLY, E57, text) of any size in bounded memory.
 #[derive(Args, Debug)]
 pub struct CloudArgs {
     #[command(subcommand)]
