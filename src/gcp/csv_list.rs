@@ -102,6 +102,9 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         (x, y, false, ColumnOrder::Assumed)
     };
     let (name, height) = (find(NAMES).filter(|i| *i != easting && *i != northing), find(HEIGHTS));
+    // MicMac calls the name N, before X, Y and Z.
+    let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
+    let name = name.or_else(micmac);
     // MicMac's Ix and Iy are accuracies beside an Iz only; alone they may be pixels.
     let is_accuracy = |at: &usize| !matches!(tidied[*at].as_str(), "ix" | "iy") || find(&["iz"]).is_some();
     let both = [SIGMA_EASTS, SIGMA_NORTHS].map(|names| find(names).filter(is_accuracy));

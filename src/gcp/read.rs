@@ -428,8 +428,8 @@ fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: O
     }
 }
 
-/// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and none
-/// has a height that ground has.
+/// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and
+/// none has a height that ground has.
 fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
     const RADII_M: std::ops::Range<f64> = 6.33e6..6.4e6;
     const HIGHEST_M: f64 = 10_000.0;

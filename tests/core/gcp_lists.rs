@@ -483,3 +483,89 @@ fn entities_in_xml_are_read_where_they_stand() {
     assert_eq!(place(&list, 0), ("A & B", 570_000.0, 7_032_000.0, Some(3.0)));
     assert_eq!((list.gcps[0].sigma_m, list.gcps[0].sigma_height_m), (Some(0.02), Some(0.05)));
 }
+
+#[test]
+fn titles_win_over_rows_that_look_like_observations() {
+    let folder = Folder::new();
+    let utm = with_crs("EPSG:32633");
+    let point = ("1", 610_852.39, 5_277_733.59, Some(463.662));
+    // Names that are numbers, and five numbers behind them, as a list of OpenDroneMap begins.
+    for (content, sigmas) in [
+        (
+            "Name;Easting;Northing;Elevation;Longitude;Latitude\n\
+             1;610852.39;5277733.59;463.662;16.47640;47.64350\n2;610872.97;5277729.76;461.732;16.47667;47.64347\n",
+            (None, None),
+        ),
+        (
+            "name,easting,northing,height,sigma_m,sigma_height_m\n1,610852.39,5277733.59,463.662,0.01,0.02\n\
+             2,610872.97,5277729.76,461.732,0.01,0.02\n",
+            (Some(0.01), Some(0.02)),
+        ),
+        (
+            "# N X Y Z Sx Sy Sz\n1 610852.39 5277733.59 463.662 0.03 0.03 0.05\n2 610872.97 5277729.76 461.732 1 1 2\n",
+            (Some(0.03), Some(0.05)),
+        ),
+        (
+            "1 610852.39 5277733.59 463.662 0.03 0.03 0.05\n2 610872.97 5277729.76 461.732 0.1 0.1 0.2\n",
+            (Some(0.03), Some(0.05)),
+        ),
+        ("1;610852.39;5277733.59;463.662*\n2;610872.97;5277729.76;461.732*\n", (None, None)),
+    ] {
+        let list = folder.read("list.csv", content, &utm).unwrap_or_else(|e| panic!("{content}: {e}"));
+        // A number with a mark is no height that could be trusted, and no name.
+        let height = if content.contains('*') { None } else { point.3 };
+        assert_eq!(place(&list, 0), (point.0, point.1, point.2, height), "{content}");
+        let near = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(a == b, |(a, b)| (a - b).abs() < 1e-12);
+        assert!(near(list.gcps[0].sigma_m, sigmas.0) && near(list.gcps[0].sigma_height_m, sigmas.1), "{content}");
+    }
+    // Datums begin titles, too.
+    let titles = "WGS84 Latitude,WGS84 Longitude,name\n47.6435,16.4764,A\n47.6445,16.4774,B\n";
+    let list =
+        folder.read("list.csv", titles, &GcpOptions { to_crs: Some("EPSG:32633".into()), ..GcpOptions::default() });
+    assert_eq!(list.map(|list| list.gcps.len()).map_err(|e| e.contains("reference system")), Ok(2));
+    // Colours of a cloud are no accuracies.
+    let cloud = "665187.5 5648349.9 241.8 117 73 49\n665188.5 5648350.9 241.9 91 87 74\n";
+    let list = folder.read("list.xyz", cloud, &utm).expect("points");
+    assert!(
+        list.gcps[0].sigma_m.is_none() && list.notes.iter().any(|n| n.contains("column 4, 5, 6")),
+        "{:?}",
+        list.notes
+    );
+}
+
+#[test]
+fn observations_need_no_reference_system_above_them() {
+    let folder = Folder::new();
+    let rows = "668184.6 5000000.1 100 792 1295 a.jpeg G1\n668184.6 5000000.1 100 392 195 b.jpeg G1\n\
+                668204.6 5000010.1 101 10 20 a.jpeg CHK-G2\n";
+    let list = folder.read("gcp_list.txt", rows, &with_crs("EPSG:32633")).expect("two points");
+    assert_eq!(place(&list, 0), ("G1", 668_184.6, 5_000_000.1, Some(100.0)));
+    assert_eq!((list.gcps.len(), list.gcps[1].role), (2, GcpRole::Check));
+}
+
+#[test]
+fn columns_that_tell_points_apart_are_names() {
+    let folder = Folder::new();
+    let utm = with_crs("EPSG:32633");
+    let named = |titles: &str, ids: [&str; 2]| {
+        let text = format!("{titles}\n{},500000.5,6000000.5,1\n{},500010.5,6000010.5,2\n", ids[0], ids[1]);
+        let list = folder.read("list.csv", text, &utm).expect("two points");
+        list.gcps.iter().map(|gcp| gcp.name.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(named("local_id,POINT_X,POINT_Y,Altitude", ["23", "2"]), ["23", "2"]);
+    assert_eq!(named("GCP_PointNr,E_GNSS,N_GNSS,H_GNSS", ["p", "q"]), ["p", "q"]);
+    // A survey's number is the same for all.
+    assert_eq!(named("survey_id,x,y,z", ["7", "7"]), ["2", "3"]);
+    assert_eq!(named("image_name,x,y,z", ["a.jpg", "b.jpg"]), ["2", "3"]);
+}
+
+#[test]
+fn coordinates_from_the_centre_of_the_earth_are_refused() {
+    let folder = Folder::new();
+    let said = folder.read(
+        "list.txt",
+        "101 4318773.5 3250831.4 3375556.0\n116 4327519.7 3227451.6 3387035.3\n",
+        &with_crs("EPSG:32633"),
+    );
+    assert!(said.is_err_and(|e| e.contains("centre of the Earth")));
+}

@@ -279,7 +279,7 @@ fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
         | GdalOpenFlags::GDAL_OF_INTERNAL
         | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
     let options = DatasetOptions { open_flags: flags, ..Default::default() };
-    let opened = Dataset::open_ex(name, options).map_err(|e| {
+    let opened = autoref_raster::unheard(|| Dataset::open_ex(name, options)).map_err(|e| {
         use gdal::errors::GdalError;
         let text = match &e {
             GdalError::CplError { msg, .. } | GdalError::NullPointer { msg, .. } if !msg.is_empty() => msg.clone(),

@@ -114,6 +114,28 @@ fn exact_measurements_give_the_exact_block() {
     assert!((found.cameras[0].f_px() - 2107.0).abs() < 1e-4 && found.blunders.is_empty());
 }
 
+/// Rays that are parallel tell nothing of the point, and take nothing from what others tell.
+#[test]
+fn a_tie_without_depth_costs_no_covariance() {
+    let mut draw = Draw(3);
+    let (truth, mut points) = block(&mut draw, 5, 150, 8);
+    let mut start = truth.clone();
+    noisy(&mut draw, &mut start, &mut points, 0.5, 1.0);
+    let options = AdjustOptions { sigma_tie_px: Some(0.5), ..AdjustOptions::default() };
+    let without = adjust(&start, &points, &options).expect("adjusted");
+    let camera = &truth.cameras[0];
+    let ray = Vector3::from(camera.ray([900.0, 700.0]).expect("inside"));
+    let far = truth.photographs[2].pose.centre + truth.photographs[2].pose.rotation.transpose() * ray * 3e9;
+    let seen = [2, 3].map(|i| (i, camera.project(truth.photographs[i].pose.to_camera(&far).into()).expect("in front")));
+    start.ties.push(TiePoint { xyz: far, seen: seen.to_vec() });
+    let with = adjust(&start, &points, &options).expect("adjusted");
+    assert!(with.notes.iter().all(|note| !note.contains("singular")), "{:?}", with.notes);
+    for (a, b) in with.photographs.iter().zip(&without.photographs) {
+        let (a, b) = (a.covariance.expect("stated"), b.covariance.expect("stated"));
+        assert!((a - b).norm() < 0.05 * b.norm(), "{a} {b}");
+    }
+}
+
 #[test]
 fn blunders_are_named() {
     let mut draw = Draw(7);

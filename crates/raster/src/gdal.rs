@@ -269,12 +269,17 @@ impl GdalDecoder {
         place: &str,
     ) -> Result<()> {
         let size = (window.width as usize, window.height as usize);
-        band.read_into_slice((window.x as isize, window.y as isize), size, size, plane, None).map_err(|e| {
-            match self.name.error(e) {
-                Error::Gdal { path, what } => Error::gdal(path, format!("{place}, {}: {what}", at(window))),
-                other => other,
-            }
-        })
+        let at_pixel = (window.x as isize, window.y as isize);
+        let (read, failure) =
+            super::written::failure_during(|| band.read_into_slice(at_pixel, size, size, plane, None));
+        read.map_err(|e| match self.name.error(e) {
+            Error::Gdal { path, what } => Error::gdal(path, format!("{place}, {}: {what}", at(window))),
+            other => other,
+        })?;
+        match failure {
+            Some(what) => Err(Error::gdal(&self.name.path, format!("{place}, {}: {what}", at(window)))),
+            None => Ok(()),
+        }
     }
 
     /// All samples of `window`, interleaved into `out`, which has `samples` of them a pixel.

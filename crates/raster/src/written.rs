@@ -21,6 +21,24 @@ pub(crate) fn note_failure(message: &str) {
     LAST.with_borrow_mut(|last| message.clone_into(last));
 }
 
+/// What GDAL failed at on this thread while `work` ran, though it may have answered that all is well: decoders of fax
+/// go on over broken rows.
+pub(crate) fn failure_during<R>(work: impl FnOnce() -> R) -> (R, Option<String>) {
+    let before = FAILURES.get();
+    let result = work();
+    let failed = FAILURES.get() > before;
+    (result, failed.then(|| LAST.with_borrow(Clone::clone)))
+}
+
+/// Runs what answers for itself: what GDAL tells meanwhile is no failure of a file that is written. A file that opens
+/// may have metadata that GDAL cannot read.
+pub fn unheard<R>(work: impl FnOnce() -> R) -> R {
+    let before = FAILURES.get();
+    let result = work();
+    FAILURES.set(before);
+    result
+}
+
 /// Watches the writing of one dataset on this thread.
 pub struct Written {
     path: PathBuf,

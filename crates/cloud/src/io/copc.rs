@@ -1,5 +1,5 @@
-//! COPC: LAZ whose chunks are the nodes of an octree (A. Bell, B. Chambers, H. Butler and others, *Cloud Optimized Point
-//! Cloud Specification* 1.0, 2021), built in bounded memory.
+//! COPC: LAZ whose chunks are the nodes of an octree (Hobu, Inc., *Cloud Optimized Point Cloud Specification* 1.0,
+//! 2021), built in bounded memory.
 //!
 //! Records are spooled to the scratch disk as they come. A node then takes from its points the first in each of 128³
 //! cells of its cube, so that every level is an even choice of what lies below, and hands the others on to its eight

@@ -184,6 +184,12 @@ fn split<const N: usize>(
     ([at[0].v, at[1].v], Matrix2x3::from_fn(|r, c| at[r].d[c]))
 }
 
+/// Whether rays meet at less than some two seconds of arc: the point could lie anywhere along them.
+fn is_without_depth(v: &Matrix3<f64>) -> bool {
+    let known = v.symmetric_eigenvalues();
+    known.min() < 1e-10 * known.max()
+}
+
 /// One point after elimination: V⁻¹, its right side, and Jᵀ_c J_x by observation and by camera.
 struct Eliminated {
     inverse: Matrix3<f64>,
@@ -246,6 +252,11 @@ impl Reduced {
                 if v[(a, a)] > 0.0 {
                     slope = slope.max(g[a].abs() / v[(a, a)].sqrt());
                 }
+            }
+            if damping == 0.0 && problem.points[j].survey.is_none() && is_without_depth(&v) {
+                // Its huge inverse would drown what all others say.
+                done.clear();
+                (v, g) = (Matrix3::zeros(), Vector3::zeros());
             }
             let diagonal = v.diagonal().map(|d| d.max(1e-12));
             point_diagonal.push(diagonal);

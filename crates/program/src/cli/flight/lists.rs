@@ -20,8 +20,8 @@ pub struct PointArgs {
     /// any list of points, with --observations.
     #[arg(long, value_name = "LIST")]
     pub gcps: PathBuf,
-    /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, or MicMac's
-    /// measurements.
+    /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, MicMac's
+    /// measurements, or a folder with such files. Those of MMVII are also found beside its MesGCP file.
     #[arg(long, value_name = "FILE")]
     pub observations: Option<PathBuf>,
     /// CRS of the list; `local` for metric coordinates on a plane.
@@ -363,32 +363,25 @@ pub fn load(
     model: Option<&Reconstruction>,
 ) -> Result<Control> {
     let mut control = ground(list, crs, model)?;
-    let beside = || -> Option<PathBuf> {
-        // MicMac keeps measurements in a file of their own.
-        if control.points.iter().any(|p| !p.seen.is_empty()) || list.extension().is_none_or(|e| e != "xml") {
-            return None;
-        }
-        // `SaisieAppuisPredic` names them NAME-S3D.xml and NAME-S2D.xml.
-        let name = list.file_name().and_then(|n| n.to_str()).unwrap_or_default();
-        let twin = list.with_file_name(name.replace("-S3D", "-S2D"));
-        if name.contains("-S3D") && twin.is_file() {
-            return Some(twin);
-        }
-        let mut files: Vec<PathBuf> = std::fs::read_dir(list.parent()?).ok()?.flatten().map(|e| e.path()).collect();
-        files.sort();
-        let found: Vec<PathBuf> = files
-            .into_iter()
-            .filter(|p| p.extension().is_some_and(|e| e == "xml") && micmac::has_image_points(p))
-            .collect();
-        (found.len() == 1).then(|| found[0].clone())
+    let files = match observations {
+        Some(folder) if folder.is_dir() => match measurements_in(folder) {
+            found if found.is_empty() => bail!("{}: no XML in it measures points in images", folder.display()),
+            found => found,
+        },
+        Some(file) => vec![file.to_path_buf()],
+        None if control.points.iter().any(|p| !p.seen.is_empty()) => Vec::new(),
+        None => measurements_beside(list),
     };
-    if let Some(file) = observations.map(Path::to_path_buf).or_else(beside) {
-        let measured: Vec<(String, String, [f64; 2])> = if file.extension().is_some_and(|e| e == "xml") {
-            micmac::read_image_points(&file)?
-        } else {
-            let rows = tables::image_points(&file)?.1.into_iter();
-            rows.filter_map(|p| Some((p.image, p.name, p.pixel?))).collect()
-        };
+    if let Some(file) = files.first() {
+        let mut measured: Vec<(String, String, [f64; 2])> = Vec::new();
+        for file in &files {
+            if file.extension().is_some_and(|e| e == "xml") {
+                measured.extend(micmac::read_image_points(file)?);
+            } else {
+                let rows = tables::image_points(file)?.1.into_iter();
+                measured.extend(rows.filter_map(|p| Some((p.image, p.name, p.pixel?))));
+            }
+        }
         // They have the last word: what the list says of images is left out.
         control.points.iter_mut().for_each(|p| p.seen.clear());
         let mut unlisted = Vec::new();
@@ -419,6 +412,38 @@ pub fn load(
         }
     }
     Ok(control)
+}
+
+/// Files in a folder that hold points measured in images, in MicMac's forms, by name.
+fn measurements_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let is_xml = |path: &PathBuf| path.is_file() && path.extension().is_some_and(|e| e == "xml");
+    let mut files: Vec<PathBuf> =
+        entries.map(|entry| entry.path()).filter(is_xml).filter(|path| micmac::has_image_points(path)).collect();
+    files.sort();
+    files
+}
+
+/// The measurements that belong to a list of MicMac's, which keeps them in files of their own: one, or MMVII's
+/// `MesIm-IMAGE.xml` for every image.
+fn measurements_beside(list: &Path) -> Vec<PathBuf> {
+    if list.extension().is_none_or(|e| e != "xml") {
+        return Vec::new();
+    }
+    let name = |path: &Path| path.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_string();
+    // `SaisieAppuisPredic` names them NAME-S3D.xml and NAME-S2D.xml.
+    let twin = list.with_file_name(name(list).replace("-S3D", "-S2D"));
+    if name(list).contains("-S3D") && twin.is_file() {
+        return vec![twin];
+    }
+    let folder = list.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let found = measurements_in(folder);
+    let of_mmvii: Vec<PathBuf> = found.iter().filter(|path| name(path).starts_with("MesIm-")).cloned().collect();
+    match (found.len(), of_mmvii.len()) {
+        (1, _) => found,
+        (_, 1..) => of_mmvii,
+        _ => Vec::new(),
+    }
 }
 
 fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Result<Control> {
