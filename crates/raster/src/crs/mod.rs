@@ -75,6 +75,11 @@ impl Crs {
     /// centre.
     pub fn parse(text: &str) -> Result<Crs> {
         crate::initialise_gdal(0);
+        // A definition that is none harms no file that is being written meanwhile.
+        crate::written::unheard(|| Crs::read(text))
+    }
+
+    fn read(text: &str) -> Result<Crs> {
         let text = text.trim();
         let file = Path::new(text);
         let from_file = text.len() < 4096 && file.is_file();
@@ -213,6 +218,19 @@ impl Crs {
         self.height_metres_per_unit
     }
 
+    /// A projected system of three axes without its heights, which are ellipsoidal: GeoTIFF has no keys for such a
+    /// one. `None` for all others, compound ones too.
+    #[allow(unsafe_code)]
+    pub fn without_ellipsoidal_height(&self) -> Option<Crs> {
+        let reference = self.spatial_ref().ok()?;
+        if self.kind != Kind::Projected || reference.is_compound() || reference.axes_count() != 3 {
+            return None;
+        }
+        // SAFETY: the handle belongs to `reference`, which outlives the call; a null name keeps the name.
+        let code = unsafe { gdal_sys::OSRDemoteTo2D(reference.to_c_hsrs(), std::ptr::null()) };
+        (code == gdal_sys::OGRErr::OGRERR_NONE).then(|| Crs::describe(&reference, self.kind).ok()).flatten()
+    }
+
     /// Whether a point lies where the system is meant to be used, give or take two degrees. `None` when that is not
     /// known.
     pub fn covers(&self, x: f64, y: f64) -> Option<bool> {
@@ -342,6 +360,23 @@ fn unit_of_up_axis(wkt: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ellipsoidal_heights_of_a_projected_system_can_be_left_out() {
+        let three = SpatialRef::from_definition("EPSG:7899").expect("known");
+        // SAFETY: the handle belongs to `three`, which outlives the call; a null name keeps the name.
+        #[allow(unsafe_code)]
+        unsafe {
+            gdal_sys::OSRPromoteTo3D(three.to_c_hsrs(), std::ptr::null())
+        };
+        let three = Crs::parse(&three.to_wkt().expect("WKT")).expect("known");
+        assert!(three.height_metres_per_unit().is_some());
+        let flat = three.without_ellipsoidal_height().expect("it has three axes");
+        assert_eq!((flat.height_metres_per_unit(), flat.is_geographic()), (None, false));
+        for other in ["EPSG:25832", "EPSG:25832+5941", "EPSG:4979"] {
+            assert_eq!(Crs::parse(other).expect(other).without_ellipsoidal_height(), None, "{other}");
+        }
+    }
 
     #[test]
     fn nonsense_is_one_clear_line() {
