@@ -190,7 +190,7 @@ fn what_las_knows_goes_to_its_own_place() {
     let text = std::fs::read(folder.at("b.ply")).expect("written");
     assert!(String::from_utf8_lossy(&text).contains("comment crs EPSG:25833\n"));
     // What has no room is refused, not cut.
-    let wide = folder.put("wide.xyz", "x y z intensity\n1 1 1 70000\n2 2 2 5\n");
+    let wide = folder.put("wide.xyz", "x y z user_data\n1 1 1 70000\n2 2 2 5\n");
     refused(&["clean", &wide, "-o", &folder.text("wide.las"), "--z=-9,9"], "70000", &folder.at("wide.las"));
     let twice = folder.put("twice.xyz", "x y z z\n1 2 3 1\n");
     refused(&["clean", &twice, "-o", &folder.text("t.ply"), "--z=-9,9"], "there twice", &folder.at("t.ply"));

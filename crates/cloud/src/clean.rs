@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use autoref_raster::crs::Crs;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -60,6 +59,13 @@ impl Step {
             Step::Isolated(_) => "isolated",
             Step::Ground(_) => "ground",
         }
+    }
+}
+
+impl Step {
+    /// Whether it counts in one unit along all axes.
+    fn needs_lengths(&self) -> bool {
+        !matches!(self, Step::Crop(Crop::Height { .. } | Crop::Polygon(_)))
     }
 }
 
@@ -122,12 +128,8 @@ pub struct CleanReport {
     pub seconds: f64,
     pub steps: Vec<StepReport>,
     pub summary: Summary,
-}
-
-/// `m`, or what the CRS counts in.
-fn unit_of(crs: Option<&str>) -> String {
-    let crs = crs.and_then(|text| Crs::parse(text).ok()).filter(|crs| crs.metres_per_unit() != 1.0);
-    crs.map_or("m".into(), |crs| crs.unit_name().to_string())
+    /// What of the cloud the output does not carry, and what else is to be known of it.
+    pub notes: Vec<String>,
 }
 
 impl Plan {
@@ -168,7 +170,9 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         ));
     }
     let began = Instant::now();
-    let (header, mut tiles, invalid) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
+    let (mut header, _) = io::open(input)?;
+    let notes = look(input, named, plan, &mut header)?;
+    let (mut tiles, invalid) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
     let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);
     let mut steps = Vec::new();
     let mut active = tiles.points;
@@ -203,7 +207,7 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         input: input.to_path_buf(),
         output: named.to_path_buf(),
         format: header.description,
-        unit: unit_of(header.crs.as_deref()),
+        unit: io::unit_of(header.crs.as_deref().or(plan.crs_wkt.as_deref())),
         crs: header.crs,
         shift,
         points,
@@ -213,7 +217,24 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         seconds: began.elapsed().as_secs_f64(),
         steps,
         summary,
+        notes,
     })
+}
+
+/// Settles the reference system, refuses what makes no sense in it, and says what the output will not carry.
+fn look(input: &Path, named: &Path, plan: &Plan, header: &mut Header) -> Result<Vec<String>> {
+    let asked = plan.crs_wkt.as_deref();
+    let mut notes: Vec<String> = header.settle_crs(asked).into_iter().collect();
+    if let Some(step) = plan.steps.iter().find(|step| step.needs_lengths()) {
+        header.refuse_degrees(input, asked, &format!("the step {}", step.name()))?;
+    }
+    if io::format_of(named)? == io::Format::Ply {
+        notes.extend(header.lost_in_ply());
+    }
+    for note in &notes {
+        tracing::warn!("{}: {note}", input.display());
+    }
+    Ok(notes)
 }
 
 /// What the points that are written span. LAS counts in tenths of a millimetre up to some 200 km; in a wider cloud a
@@ -233,8 +254,8 @@ fn kept_bounds(tiles: &Tiles, plan: &Plan, dropped: u64) -> Result<Bounds> {
 }
 
 /// Reads all points and shares them out.
-fn spool(input: &Path, plan: &Plan) -> Result<(Header, Tiles, u64)> {
-    let (header, mut reader) = io::open(input)?;
+fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64)> {
+    let (_, mut reader) = io::open(input)?;
     let mut scratch = Scratch::new(&plan.scratch)?;
     let mut spool = Spool::new(&mut scratch)?;
     let mut batch = Batch::default();
@@ -267,7 +288,7 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Header, Tiles, u64)> {
         return Err(Error::format(input, "points", format!("all {} lie at one place, ({x}, {y}, {z})", spool.points)));
     }
     spool.indices = index;
-    Ok((header, Tiles::new(scratch, spool, plan.most_tile_points())?, invalid))
+    Ok((Tiles::new(scratch, spool, plan.most_tile_points())?, invalid))
 }
 
 fn run_step(

@@ -45,6 +45,18 @@ impl Kind {
         }
     }
 
+    /// Whether the value at the begin of `bytes` is `number`: a u64, an i64 or an f64.
+    fn is_stored(self, bytes: &[u8], number: [u8; 8]) -> bool {
+        match self {
+            Kind::U64 | Kind::I64 => bytes[..8] == number,
+            Kind::U8 | Kind::U16 | Kind::U32 => self.read(bytes) == u64::from_le_bytes(number) as f64,
+            Kind::I8 | Kind::I16 | Kind::I32 => self.read(bytes) == i64::from_le_bytes(number) as f64,
+            // A single is compared as a single.
+            Kind::F32 => self.read(bytes) == f64::from(f64::from_le_bytes(number) as f32),
+            Kind::F64 => self.read(bytes) == f64::from_le_bytes(number),
+        }
+    }
+
     /// Its name in a PLY header.
     pub fn ply_name(self) -> &'static str {
         match self {
@@ -101,12 +113,14 @@ pub struct Field {
     /// The value is `stored · scale + shift`.
     pub scale: f64,
     pub shift: f64,
+    /// The stored number that stands for no value, widened to eight bytes as LAS has it.
+    pub no_data: Option<[u8; 8]>,
 }
 
 impl Field {
     /// A field that takes whole bytes and means what it stores.
     pub fn plain(name: impl Into<String>, kind: Kind, offset: usize) -> Self {
-        Field { name: name.into(), kind, offset, bits: None, scale: 1.0, shift: 0.0 }
+        Field { name: name.into(), kind, offset, bits: None, scale: 1.0, shift: 0.0, no_data: None }
     }
 
     /// Some bits of a byte or word.
@@ -114,14 +128,22 @@ impl Field {
         Field { bits: Some((right, mask)), ..Field::plain(name, kind, offset) }
     }
 
-    /// The value in `record`.
+    /// The value in `record`; NaN where the record says that there is none.
     pub fn value(&self, record: &[u8]) -> f64 {
+        if self.no_data.is_some_and(|none| self.kind.is_stored(&record[self.offset..], none)) {
+            return f64::NAN;
+        }
         let stored = self.kind.read(&record[self.offset..]);
         match self.bits {
             Some((right, mask)) => ((stored as u64 >> right) & mask) as f64,
             None => stored * self.scale + self.shift,
         }
     }
+}
+
+/// A name without blanks and capitals.
+fn plain(name: &str) -> String {
+    name.split_whitespace().collect::<Vec<_>>().join("_").to_ascii_lowercase()
 }
 
 /// The fields of a cloud's records, coordinates left out.
@@ -133,10 +155,26 @@ pub struct Schema {
 }
 
 impl Schema {
-    /// The field of that name; upper and lower case are the same.
+    /// The field of that name; upper and lower case are the same, and so are blanks and underscores.
     pub fn field(&self, name: &str) -> Option<&Field> {
-        let name = name.to_ascii_lowercase();
+        let name = plain(name);
         self.fields.iter().find(|field| field.name == name)
+    }
+
+    /// Makes names lower-case, words joined by underscores, and no name twice: the second `intensity` becomes
+    /// `intensity_2`. So every format knows a field by the same name.
+    pub fn name_once(&mut self) {
+        let mut taken = std::collections::HashSet::new();
+        for field in &mut self.fields {
+            let plain = Some(plain(&field.name)).filter(|name| !name.is_empty()).unwrap_or("unnamed".into());
+            let mut name = plain.clone();
+            let mut number = 1;
+            while !taken.insert(name.clone()) {
+                number += 1;
+                name = format!("{plain}_{number}");
+            }
+            field.name = name;
+        }
     }
 
     /// Appends a field at the end of the record.

@@ -6,6 +6,7 @@
 //! that fit the memory; points near the border of strips go to both.
 
 mod accumulate;
+mod place;
 mod plane;
 mod write;
 
@@ -20,11 +21,15 @@ use crate::schema::{Batch, Field};
 use crate::tiles::Scratch;
 
 use accumulate::Strip;
+use place::Place;
 use plane::{Plane, PointFile};
 pub use write::output_paths;
 
 const BATCH: usize = 1 << 14;
 const BASE_BYTES: u64 = 80 << 20;
+/// Larger values are none: sums in whole steps of 128 bits would not hold them, nor singles most of their squares. No
+/// whole number of 64 bits is so large.
+const MOST_VALUE: f64 = 1e20;
 
 /// What is made of the points of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,15 +202,17 @@ impl Source {
         })
     }
 
+    /// NaN for none.
     fn value(&self, map: [f64; 3], raw: &[u8]) -> f64 {
-        match self {
+        let value = match self {
             Source::X => map[0],
             Source::Y => map[1],
             Source::Z => map[2],
             Source::Range(camera) => crop::distance(map, *camera),
             Source::Field(field) => field.value(raw),
             Source::Grey(fields) => fields.iter().map(|field| field.value(raw)).sum::<f64>() / 3.0,
-        }
+        };
+        if value.abs() <= MOST_VALUE { value } else { f64::NAN }
     }
 }
 
@@ -214,8 +221,14 @@ impl Source {
 pub struct GridReport {
     pub input: PathBuf,
     pub points: u64,
-    /// Noise and values that are no numbers.
+    /// Noise, and points that have no value at all.
     pub points_left_out: u64,
+    /// For each dimension: points without a value of it (NaN, what the file declares for none, beyond 10²⁰).
+    pub points_without_value: Vec<u64>,
+    /// In which coordinates, and so cells, count.
+    pub unit: String,
+    /// What is to be known of the grids.
+    pub notes: Vec<String>,
     pub frame: Frame,
     pub crs: Option<String>,
     pub strips: usize,
@@ -225,7 +238,7 @@ pub struct GridReport {
 }
 
 /// Refuses a grid whose planes the disk does not hold: one point far away is enough for that.
-fn check_scratch(path: &Path, frame: &Frame, options: &Options, dimensions: usize) -> Result<()> {
+fn check_scratch(path: &Path, frame: &Frame, options: &Options, (dimensions, unit): (usize, &str)) -> Result<()> {
     const VALUE_BYTES: u64 = 8;
     let cells = (frame.columns as u64).saturating_mul(frame.rows as u64);
     let planes = (dimensions * (1 + options.stats.len())) as u64;
@@ -233,7 +246,7 @@ fn check_scratch(path: &Path, frame: &Frame, options: &Options, dimensions: usiz
     match autoref_raster::free_disk_bytes(&options.scratch) {
         Some(free) if needed > free => Err(Error::usage(
             format!(
-                "{}: {} × {} cells of {} m would take {:.0} GB of scratch data; {} has {:.0} GB free",
+                "{}: {} × {} cells of {} {unit} would take {:.0} GB of scratch data; {} has {:.0} GB free",
                 path.display(),
                 frame.columns,
                 frame.rows,
@@ -303,6 +316,19 @@ struct Work<'a> {
 /// Files of points that are open at a time.
 const MOST_FILES: usize = 256;
 
+/// Points that lack all values, and those that lack that of each dimension.
+struct Lacking {
+    all: u64,
+    each: Vec<u64>,
+}
+
+impl Lacking {
+    fn notes(&self, options: &Options) -> Vec<String> {
+        let lacking = options.dimensions.iter().zip(&self.each).filter(|(_, count)| **count > 0);
+        lacking.map(|(dimension, count)| format!("{count} points have no value of {}", dimension.name)).collect()
+    }
+}
+
 /// A strip's medians take more memory than there is: how much at least.
 struct Full(u64);
 
@@ -334,7 +360,8 @@ impl Work<'_> {
     }
 
     fn take(&self, strip: &mut [Strip], place: [f64; 2], values: &[f64]) -> std::result::Result<(), Full> {
-        for ((strip, &value), dimension) in strip.iter_mut().zip(values).zip(&self.options.dimensions) {
+        let all = strip.iter_mut().zip(values).zip(&self.options.dimensions);
+        for ((strip, &value), dimension) in all.filter(|((_, value), _)| !value.is_nan()) {
             strip.add(place, value, dimension.radius_m).map_err(Full)?;
         }
         Ok(())
@@ -348,24 +375,24 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Hands over the points whose values are numbers; answers how many are not.
-    fn each_valid(&self, mut each: impl FnMut([f64; 2], &[f64]) -> Result<()>) -> Result<u64> {
+    /// Hands over the points that have a value, NaN for those that they lack; answers how many lack which.
+    fn each_valid(&self, mut each: impl FnMut([f64; 2], &[f64]) -> Result<()>) -> Result<Lacking> {
         let mut values = vec![0.0; self.sources.len()];
-        let mut invalid = 0;
+        let mut lacking = Lacking { all: 0, each: vec![0; self.sources.len()] };
         each_point(self.path, self.options, |map, raw| {
             values.iter_mut().zip(self.sources).for_each(|(value, source)| *value = source.value(map, raw));
-            if values.iter().all(|value| value.is_finite()) {
-                each([map[0], map[1]], &values)
-            } else {
-                invalid += 1;
-                Ok(())
+            lacking.each.iter_mut().zip(&values).for_each(|(count, value)| *count += u64::from(value.is_nan()));
+            if values.iter().all(|value| value.is_nan()) {
+                lacking.all += 1;
+                return Ok(());
             }
+            each([map[0], map[1]], &values)
         })?;
-        Ok(invalid)
+        Ok(lacking)
     }
 
-    /// All rows at once; answers how many values are no numbers, or `None` where the medians do not fit.
-    fn whole(&mut self) -> Result<Option<u64>> {
+    /// All rows at once; answers which values lack, or `None` where the medians do not fit.
+    fn whole(&mut self) -> Result<Option<Lacking>> {
         let mut strip = self.new_strip(&(0..self.frame.rows));
         let mut full = false;
         let read = self.each_valid(|place, values| {
@@ -382,8 +409,8 @@ impl Work<'_> {
         Ok(Some(invalid))
     }
 
-    /// Strip by strip, over files of points; answers how many values are no numbers.
-    fn by_strips(&mut self, strip_rows: usize) -> Result<u64> {
+    /// Strip by strip, over files of points; answers which values lack.
+    fn by_strips(&mut self, strip_rows: usize) -> Result<Lacking> {
         let rows = self.frame.rows;
         let strip_rows = strip_rows.max(rows.div_ceil(MOST_FILES));
         let strips = rows.div_ceil(strip_rows);
@@ -429,6 +456,16 @@ impl Work<'_> {
         self.finish(strip)
     }
 
+    /// All planes, at once where they fit; answers which values lack.
+    fn run(&mut self, points: u64) -> Result<Lacking> {
+        self.make_planes()?;
+        let strip_rows = self.most_rows.min(self.rows_for_medians(points));
+        match if strip_rows == self.frame.rows { self.whole()? } else { None } {
+            Some(lacking) => Ok(lacking),
+            None => self.by_strips(strip_rows),
+        }
+    }
+
     fn too_many(&self, needed: u64) -> Error {
         Error::Limit {
             what: format!("{}: the median of so many points in a row of cells", self.path.display()),
@@ -439,21 +476,17 @@ impl Work<'_> {
     }
 }
 
-/// Grids one cloud into `folder`; files appear whole or not at all.
-///
-/// # Errors
-/// Bad input, dimensions that the cloud does not carry, a grid without bounds, a full disk.
-pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport> {
-    let began = std::time::Instant::now();
-    let (header, _) = io::open(path)?;
-    let sources: Vec<Source> = options
-        .dimensions
-        .iter()
-        .map(|dimension| Source::find(path, &dimension.name, &header, options))
-        .collect::<Result<_>>()?;
-    let mut min = [f64::INFINITY; 2];
-    let mut max = [f64::NEG_INFINITY; 2];
-    let (points, mut left_out) = each_point(path, options, |map, _| {
+/// Where the points lie that count, and how many there are, those left out as noise with them.
+struct Extent {
+    min: [f64; 2],
+    max: [f64; 2],
+    points: u64,
+    noise: u64,
+}
+
+fn extent(path: &Path, options: &Options) -> Result<Extent> {
+    let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let (points, noise) = each_point(path, options, |map, _| {
         for axis in 0..2 {
             min[axis] = min[axis].min(map[axis]);
             max[axis] = max[axis].max(map[axis]);
@@ -468,14 +501,31 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
         };
         return Err(Error::format(path, "points", what));
     }
+    Ok(Extent { min, max, points, noise })
+}
+
+/// Grids one cloud into `folder`; files appear whole or not at all.
+///
+/// # Errors
+/// Bad input, a cloud in degrees, dimensions that the cloud does not carry, a grid without bounds, a full disk.
+pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport> {
+    let began = std::time::Instant::now();
+    let (mut header, _) = io::open(path)?;
+    let asked = options.crs_wkt.as_deref();
+    let mut notes: Vec<String> = header.settle_crs(asked).into_iter().collect();
+    header.refuse_degrees(path, asked, "a grid")?;
+    let find = |dimension: &Dimension| Source::find(path, &dimension.name, &header, options);
+    let sources: Vec<Source> = options.dimensions.iter().map(find).collect::<Result<_>>()?;
+    let place = Place::of(&header, options, &mut notes);
+    let Extent { min, max, points, noise } = extent(path, options)?;
     let too_wide = |needed: u64| Error::Limit {
-        what: format!("{}: a grid of {:.0} × {:.0} m", path.display(), max[0] - min[0], max[1] - min[1]),
+        what: format!("{}: a grid of {:.0} × {:.0} {}", path.display(), max[0] - min[0], max[1] - min[1], place.unit),
         needed,
         allowed: options.memory_bytes,
         remedy: "raise --cell or --memory, or clean the cloud first".into(),
     };
     let frame = Frame::new(min, max, options.cell_m, options.manner).ok_or_else(|| too_wide(u64::MAX))?;
-    check_scratch(path, &frame, options, sources.len())?;
+    check_scratch(path, &frame, options, (sources.len(), &place.unit))?;
     let budget = options.memory_bytes.saturating_sub(BASE_BYTES).max(16 << 20);
     let cell_bytes = Strip::cell_bytes(&options.stats) * sources.len() as u64;
     let row_bytes = frame.columns as u64 * cell_bytes;
@@ -497,20 +547,20 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
         planes: Vec::new(),
         strips: 0,
     };
-    work.make_planes()?;
-    let strip_rows = strip_rows.min(work.rows_for_medians(points));
-    let invalid = match if strip_rows == frame.rows { work.whole()? } else { None } {
-        Some(invalid) => invalid,
-        None => work.by_strips(strip_rows)?,
-    };
+    let lacking = work.run(points)?;
     let Work { mut planes, strips, .. } = work;
-    left_out += invalid;
-    let crs = header.crs.clone().or_else(|| options.crs_wkt.clone());
-    let (files_written, cells_with_points) = write::write(path, folder, &frame, &mut planes, options, crs.as_deref())?;
+    notes.extend(lacking.notes(options));
+    for note in &notes {
+        tracing::warn!("{}: {note}", path.display());
+    }
+    let (files_written, cells_with_points) = write::write(path, folder, &frame, &mut planes, options, &place)?;
     Ok(GridReport {
         input: path.to_path_buf(),
         points,
-        points_left_out: left_out,
+        points_left_out: noise + lacking.all,
+        points_without_value: lacking.each,
+        unit: place.unit,
+        notes,
         frame,
         crs: header.crs,
         strips,

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Transaction;
-use autoref_raster::crs::Crs;
+use autoref_raster::set_height_unit;
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
+use super::place::Place;
 use super::plane::Plane;
 use super::{Frame, Manner, Options, Stat};
 use crate::error::{Error, Result};
@@ -59,23 +60,15 @@ pub(super) fn write(
     frame: &Frame,
     planes: &mut [Vec<Plane>],
     options: &Options,
-    crs: Option<&str>,
+    place: &Place,
 ) -> Result<(Vec<PathBuf>, Vec<u64>)> {
-    // A reference system that GDAL does not understand is no reason to refuse the heights.
-    let wkt = crs.and_then(|text| match Crs::parse(text) {
-        Ok(crs) => Some(crs.wkt().to_string()),
-        Err(error) => {
-            tracing::warn!("{}: written without a reference system: {error}", cloud.display());
-            None
-        }
-    });
     let stem = stem(cloud);
     let mut files = Transaction::new();
     let mut with_points = Vec::new();
     for (dimension, planes) in options.dimensions.iter().zip(planes) {
         with_points.push(count_cells(frame, &planes[0]).map_err(|e| scratch(options, e))?);
         let target = |name: &str| folder.join(format!("{stem}_{}_{name}.tif", dimension.name));
-        let grid = Grid { frame, planes, options, wkt: wkt.as_deref(), dimension: &dimension.name };
+        let grid = Grid { frame, planes, options, place, dimension: &dimension.name };
         for (index, (name, stat)) in options.stats.iter().enumerate() {
             let content = if *stat == Stat::Count { Content::Count } else { Content::Plane(index + 1) };
             files.stage(&target(name), |path| grid.write(path, &[(content, name.clone())]))?;
@@ -113,7 +106,7 @@ struct Grid<'a> {
     frame: &'a Frame,
     planes: &'a [Plane],
     options: &'a Options,
-    wkt: Option<&'a str>,
+    place: &'a Place,
     dimension: &'a str,
 }
 
@@ -158,10 +151,14 @@ impl Grid<'_> {
             .map_err(failed)?;
         let cell = self.frame.cell_m;
         file.set_geo_transform(&[self.frame.west, cell, 0.0, self.frame.north, 0.0, -cell]).map_err(failed)?;
-        if let Some(wkt) = self.wkt {
+        if let Some(wkt) = &self.place.wkt {
             file.set_projection(wkt).map_err(failed)?;
         }
         file.set_metadata_item("DIMENSION", self.dimension, "").map_err(failed)?;
+        let is_height = self.dimension == "z" && !matches!(bands.first(), Some((Content::Count, _)));
+        if let Some(unit) = self.place.height_unit.filter(|_| is_height) {
+            set_height_unit(path, &file, unit)?;
+        }
         for (index, (content, name)) in bands.iter().enumerate() {
             let mut band = file.rasterband(index + 1).map_err(failed)?;
             band.set_description(name).map_err(failed)?;

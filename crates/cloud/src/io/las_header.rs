@@ -1,15 +1,15 @@
-//! The header of LAS 1.0–1.4 and its variable length records (ASPRS, *LAS Specification 1.4 – R15*, 2019).
+//! The header of LAS 1.0–1.5 and its variable length records (ASPRS, *LAS Specification 1.4 – R15*, 2019).
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use crate::schema::{Field, Kind, Schema, array};
+use crate::schema::array;
 
 /// Bytes of a variable length record before its content.
 pub(super) const VLR_HEADER_BYTES: usize = 54;
 /// Bytes of one description of an extra dimension.
-const EXTRA_BYTES_RECORD: usize = 192;
+pub(super) const EXTRA_BYTES_RECORD: usize = 192;
 /// No header reaches so far in practice; it bounds what is read for the variable length records.
 const MOST_VLR_BYTES: u64 = 64 << 20;
 
@@ -56,11 +56,11 @@ impl LasHeader {
         let mut raw = vec![0; 227];
         file.read_exact(&mut raw).map_err(|_| bad("begin", format!("{file_bytes} bytes are no whole header")))?;
         let (major, minor) = (raw[24], raw[25]);
-        if major != 1 || minor > 4 {
+        if major != 1 || minor > 5 {
             return Err(Error::unsupported(path, format!("LAS {major}.{minor}"), "convert it to LAS 1.4 first"));
         }
         let size = usize::from(u16_at(&raw, 94));
-        let least = if minor == 4 { 375 } else { 227 };
+        let least = if minor >= 4 { 375 } else { 227 };
         if size < least || size as u64 > file_bytes {
             return Err(bad("byte 94", format!("a header of {size} bytes")));
         }
@@ -78,7 +78,7 @@ impl LasHeader {
             return Err(bad("byte 105", what));
         }
         let mut points = u64::from(u32_at(&raw, 107));
-        if minor == 4 {
+        if minor >= 4 {
             points = match u64_at(&raw, 247) {
                 0 => points,
                 count => count,
@@ -117,10 +117,34 @@ impl LasHeader {
             raw,
         };
         header.read_vlrs(path, file)?;
-        if minor == 4 {
+        if minor >= 4 {
             header.read_records_behind(file, file_bytes);
         }
+        header.leave_1_5(path)?;
         Ok(header)
+    }
+
+    /// LAS 1.5 has the header of 1.4, times of the first and last point, and what GPS times count from behind it.
+    fn leave_1_5(&mut self, path: &Path) -> Result<()> {
+        /// Times have an offset of their own, in millions of seconds; bit 0 means one of 1000.
+        const OWN_OFFSET: u8 = 0x40;
+        if self.minor < 5 {
+            return Ok(());
+        }
+        if self.raw[6] & OWN_OFFSET != 0 {
+            let offset = self.raw.get(391..393).map_or(0, |bytes| i16::from_le_bytes(array(bytes)));
+            if offset != 1000 {
+                let what = format!("GPS times that count from {offset} million seconds");
+                return Err(Error::unsupported(path, what, "convert it to LAS 1.4 first"));
+            }
+            self.raw[6] = self.raw[6] & !OWN_OFFSET | 1;
+        }
+        self.notes.push("LAS 1.5 is read and written as LAS 1.4".into());
+        self.minor = 4;
+        self.raw[25] = 4;
+        self.raw.truncate(375);
+        self.raw[94..96].copy_from_slice(&375u16.to_le_bytes());
+        Ok(())
     }
 
     /// The records between header and points, as many as there really are.
@@ -190,123 +214,6 @@ impl LasHeader {
     pub fn vlr(&self, user_id: &str, record_id: u16) -> Option<&Vlr> {
         self.vlrs.iter().find(|vlr| vlr.user_id == user_id && vlr.record_id == record_id)
     }
-
-    /// WKT, or `EPSG:n` from the GeoTIFF keys.
-    pub fn crs(&self) -> Option<String> {
-        let wkt = self.vlr("LASF_Projection", 2112).map(|vlr| text_of(&vlr.content));
-        // Some programs write a pair of quotation marks for none.
-        let wkt = wkt.filter(|text| text.contains(|letter: char| letter.is_ascii_alphanumeric()));
-        wkt.or_else(|| {
-            let keys = &self.vlr("LASF_Projection", 34_735)?.content;
-            let code = |wanted: u16| {
-                keys.chunks_exact(8).skip(1).find_map(|key| {
-                    let (id, location, value) = (u16_at(key, 0), u16_at(key, 2), u16_at(key, 6));
-                    (id == wanted && location == 0 && value > 1000 && value < 32_767).then_some(value)
-                })
-            };
-            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey.
-            code(3072).or_else(|| code(2048)).map(|code| format!("EPSG:{code}"))
-        })
-    }
-
-    /// The fields of the point format and the described extra bytes.
-    pub fn schema(&self) -> Schema {
-        let mut fields = vec![Field::plain("intensity", Kind::U16, 12)];
-        let packed = |name, offset, right, mask| Field::packed(name, Kind::U8, offset, right, mask);
-        if self.point_format < 6 {
-            fields.extend([
-                packed("return_number", 14, 0, 7),
-                packed("number_of_returns", 14, 3, 7),
-                packed("scan_direction_flag", 14, 6, 1),
-                packed("edge_of_flight_line", 14, 7, 1),
-                packed("classification", 15, 0, 31),
-                packed("synthetic", 15, 5, 1),
-                packed("key_point", 15, 6, 1),
-                packed("withheld", 15, 7, 1),
-                Field::plain("scan_angle_rank", Kind::I8, 16),
-                Field::plain("user_data", Kind::U8, 17),
-                Field::plain("point_source_id", Kind::U16, 18),
-            ]);
-        } else {
-            fields.extend([
-                packed("return_number", 14, 0, 15),
-                packed("number_of_returns", 14, 4, 15),
-                packed("synthetic", 15, 0, 1),
-                packed("key_point", 15, 1, 1),
-                packed("withheld", 15, 2, 1),
-                packed("overlap", 15, 3, 1),
-                packed("scanner_channel", 15, 4, 3),
-                packed("scan_direction_flag", 15, 6, 1),
-                packed("edge_of_flight_line", 15, 7, 1),
-                Field::plain("classification", Kind::U8, 16),
-                Field::plain("user_data", Kind::U8, 17),
-                Field { scale: 0.006, ..Field::plain("scan_angle", Kind::I16, 18) },
-                Field::plain("point_source_id", Kind::U16, 20),
-            ]);
-        }
-        let (time, colour) = match self.point_format {
-            1 | 4 => (Some(20), None),
-            2 => (None, Some(20)),
-            3 | 5 => (Some(20), Some(28)),
-            6 | 9 => (Some(22), None),
-            7 | 8 | 10 => (Some(22), Some(30)),
-            _ => (None, None),
-        };
-        fields.extend(time.map(|offset| Field::plain("gps_time", Kind::F64, offset)));
-        if let Some(offset) = colour {
-            for (index, name) in ["red", "green", "blue"].into_iter().enumerate() {
-                fields.push(Field::plain(name, Kind::U16, offset + 2 * index));
-            }
-        }
-        if matches!(self.point_format, 8 | 10) {
-            fields.push(Field::plain("nir", Kind::U16, 36));
-        }
-        self.extra_fields(&mut fields);
-        Schema { fields, stride: self.record_bytes }
-    }
-
-    fn extra_fields(&self, fields: &mut Vec<Field>) {
-        let Some(vlr) = self.vlr("LASF_Spec", 4) else { return };
-        let mut offset = RECORD_BYTES[usize::from(self.point_format)];
-        for description in vlr.content.chunks_exact(EXTRA_BYTES_RECORD) {
-            let (code, options) = (description[2], description[3]);
-            let name = text_of(&description[4..36]).to_ascii_lowercase();
-            let Some(kind) = Kind::from_las_code(code) else {
-                // Undescribed bytes, and the deprecated pairs and triples.
-                let bytes = match code {
-                    0 => usize::from(options),
-                    11..=30 => {
-                        let one = Kind::from_las_code((code - 1) % 10 + 1).map_or(0, Kind::size);
-                        one * usize::from((code - 1) / 10 + 1)
-                    }
-                    _ => return,
-                };
-                offset += bytes;
-                continue;
-            };
-            if offset + kind.size() > self.record_bytes {
-                return;
-            }
-            let mut field = Field::plain(name, kind, offset);
-            if options & 0x08 != 0 {
-                field.scale = f64_at(description, 112);
-            }
-            if options & 0x10 != 0 {
-                field.shift = f64_at(description, 136);
-            }
-            offset += kind.size();
-            fields.push(field);
-        }
-    }
-}
-
-/// One description of an extra dimension, 192 bytes.
-pub(super) fn describe_extra(name: &str, kind: Kind) -> Vec<u8> {
-    let mut bytes = vec![0; EXTRA_BYTES_RECORD];
-    bytes[2] = kind.las_code();
-    let name = &name.as_bytes()[..name.len().min(32)];
-    bytes[4..4 + name.len()].copy_from_slice(name);
-    bytes
 }
 
 /// Text up to the first zero byte.

@@ -6,6 +6,7 @@ use std::path::Path;
 use autoref_raster::crs::Crs;
 use laz::LazVlr;
 
+use super::las_fields::{IN_FULL, describe_extra};
 use super::las_header::{self, LasHeader, VLR_HEADER_BYTES, Vlr};
 use super::{Precision, Target, copc};
 use crate::error::{Error, Result};
@@ -34,15 +35,26 @@ pub(super) struct Place {
     pub signed: bool,
     /// The number is the value divided by this.
     pub unit: f64,
+    pub fractions: Fractions,
+}
+
+/// What becomes of a value that is no whole number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fractions {
+    Refused,
+    /// Extra bytes hold the value in full: what does not fit the place is left at 0.
+    BesideInFull,
+    /// The values were spread over all numbers of the place; none is left at 0.
+    Rounded,
 }
 
 impl Place {
-    const fn word(byte: usize, bytes: usize) -> Place {
-        Place { byte, bytes, right: 0, bits: 8 * bytes as u32, signed: false, unit: 1.0 }
+    pub const fn word(byte: usize, bytes: usize) -> Place {
+        Place { byte, bytes, right: 0, bits: 8 * bytes as u32, signed: false, unit: 1.0, fractions: Fractions::Refused }
     }
 
     const fn bits(byte: usize, right: u32, bits: u32) -> Place {
-        Place { byte, bytes: 1, right, bits, signed: false, unit: 1.0 }
+        Place { byte, bytes: 1, right, bits, signed: false, unit: 1.0, fractions: Fractions::Refused }
     }
 
     pub fn numbers(&self) -> Bits {
@@ -69,6 +81,9 @@ const KNOWN: [(&[&str], Place); 14] = [
     (&["pointsourceid"], Place::word(20, 2)),
     (&["nir", "infrared"], Place::word(36, 2)),
 ];
+
+/// The bytes of places for what is measured, intensity and near infrared: other formats have fractions there.
+const MEASURED: [usize; 2] = [INTENSITY, 36];
 
 /// A name as it is compared: CloudCompare writes `scalar_` before it.
 fn plain_name(name: &str) -> String {
@@ -120,7 +135,7 @@ pub(super) fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<
 
 /// Adds the range behind the extra bytes that a LAS source has.
 fn describe_range(las: &LasHeader, vlrs: &mut Vec<Vlr>) {
-    let described = las_header::describe_extra("range", Kind::F64);
+    let described = describe_extra("range", Kind::F64, "");
     match vlrs.iter_mut().find(|vlr| vlr.user_id == "LASF_Spec" && vlr.record_id == 4) {
         Some(vlr) => {
             let content = [vlr.content.as_slice(), &described].concat();
@@ -131,7 +146,7 @@ fn describe_range(las: &LasHeader, vlrs: &mut Vec<Vlr>) {
             let undescribed = las.record_bytes - las_header::RECORD_BYTES[usize::from(las.point_format)];
             let mut content = Vec::new();
             if undescribed > 0 {
-                content = las_header::describe_extra("undescribed", Kind::U8);
+                content = describe_extra("undescribed", Kind::U8, "");
                 content[2] = 0;
                 content[3] = undescribed.min(255) as u8;
             }
@@ -166,8 +181,7 @@ pub(super) fn index(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result
 /// A LAS source of the old point formats in the new ones.
 fn raise(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<Plan> {
     let base = las_header::RECORD_BYTES[usize::from(las.point_format)];
-    let mut standard = target.source.schema.clone();
-    standard.fields.retain(|field| field.offset < base);
+    let standard = Schema { fields: las.point_fields(), stride: base };
     let mut plan = make(path, target, &standard)?;
     // Number and identity of the file, what GPS time counts from, and who made it.
     put(&mut plan.head, 4, &las.raw[4..8]);
@@ -206,14 +220,22 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     let gps_time = named(&["gpstime"]);
     // The near infrared has room beside colours only.
     let has_room = |place: &Place| place.byte < 30 || colours.is_some();
-    let known: Vec<(Field, Place)> = KNOWN
-        .into_iter()
-        .filter(|(_, place)| has_room(place))
-        .filter_map(|(names, place)| {
-            let field = named(names)?;
-            Some((if place.byte == INTENSITY { spread(field, target.source.intensity) } else { field }, place))
-        })
-        .collect();
+    let mut in_full: Vec<(&str, Field)> = Vec::new();
+    let mut known: Vec<(Field, Place)> = Vec::new();
+    for (names, mut place) in KNOWN.into_iter().filter(|(_, place)| has_room(place)) {
+        let Some(field) = named(names) else { continue };
+        if place.byte == INTENSITY && target.source.intensity.is_some() {
+            place.fractions = Fractions::Rounded;
+            known.push((spread(field, target.source.intensity), place));
+            continue;
+        }
+        // Nothing says before the last point whether all of them are whole.
+        if MEASURED.contains(&place.byte) && matches!(field.kind, Kind::F32 | Kind::F64) {
+            place.fractions = Fractions::BesideInFull;
+            in_full.push((names[0], field.clone()));
+        }
+        known.push((field, place));
+    }
     let mut taken = vec!["x".to_string(), "y".into(), "z".into()];
     taken.extend([&class, &gps_time].into_iter().flatten().map(|field| field.name.clone()));
     taken.extend(colours.iter().flatten().map(|field| field.name.clone()));
@@ -221,7 +243,7 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     if target.with_range {
         taken.push("range".into());
     }
-    let extra: Vec<Field> = schema.fields.iter().filter(|field| !taken.contains(&field.name)).cloned().collect();
+    let mut extra: Vec<Field> = schema.fields.iter().filter(|field| !taken.contains(&field.name)).cloned().collect();
 
     let with_nir = known.iter().any(|(_, place)| place.byte == 36);
     let point_format = if with_nir { 8 } else { 6 + usize::from(colours.is_some()) };
@@ -229,11 +251,16 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     let mut described = Vec::new();
     for field in &extra {
         record_bytes += field.kind.size();
-        described.extend(las_header::describe_extra(&field.name, field.kind));
+        described.extend(describe_extra(&field.name, field.kind, ""));
+    }
+    for (name, field) in in_full {
+        record_bytes += field.kind.size();
+        described.extend(describe_extra(name, field.kind, IN_FULL));
+        extra.push(field);
     }
     if target.with_range {
         record_bytes += 8;
-        described.extend(las_header::describe_extra("range", Kind::F64));
+        described.extend(describe_extra("range", Kind::F64, ""));
     }
     if described.len() > 65_535 {
         let what = format!("{} further dimensions in LAS", extra.len());

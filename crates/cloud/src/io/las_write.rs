@@ -10,7 +10,7 @@ use laz::{LasZipCompressor, LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 
 use super::copc::{self, Builder};
 use super::las_header::{self, VLR_HEADER_BYTES};
-use super::las_plan::{self, Bits, INTENSITY, Plan, Recipe, put, vlr_of};
+use super::las_plan::{self, Bits, Fractions, Place, Plan, Recipe, put, vlr_of};
 use super::{Format, OutPoint, PointWriter, Target};
 use crate::error::{Error, Result};
 use crate::schema::{Field, Kind};
@@ -114,20 +114,25 @@ pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: For
     }))
 }
 
-/// The value of a field as a whole number of `unit`.
+/// The value of a field as a whole number for its place.
 ///
 /// # Errors
-/// When it has not so many bits.
-fn whole(path: &Path, field: &Field, raw: &[u8], unit: f64, bits: Bits) -> Result<i64> {
+/// When it has not so many bits, or is a fraction of a number that is counted.
+fn whole(path: &Path, field: &Field, raw: &[u8], place: &Place) -> Result<i64> {
     let value = field.value(raw);
-    let number = (value / unit).round();
+    let number = (value / place.unit).round();
     let span = |bits: u32| (1u64 << bits) as f64;
-    let (bits, least, most) = match bits {
+    let (bits, least, most) = match place.numbers() {
         Bits::Signed(bits) => (bits, -span(bits) / 2.0, span(bits) / 2.0 - 1.0),
         Bits::Unsigned(bits) => (bits, 0.0, span(bits) - 1.0),
     };
     if !(least..=most).contains(&number) {
         let what = format!("`{}` of {value} in the {bits} bits that LAS has for it", field.name);
+        return Err(Error::unsupported(path, what, "name the output .ply"));
+    }
+    // Angles are rounded to their steps; counts are not.
+    if place.unit == 1.0 && place.fractions != Fractions::Rounded && number != value {
+        let what = format!("`{}` of {value} in LAS, which has whole numbers for it", field.name);
         return Err(Error::unsupported(path, what, "name the output .ply"));
     }
     Ok(number as i64)
@@ -170,11 +175,14 @@ impl LasWriter {
         // The only return of a pulse, unless the source knows better.
         self.record[14] = 0x11;
         for (field, place) in &recipe.known {
-            if place.byte == INTENSITY && field.value(point.raw).is_nan() {
+            if place.fractions == Fractions::Rounded && field.value(point.raw).is_nan() {
                 // 0 says that there is none.
                 continue;
             }
-            let number = whole(&self.path, field, point.raw, place.unit, place.numbers())?;
+            let number = match whole(&self.path, field, point.raw, place) {
+                Err(_) if place.fractions == Fractions::BesideInFull => 0,
+                number => number?,
+            };
             let mask = (1u64 << place.bits) - 1;
             let mut word = [0; 8];
             word[..place.bytes].copy_from_slice(&self.record[place.byte..place.byte + place.bytes]);
@@ -184,7 +192,7 @@ impl LasWriter {
         }
         self.record[16] = match (point.class, &recipe.class) {
             (Some(class), _) => class,
-            (None, Some(field)) => whole(&self.path, field, point.raw, 1.0, Bits::Unsigned(8))? as u8,
+            (None, Some(field)) => whole(&self.path, field, point.raw, &Place::word(16, 1))? as u8,
             (None, None) => 0,
         };
         let time = recipe.gps_time.as_ref().map_or(0.0, |field| field.value(point.raw));
@@ -193,7 +201,8 @@ impl LasWriter {
             for (index, field) in colours.iter().enumerate() {
                 // Eight bits are spread over sixteen, as the specification asks.
                 let spread = if matches!(field.kind, Kind::U8) { 257.0 } else { 1.0 };
-                let value = whole(&self.path, field, point.raw, 1.0 / spread, Bits::Unsigned(16))? as u16;
+                let place = Place { unit: 1.0 / spread, ..Place::word(30 + 2 * index, 2) };
+                let value = whole(&self.path, field, point.raw, &place)? as u16;
                 put(&mut self.record, 30 + 2 * index, &value.to_le_bytes());
             }
         }

@@ -5,6 +5,8 @@ mod e57;
 mod e57_packets;
 mod e57_schema;
 mod las;
+mod las_crs;
+mod las_fields;
 mod las_header;
 mod las_plan;
 mod las_write;
@@ -15,6 +17,8 @@ mod text;
 use std::path::Path;
 
 pub use las_header::LasHeader;
+
+use autoref_raster::crs::Crs;
 
 use crate::error::{Error, Result};
 use crate::schema::{Batch, Schema};
@@ -71,6 +75,67 @@ pub struct Header {
     pub las: Option<LasHeader>,
     /// `LAS 1.4, point format 6` and the like.
     pub description: String,
+}
+
+impl Header {
+    /// The reference system, when it is understood.
+    pub fn parsed_crs(&self) -> Option<Crs> {
+        self.crs.as_deref().and_then(|text| Crs::parse(text).ok())
+    }
+
+    /// A reference system that PROJ does not understand gives way to `asked`; without one it goes on as it came.
+    /// Answers what is to be said of that.
+    pub fn settle_crs(&mut self, asked: Option<&str>) -> Option<String> {
+        let text = self.crs.as_deref()?;
+        let error = Crs::parse(text).err()?;
+        if asked.is_none() {
+            return Some(format!("its reference system goes on as it is, for it is not understood: {error}"));
+        }
+        self.crs = None;
+        if let Some(las) = &mut self.las {
+            las.forget_crs();
+        }
+        Some("its reference system is not understood; that of --crs takes its place".into())
+    }
+
+    /// Refuses a cloud in degrees, `asked` being the system of one that names none.
+    ///
+    /// # Errors
+    /// When `what`, which needs lengths, would count in degrees.
+    pub fn refuse_degrees(&self, path: &Path, asked: Option<&str>, what: &str) -> Result<()> {
+        let crs = self.crs.as_deref().or(asked).and_then(|text| Crs::parse(text).ok());
+        match crs.filter(Crs::is_geographic) {
+            None => Ok(()),
+            Some(crs) => Err(Error::usage(
+                format!("{}: {what} needs lengths, and {} counts in degrees", path.display(), crs.title()),
+                "bring the cloud into a map projection first (pdal translate IN OUT reprojection \
+                 --filters.reprojection.out_srs=EPSG:…, or las2las)",
+            )),
+        }
+    }
+}
+
+impl Header {
+    /// What a cloud loses as PLY, in words.
+    pub fn lost_in_ply(&self) -> Vec<String> {
+        let mut notes: Vec<String> = self
+            .las
+            .iter()
+            .flat_map(LasHeader::without_names)
+            .map(|what| format!("PLY does not carry {what}"))
+            .collect();
+        for field in self.schema.fields.iter().filter(|field| ply_write::marks_none(field)) {
+            notes.push(format!("PLY does not say which number stands for no value of `{}`", field.name));
+        }
+        notes
+    }
+}
+
+/// `m`, or what the reference system counts in.
+pub fn unit_of(crs: Option<&str>) -> String {
+    let crs = crs.and_then(|text| Crs::parse(text).ok());
+    let other = crs.filter(|crs| crs.is_geographic() || crs.metres_per_unit() != 1.0);
+    other.map_or("m".into(), |crs| crs.unit_name().to_string())
 }
 
 /// Reads points in the file's order.

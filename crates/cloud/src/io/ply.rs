@@ -190,6 +190,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         schema.fields.push(Field::plain(name.clone(), kind, schema.stride));
         schema.stride += kind.size();
     }
+    schema.name_once();
     let single = axes.iter().all(|&axis| scalars[axis].1 == Kind::F32);
     let only_scalars = scalars.len() == vertex.properties.len();
     let fixed_bytes = (only_scalars && parsed.encoding != Encoding::Text).then_some(schema.stride);

@@ -37,7 +37,8 @@ pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>) -> Result<B
     }
     if let Some(crs) = target.source.crs.as_deref().or(target.crs_wkt) {
         // A code where there is one: headers are ASCII, and WKT writes ° in its areas.
-        let crs = Crs::parse(crs).map(|crs| crs.label()).unwrap_or_else(|_| crs.to_string());
+        let is_code = |text: &str| text.starts_with("EPSG:");
+        let crs = Crs::parse(crs).ok().filter(|_| !is_code(crs)).map_or_else(|| crs.to_string(), |crs| crs.label());
         let crs: String = crs.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect();
         let line: String = crs.split_whitespace().collect::<Vec<_>>().join(" ");
         head += &format!("comment crs {line}\n");
@@ -86,6 +87,11 @@ fn stored_kind(field: &Field) -> Kind {
     }
 }
 
+/// Whether a number that stands for no value is written as it is stored; in doubles and singles it becomes NaN.
+pub(super) fn marks_none(field: &Field) -> bool {
+    field.no_data.is_some() && !matches!(stored_kind(field).ply_name(), "float" | "double")
+}
+
 impl PointWriter for PlyWriter {
     fn write(&mut self, points: &[OutPoint<'_>]) -> Result<()> {
         for point in points {
@@ -95,6 +101,9 @@ impl PointWriter for PlyWriter {
             }
             for field in &self.fields {
                 match stored_kind(field) {
+                    Kind::F32 if field.no_data.is_some() => {
+                        self.line.extend_from_slice(&(field.value(point.raw) as f32).to_le_bytes());
+                    }
                     Kind::U8 if field.bits.is_some() => self.line.push(field.value(point.raw) as u8),
                     kind if kind.ply_name() == "double" => {
                         let value = field.value(point.raw);

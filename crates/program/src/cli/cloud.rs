@@ -81,12 +81,17 @@ impl MeansArgs {
         let _ = rayon::ThreadPoolBuilder::new().num_threads(common::threads(self.threads)).build_global();
         let asked = self.crs.as_deref().map(Crs::parse).transpose()?;
         let mut of_clouds = asked.clone();
-        let mut first: Option<(&Path, String)> = asked.as_ref().map(|crs| (Path::new("--crs"), crs.label()));
+        let mut first: Option<(&Path, String)> =
+            self.crs.as_deref().map(|text| (Path::new("--crs"), label(text, asked.as_ref())));
         for cloud in clouds {
             let (header, _) = io::open(cloud)?;
             let Some(text) = header.crs else { continue };
             let crs = Crs::parse(&text).ok();
-            let label = crs.as_ref().map_or(text, Crs::label);
+            // What is not understood gives way to --crs.
+            if crs.is_none() && asked.is_some() {
+                continue;
+            }
+            let label = label(&text, crs.as_ref());
             of_clouds = of_clouds.or(crs);
             match &first {
                 Some((other, known)) if *known != label => bail!(
@@ -110,6 +115,14 @@ pub struct Begun {
     pub asked: Option<Crs>,
     /// What the clouds are in, by themselves or by --crs.
     pub of_clouds: Option<Crs>,
+}
+
+/// By what reference systems are compared: heights that codes name beside the map make no difference.
+fn label(text: &str, crs: Option<&Crs>) -> String {
+    match text.strip_prefix("EPSG:").and_then(|codes| codes.split_once('+')) {
+        Some((code, _)) => format!("EPSG:{code}"),
+        None => crs.map_or_else(|| text.to_string(), Crs::label),
+    }
 }
 
 /// A reference system by its name, where it has no code.
@@ -202,7 +215,11 @@ fn run_info(args: &InfoArgs) -> anyhow::Result<ExitCode> {
     let mut all = Vec::new();
     for cloud in &args.clouds {
         let mut info = info::info(cloud, shift)?;
-        info.crs = info.crs.map(|text| Crs::parse(&text).map_or(text, |crs| crs.label()));
+        let is_code = |text: &str| text.starts_with("EPSG:");
+        info.crs = info.crs.map(|text| match Crs::parse(&text) {
+            Ok(crs) if !is_code(&text) => crs.label(),
+            _ => text,
+        });
         all.push(info);
     }
     if args.json {

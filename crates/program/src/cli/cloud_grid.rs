@@ -158,12 +158,13 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         let report = grid::grid(cloud, &args.output, &options)?;
         if !args.means.json {
             println!(
-                "{}: {} points, {} × {} cells of {} m, {} files",
+                "{}: {} points, {} × {} cells of {} {}, {} files",
                 cloud.display(),
                 report.points,
                 report.frame.columns,
                 report.frame.rows,
                 report.frame.cell_m,
+                report.unit,
                 report.files_written.len()
             );
         }

@@ -1,0 +1,46 @@
+//! What a grid says of where it lies and of the unit of its heights.
+
+use autoref_raster::crs::Crs;
+
+use super::Options;
+use crate::io::{self, Header};
+
+/// Reference system and units of a cloud's grids.
+pub(super) struct Place {
+    /// As GeoTIFF can hold it.
+    pub wkt: Option<String>,
+    /// Of the coordinates, for messages.
+    pub unit: String,
+    /// Of heights, as a band names it; `None` where nothing says it.
+    pub height_unit: Option<&'static str>,
+}
+
+/// A unit of heights as bands name it.
+fn named(metres: f64) -> Option<&'static str> {
+    let is = |other: f64| (metres / other - 1.0).abs() < 1e-9;
+    [(1.0, "m"), (0.3048, "ft"), (1200.0 / 3937.0, "US survey foot")]
+        .into_iter()
+        .find_map(|(other, name)| is(other).then_some(name))
+}
+
+impl Place {
+    /// Of the cloud, or what `options` say of it; what gets lost or stays open goes to `notes`.
+    pub fn of(header: &Header, options: &Options, notes: &mut Vec<String>) -> Place {
+        let text = header.crs.as_deref().or(options.crs_wkt.as_deref());
+        let crs = text.and_then(|text| Crs::parse(text).ok());
+        let unit = io::unit_of(text);
+        let axis = crs.as_ref().and_then(Crs::height_metres_per_unit);
+        let height_unit = header.las.as_ref().and_then(io::LasHeader::height_unit).or_else(|| named(axis?));
+        let in_metres = crs.as_ref().is_none_or(|crs| crs.metres_per_unit() == 1.0);
+        if height_unit.is_none() && !in_metres && options.dimensions.iter().any(|dimension| dimension.name == "z") {
+            notes.push(format!(
+                "the map counts in {unit}, and nothing says in what heights count: `dem` will take those of z for \
+                 metres; name their unit with gdal_edit.py -units ft where they are feet"
+            ));
+        }
+        // GeoTIFF has keys for two axes, or for two and heights over a geoid.
+        let flat = crs.as_ref().and_then(Crs::without_ellipsoidal_height);
+        let wkt = flat.or(crs).map(|crs| crs.wkt().to_string());
+        Place { wkt, unit, height_unit }
+    }
+}

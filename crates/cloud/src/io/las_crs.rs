@@ -1,0 +1,57 @@
+//! What a LAS header says of places and heights: WKT, or the keys of GeoTIFF.
+
+use autoref_raster::crs::Crs;
+
+use super::las_header::{LasHeader, Vlr, text_of, u16_at};
+
+/// The records that WKT stands in; liblas wrote a second one.
+const WKT: u16 = 2112;
+/// The records of GeoTIFF keys, their doubles and their texts.
+const KEYS: [u16; 3] = [34_735, 34_736, 34_737];
+
+impl LasHeader {
+    /// WKT, or `EPSG:n` from the GeoTIFF keys; `EPSG:n+m` where they name the heights too.
+    pub fn crs(&self) -> Option<String> {
+        let wkt = self.vlr("LASF_Projection", WKT).map(|vlr| text_of(&vlr.content));
+        // Some programs write a pair of quotation marks for none.
+        let wkt = wkt.filter(|text| text.contains(|letter: char| letter.is_ascii_alphanumeric()));
+        wkt.or_else(|| {
+            let code = |id: u16| self.key(id).filter(|&value| value > 1000 && value < 32_767);
+            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey.
+            let flat = format!("EPSG:{}", code(3072).or_else(|| code(2048))?);
+            // VerticalCSTypeGeoKey, in which old files have codes of other things.
+            let both = code(4096).map(|vertical| format!("{flat}+{vertical}"));
+            Some(both.filter(|both| Crs::parse(both).is_ok()).unwrap_or(flat))
+        })
+    }
+
+    /// The unit of heights as bands of rasters name it: what VerticalUnitsGeoKey says, which no WKT contradicts.
+    pub fn height_unit(&self) -> Option<&'static str> {
+        match self.key(4099)? {
+            9001 => Some("m"),
+            9002 => Some("ft"),
+            9003 => Some("US survey foot"),
+            _ => None,
+        }
+    }
+
+    /// Takes out what names the reference system.
+    pub(crate) fn forget_crs(&mut self) {
+        let names = |vlr: &Vlr| match vlr.user_id.as_str() {
+            "LASF_Projection" => vlr.record_id == WKT || KEYS.contains(&vlr.record_id),
+            "liblas" => vlr.record_id == WKT,
+            _ => false,
+        };
+        self.vlrs.retain(|vlr| !names(vlr));
+        self.raw[6] &= !0x10;
+    }
+
+    /// A GeoTIFF key whose value is a number.
+    fn key(&self, wanted: u16) -> Option<u16> {
+        let keys = &self.vlr("LASF_Projection", KEYS[0])?.content;
+        keys.chunks_exact(8).skip(1).find_map(|key| {
+            let (id, location, value) = (u16_at(key, 0), u16_at(key, 2), u16_at(key, 6));
+            (id == wanted && location == 0).then_some(value)
+        })
+    }
+}
