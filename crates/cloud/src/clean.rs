@@ -224,7 +224,7 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
 /// Settles the reference system, refuses what makes no sense in it, and says what the output will not carry.
 fn look(input: &Path, named: &Path, plan: &Plan, header: &mut Header) -> Result<Vec<String>> {
     let asked = plan.crs_wkt.as_deref();
-    let mut notes: Vec<String> = header.settle_crs(asked).into_iter().collect();
+    let mut notes: Vec<String> = header.settle_crs(asked, "it goes on as it came").into_iter().collect();
     if let Some(step) = plan.steps.iter().find(|step| step.needs_lengths()) {
         header.refuse_degrees(input, asked, &format!("the step {}", step.name()))?;
     }

@@ -512,7 +512,7 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     let began = std::time::Instant::now();
     let (mut header, _) = io::open(path)?;
     let asked = options.crs_wkt.as_deref();
-    let mut notes: Vec<String> = header.settle_crs(asked).into_iter().collect();
+    let mut notes: Vec<String> = header.settle_crs(asked, "grids have none").into_iter().collect();
     header.refuse_degrees(path, asked, "a grid")?;
     let find = |dimension: &Dimension| Source::find(path, &dimension.name, &header, options);
     let sources: Vec<Source> = options.dimensions.iter().map(find).collect::<Result<_>>()?;

@@ -6,6 +6,8 @@ use crate::schema::{Field, Kind, Schema, array};
 
 /// Describes extra bytes that hold in full what the point format has whole numbers for.
 pub(super) const IN_FULL: &str = "in full; rounded in its place";
+/// Behind the name of such bytes: some programs refuse files in which extra bytes have a name of the point format.
+pub(super) const FULL: &str = "_full";
 /// Where a description has its words.
 const WORDS: std::ops::Range<usize> = 160..192;
 
@@ -25,9 +27,10 @@ impl LasHeader {
         let mut fields = self.point_fields();
         for extra in self.extras() {
             let Some(kind) = extra.kind else { continue };
-            let name = text_of(&extra.description[4..36]);
+            let mut name = text_of(&extra.description[4..36]);
             if text_of(&extra.description[WORDS]) == IN_FULL {
                 // The rounded numbers say nothing more.
+                name.truncate(name.strip_suffix(FULL).map_or(name.len(), str::len));
                 fields.retain(|field| field.name != name.to_ascii_lowercase());
             }
             for index in 0..extra.count {

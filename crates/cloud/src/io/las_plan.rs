@@ -6,7 +6,7 @@ use std::path::Path;
 use autoref_raster::crs::Crs;
 use laz::LazVlr;
 
-use super::las_fields::{IN_FULL, describe_extra};
+use super::las_fields::{FULL, IN_FULL, describe_extra};
 use super::las_header::{self, LasHeader, VLR_HEADER_BYTES, Vlr};
 use super::{Precision, Target, copc};
 use crate::error::{Error, Result};
@@ -255,7 +255,7 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     }
     for (name, field) in in_full {
         record_bytes += field.kind.size();
-        described.extend(describe_extra(name, field.kind, IN_FULL));
+        described.extend(describe_extra(&format!("{name}{FULL}"), field.kind, IN_FULL));
         extra.push(field);
     }
     if target.with_range {

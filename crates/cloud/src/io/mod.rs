@@ -84,18 +84,17 @@ impl Header {
     }
 
     /// A reference system that PROJ does not understand gives way to `asked`; without one it goes on as it came.
-    /// Answers what is to be said of that.
-    pub fn settle_crs(&mut self, asked: Option<&str>) -> Option<String> {
-        let text = self.crs.as_deref()?;
-        let error = Crs::parse(text).err()?;
+    /// Answers what is to be said of that; `otherwise` is what becomes of it without `asked`.
+    pub fn settle_crs(&mut self, asked: Option<&str>, otherwise: &str) -> Option<String> {
+        Crs::parse(self.crs.as_deref()?).err()?;
         if asked.is_none() {
-            return Some(format!("its reference system goes on as it is, for it is not understood: {error}"));
+            return Some(format!("PROJ does not understand its reference system: {otherwise}; --crs replaces it"));
         }
         self.crs = None;
         if let Some(las) = &mut self.las {
             las.forget_crs();
         }
-        Some("its reference system is not understood; that of --crs takes its place".into())
+        Some("PROJ does not understand its reference system: that of --crs takes its place".into())
     }
 
     /// Refuses a cloud in degrees, `asked` being the system of one that names none.
