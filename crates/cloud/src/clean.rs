@@ -224,11 +224,22 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
 /// Settles the reference system, refuses what makes no sense in it, and says what the output will not carry.
 fn look(input: &Path, named: &Path, plan: &Plan, header: &mut Header) -> Result<Vec<String>> {
     let asked = plan.crs_wkt.as_deref();
+    let to_ply = io::format_of(named)? == io::Format::Ply;
+    // PLY takes any words, LAS only WKT.
+    if let Some(words) = header.crs.as_deref().filter(|text| !text.contains('['))
+        && asked.is_none()
+        && !to_ply
+        && header.parsed_crs().is_none()
+    {
+        let words: String = words.chars().take(60).collect();
+        let what = format!("{}: PROJ does not understand its reference system `{words}`", input.display());
+        return Err(Error::usage(what, "give it with --crs"));
+    }
     let mut notes: Vec<String> = header.settle_crs(asked, "it goes on as it came").into_iter().collect();
     if let Some(step) = plan.steps.iter().find(|step| step.needs_lengths()) {
         header.refuse_degrees(input, asked, &format!("the step {}", step.name()))?;
     }
-    if io::format_of(named)? == io::Format::Ply {
+    if to_ply {
         notes.extend(header.lost_in_ply());
     }
     for note in &notes {

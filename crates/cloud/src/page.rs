@@ -49,6 +49,9 @@ pub fn page(report: &CleanReport) -> String {
         escaped(&report.unit),
         report.crs.as_deref().and_then(crs_name).map(|name| format!("; {}", escaped(name))).unwrap_or_default()
     );
+    for note in &report.notes {
+        let _ = write!(out, "<p>{}.</p>", escaped(note));
+    }
     out +=
         "<table><tr><th>step</th><th>points in</th><th>classified</th><th>share</th><th>dropped</th><th>time</th></tr>";
     for (index, step) in report.steps.iter().enumerate() {

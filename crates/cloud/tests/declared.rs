@@ -292,6 +292,14 @@ fn a_system_that_is_not_understood_stays_or_gives_way() {
     clean(&path, &out, &out, &plan).expect("cleaned");
     let crs = io::open(&out).expect("a cloud").0.parsed_crs().expect("understood");
     assert_eq!(crs.epsg(), Some(32_610));
+    // Words that are no WKT find no room in LAS; the cloud is named.
+    let ply = folder.at("words.ply");
+    let head = "ply\nformat ascii 1.0\ncomment crs the old grid\nelement vertex 2\nproperty float x\n\
+                property float y\nproperty float z\nend_header\n";
+    std::fs::write(&ply, format!("{head}0 0 0\n1 1 1\n")).expect("writable");
+    let error = clean(&ply, &out, &out, &common::plan(Vec::new())).expect_err("no system").to_string();
+    assert!(error.contains("words.ply") && error.contains("`the old grid`") && error.contains("--crs"), "{error}");
+    clean(&ply, &out, &out, &plan).expect("--crs takes its place");
     // What it fails at while a file is staged is no failure of the file.
     let mut staged = autoref_raster::atomic::Transaction::new();
     let made = staged.stage(&folder.at("staged.las"), |part| clean(&path, part, &out, &plan).map(|_| ()));
