@@ -247,3 +247,56 @@ fn odd_pictures_are_answered() {
         assert_eq!(output.status.code(), Some(0), "{name}: {}", stderr(&output));
     }
 }
+
+/// A grey picture of one strip; its bytes, and where those of the strip lie.
+fn grey(path: &Path, options: &[&str]) -> (Vec<u8>, std::ops::Range<usize>) {
+    let (width, height) = (400, 300);
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let strip = format!("BLOCKYSIZE={height}");
+    let options = RasterCreationOptions::from_iter(options.iter().copied().chain([strip.as_str()]));
+    let mut file =
+        driver.create_with_band_type_with_options::<u8, _>(path, width, height, 1, &options).expect("a new file");
+    let data = (0..width * height).map(|i| u8::from((i % width / 7 + i / width / 5) % 2 == 0)).collect();
+    let mut band = file.rasterband(1).expect("a band");
+    band.write((0, 0), (width, height), &mut Buffer::new((width, height), data)).expect("written");
+    file.flush_cache().expect("written");
+    drop(file);
+    let bytes = std::fs::read(path).expect("there");
+    let entry = |tag: u16| {
+        let at = u32::from_le_bytes(bytes[4..8].try_into().expect("four")) as usize + 2;
+        let found = (0..30).map(|i| at + 12 * i).find(|at| bytes[*at..*at + 2] == tag.to_le_bytes()).expect("the tag");
+        u32::from_le_bytes(bytes[found + 8..found + 12].try_into().expect("four")) as usize
+    };
+    let begin = entry(273);
+    let strip = begin..begin + entry(279);
+    (bytes, strip)
+}
+
+/// Decoders of fax go on over broken rows: white paper is no answer.
+#[test]
+fn fax_that_breaks_is_an_error() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("fax.tif");
+    let (mut bytes, strip) = grey(&path, &["COMPRESS=CCITTFAX4", "NBITS=1"]);
+    assert_eq!(autoref(&["detect", path.to_str().expect("UTF-8"), "--quiet"]).status.code(), Some(0));
+    let middle = strip.start + strip.len() / 2;
+    bytes[middle..strip.end].fill(0);
+    std::fs::write(&path, bytes).expect("writable");
+    let output = autoref(&["detect", path.to_str().expect("UTF-8"), "--quiet"]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert!(stderr(&output).contains("fax.tif") && output.stdout.is_empty(), "{}", stderr(&output));
+}
+
+#[test]
+fn jpeg_of_sixteen_bits_is_refused() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("deep.tif");
+    let (mut bytes, _) = grey(&path, &["COMPRESS=JPEG"]);
+    let directory = u32::from_le_bytes(bytes[4..8].try_into().expect("four")) as usize + 2;
+    let depth = (0..30).map(|i| directory + 12 * i).find(|at| bytes[*at..*at + 2] == 258u16.to_le_bytes());
+    bytes[depth.expect("the tag") + 8] = 16;
+    std::fs::write(&path, bytes).expect("writable");
+    let output = autoref(&["detect", path.to_str().expect("UTF-8"), "--quiet"]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    assert_eq!(stderr(&output).lines().count(), 1, "{}", stderr(&output));
+}
