@@ -372,7 +372,7 @@ fn options_that_make_no_sense_name_their_remedy() {
     ] {
         refused(&["clean", &path, "-o", &out, option, value], word, &folder.at("out.laz"));
     }
-    refused(&["clean", &path, "-o", &folder.text("a.copc.laz")], "COPC", &folder.at("a.copc.laz"));
+    refused(&["clean", &path, "-o", &folder.text("a.laz"), "--copc"], "copc.laz", &folder.at("a.laz"));
     refused(&["clean", &path, &path, "-o", &folder.text("f")], "both", &folder.at("f/a.laz"));
 }
 

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::error::ErrorKind;
 use serde_json::json;
 
 use crate::out;
@@ -13,9 +13,9 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         error.exit();
     }
-    let (message, help) = (message(error), help(error));
-    let line = format!("autoref-stream: {message}; see {help}");
-    out::error_line(&line);
+    let help = help(arguments);
+    let line = format!("{}; see {help}", message(error));
+    out::error_line(&format!("autoref-stream: {line}"));
     if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
         let said =
             json!({"kind": "usage", "file": null, "place": null, "message": line, "remedy": format!("see {help}")});
@@ -46,32 +46,33 @@ fn message(error: &clap::Error) -> String {
 }
 
 /// The help that explains the command.
-fn help(error: &clap::Error) -> String {
-    let usage = match error.get(ContextKind::Usage) {
-        Some(ContextValue::StyledStr(usage)) => usage.to_string(),
-        _ => String::new(),
-    };
-    let is_name = |word: &&str| word.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !word.starts_with('-');
-    let commands = usage.trim_start_matches("Usage:").split_whitespace().skip(1).take_while(is_name);
-    let words: Vec<&str> = ["autoref-stream"].into_iter().chain(commands).chain(["--help"]).collect();
+fn help(arguments: &[OsString]) -> String {
+    let mut words = vec!["autoref-stream".to_string()];
+    let mut command = super::everywhere::command();
+    for argument in arguments.iter().skip(1) {
+        let Some(inner) = argument.to_str().and_then(|name| command.find_subcommand(name)).cloned() else { break };
+        words.push(inner.get_name().to_string());
+        command = inner;
+    }
+    words.push("--help".into());
     words.join(" ")
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{help, message};
+    use super::{OsString, help, message};
 
     fn refused(line: &str) -> (String, String) {
-        let words = ["autoref-stream"].into_iter().chain(line.split(' '));
-        let error = crate::cli::everywhere::command().try_get_matches_from(words).expect_err("a wrong option");
-        (message(&error), help(&error))
+        let words: Vec<OsString> = ["autoref-stream"].into_iter().chain(line.split(' ')).map(OsString::from).collect();
+        let error = crate::cli::everywhere::command().try_get_matches_from(&words).expect_err("a wrong option");
+        (message(&error), help(&words))
     }
 
     #[test]
     fn every_refusal_is_one_line() {
         for (line, holds, see) in [
             ("--bogus", "unexpected argument '--bogus' found", "autoref-stream --help"),
-            ("detect a.tif --tile abc", "invalid value 'abc' for '--tile <N>'", "--help"),
+            ("detect a.tif --tile abc", "invalid value 'abc' for '--tile <N>'", "autoref-stream detect --help"),
             ("cloud clean", "not provided: --out <OUT>, <IN>...", "autoref-stream cloud clean --help"),
             ("dem align a.tif --to b.tif -o c --stabel x", "a similar argument exists: '--stable'", "dem align --help"),
             ("gcps converd", "convert", "--help"),
