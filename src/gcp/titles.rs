@@ -195,11 +195,12 @@ pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
     names.iter().find_map(|name| titles.iter().position(|title| is(title, name)))
 }
 
-/// A title of two words less the second, when that names what the coordinates were measured with or in.
+/// A title of two words less the one that names what the coordinates were measured with or in.
 fn without_system(title: &str) -> Option<&str> {
-    let (head, system) = title.split_once(' ')?;
-    let known = matches!(system, "gnss" | "gps" | "rtk" | "wgs84") || (system.starts_with("utm") && system.len() > 3);
-    known.then_some(head)
+    let (head, tail) = title.split_once(' ')?;
+    let is_datum = |word: &str| matches!(word, "wgs84" | "etrs89" | "euref89" | "nad83" | "nad27");
+    let is_way = |word: &str| matches!(word, "gnss" | "gps" | "rtk") || (word.starts_with("utm") && word.len() > 3);
+    if is_datum(head) { Some(tail) } else { (is_datum(tail) || is_way(tail)).then_some(head) }
 }
 
 /// A column whose title has a word that names points have ("local_id", "GCP_PointNr"): its values must show that it
