@@ -10,8 +10,8 @@ use std::path::Path;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::titles::{
-    CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LONGITUDES, NAMES, NORTHINGS, ROLES, SIGMA_EASTS, SIGMA_HEIGHTS,
-    SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, tidy,
+    CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_SIGMA_HEIGHTS,
+    SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, tidy,
 };
 use crate::gcp::{Gcp, GcpRole, headerless};
 use autoref_raster::cells::without_apostrophe;
@@ -105,9 +105,11 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     // MicMac calls the name N, before X, Y and Z.
     let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
     let name = name.or_else(micmac);
-    // MicMac's Ix and Iy are accuracies beside an Iz only; alone they may be pixels.
-    let is_accuracy = |at: &usize| !matches!(tidied[*at].as_str(), "ix" | "iy") || find(&["iz"]).is_some();
-    let both = [SIGMA_EASTS, SIGMA_NORTHS].map(|names| find(names).filter(is_accuracy));
+    // One of them alone may be a serial number or a signal's height; MicMac's Ix and Iy without Iz may be pixels.
+    let both = [find(SIGMA_EASTS), find(SIGMA_NORTHS)];
+    let is_pixel = |at: &Option<usize>| at.is_some_and(|at| tidied[at] == "ix") && find(&["iz"]).is_none();
+    let both = if both.contains(&None) || is_pixel(&both[0]) { [None; 2] } else { both };
+    let short = || find(SHORT_SIGMA_HEIGHTS).filter(|_| both[0].is_some());
     let twice = |i: &usize| tidied.iter().filter(|title| **title == tidied[*i]).count() > 1;
     let doubled = [Some(easting), Some(northing), name, height].into_iter().flatten().find(twice);
     Some(Columns {
@@ -118,7 +120,7 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         height,
         doubled: doubled.map(|i| titles[i].trim().to_owned()),
         sigma: find(SIGMAS).map_or(both, |one| [Some(one), None]),
-        sigma_height: find(SIGMA_HEIGHTS),
+        sigma_height: find(SIGMA_HEIGHTS).or_else(short),
         role: find(ROLES),
         check: find(CHECKS),
         enabled: find(ENABLED),
@@ -140,6 +142,7 @@ fn with_header(
         let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
         return Err(Error::format(path, lines[at].place(), what));
     }
+    let mut guessed = None;
     if columns.name.is_none()
         && let Some(likely) = columns.likely_name
     {
@@ -150,6 +153,9 @@ fn with_header(
             name.is_some_and(|name| seen.insert(name))
         });
         columns.name = differs.then_some(likely);
+        if differs {
+            guessed = Some(format!("names are taken from the column `{}`", columns.titles[likely].trim()));
+        }
     }
     let mut points = Vec::new();
     for line in lines[at + 1..].iter().filter(|line| !line.is_comment()) {
@@ -167,6 +173,7 @@ fn with_header(
     };
     let mut list = RawList::new(points, crs);
     list.order = columns.order;
+    list.notes.extend(guessed.map(|what| format!("{}: {what}", path.display())));
     list.notes.extend(columns.unclear().map(|what| format!("{}: {what}", path.display())));
     if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
         list.notes.push(format!(

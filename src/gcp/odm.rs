@@ -78,7 +78,10 @@ fn fields(line: &str) -> Vec<&str> {
     let cut = |at: &[char]| -> Vec<&str> { line.split(at).map(str::trim).filter(|f| !f.is_empty()).collect() };
     let marks = if line.contains(';') { [';'] } else { [','] };
     let ways = [cut(&['\t']), cut(&[' ', '\t']), cut(&marks)];
-    ways.iter().find(|fields| fields.len() >= 6).or(ways.iter().max_by_key(|f| f.len())).cloned().unwrap_or_default()
+    let long = || ways.iter().filter(|fields| fields.len() >= 6);
+    // "500000.5, 6000000.5, 10, …" has blanks and commas.
+    let best = long().find(|fields| observation(fields).is_some()).or_else(|| long().next());
+    best.or(ways.iter().max_by_key(|f| f.len())).cloned().unwrap_or_default()
 }
 
 struct Observation<'a> {

@@ -146,7 +146,8 @@ fn recognised(path: &Path, text: &str) -> ListFormat {
     }
     let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
     // "WGS84 Latitude,WGS84 Longitude" begins as the name of a CRS does.
-    let has_titles = content.first().is_some_and(|first| csv_list::is_header(*first));
+    let is_wkt = |line: &text::Line<'_>| line.text.contains("[\"");
+    let has_titles = content.first().is_some_and(|first| !is_wkt(first) && csv_list::is_header(*first));
     let has_crs = content.first().is_some_and(|first| odm::is_crs_line(first.text));
     if !has_titles && (has_crs || odm::has_observations(&content)) {
         return ListFormat::Odm;

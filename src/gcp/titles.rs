@@ -11,6 +11,7 @@ pub(super) const NAMES: &[&str] = &[
     "punkt",
     "punktnavn",
     "punktnr",
+    "punkt nr",
     "nr",
     "no",
     "number",
@@ -156,7 +157,7 @@ pub(super) const SIGMAS: &[&str] = &[
 ];
 /// Accuracies of each coordinate.
 pub(super) const SIGMA_EASTS: &[&str] =
-    &["accuracy x", "x accuracy", "sigma x", "sigma e", "std x", "sx", "se", "ix", "easting rms"];
+    &["accuracy x", "x accuracy", "sigma x", "sigma e", "std x", "easting rms", "sx", "se", "ix"];
 pub(super) const SIGMA_NORTHS: &[&str] =
     &["accuracy y", "y accuracy", "sigma y", "sigma n", "std y", "sy", "sn", "iy", "northing rms"];
 pub(super) const SIGMA_HEIGHTS: &[&str] = &[
@@ -169,12 +170,11 @@ pub(super) const SIGMA_HEIGHTS: &[&str] = &[
     "vrms",
     "sigma z",
     "std z",
-    "sz",
-    "sh",
-    "iz",
     "elevation rms",
     "incertitude alti",
 ];
+/// Titles so short that they mean an accuracy of the height beside those of both coordinates only.
+pub(super) const SHORT_SIGMA_HEIGHTS: &[&str] = &["sz", "sh", "iz"];
 pub(super) const ROLES: &[&str] = &["role", "type", "use", "point type"];
 pub(super) const CHECKS: &[&str] = &["check", "checkpoint", "check point", "is check", "kontrollpunkt"];
 pub(super) const ENABLED: &[&str] = &["enabled", "enable"];
@@ -189,10 +189,12 @@ pub(super) fn tidy(title: &str) -> String {
 /// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves, and "E_GNSS" as
 /// what stands before the system.
 pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
-    let is = |title: &String, name: &str| {
-        title == name || title.split('/').any(|half| half.trim() == name) || without_system(title) == Some(name)
+    let whole = |title: &String, name: &str| title == name || title.split('/').any(|half| half.trim() == name);
+    let among = |is: &dyn Fn(&String, &str) -> bool| {
+        names.iter().find_map(|name| titles.iter().position(|title| is(title, name)))
     };
-    names.iter().find_map(|name| titles.iter().position(|title| is(title, name)))
+    // A title that is the word alone wins over one with a system beside it.
+    among(&whole).or_else(|| among(&|title, name| without_system(title) == Some(name)))
 }
 
 /// A title of two words less the one that names what the coordinates were measured with or in.

@@ -541,6 +541,8 @@ fn observations_need_no_reference_system_above_them() {
     let list = folder.read("gcp_list.txt", rows, &with_crs("EPSG:32633")).expect("two points");
     assert_eq!(place(&list, 0), ("G1", 668_184.6, 5_000_000.1, Some(100.0)));
     assert_eq!((list.gcps.len(), list.gcps[1].role), (2, GcpRole::Check));
+    let list = folder.read("gcp_list.txt", rows.replace(' ', ", "), &with_crs("EPSG:32633")).expect("two points");
+    assert_eq!(place(&list, 0), ("G1", 668_184.6, 5_000_000.1, Some(100.0)));
 }
 
 #[test]
@@ -554,9 +556,34 @@ fn columns_that_tell_points_apart_are_names() {
     };
     assert_eq!(named("local_id,POINT_X,POINT_Y,Altitude", ["23", "2"]), ["23", "2"]);
     assert_eq!(named("GCP_PointNr,E_GNSS,N_GNSS,H_GNSS", ["p", "q"]), ["p", "q"]);
+    // Words alone win over words with a system; letters that may mean other things are no accuracies by themselves.
+    let text = "Name,E_WGS84,N_WGS84,E,N,H_WGS84,H,SN,SH\na,1,2,500000.5,6000000.5,120.1,80.1,1,1.5\n\
+                b,3,4,500010.5,6000010.5,121.1,81.1,2,1.6\n";
+    let list = folder.read("list.csv", text, &utm).expect("two points");
+    assert_eq!(place(&list, 0), ("a", 500_000.5, 6_000_000.5, Some(80.1)));
+    assert_eq!((list.gcps[0].sigma_m, list.gcps[0].sigma_height_m), (None, None));
     // A survey's number is the same for all.
     assert_eq!(named("survey_id,x,y,z", ["7", "7"]), ["2", "3"]);
     assert_eq!(named("image_name,x,y,z", ["a.jpg", "b.jpg"]), ["2", "3"]);
+}
+
+/// The axes of WKT are no titles.
+#[test]
+fn wkt_above_observations_is_a_reference_system() {
+    let folder = Folder::new();
+    let wkt = autoref_raster::crs::Crs::from_epsg(25_832).expect("known").wkt().to_string();
+    let wkt2 = "PROJCRS[\"ETRS89 / UTM zone 32N\",BASEGEOGCRS[\"ETRS89\",DATUM[\"European Terrestrial Reference System 1989\",\
+        ELLIPSOID[\"GRS 1980\",6378137,298.257222101]]],CONVERSION[\"UTM zone 32N\",METHOD[\"Transverse Mercator\"],\
+        PARAMETER[\"Latitude of natural origin\",0],PARAMETER[\"Longitude of natural origin\",9],\
+        PARAMETER[\"Scale factor at natural origin\",0.9996],PARAMETER[\"False easting\",500000],\
+        PARAMETER[\"False northing\",0]],CS[Cartesian,2],AXIS[\"(E)\",east,ORDER[1],LENGTHUNIT[\"metre\",1]],\
+        AXIS[\"(N)\",north,ORDER[2],LENGTHUNIT[\"metre\",1]],ID[\"EPSG\",25832]]";
+    for wkt in [wkt.as_str(), wkt2] {
+        let rows = "500000.5 6000000.5 10 100 200 a.jpg G1\n500010.5 6000010.5 11 110 210 a.jpg G2\n";
+        let list = folder.read("gcp_list.txt", format!("{wkt}\n{rows}"), &GcpOptions::default());
+        let list = list.unwrap_or_else(|e| panic!("{wkt}: {e}"));
+        assert_eq!(place(&list, 0), ("G1", 500_000.5, 6_000_000.5, Some(10.0)));
+    }
 }
 
 #[test]

@@ -317,6 +317,33 @@ fn old_point_formats_are_raised_with_all_they_hold() {
     assert_eq!(batch.raw[38], 3);
 }
 
+/// Headers of LAS 1.2 are shorter, whatever their point format.
+#[test]
+fn old_headers_with_new_point_formats_are_lengthened() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut bytes = vec![0u8; 227];
+    bytes[..4].copy_from_slice(b"LASF");
+    bytes[24..26].copy_from_slice(&[1, 2]);
+    bytes[94..96].copy_from_slice(&227u16.to_le_bytes());
+    bytes[96..100].copy_from_slice(&227u32.to_le_bytes());
+    bytes[104] = 6;
+    bytes[105..107].copy_from_slice(&30u16.to_le_bytes());
+    bytes[107..111].copy_from_slice(&2u32.to_le_bytes());
+    for axis in 0..3 {
+        bytes[131 + 8 * axis..139 + 8 * axis].copy_from_slice(&0.01f64.to_le_bytes());
+    }
+    for step in [100i32, 200] {
+        let mut record = vec![0u8; 30];
+        (0..3).for_each(|axis| record[4 * axis..4 * axis + 4].copy_from_slice(&step.to_le_bytes()));
+        bytes.extend(record);
+    }
+    let input = folder.path().join("old.las");
+    std::fs::write(&input, bytes).expect("writable");
+    let output = folder.path().join("new.copc.laz");
+    autoref_cloud::clean::clean(&input, &output, &output, &plan(Vec::new())).expect("cleaned");
+    assert_eq!(points(&output, &[]).iter().map(|(xyz, _)| xyz[2]).collect::<Vec<_>>(), [1.0, 2.0]);
+}
+
 #[test]
 fn a_survey_keeps_its_points() {
     let Some(input) = shared("pdal/autzen_trim.laz") else { return };

@@ -282,6 +282,31 @@ fn a_mosaic_of_many_bands_has_every_cell() {
 }
 
 /// Four bytes a side, one colour; the left half is transparent or masked.
+/// Bands that are no colours: what is nodata in the first is filled by another source, and no mean takes it.
+#[test]
+fn the_first_of_other_bands_decides() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, values: [i16; 2]| {
+        let path = folder.path().join(name);
+        let mut set = create::<i16>(&path, (1, 1), 2, "EPSG:32633", [500_000.0, 1.0, 0.0, 40.0, 0.0, -1.0]);
+        for band in 0..2 {
+            let mut plane = set.rasterband(band + 1).expect("a band");
+            plane.set_no_data_value(Some(-32_768.0)).expect("set");
+            plane.write((0, 0), (1, 1), &mut Buffer::new((1, 1), vec![values[band]])).expect("written");
+        }
+        set.flush_cache().expect("written");
+        path
+    };
+    let inputs = [write("a.tif", [-32_768, 3]), write("b.tif", [500, 9])];
+    let out = folder.path().join("m.tif");
+    for choice in [Choice::First, Choice::Median, Choice::Feather] {
+        mosaic_by(choice.clone(), &inputs, &out);
+        let set = Dataset::open(&out).expect("a mosaic");
+        let first = set.rasterband(1).expect("a band").read_as::<i16>((0, 0), (1, 1), (1, 1), None).expect("read");
+        assert_eq!(first.data(), [500], "{choice:?}");
+    }
+}
+
 /// A colour with a band of 0 is there where 0 in all bands is nothing.
 #[test]
 fn colours_are_nodata_as_a_whole() {

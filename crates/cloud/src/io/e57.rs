@@ -118,6 +118,9 @@ fn refuse_hostile(xml: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
+/// Descriptions of thousands of scans are smaller.
+const LARGEST_XML_BYTES: u64 = 64 << 20;
+
 /// Head and XML. What lengths the file states is compared with what is there before any memory is taken.
 fn parse<'a>(path: &Path, mut file: &'a File, file_bytes: u64) -> Result<E57Reader<&'a File>> {
     let bad = |place: &str, what: String| Error::format(path, place, what);
@@ -128,6 +131,10 @@ fn parse<'a>(path: &Path, mut file: &'a File, file_bytes: u64) -> Result<E57Read
     }
     if head.xml_length.saturating_add(head.phys_xml_offset) > file_bytes {
         let what = format!("{} bytes at byte {} of {file_bytes}", head.xml_length, head.phys_xml_offset);
+        return Err(bad("E57 header, XML", what));
+    }
+    if head.xml_length > LARGEST_XML_BYTES {
+        let what = format!("{} bytes, and {LARGEST_XML_BYTES} are the limit", head.xml_length);
         return Err(bad("E57 header, XML", what));
     }
     let rewind = |mut file: &File| file.seek(SeekFrom::Start(0)).map_err(|e| Error::io(path, "seek", e));
@@ -303,7 +310,10 @@ impl Scan {
                 Change::Keep => value,
                 Change::AddOne => value + 1.0,
                 Change::FromByte => value * 257.0,
-                Change::Spread { least, most } => ((value - least) / (most - least) * 65_535.0).round(),
+                // Limits may be those of a display, or rounded.
+                Change::Spread { least, most } => {
+                    ((value - least) / (most - least) * 65_535.0).round().clamp(0.0, 65_535.0)
+                }
             };
             if !schema::put(field.kind, changed, to) {
                 return Err(format!("`{}` of {value} is beyond the limits that the file names", field.name));

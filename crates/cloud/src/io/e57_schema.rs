@@ -167,7 +167,10 @@ fn name_of(attribute: &RecordName) -> Option<String> {
             "normalz" => "nz".into(),
             "classification" => "classification".into(),
             // With its namespace, so that an extension's `x` is none of the coordinates.
-            other => format!("{namespace}_{other}").replace(|c: char| !c.is_ascii_alphanumeric(), "_"),
+            other => {
+                let namespace = namespace.to_ascii_lowercase();
+                format!("{namespace}_{other}").replace(|c: char| !c.is_ascii_alphanumeric(), "_")
+            }
         },
         _ => return None,
     })
@@ -190,7 +193,7 @@ fn is_return(name: &str) -> bool {
     ["return_number", "number_of_returns"].contains(&name)
 }
 
-/// Least and greatest value that the file names for an attribute; a scan may narrow what its storage allows.
+/// Least and greatest value that a scan names for its intensities or colours.
 fn limits(scan: &PointCloud, attribute: usize) -> Option<[f64; 2]> {
     let record = &scan.prototype[attribute];
     let number = |value: &Option<RecordValue>| value.as_ref().and_then(|value| value.to_f64(&record.data_type).ok());
@@ -209,16 +212,29 @@ fn limits(scan: &PointCloud, attribute: usize) -> Option<[f64; 2]> {
         let [least, most] = [least?, most?];
         (least < most && least.is_finite() && most.is_finite()).then_some([least, most])
     };
-    named.and_then(sound).or_else(|| {
-        sound(match record.data_type {
-            RecordDataType::Single { min, max } => [min.map(f64::from), max.map(f64::from)],
-            RecordDataType::Double { min, max } => [min, max],
-            RecordDataType::Integer { min, max } => [Some(min as f64), Some(max as f64)],
-            RecordDataType::ScaledInteger { min, max, scale, offset } => {
-                [Some(min as f64 * scale + offset), Some(max as f64 * scale + offset)]
-            }
-        })
-    })
+    named.and_then(sound).filter(|[least, most]| (most - least).is_finite())
+}
+
+/// Least and greatest value that the storage of an attribute allows.
+fn storage_limits(scan: &PointCloud, attribute: usize) -> Option<[f64; 2]> {
+    let pair = match scan.prototype[attribute].data_type {
+        RecordDataType::Single { min, max } => min.map(f64::from).zip(max.map(f64::from)),
+        RecordDataType::Double { min, max } => min.zip(max),
+        RecordDataType::Integer { min, max } => Some((min as f64, max as f64)),
+        RecordDataType::ScaledInteger { min, max, scale, offset } => {
+            Some((min as f64 * scale + offset, max as f64 * scale + offset))
+        }
+    };
+    pair.map(|(least, most)| [least, most]).filter(|[least, most]| least < most && (most - least).is_finite())
+}
+
+/// Limits to spread a value from: those that the file names, else those of fractions between near bounds. A storage
+/// that holds more than is in it says nothing.
+fn spread_limits(scan: &PointCloud, attribute: usize) -> Option<[f64; 2]> {
+    let is_float =
+        matches!(scan.prototype[attribute].data_type, RecordDataType::Single { .. } | RecordDataType::Double { .. });
+    let near = |[least, most]: &[f64; 2]| is_float && most - least <= 65_536.0;
+    limits(scan, attribute).or_else(|| storage_limits(scan, attribute).filter(near))
 }
 
 /// What a colour is stored as, and how it gets there: whole numbers of 8 and 16 bits as they are, all else spread from
@@ -226,15 +242,16 @@ fn limits(scan: &PointCloud, attribute: usize) -> Option<[f64; 2]> {
 fn colour(scan: &PointCloud, attribute: usize) -> (Kind, Change) {
     let coding = Coding::of(&scan.prototype[attribute].data_type);
     let storage = coding.kind();
-    let limits = limits(scan, attribute);
+    let (named, stored) = (spread_limits(scan, attribute), storage_limits(scan, attribute));
+    let limits = named.or(stored);
     let within = |most: f64| matches!(limits, Some([least, greatest]) if least >= 0.0 && greatest <= most);
     match (storage, limits) {
         (Kind::U8, _) => (Kind::U8, Change::FromByte),
         (Kind::U16, _) if !within(255.0) => (Kind::U16, Change::Keep),
         _ if coding.is_whole() && within(255.0) => (Kind::U8, Change::FromByte),
         _ if coding.is_whole() && within(65_535.0) => (Kind::U16, Change::Keep),
-        (_, Some([least, most])) => (Kind::U16, Change::Spread { least, most }),
-        (_, None) => (storage, Change::Keep),
+        (_, Some([least, most])) if named.is_some() => (Kind::U16, Change::Spread { least, most }),
+        _ => (storage, Change::Keep),
     }
 }
 
@@ -327,7 +344,7 @@ pub(super) fn intensity_limits(scans: &[PointCloud]) -> Option<[f64; 2]> {
         let intensity = |record: &e57::Record| record.name == RecordName::Intensity;
         let Some(attribute) = scan.prototype.iter().position(intensity) else { continue };
         fits &= matches!(Coding::of(&scan.prototype[attribute].data_type).kind(), Kind::U8 | Kind::U16);
-        let [least, most] = limits(scan, attribute)?;
+        let [least, most] = spread_limits(scan, attribute)?;
         let [low, high] = all.unwrap_or([least, most]);
         all = Some([low.min(least), high.max(most)]);
     }

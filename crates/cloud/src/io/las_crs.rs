@@ -17,8 +17,10 @@ impl LasHeader {
         let wkt = wkt.filter(|text| text.contains(|letter: char| letter.is_ascii_alphanumeric()));
         wkt.or_else(|| {
             let code = |id: u16| self.key(id).filter(|&value| value > 1000 && value < 32_767);
-            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey.
-            let flat = format!("EPSG:{}", code(3072).or_else(|| code(2048))?);
+            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey. Below a projection that the keys spell out
+            // (GTModelTypeGeoKey 1, code 32767) the geographic system is not that of the coordinates.
+            let is_projected = self.key(1024) == Some(1) || self.key(3072).is_some();
+            let flat = format!("EPSG:{}", code(3072).or_else(|| code(2048).filter(|_| !is_projected))?);
             // VerticalCSTypeGeoKey, in which old files have codes of other things.
             let both = code(4096).map(|vertical| format!("{flat}+{vertical}"));
             Some(both.filter(|both| Crs::parse(both).is_ok()).unwrap_or(flat))

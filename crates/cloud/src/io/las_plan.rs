@@ -167,8 +167,9 @@ pub(super) fn index(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result
             return Err(Error::unsupported(path, what, "name the output .laz"));
         }
     };
-    // The description of the octree stands at byte 375.
-    plan.head.truncate(HEADER_BYTES);
+    // The description of the octree stands at byte 375. Some old headers have the new point formats.
+    plan.head.resize(HEADER_BYTES, 0);
+    plan.head[25] = 4;
     put(&mut plan.head, 94, &(HEADER_BYTES as u16).to_le_bytes());
     if las.vlr("LASF_Projection", 2112).is_none() && las.crs().is_some() && plan.recipe.is_none() {
         plan.vlrs.retain(|vlr| vlr.user_id != "LASF_Projection");
@@ -192,7 +193,15 @@ fn raise(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<Plan> {
     plan.offset = [0, 1, 2].map(|axis| las.offset[axis] + target.shift[axis]);
     // The range was described as if it were alone.
     plan.vlrs.retain(|vlr| vlr.user_id != "LASF_Spec");
-    let own = |vlr: &&Vlr| ![LazVlr::USER_ID, copc::USER_ID, "LASF_Projection"].contains(&vlr.user_id.as_str());
+    // Keys that spell out a system without a code are kept: they are all that is known of it.
+    let keeps_keys = target.source.crs.is_none() && target.crs_wkt.is_none();
+    if keeps_keys {
+        plan.head[6] &= !0x10;
+    }
+    let own = |vlr: &&Vlr| match vlr.user_id.as_str() {
+        "LASF_Projection" => keeps_keys,
+        user => ![LazVlr::USER_ID, copc::USER_ID].contains(&user),
+    };
     plan.vlrs.extend(las.vlrs.iter().filter(own).cloned());
     if target.with_range {
         describe_range(las, &mut plan.vlrs);

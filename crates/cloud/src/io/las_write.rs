@@ -126,12 +126,15 @@ fn whole(path: &Path, field: &Field, raw: &[u8], place: &Place) -> Result<i64> {
         Bits::Signed(bits) => (bits, -span(bits) / 2.0, span(bits) / 2.0 - 1.0),
         Bits::Unsigned(bits) => (bits, 0.0, span(bits) - 1.0),
     };
+    if place.fractions == Fractions::Rounded && !number.is_nan() {
+        return Ok(number.clamp(least, most) as i64);
+    }
     if !(least..=most).contains(&number) {
         let what = format!("`{}` of {value} in the {bits} bits that LAS has for it", field.name);
         return Err(Error::unsupported(path, what, "name the output .ply"));
     }
     // Angles are rounded to their steps; counts are not.
-    if place.unit == 1.0 && place.fractions != Fractions::Rounded && number != value {
+    if place.unit == 1.0 && number != value {
         let what = format!("`{}` of {value} in LAS, which has whole numbers for it", field.name);
         return Err(Error::unsupported(path, what, "name the output .ply"));
     }

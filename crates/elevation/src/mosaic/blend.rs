@@ -48,11 +48,12 @@ impl Whole<'_> {
             let values = whole.values.chunks_exact(whole.index.len()).flat_map(take).collect();
             return Ok((index.iter().any(|&n| n > 0)).then_some(Tile { values, index }));
         }
+        let deciding = self.sources[0].deciding_bands();
         let (mut sums, mut weights) = (vec![0.0; area * bands], vec![0.0; area]);
         for number in numbers {
             let values = self.read(worker, number as usize - 1, around)?;
             let cells = whole.index.len();
-            let there: Vec<bool> = (0..cells).map(|cell| super::holds(&values, cells, cell)).collect();
+            let there: Vec<bool> = (0..cells).map(|cell| super::holds(&values, cells, cell, &deciding)).collect();
             let size = (width, around.height as usize);
             let won = tent(whole.index.iter().map(|&n| u32::from(n == number)).collect(), size, radius as usize);
             let known = tent(there.iter().map(|there| u32::from(*there)).collect(), size, radius as usize);

@@ -311,6 +311,7 @@ impl Whole<'_> {
         let float = matches!(first.kind, GdalDataType::Float32 | GdalDataType::Float64);
         let nodata = first.nodata.or(float.then_some(-9999.0));
         let void = nodata.unwrap_or(0.0);
+        let deciding = first.deciding_bands();
         let form = Form {
             grid: self.grid,
             wkt: &first.wkt,
@@ -330,16 +331,17 @@ impl Whole<'_> {
             threads,
             || Worker { opened: Opened::default(), cells: vec![0; count + 1] },
             |worker, window| {
-                let Some(tile) = self.tile(worker, window)? else { return Ok(None) };
+                let Some(mut tile) = self.tile(worker, window)? else { return Ok(None) };
+                self.part_from_nodata(&mut tile, &deciding);
                 for (cell, &number) in tile.index.iter().enumerate() {
                     if number > 0 {
                         worker.cells[number as usize - 1] += 1;
                     }
-                    worker.cells[count] += u64::from(holds(&tile.values, tile.index.len(), cell));
+                    worker.cells[count] += u64::from(holds(&tile.values, tile.index.len(), cell, &deciding));
                 }
                 let values: Vec<T> = tile.values.iter().map(|&v| cast(if v.is_nan() { void } else { v })).collect();
                 let area = window.area() as usize;
-                let there = |cell| if holds(&tile.values, area, cell) { 255 } else { 0 };
+                let there = |cell| if holds(&tile.values, area, cell, &deciding) { 255 } else { 0 };
                 let mask: Vec<u8> = (0..area).map(there).collect();
                 Ok(Some((values, tile.index, mask)))
             },
@@ -394,6 +396,20 @@ impl Whole<'_> {
         Ok(masked)
     }
 
+    /// A colour of a picture that would be read as "nothing", since the sources differ in nodata or a mean met it, is
+    /// moved by one in its first band.
+    fn part_from_nodata(&self, tile: &mut Tile, deciding: &[usize]) {
+        let first = &self.sources[0];
+        let Some(nodata) = first.nodata.filter(|_| first.is_picture()) else { return };
+        let ((least, most), area) = (range(first.kind), tile.index.len());
+        let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
+        for cell in 0..area {
+            if deciding.iter().all(|band| tile.values[band * area + cell].round().clamp(least, most) == nodata) {
+                tile.values[deciding[0] * area + cell] = beside;
+            }
+        }
+    }
+
     fn tile(&self, worker: &mut Worker, window: Window) -> Result<Option<Tile>> {
         let blended = !matches!(self.job.choice, Choice::Median | Choice::Feather) || self.index.is_some();
         if self.job.blend_px > 0 && blended { self.blended(worker, window) } else { self.chosen(worker, window) }
@@ -435,21 +451,12 @@ impl Whole<'_> {
             }
         }
         let first = &self.sources[0];
-        if let Some(nodata) = first.nodata.filter(|_| first.whole_numbers()) {
+        if let Some(nodata) = first.nodata.filter(|_| first.whole_numbers() && !first.is_picture()) {
             let (least, most) = range(first.kind);
-            // What would be read as "nothing" is moved by one: a value, or of a colour its first band.
+            // A value that would be read as "nothing" is moved by one; of pictures that is seen to at the end.
             let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
-            let is_nodata = |value: f64| value.round().clamp(least, most) == nodata;
-            let (area, colours) = (window.area() as usize, first.colour_bands());
-            if colours.len() > 1 {
-                for cell in 0..area {
-                    if colours.iter().all(|band| is_nodata(values[band * area + cell])) {
-                        values[colours[0] * area + cell] = beside;
-                    }
-                }
-            } else {
-                values.iter_mut().filter(|value| is_nodata(**value)).for_each(|value| *value = beside);
-            }
+            let is_nodata = |value: &&mut f64| value.round().clamp(least, most) == nodata;
+            values.iter_mut().filter(is_nodata).for_each(|value| *value = beside);
         }
         Ok(values)
     }
@@ -468,6 +475,7 @@ impl Whole<'_> {
             // The sort is stable: of equals the later source wins.
             order.sort_by(|&a, &b| self.sources[a].date.cmp(&self.sources[b].date));
         }
+        let deciding = self.sources[0].deciding_bands();
         let mut best = vec![f64::INFINITY; area];
         for (rank, &number) in order.iter().enumerate() {
             let rank = rank as f64;
@@ -487,7 +495,7 @@ impl Whole<'_> {
             }
             let values = self.read(worker, number, window)?;
             for cell in 0..area {
-                if cost(cell) < best[cell] && holds(&values, area, cell) {
+                if cost(cell) < best[cell] && holds(&values, area, cell, &deciding) {
                     best[cell] = cost(cell);
                     tile.index[cell] = number as u32 + 1;
                     for band in 0..values.len() / area {
@@ -508,6 +516,7 @@ impl Whole<'_> {
         tile: &mut Tile,
     ) -> Result<()> {
         let area = window.area() as usize;
+        let deciding = self.sources[0].deciding_bands();
         let numbers = worker.opened.read(index, &self.grid, window, Interpolation::Nearest)?;
         for &number in near {
             let wanted = (number + 1) as f64;
@@ -515,7 +524,7 @@ impl Whole<'_> {
                 continue;
             }
             let values = self.read(worker, number, window)?;
-            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && holds(&values, area, cell)) {
+            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && holds(&values, area, cell, &deciding)) {
                 tile.index[cell] = number as u32 + 1;
                 for band in 0..values.len() / area {
                     tile.values[band * area + cell] = values[band * area + cell];
@@ -526,9 +535,9 @@ impl Whole<'_> {
     }
 }
 
-/// Whether a cell holds anything: black paint has no red, and is there.
-fn holds(values: &[f64], area: usize, cell: usize) -> bool {
-    values.iter().skip(cell).step_by(area).any(|value| !value.is_nan())
+/// Whether a cell holds anything in one of the bands that decide: black paint has no red, and is there.
+fn holds(values: &[f64], area: usize, cell: usize, deciding: &[usize]) -> bool {
+    deciding.iter().any(|band| !values[band * area + cell].is_nan())
 }
 
 /// The tiled copy as a Cloud Optimized GeoTIFF with overviews.

@@ -84,10 +84,18 @@ impl Source {
         })
     }
 
-    /// Bands that are no opacity.
-    pub fn colour_bands(&self) -> Vec<usize> {
+    /// Whether the bands are colours of one picture: red, green and blue in 8 or 16 bits.
+    pub fn is_picture(&self) -> bool {
+        use ColorInterpretation::{BlueBand, GreenBand, RedBand};
+        let wanted = [RedBand, GreenBand, BlueBand];
+        matches!(self.kind, GdalDataType::UInt8 | GdalDataType::UInt16) && self.colours.get(..3) == Some(&wanted[..])
+    }
+
+    /// The bands that say whether a cell holds anything: all colours of a picture, else the first.
+    pub fn deciding_bands(&self) -> Vec<usize> {
         let opacity = |band: usize| self.colours.get(band) == Some(&ColorInterpretation::AlphaBand);
-        (0..self.bands).filter(|band| !opacity(*band)).collect()
+        let end = if self.is_picture() { self.bands } else { 1 };
+        (0..end).filter(|band| !opacity(*band)).collect()
     }
 
     pub fn whole_numbers(&self) -> bool {
@@ -508,17 +516,16 @@ impl Opened {
 }
 
 impl Source {
-    /// Puts NaN where there is nothing. Colours in whole numbers are nothing where all bands are nodata: red that is 0
-    /// beside green is a colour. Other bands are read each for itself.
+    /// Puts NaN where there is nothing. A picture is nothing where all its colours are nodata: red that is 0 beside
+    /// green is a colour. Other bands are read each for itself.
     fn leave_out_nodata(&self, planes: &mut [Vec<f64>]) {
         let is_void = |value: f64| self.nodata.is_some_and(|n| value == n || value == f64::from(n as f32));
-        let colours = self.colour_bands();
-        let as_one = self.whole_numbers() && colours.len() > 1;
+        let (is_picture, colours) = (self.is_picture(), self.deciding_bands());
         for cell in 0..planes.first().map_or(0, Vec::len) {
-            let all = as_one && colours.iter().all(|band| is_void(planes[*band][cell]));
+            let all = is_picture && colours.iter().all(|band| is_void(planes[*band][cell]));
             for plane in planes.iter_mut() {
                 let value = &mut plane[cell];
-                if all || (!as_one && is_void(*value)) || !value.is_finite() {
+                if all || (!is_picture && is_void(*value)) || !value.is_finite() {
                     *value = f64::NAN;
                 }
             }
