@@ -344,6 +344,27 @@ fn old_headers_with_new_point_formats_are_lengthened() {
     assert_eq!(points(&output, &[]).iter().map(|(xyz, _)| xyz[2]).collect::<Vec<_>>(), [1.0, 2.0]);
 }
 
+/// The range stands behind bytes that nobody described, and is described there.
+#[test]
+fn the_range_is_found_behind_bytes_that_nobody_described() {
+    use autoref_cloud::clean::Step;
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = folder.path().join("old.las");
+    std::fs::write(&input, old_las(500)).expect("writable");
+    let camera = [10.0, 1000.0, 5000.0];
+    let crop = autoref_cloud::crop::Crop::range(camera, 10.0).expect("above the ground");
+    for name in ["new.laz", "new.copc.laz"] {
+        let output = folder.path().join(name);
+        autoref_cloud::clean::clean(&input, &output, &output, &plan(vec![Step::Crop(crop.clone())])).expect("cleaned");
+        let read = points(&output, &["range", "amplitude", "gps_time"]);
+        assert_eq!(read.len(), 500);
+        for (xyz, values) in read {
+            assert!((values[0] - autoref_cloud::crop::distance(xyz, camera)).abs() < 1e-9, "{name}: {values:?}");
+            assert!((values[1] - (values[2] - 3e8) * 0.01).abs() < 1e-9, "{name}: {values:?}");
+        }
+    }
+}
+
 #[test]
 fn a_survey_keeps_its_points() {
     let Some(input) = shared("pdal/autzen_trim.laz") else { return };

@@ -130,6 +130,14 @@ impl LasHeader {
         extras
     }
 
+    /// The descriptions of extra bytes that records reach, and how many bytes they describe.
+    pub(super) fn described_extra(&self) -> (&[u8], usize) {
+        let extras = self.extras();
+        let bytes = extras.iter().map(|extra| extra.count * extra.kind.map_or(1, Kind::size)).sum();
+        let content = self.vlr("LASF_Spec", 4).map_or(&[][..], |vlr| &vlr.content[..extras.len() * EXTRA_BYTES_RECORD]);
+        (content, bytes)
+    }
+
     /// What a format of named values, such as PLY, does not carry of the records, in words.
     pub(super) fn without_names(&self) -> Vec<String> {
         let extras = self.extras();

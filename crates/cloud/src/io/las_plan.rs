@@ -135,25 +135,20 @@ pub(super) fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<
 
 /// Adds the range behind the extra bytes that a LAS source has.
 fn describe_range(las: &LasHeader, vlrs: &mut Vec<Vlr>) {
-    let described = describe_extra("range", Kind::F64, "");
-    match vlrs.iter_mut().find(|vlr| vlr.user_id == "LASF_Spec" && vlr.record_id == 4) {
-        Some(vlr) => {
-            let content = [vlr.content.as_slice(), &described].concat();
-            *vlr = vlr_of("LASF_Spec", 4, "extra bytes", content);
-        }
-        None => {
-            // Bytes that nobody described must be named before ours.
-            let undescribed = las.record_bytes - las_header::RECORD_BYTES[usize::from(las.point_format)];
-            let mut content = Vec::new();
-            if undescribed > 0 {
-                content = describe_extra("undescribed", Kind::U8, "");
-                content[2] = 0;
-                content[3] = undescribed.min(255) as u8;
-            }
-            content.extend(described);
-            vlrs.push(vlr_of("LASF_Spec", 4, "extra bytes", content));
-        }
+    let (descriptions, described) = las.described_extra();
+    let mut content = descriptions.to_vec();
+    // Bytes that nobody described must be named before ours; a description has room for 255.
+    let mut left = las.record_bytes - las_header::RECORD_BYTES[usize::from(las.point_format)] - described;
+    while left > 0 {
+        let bytes = left.min(255);
+        let mut undescribed = describe_extra("undescribed", Kind::U8, "");
+        undescribed[2..4].copy_from_slice(&[0, bytes as u8]);
+        content.extend(undescribed);
+        left -= bytes;
     }
+    content.extend(describe_extra("range", Kind::F64, ""));
+    vlrs.retain(|vlr| !(vlr.user_id == "LASF_Spec" && vlr.record_id == 4));
+    vlrs.push(vlr_of("LASF_Spec", 4, "extra bytes", content));
 }
 
 /// The plan of a COPC file for a LAS source: point formats 6 to 8 as they came, 0 to 3 raised to these, extra bytes as
