@@ -256,6 +256,30 @@ fn joined(
 
 /// Blocks of the files and of the tiles are smaller where there are many bands: every cell still comes to its place.
 #[test]
+fn a_raster_that_gcps_place_is_told_the_way_to_a_grid() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("scan.tif");
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("a driver");
+    let set = driver.create_with_band_type::<u8, _>(&path, 20, 10, 1).expect("a file");
+    let corner = |pixel: f64, line: f64| gdal::Gcp {
+        id: String::new(),
+        info: String::new(),
+        pixel,
+        line,
+        x: 500_000.0 + pixel,
+        y: 6_600_000.0 - line,
+        z: 0.0,
+    };
+    let corners = vec![corner(0.0, 0.0), corner(20.0, 0.0), corner(0.0, 10.0)];
+    set.set_gcps(corners, &SpatialRef::from_epsg(32632).expect("PROJ knows it")).expect("labelled");
+    drop(set);
+    let refused = joined(Choice::First, Interpolation::Bilinear, None, &[path], &folder.path().join("m.tif"))
+        .expect_err("no grid")
+        .to_string();
+    assert!(refused.contains("scan.tif") && refused.contains("GCPs") && refused.contains("gdalwarp"), "{refused}");
+}
+
+#[test]
 fn a_mosaic_of_many_bands_has_every_cell() {
     const BANDS: usize = 37;
     let folder = tempfile::tempdir().expect("a folder");

@@ -53,8 +53,9 @@ impl Source {
         if dataset.raster_count() == 0 {
             return Err(Error::unsupported(path, "it holds no raster", "leave it out"));
         }
-        let transform = dataset.geo_transform().map_err(|_| {
-            Error::unsupported(path, "a raster without a georeference", "give it one with gdal_edit.py")
+        let transform = dataset.geo_transform().map_err(|_| match dataset.gcps() {
+            [] => Error::unsupported(path, "a raster without a georeference", "give it one with gdal_edit.py"),
+            _ => Error::unsupported(path, "a raster that GCPs place, on no grid", "bring it onto one with gdalwarp"),
         })?;
         let (width, height) = dataset.raster_size();
         let grid = Grid::new(&GeoTransform(transform), width as u64, height as u64)

@@ -106,21 +106,30 @@ fn fields(line: &str, cut: Option<char>) -> Vec<String> {
     all
 }
 
-const NAMES: [&str; 13] = [
+/// Titles of the column that names the frames, as [`title`] has them.
+const NAMES: [&str; 18] = [
     "name",
     "filename",
     "file",
     "image",
+    "images",
     "frame",
+    "frames",
     "photo",
+    "photos",
     "label",
     "id",
     "img",
     "imagename",
-    "image_name",
+    "photoname",
+    "framename",
     "photoid",
+    "imageid",
     "sourcefile",
 ];
+/// Of these the ones that may stand beside the name of a point.
+const IMAGES: [&str; 10] =
+    ["image", "images", "frame", "frames", "photo", "photos", "img", "imagename", "photoname", "filename"];
 const LONGITUDES: [&str; 5] = ["lon", "long", "longitude", "x/longitude", "gpslongitude"];
 const LATITUDES: [&str; 4] = ["lat", "latitude", "y/latitude", "gpslatitude"];
 const COLUMNS: [(&str, &[&str]); 10] = [
@@ -136,28 +145,38 @@ const COLUMNS: [(&str, &[&str]); 10] = [
             "longitude",
             "x/longitude",
             "x/easting",
-            "x_m",
+            "xm",
             "øst",
             "ost",
             "gpslongitude",
         ],
     ),
-    (
-        "y",
-        &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "y_m", "nord", "gpslatitude"],
-    ),
-    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "z_m", "høyde", "hoyde", "gpsaltitude"]),
-    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yaw_deg", "direction"]),
-    ("pitch", &["pitch", "pitch_deg", "elevation_angle"]),
-    ("roll", &["roll", "roll_deg"]),
-    ("omega", &["omega", "omega_deg"]),
-    ("phi", &["phi", "phi_deg"]),
-    ("kappa", &["kappa", "kappa_deg"]),
-    ("line", &["line", "strip", "flight_line", "run"]),
+    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "ym", "nord", "gpslatitude"]),
+    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "zm", "høyde", "hoyde", "gpsaltitude"]),
+    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yawdeg", "direction"]),
+    ("pitch", &["pitch", "pitchdeg", "elevationangle"]),
+    ("roll", &["roll", "rolldeg"]),
+    ("omega", &["omega", "omegadeg"]),
+    ("phi", &["phi", "phideg"]),
+    ("kappa", &["kappa", "kappadeg"]),
+    ("line", &["line", "strip", "flightline", "run"]),
 ];
 
-const PIXEL_X: [&str; 7] = ["px", "u", "im_x", "pixel_x", "image_x", "col", "column"];
-const PIXEL_Y: [&str; 7] = ["py", "v", "im_y", "pixel_y", "image_y", "row", "line"];
+const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];
+const PIXEL_Y: [&str; 7] = ["py", "v", "imy", "pixely", "imagey", "row", "line"];
+
+/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so that
+/// nobody takes them for degrees.
+fn title(text: &str) -> String {
+    let text = text.to_lowercase();
+    let is_unit = |unit: &str| !unit.contains("rad");
+    let bare = text.split_once(['(', '[']).filter(|(_, unit)| is_unit(unit)).map_or(text.as_str(), |(bare, _)| bare);
+    bare.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect()
+}
+
+fn titles_of(line: &str) -> Vec<String> {
+    fields(line, separator(line)).iter().map(|field| title(field)).collect()
+}
 
 /// Titles of columns.
 struct Heading {
@@ -166,7 +185,7 @@ struct Heading {
 
 impl Heading {
     fn of(line: &str) -> Self {
-        Heading { heads: fields(line, separator(line)).iter().map(|h| h.to_lowercase()).collect() }
+        Heading { heads: titles_of(line) }
     }
 
     /// Whether there are an x and a y among them.
@@ -305,15 +324,15 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         .collect();
     let Some((_, first)) = lines.first() else { return Err(Error::format(path, "the list", "is empty")) };
     let head_cut = separator(first);
-    let heads: Vec<String> = fields(first, head_cut).iter().map(|h| h.to_lowercase()).collect();
+    let heads = titles_of(first);
     let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
     let (px, py) = (place(&PIXEL_X), place(&PIXEL_Y));
-    let image = place(&["image", "frame", "photo", "img", "image_name", "filename"]);
+    let image = place(&IMAGES);
     let mut points: Vec<ImagePoint> = Vec::new();
     if let (Some(px), Some(py)) = (px, py) {
-        let name = place(&["name", "gcp", "point", "label", "id", "gcp_name"]);
+        let name = place(&["name", "gcp", "point", "label", "id", "gcpname"]);
         let role = place(&["role", "type", "use"]);
-        let (plan, up) = (place(&["sigma_m", "sigma"]), place(&["sigma_height_m", "sigma_h"]));
+        let (plan, up) = (place(&["sigmam", "sigma"]), place(&["sigmaheightm", "sigmah"]));
         let ground = (column_at(&heads, 0), column_at(&heads, 1), column_at(&heads, 2));
         for (row, line) in &lines[1..] {
             let f = fields(line, head_cut);
@@ -377,7 +396,7 @@ fn is_geographic(heads: &[String]) -> bool {
 pub fn has_pixel_columns(text: &str) -> bool {
     let mut lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
     let Some(first) = lines.find(|l| !l.is_empty() && !l.starts_with('#')) else { return false };
-    let heads: Vec<String> = fields(first, separator(first)).iter().map(|h| h.to_lowercase()).collect();
+    let heads = titles_of(first);
     [PIXEL_X, PIXEL_Y].iter().all(|titles| heads.iter().any(|h| titles.contains(&h.as_str())))
 }
 
@@ -443,6 +462,20 @@ mod tests {
         let path = std::env::temp_dir().join(format!("autoref-flight-table-{}-{n}", std::process::id()));
         std::fs::write(&path, text).expect("writable");
         (path.clone(), Gone(path))
+    }
+
+    #[test]
+    fn titles_are_known_by_their_letters() {
+        let (path, _gone) = file("Photo Name,Easting (m),Northing (m),Height [m],Yaw (deg)\na.tif,1,2,3,40\n");
+        let rows = cameras(&path).expect("read");
+        assert_eq!((rows[0].name.as_str(), rows[0].xyz, rows[0].yaw_deg), ("a.tif", [1.0, 2.0, 3.0], Some(40.0)));
+        // Radians are nothing that is read as degrees.
+        let (path, _gone) = file("images,x,y,z,yaw_rad,yaw (rad)\na.tif,1,2,3,0.7,0.7\n");
+        assert_eq!(cameras(&path).expect("read")[0].yaw_deg, None);
+        let (path, _gone) = file("GCP Name,Images,Pixel X,Pixel_Y\nP1,a.tif,10.5,20\n");
+        let (_, points) = image_points(&path).expect("read");
+        let first = &points[0];
+        assert_eq!((&*first.name, &*first.image, first.pixel), ("P1", "a.tif", Some([10.5, 20.0])));
     }
 
     #[test]
