@@ -31,7 +31,7 @@ mod working_crs;
 mod xml;
 
 pub use place::leading_digits;
-pub use read::{GcpList, GcpOptions, ImageGeoreference, read};
+pub use read::{GcpList, GcpOptions, ImageGeoreference, read, settle_places};
 pub use working_crs::{Delivered, Reproject, WorkingCrs};
 
 use serde::{Deserialize, Serialize};

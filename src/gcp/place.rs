@@ -110,18 +110,7 @@ fn set_aside(
     if names.is_empty() {
         return Ok(());
     }
-    if names.len() == points.len() {
-        return Err(Error::format(
-            path,
-            "the coordinates",
-            format!(
-                "all {} points lie outside the area of use of {}{}; give the --crs that they are in, or --force outside-area",
-                names.len(),
-                crs.title(),
-                inside_otherwise(points, crs, image).map_or(String::new(), |how| format!(" ({how})"))
-            ),
-        ));
-    }
+    refuse_elsewhere(path, points, crs, image, ", or --force outside-area")?;
     points.retain(|p| !outside(p));
     notes.push(format!(
         "{}: set aside, outside the area of use of {}: {} (--force outside-area keeps them)",
@@ -130,6 +119,32 @@ fn set_aside(
         listed(&names)
     ));
     Ok(())
+}
+
+/// Refuses points of which none lies in the CRS's area of use; `way_out` is what else the caller may do.
+///
+/// # Errors
+/// [`Error::Format`] with what would bring them there.
+pub(super) fn refuse_elsewhere(
+    path: &Path,
+    points: &[RawPoint],
+    crs: &Crs,
+    image: Option<&ImageGeoreference>,
+    way_out: &str,
+) -> Result<()> {
+    if points.is_empty() || points.iter().any(|p| crs.covers(p.gcp.easting, p.gcp.northing) != Some(false)) {
+        return Ok(());
+    }
+    Err(Error::format(
+        path,
+        "the coordinates",
+        format!(
+            "all {} points lie outside the area of use of {}{}; give the --crs that they are in{way_out}",
+            points.len(),
+            crs.title(),
+            inside_otherwise(points, crs, image).map_or(String::new(), |how| format!(" ({how})"))
+        ),
+    ))
 }
 
 /// What would bring all points into the CRS's area of use, or onto the image: feet, the zone's number before the

@@ -429,6 +429,29 @@ fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: O
     }
 }
 
+/// Looks at the places of a list that another reader took as east, north, height: north first is exchanged where only
+/// that can be, and said.
+///
+/// # Errors
+/// [`Error::Format`] when the places count from the centre of the Earth, or all lie outside the area of use of `crs`.
+pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) -> Result<Vec<String>> {
+    let point = |(index, &[east, north, height]): (usize, &[f64; 3])| {
+        let gcp = Gcp { height: Some(height), ..Gcp::control((index + 1).to_string(), east, north) };
+        RawPoint::bare(gcp, "the coordinates")
+    };
+    let mut points: Vec<RawPoint> = places.iter().enumerate().map(point).collect();
+    refuse_geocentric(path, &points)?;
+    let mut notes = Vec::new();
+    settle_order(path, &mut points, ColumnOrder::Ruled, crs, &mut notes);
+    if let Some(crs) = crs {
+        place::refuse_elsewhere(path, &points, crs, None, "")?;
+    }
+    for (place, point) in places.iter_mut().zip(&points) {
+        (place[0], place[1]) = (point.gcp.easting, point.gcp.northing);
+    }
+    Ok(notes)
+}
+
 /// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and
 /// none has a height that ground has.
 fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {

@@ -154,6 +154,12 @@ fn are_in_line(seen: &[Seen]) -> bool {
     far.norm() == 0.0 || seen.iter().all(|s| beside(s) <= 1e-3 * far.norm())
 }
 
+/// Focal lengths of cameras, in sides of their images: beyond, an object far off would do as well.
+const FOCAL_SIDES: std::ops::Range<f64> = 0.15..20.0;
+
+/// Starts that are refined, beside the best one of each focal length.
+const BEST_STARTS: usize = 12;
+
 /// Finds the pose; wrong points are named.
 ///
 /// # Errors
@@ -192,21 +198,16 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
         }
         _ => Vec::new(),
     };
-    best.truncate(12);
-    let mut result: Option<(f64, Resection)> = None;
-    for (_, camera, pose) in best {
-        let Ok(found) = refine(&camera, &pose, seen, options) else { continue };
-        let score = disagreement(&found.camera, &found.pose, seen, &judging);
-        if result.as_ref().is_none_or(|r| score < r.0) {
-            result = Some((score, found));
-        }
-    }
-    let (_, mut found) = result.ok_or_else(|| {
+    let (result, is_open) = refined(best, seen, options);
+    let mut found = result.ok_or_else(|| {
         if are_in_line(seen) {
             return Error::no_result(
                 "the points lie on one line, or at one place, and leave the pose open",
                 "measure a point to the side of it",
             );
+        }
+        if is_open {
+            return Error::no_result("the points leave the focal length open", "give it: --f-px, or --camera");
         }
         Error::no_result(
             "no pose sees the points where they were measured",
@@ -228,6 +229,42 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
 const AS_GOOD: f64 = 18.0;
 /// What speaks against a camera below its points, px².
 const BELOW_GROUND: f64 = 1.0;
+
+/// The resection that the better part of the points agrees with best, from the best starts; and whether one was passed
+/// over that leaves the focal length open.
+fn refined(mut best: Vec<(f64, Camera, Pose)>, seen: &[Seen], options: &ResectOptions) -> (Option<Resection>, bool) {
+    let judging = judging(seen, options);
+    // Wrong points can lead the best starts to one wrong focal length: the best of each is tried as well.
+    let mut tried: Vec<f64> = Vec::new();
+    let mut rank = 0;
+    best.retain(|(_, camera, _)| {
+        let is_new = !tried.contains(&camera.f_px());
+        if is_new {
+            tried.push(camera.f_px());
+        }
+        rank += 1;
+        is_new || rank <= BEST_STARTS
+    });
+    let mut result: Option<(f64, Resection)> = None;
+    let mut is_open = false;
+    for (_, camera, pose) in best {
+        // Gross errors may carry the focal length away before they are named: it is held until then as well.
+        let held_too = (options.focal == Focal::Sought).then_some(Focal::Known);
+        for at_first in std::iter::once(options.focal).chain(held_too) {
+            let Ok(found) = refine(&camera, &pose, seen, options, at_first) else { continue };
+            let sides = found.camera.f_px() / camera.size_px[0].max(camera.size_px[1]);
+            if options.focal == Focal::Sought && !FOCAL_SIDES.contains(&sides) {
+                is_open = true;
+                continue;
+            }
+            let score = disagreement(&found.camera, &found.pose, seen, &judging);
+            if result.as_ref().is_none_or(|r| score < r.0) {
+                result = Some((score, found));
+            }
+        }
+    }
+    (result.map(|(_, found)| found), is_open)
+}
 
 /// How many different places the points have.
 fn places(seen: &[Seen]) -> usize {
@@ -333,12 +370,13 @@ fn judging(seen: &[Seen], options: &ResectOptions) -> ResectOptions {
     ResectOptions { position: options.position.filter(|_| counts), ..options.clone() }
 }
 
-fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Result<Resection> {
+/// From a start to the end; `at_first` is what becomes of the focal length until the points far off are named.
+fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions, at_first: Focal) -> Result<Resection> {
     let robust = Options { loss: Loss::Cauchy(2.0), ..Options::default() };
     let unknowns = unknowns(options);
     let first = judging(seen, options);
     let mut position_counts = first.position.is_some() || options.position.is_none();
-    let mut at = problem(camera, pose, seen, &first, Trust::Robust);
+    let mut at = problem(camera, pose, seen, &ResectOptions { focal: at_first, ..first.clone() }, Trust::Robust);
     if seen.len() > 3 {
         solve(&mut at, &robust)?;
     }

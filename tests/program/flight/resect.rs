@@ -116,3 +116,55 @@ fn the_wrong_point_of_kronebreen_is_named() {
         assert_eq!(document["gcps"].as_array().map(Vec::len), Some(10));
     }
 }
+
+/// Lists that other programs wrote another way round: told, mended where only one reading can be, or refused.
+#[test]
+fn resect_tells_what_cannot_be() {
+    let place = Place::new();
+    let list = |name: &str, crs: &str, of: &dyn Fn([f64; 3], [f64; 2]) -> ([f64; 3], [f64; 2])| {
+        let mut text = format!("{crs}\n");
+        for (gcp, xyz, seen) in &place.flight.gcps {
+            if let Some((_, at)) = seen.iter().find(|(frame, _)| *frame == 2) {
+                let ([x, y, z], [px, py]) = of([xyz.x, xyz.y, xyz.z], *at);
+                text.push_str(&format!("{x} {y} {z} {px} {py} f2.png {gcp}\n"));
+            }
+        }
+        place.write(name, &text)
+    };
+    let resect = |list: &Path| {
+        let some = ["flight", "resect", "f2.png", "--gcps", text(list), "--f-px", "500", "--size", "480,480", "--json"];
+        autoref(&some, None, &[])
+    };
+    let truth = place.flight.model.photographs[2].pose.centre;
+    let off = |d: &Value, origin: [f64; 3]| {
+        let at = (0..3).map(|i| d["C"][i].as_f64().expect("a number") - origin[i]);
+        (Vector3::from_iterator(at) - truth).norm()
+    };
+    let (east, north) = (500_000.0, 6_600_000.0);
+    let swapped =
+        list("swapped.txt", "EPSG:32633", &|[x, y, z], [px, py]| ([y + north, x + east, z], [px - 0.5, py - 0.5]));
+    let output = resect(&swapped);
+    expect(&output, 0, &["swapped.txt", "northing comes before easting"]);
+    assert!(off(&json(&output), [east, north, 0.0]) < 0.5, "{}", json(&output));
+    let geocentric =
+        list("ecef.txt", "EPSG:32633", &|[x, y, z], at| ([3_744_360.0 + x, -4_371_868.0 + y, -2_740_228.0 + z], at));
+    expect(&resect(&geocentric), 2, &["ecef.txt", "centre of the Earth"]);
+    let elsewhere = list("elsewhere.txt", "EPSG:32633", &|[x, y, z], at| ([9e6 + x, 9e6 + y, z], at));
+    expect(&resect(&elsewhere), 2, &["elsewhere.txt", "outside the area of use of WGS 84 / UTM zone 33N", "--crs"]);
+    let upwards = list("upwards.txt", "local", &|xyz, [px, py]| (xyz, [px, -py]));
+    expect(&resect(&upwards), 2, &["upwards.txt", "lie outside their frames", "counts upwards"]);
+    let larger = list("larger.txt", "local", &|xyz, [px, py]| (xyz, [4.0 * px, 4.0 * py]));
+    expect(&resect(&larger), 2, &["larger.txt", "lie outside their frames", "480 x 480 px"]);
+    let first = std::cell::Cell::new(true);
+    let one = list("one.txt", "local", &|xyz, at| (xyz, if first.replace(false) { [900.0, at[1]] } else { at }));
+    let output = resect(&one);
+    expect(&output, 0, &["one.txt: 1 of", "are left out"]);
+    let document = json(&output);
+    assert!(off(&document, [0.0; 3]) < 0.2 && document["notes"][0].to_string().contains("left out"), "{document}");
+    let mirrored = list("mirrored.txt", "local", &|xyz, [px, py]| (xyz, [px, 480.0 - py]));
+    let output = resect(&mirrored);
+    if output.status.code() == Some(0) {
+        let notes = json(&output)["notes"].to_string();
+        assert!(notes.contains("below all points") || notes.contains("do not trust"), "{notes}");
+    }
+}

@@ -352,7 +352,8 @@ struct Worker {
 /// When a model cannot be read.
 pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means: Means) -> Result<Sums> {
     match state.surface.degree {
-        Degree::Level | Degree::Linear => pass_of::<{ SHIFTS + 3 }>(pair, state, gather, flats, means),
+        Degree::Level => pass_of::<{ SHIFTS + 1 }>(pair, state, gather, flats, means),
+        Degree::Linear => pass_of::<{ SHIFTS + 3 }>(pair, state, gather, flats, means),
         Degree::Quadratic => pass_of::<{ SHIFTS + 6 }>(pair, state, gather, flats, means),
         Degree::Cubic => pass_of::<{ SHIFTS + 10 }>(pair, state, gather, flats, means),
     }

@@ -70,13 +70,16 @@ pub(super) fn contradictions(
     /// Standard deviations.
     const FAR: f64 = 5.0;
     let measured: usize = control.iter().map(|p| p.seen.len()).sum();
-    let wrong = blunders.iter().filter(|b| b.photograph.is_some()).count();
+    let images = blunders.iter().filter(|b| b.photograph.is_some()).count();
+    let counts = [(images, measured, "measurements of GCPs"), (blunders.len() - images, control.len(), "GCPs")];
     let mut notes = Vec::new();
-    if wrong >= MANY.1 && wrong as f64 > MANY.0 * measured as f64 {
-        notes.push(format!(
-            "{wrong} of {measured} measurements of GCPs contradict the block: it may be bent where they lie, and its \
-             cameras further off than their standard deviations say"
-        ));
+    for (wrong, all, what) in counts {
+        if wrong >= MANY.1 && wrong as f64 > MANY.0 * all as f64 {
+            notes.push(format!(
+                "{wrong} of {all} {what} contradict the block: it may be bent where they lie, and its cameras further off \
+                 than their standard deviations say"
+            ));
+        }
     }
     for (index, photograph) in world.photographs.iter().enumerate() {
         let here = || control.iter().filter(|p| p.seen.iter().any(|(frame, _)| *frame == index));

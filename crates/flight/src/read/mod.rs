@@ -4,6 +4,7 @@ pub mod colmap;
 pub mod micmac;
 pub mod opensfm;
 pub mod tables;
+mod titles;
 
 use std::path::Path;
 
@@ -115,10 +116,17 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
              (Orientation-*.xml, Ori-*.xml), nor OpenSfM's reconstruction.json",
         ));
     }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("json") => opensfm::read(path),
-        Some("xml") => micmac::read_orientations(path.parent().unwrap_or(Path::new("."))),
-        Some("bin" | "txt") if colmap::is_name(path) => colmap::read(path.parent().unwrap_or(Path::new("."))),
+        Some("xml") if !path.exists() || micmac::is_orientation_folder(folder) => micmac::read_orientations(folder),
+        Some("xml") => Err(Error::format(
+            path,
+            "the name",
+            "is none of MicMac's orientations (Orientation-*.xml, Ori-*.xml), and none lies beside it; XML of Metashape and \
+             others is not read: export the block as COLMAP's model",
+        )),
+        Some("bin" | "txt") if colmap::is_name(path) => colmap::read(folder),
         Some("bin" | "txt") if path.exists() => Err(Error::format(
             path,
             "the name",

@@ -6,6 +6,10 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::FARTHEST;
+use super::titles::{
+    COLUMNS, Heading, IMAGES, NAMES, PIXEL_X, PIXEL_Y, column_at, fields, is_geographic, names_angles, separator,
+    titles_of,
+};
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
 
@@ -74,126 +78,6 @@ impl CameraRow {
     }
 }
 
-fn separator(line: &str) -> Option<char> {
-    [';', '\t', ','].into_iter().find(|c| line.contains(*c))
-}
-
-/// Cuts a row at its separator, else at blanks; quotes of either kind hold a field together, two are one of it.
-fn fields(line: &str, cut: Option<char>) -> Vec<String> {
-    let mut all = Vec::new();
-    let mut field = String::new();
-    let mut quote = None;
-    let mut any = false;
-    let mut letters = line.chars().peekable();
-    while let Some(c) = letters.next() {
-        match (quote, c) {
-            (Some(q), c) if c == q && letters.peek() == Some(&q) => field.extend(letters.next()),
-            (Some(q), c) if c == q => quote = None,
-            (Some(_), c) => field.push(c),
-            (None, '"' | '\'') if field.trim().is_empty() => (quote, any) = (Some(c), true),
-            (None, c) if cut.map_or(c.is_whitespace(), |s| c == s) => {
-                if cut.is_some() || any || !field.is_empty() {
-                    all.push(std::mem::take(&mut field).trim().to_string());
-                }
-                any = false;
-            }
-            (None, c) => field.push(c),
-        }
-    }
-    if cut.is_some() || any || !field.trim().is_empty() {
-        all.push(field.trim().to_string());
-    }
-    all
-}
-
-/// Titles of the column that names the frames, as [`title`] has them.
-const NAMES: [&str; 18] = [
-    "name",
-    "filename",
-    "file",
-    "image",
-    "images",
-    "frame",
-    "frames",
-    "photo",
-    "photos",
-    "label",
-    "id",
-    "img",
-    "imagename",
-    "photoname",
-    "framename",
-    "photoid",
-    "imageid",
-    "sourcefile",
-];
-/// Of these the ones that may stand beside the name of a point.
-const IMAGES: [&str; 10] =
-    ["image", "images", "frame", "frames", "photo", "photos", "img", "imagename", "photoname", "filename"];
-const LONGITUDES: [&str; 5] = ["lon", "long", "longitude", "x/longitude", "gpslongitude"];
-const LATITUDES: [&str; 4] = ["lat", "latitude", "y/latitude", "gpslatitude"];
-const COLUMNS: [(&str, &[&str]); 10] = [
-    (
-        "x",
-        &[
-            "x",
-            "e",
-            "easting",
-            "east",
-            "lon",
-            "long",
-            "longitude",
-            "x/longitude",
-            "x/easting",
-            "xm",
-            "øst",
-            "ost",
-            "gpslongitude",
-        ],
-    ),
-    ("y", &["y", "n", "northing", "north", "lat", "latitude", "y/latitude", "y/northing", "ym", "nord", "gpslatitude"]),
-    ("z", &["z", "h", "height", "alt", "altitude", "elevation", "z/altitude", "zm", "høyde", "hoyde", "gpsaltitude"]),
-    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yawdeg", "direction"]),
-    ("pitch", &["pitch", "pitchdeg", "elevationangle"]),
-    ("roll", &["roll", "rolldeg"]),
-    ("omega", &["omega", "omegadeg"]),
-    ("phi", &["phi", "phideg"]),
-    ("kappa", &["kappa", "kappadeg"]),
-    ("line", &["line", "strip", "flightline", "run"]),
-];
-
-const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];
-const PIXEL_Y: [&str; 7] = ["py", "v", "imy", "pixely", "imagey", "row", "line"];
-
-/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so that
-/// nobody takes them for degrees.
-fn title(text: &str) -> String {
-    let text = text.to_lowercase();
-    let is_unit = |unit: &str| !unit.contains("rad");
-    let bare = text.split_once(['(', '[']).filter(|(_, unit)| is_unit(unit)).map_or(text.as_str(), |(bare, _)| bare);
-    bare.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect()
-}
-
-fn titles_of(line: &str) -> Vec<String> {
-    fields(line, separator(line)).iter().map(|field| title(field)).collect()
-}
-
-/// Titles of columns.
-struct Heading {
-    heads: Vec<String>,
-}
-
-impl Heading {
-    fn of(line: &str) -> Self {
-        Heading { heads: titles_of(line) }
-    }
-
-    /// Whether there are an x and a y among them.
-    fn names_places(&self) -> bool {
-        (0..2).all(|i| column_at(&self.heads, i).is_some())
-    }
-}
-
 /// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or
 /// without one rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
 ///
@@ -215,6 +99,10 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         .unwrap_or_else(|| Heading::of(first));
     if Heading::of(first).names_places() {
         lines.remove(0);
+    }
+    if let Some((row, _)) = comments.iter().find(|(_, l)| names_angles(l)).filter(|_| !heading.names_places()) {
+        let what = "names angles, but no x and y that are known here; call them x and y";
+        return Err(Error::format(path, format!("row {row}, the heading,"), what));
     }
     let heads = &heading.heads;
     let cut = separator(lines.first().map_or(first, |(_, l)| l));
@@ -386,12 +274,6 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
     Ok((crs.filter(|_| !heading), points))
 }
 
-/// Whether titles name longitude and latitude, and nothing that is a place on a map.
-fn is_geographic(heads: &[String]) -> bool {
-    let any = |titles: &[&str]| heads.iter().any(|h| titles.contains(&h.as_str()));
-    any(&LONGITUDES) && any(&LATITUDES) && !any(&["x", "e", "easting"])
-}
-
 /// Whether the titles of a table name places in images.
 pub fn has_pixel_columns(text: &str) -> bool {
     let mut lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
@@ -418,10 +300,6 @@ fn split(line: &str) -> Vec<String> {
     }
     let blank = fields(line, None);
     if blank.len() >= 5 { blank } else { fields(line, separator(line)) }
-}
-
-fn column_at(heads: &[String], i: usize) -> Option<usize> {
-    heads.iter().position(|h| COLUMNS[i].1.contains(&h.as_str()))
 }
 
 /// A finite number, its decimals after a point or a comma.
@@ -469,6 +347,12 @@ mod tests {
         let (path, _gone) = file("Photo Name,Easting (m),Northing (m),Height [m],Yaw (deg)\na.tif,1,2,3,40\n");
         let rows = cameras(&path).expect("read");
         assert_eq!((rows[0].name.as_str(), rows[0].xyz, rows[0].yaw_deg), ("a.tif", [1.0, 2.0, 3.0], Some(40.0)));
+        let (path, _gone) =
+            file("# Label,X/East,Y/North,Z/Altitude,Yaw,Pitch,Roll,Error (m)\na.tif,1,2,3,40,5,6,0.1\n");
+        let row = &cameras(&path).expect("read")[0];
+        assert_eq!((row.xyz, row.yaw_deg, row.omega_phi_kappa_deg), ([1.0, 2.0, 3.0], Some(40.0), None));
+        let (path, _gone) = file("# Label,X1,Y1,Z1,Yaw,Pitch,Roll\na.tif,1,2,3,40,5,6\n");
+        assert!(cameras(&path).expect_err("angles of what").to_string().contains("row 1, the heading"));
         // Radians are nothing that is read as degrees.
         let (path, _gone) = file("images,x,y,z,yaw_rad,yaw (rad)\na.tif,1,2,3,0.7,0.7\n");
         assert_eq!(cameras(&path).expect("read")[0].yaw_deg, None);

@@ -11,6 +11,7 @@ mod lists;
 mod micmac;
 pub(in crate::cli) mod ortho;
 mod page;
+mod plausible;
 mod project;
 mod relative;
 mod runs;
@@ -209,7 +210,8 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     let control = args.points.load(Some(&model))?;
     let mut notes = control.notes(&model, &args.points, &args.reconstruction)?;
     let world = control.world()?;
-    let points = control.in_world(&world, &model, &args.points)?;
+    let mut points = control.in_world(&world, &model, &args.points)?;
+    notes.extend(plausible::within_frames(&mut points, &model, &args.points.gcps.display().to_string())?);
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(table) = &args.cameras {
         let rows = lists::on_map(lists::cameras(table, args.angles.angles())?, table, control.crs.as_ref())?;
@@ -243,6 +245,8 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     };
     let mut found = adjust(&model, &points, &options)?;
     found.notes.extend(notes);
+    let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
+    found.notes.extend(plausible::below_ground(poses, ground, &world));
     let listed = model.photographs.len();
     let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;
@@ -281,7 +285,8 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     let control = args.points.load(Some(&stub))?;
     let world = control.world()?;
     control.named_checks(&args.points)?;
-    let points = control.in_world(&world, &stub, &args.points)?;
+    let mut points = control.in_world(&world, &stub, &args.points)?;
+    let mut notes = plausible::within_frames(&mut points, &stub, &args.points.gcps.display().to_string())?;
     let (mut seen, mut checks) = (Vec::new(), Vec::new());
     for (p, listed) in points.iter().zip(&control.points) {
         // Where nobody states how good the points are, they are exact.
@@ -318,7 +323,11 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         ..ResectOptions::default()
     };
     let found = resect(&camera, &seen, &options)?;
-    let document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
+    notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
+    let mut document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
+    if let Some(all) = document.get_mut("notes").and_then(serde_json::Value::as_array_mut) {
+        all.extend(notes.into_iter().map(serde_json::Value::from));
+    }
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
         document::say(&document);

@@ -463,7 +463,9 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
             check: false,
             seen: Vec::new(),
         });
-        return Ok(Control { points: points.collect(), crs: stated, ..Control::default() });
+        let mut points: Vec<ListPoint> = points.collect();
+        settle_places(list, &mut points, crs, stated.as_ref())?;
+        return Ok(Control { points, crs: stated, ..Control::default() });
     }
     if needs_reconstruction(&start) {
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
@@ -507,6 +509,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
                 }),
             }
         }
+        settle_places(list, &mut points, crs, stated.as_ref())?;
         return metric(points, stated);
     }
     let options = GcpOptions { crs: crs.filter(|c| !is_local(c)).map(str::to_string), ..GcpOptions::default() };
@@ -522,6 +525,20 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     }
     let crs = if crs.is_some_and(is_local) { None } else { read.crs };
     Ok(Control { points, crs, ..Control::default() })
+}
+
+/// East before north, on the map: what lists of other kinds are told by [`gcp::read`]. A plane of one's own has no order
+/// that could be told.
+fn settle_places(list: &Path, points: &mut [ListPoint], word: Option<&str>, crs: Option<&Crs>) -> Result<()> {
+    if word.is_some_and(is_local) {
+        return Ok(());
+    }
+    let mut places: Vec<[f64; 3]> = points.iter().map(|p| p.xyz).collect();
+    for note in gcp::settle_places(list, &mut places, crs)? {
+        tracing::warn!("{note}");
+    }
+    points.iter_mut().zip(places).for_each(|(point, place)| point.xyz = place);
+    Ok(())
 }
 
 /// Longitude and latitude become UTM metres.

@@ -1,0 +1,171 @@
+//! How the rows of tables are cut, and what their columns are called.
+
+pub(super) fn separator(line: &str) -> Option<char> {
+    [';', '\t', ','].into_iter().find(|c| line.contains(*c))
+}
+
+/// Cuts a row at its separator, else at blanks; quotes of either kind hold a field together, two are one of it.
+pub(super) fn fields(line: &str, cut: Option<char>) -> Vec<String> {
+    let mut all = Vec::new();
+    let mut field = String::new();
+    let mut quote = None;
+    let mut any = false;
+    let mut letters = line.chars().peekable();
+    while let Some(c) = letters.next() {
+        match (quote, c) {
+            (Some(q), c) if c == q && letters.peek() == Some(&q) => field.extend(letters.next()),
+            (Some(q), c) if c == q => quote = None,
+            (Some(_), c) => field.push(c),
+            (None, '"' | '\'') if field.trim().is_empty() => (quote, any) = (Some(c), true),
+            (None, c) if cut.map_or(c.is_whitespace(), |s| c == s) => {
+                if cut.is_some() || any || !field.is_empty() {
+                    all.push(std::mem::take(&mut field).trim().to_string());
+                }
+                any = false;
+            }
+            (None, c) => field.push(c),
+        }
+    }
+    if cut.is_some() || any || !field.trim().is_empty() {
+        all.push(field.trim().to_string());
+    }
+    all
+}
+
+/// Titles of the column that names the frames, as [`title`] has them.
+pub(super) const NAMES: [&str; 18] = [
+    "name",
+    "filename",
+    "file",
+    "image",
+    "images",
+    "frame",
+    "frames",
+    "photo",
+    "photos",
+    "label",
+    "id",
+    "img",
+    "imagename",
+    "photoname",
+    "framename",
+    "photoid",
+    "imageid",
+    "sourcefile",
+];
+/// Of these the ones that may stand beside the name of a point.
+pub(super) const IMAGES: [&str; 10] =
+    ["image", "images", "frame", "frames", "photo", "photos", "img", "imagename", "photoname", "filename"];
+const LONGITUDES: [&str; 5] = ["lon", "long", "longitude", "x/longitude", "gpslongitude"];
+const LATITUDES: [&str; 4] = ["lat", "latitude", "y/latitude", "gpslatitude"];
+pub(super) const COLUMNS: [(&str, &[&str]); 10] = [
+    (
+        "x",
+        &[
+            "x",
+            "e",
+            "easting",
+            "east",
+            "lon",
+            "long",
+            "longitude",
+            "x/longitude",
+            "x/easting",
+            "x/east",
+            "xm",
+            "øst",
+            "ost",
+            "gpslongitude",
+        ],
+    ),
+    (
+        "y",
+        &[
+            "y",
+            "n",
+            "northing",
+            "north",
+            "lat",
+            "latitude",
+            "y/latitude",
+            "y/northing",
+            "y/north",
+            "ym",
+            "nord",
+            "gpslatitude",
+        ],
+    ),
+    (
+        "z",
+        &[
+            "z",
+            "h",
+            "height",
+            "alt",
+            "altitude",
+            "elevation",
+            "z/altitude",
+            "z/height",
+            "zm",
+            "høyde",
+            "hoyde",
+            "gpsaltitude",
+        ],
+    ),
+    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yawdeg", "direction"]),
+    ("pitch", &["pitch", "pitchdeg", "elevationangle"]),
+    ("roll", &["roll", "rolldeg"]),
+    ("omega", &["omega", "omegadeg"]),
+    ("phi", &["phi", "phideg"]),
+    ("kappa", &["kappa", "kappadeg"]),
+    ("line", &["line", "strip", "flightline", "run"]),
+];
+
+pub(super) const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];
+pub(super) const PIXEL_Y: [&str; 7] = ["py", "v", "imy", "pixely", "imagey", "row", "line"];
+
+/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so that
+/// nobody takes them for degrees.
+fn title(text: &str) -> String {
+    let text = text.to_lowercase();
+    let is_unit = |unit: &str| !unit.contains("rad");
+    let bare = text.split_once(['(', '[']).filter(|(_, unit)| is_unit(unit)).map_or(text.as_str(), |(bare, _)| bare);
+    bare.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect()
+}
+
+pub(super) fn titles_of(line: &str) -> Vec<String> {
+    fields(line, separator(line)).iter().map(|field| title(field)).collect()
+}
+
+/// Titles of columns.
+pub(super) struct Heading {
+    pub(super) heads: Vec<String>,
+}
+
+impl Heading {
+    pub(super) fn of(line: &str) -> Self {
+        Heading { heads: titles_of(line) }
+    }
+
+    /// Whether there are an x and a y among them.
+    pub(super) fn names_places(&self) -> bool {
+        (0..2).all(|i| column_at(&self.heads, i).is_some())
+    }
+}
+
+/// Whether a comment is a heading of angles, without which their numbers would be taken for others.
+pub(super) fn names_angles(comment: &str) -> bool {
+    let heads = titles_of(comment);
+    let all = |titles: [&str; 3]| titles.iter().all(|title| heads.iter().any(|head| head == title));
+    all(["yaw", "pitch", "roll"]) || all(["omega", "phi", "kappa"])
+}
+
+/// Whether titles name longitude and latitude, and nothing that is a place on a map.
+pub(super) fn is_geographic(heads: &[String]) -> bool {
+    let any = |titles: &[&str]| heads.iter().any(|h| titles.contains(&h.as_str()));
+    any(&LONGITUDES) && any(&LATITUDES) && !any(&["x", "e", "easting"])
+}
+
+pub(super) fn column_at(heads: &[String], i: usize) -> Option<usize> {
+    heads.iter().position(|h| COLUMNS[i].1.contains(&h.as_str()))
+}
