@@ -3,8 +3,8 @@
 //!
 //! The normal equations are solved by conjugate gradients (Hestenes & Stiefel 1952), preconditioned by one V-cycle over
 //! ever coarser surfaces (Braess, *Towards algebraic multigrid for elliptic problems of second order*, 1995: cells
-//! joined in fours, the coarse springs about half as stiff as Galerkin's), smoothed by Chebyshev's polynomial in Jacobi's
-//! sweeps. All sums run in a fixed order, so that threads change nothing.
+//! joined in fours, the coarse springs about half as stiff as Galerkin's), smoothed by Chebyshev's polynomial in
+//! Jacobi's sweeps. All sums run in a fixed order, so that threads change nothing.
 
 use std::ops::AddAssign;
 
@@ -21,8 +21,8 @@ const MOST_STEPS: usize = 2000;
 const SWEEPS: [f32; 2] = [1.2422, 0.5571];
 /// Damping and number of the sweeps on the coarsest surface.
 const LAST_SWEEPS: [f32; 16] = [0.8; 16];
-/// Stiffness of coarse springs, relative to Galerkin's: least steps on lidar ground with holes (0.6 takes a quarter more
-/// where holes are 1,000 cells wide, 0.5 a twentieth more where they are small).
+/// Stiffness of coarse springs, relative to Galerkin's: least steps on lidar ground with holes. 0.6 takes a seventh more
+/// where holes are 1,000 cells wide, 0.5 a twentieth more where they are small.
 const COARSE: f32 = 0.55;
 /// Rows of one piece of work at least.
 const BAND_ROWS: usize = 16;

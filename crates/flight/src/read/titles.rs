@@ -124,8 +124,8 @@ pub(super) const COLUMNS: [(&str, &[&str]); 10] = [
 pub(super) const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];
 pub(super) const PIXEL_Y: [&str; 7] = ["py", "v", "imy", "pixely", "imagey", "row", "line"];
 
-/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so that
-/// nobody takes them for degrees.
+/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so
+/// that nobody takes them for degrees.
 fn title(text: &str) -> String {
     let text = text.to_lowercase();
     let is_unit = |unit: &str| !unit.contains("rad");

@@ -527,7 +527,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     Ok(Control { points, crs, ..Control::default() })
 }
 
-/// East before north, on the map: what lists of other kinds are told by [`gcp::read`]. A plane of one's own has no order
+/// East before north, on the map: what [`gcp::read`] does for lists of other kinds. A plane of one's own has no order
 /// that could be told.
 fn settle_places(list: &Path, points: &mut [ListPoint], word: Option<&str>, crs: Option<&Crs>) -> Result<()> {
     if word.is_some_and(is_local) {
