@@ -3,6 +3,7 @@
 
 mod datum;
 mod outcome;
+mod rays;
 mod screening;
 mod snooping;
 
@@ -160,11 +161,13 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     }
     let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8 };
     let mut screened = Screened::default();
+    screened.screen_rays(&mut problem, ties, screening::MONSTROUS);
     screened.screen(&mut problem, ties, screening::MONSTROUS);
     for _ in 0..SCREENINGS {
         snooping::hold(&mut problem, ties, &control);
         solve(&mut problem, &robust)?;
-        if !screened.screen(&mut problem, ties, screening::GROSS) {
+        let passed_by = screened.screen_rays(&mut problem, ties, screening::GROSS);
+        if !screened.screen(&mut problem, ties, screening::GROSS) && !passed_by {
             break;
         }
     }
@@ -179,18 +182,17 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
             o.trust = Trust::Full;
         }
     }
-    let mut snooped = snooping::snoop(&mut problem, ties, &control, options)?;
+    let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened)?;
     // What was set aside early may be right after all.
     if snooped.factored.as_ref().is_some_and(|f| screened.readmit(&mut problem, f, options.critical)) {
-        let again = snooping::snoop(&mut problem, ties, &control, options)?;
+        let again = snooping::snoop(&mut problem, ties, &control, options, &mut screened)?;
         snooped = Snooped { blunders: snooped.blunders.into_iter().chain(again.blunders).collect(), ..again };
     }
-    let Snooped { mut blunders, summary, factored } = snooped;
+    let Snooped { mut blunders, summary, mut factored } = snooped;
     blunders.splice(..0, screened.blunders(&problem, ties, &control));
-    if factored.is_none() {
-        notes.push(
-            "the normal equations are singular: something is not fixed by what was measured; no covariances".into(),
-        );
+    if let Some(note) = snooping::without_sigmas(&summary, factored.as_ref()) {
+        notes.push(note.into());
+        factored = None;
     }
     if let Some(camera) = problem.cameras.iter().map(|c| &c.camera).find(|c| c.f_px().is_nan() || c.f_px() <= 0.0) {
         return Err(Error::no_result(

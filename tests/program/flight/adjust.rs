@@ -75,6 +75,41 @@ fn adjust_names_the_wrong_gcp_and_frame() {
     expect(&output, 0, &[&format!("blunder: GCP G3 in {wrong}"), "blunder: GCP G6 on the ground"]);
 }
 
+/// A point measured on another one's mark, its survey so rough that any pixel of the frame agrees with it: the other
+/// rays tell, and nothing runs away.
+#[test]
+fn a_ray_that_passes_the_others_is_named_however_rough_the_survey() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let several: Vec<usize> = (0..8).filter(|k| place.flight.gcps[*k].2.len() >= 3).collect();
+    assert!(several.len() >= 4, "{several:?}");
+    for k in several {
+        let mut flight = Flight::new();
+        flight.gcps[k].2.truncate(3);
+        let (frame, right) = flight.gcps[k].2[1];
+        let in_frame = |gcp: &super::DrawnGcp| gcp.2.iter().find(|(f, _)| *f == frame).map(|seen| seen.1);
+        let far = |at: &[f64; 2]| (at[0] - right[0]).hypot(at[1] - right[1]) > 60.0;
+        let Some(other) = flight.gcps.iter().filter_map(in_frame).find(far) else { continue };
+        flight.gcps[k].2[1].1 = other;
+        let list = place.write("wrong.txt", &flight.gcp_list());
+        let model = place.at("model");
+        let words = ["flight", "adjust", text(&model), "--gcps", text(&list), "--json"];
+        let output = autoref(&[&words[..], &["--sigma-ground", "400", "--sigma-image", "0.2"]].concat(), None, &[]);
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        let named: Vec<(&str, &str)> = document["blunders"]
+            .as_array()
+            .expect("a list")
+            .iter()
+            .map(|b| (b["gcp"].as_str().expect("a name"), b["frame"].as_str().expect("an image point")))
+            .collect();
+        assert_eq!(named, [(flight.gcps[k].0.as_str(), flight.model.photographs[frame].name.as_str())]);
+        assert_eq!(document["ended"], "converged");
+        let worst = document["gcp_statistics"]["d"]["max"].as_f64().expect("GCPs");
+        assert!(worst < 1.0 && place.flight.worst_camera_m(&document) < 1.0, "G{k}: {worst} m");
+    }
+}
+
 #[test]
 fn adjust_says_what_is_wrong_with_its_input() {
     let place = Place::new();

@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::{Blunder, GroundPoint};
+use super::{Blunder, GroundPoint, rays};
 use crate::bundle::{Factored, Observation, Problem};
 use crate::intersect::intersect;
 use crate::pose::Pose;
@@ -24,7 +24,7 @@ pub(super) struct Screened {
 pub(super) const GROSS: f64 = 8.0;
 pub(super) const MONSTROUS: f64 = 50.0;
 /// Times the spread within which rays of one point meet.
-const MEET: f64 = 4.0;
+pub(super) const MEET: f64 = 4.0;
 /// Of more of the measurements nothing says that it is they that are wrong.
 const MOST: f64 = 0.4;
 /// GCPs that fix a block.
@@ -85,6 +85,27 @@ impl Screened {
             problem.observations.extend::<Vec<Observation>>(right);
         }
         true
+    }
+
+    /// Sets aside image points whose ray passes the others of its GCP by at more than `times` what is usual. Whether
+    /// any was.
+    pub(super) fn screen_rays(&mut self, problem: &mut Problem, ties: usize, times: f64) -> bool {
+        let apart = rays::apart(problem, ties, times);
+        let measured = problem.observations.iter().filter(|o| o.point >= ties).count();
+        let mut wrong: Vec<usize> = apart.iter().flat_map(|a| a.wrong.iter().copied()).collect();
+        if wrong.is_empty() || wrong.len() as f64 > MOST * measured as f64 {
+            return false;
+        }
+        wrong.sort_unstable();
+        wrong.into_iter().rev().for_each(|index| self.set_aside(problem, index));
+        // The wrong ray may have dragged the point along.
+        apart.into_iter().for_each(|a| problem.points[a.point].xyz = a.meet);
+        true
+    }
+
+    /// Takes an image point out, by its number among the observations.
+    pub(super) fn set_aside(&mut self, problem: &mut Problem, index: usize) {
+        self.images.push(problem.observations.remove(index));
     }
 
     /// Puts back what agrees with the block once it stands without it, to `critical` standard deviations. Whether

@@ -2,8 +2,9 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
+use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
-use crate::bundle::{Factored, Loss, Options, Problem, Summary, factor, solve};
+use crate::bundle::{Ended, Factored, Loss, Observation, Options, Problem, Summary, factor, solve};
 use crate::error::Result;
 use crate::read::Reconstruction;
 
@@ -15,7 +16,8 @@ pub(super) struct Snooped {
     pub factored: Option<Factored>,
 }
 
-/// Adjusts, takes the worst observation of a GCP out where it is a blunder, and adjusts again, until none is left.
+/// Adjusts, takes the worst observation of a GCP out where it is a blunder, and adjusts again, until none is left. A
+/// GCP that runs away is brought back, and what drove it off is set aside.
 ///
 /// # Errors
 /// When the adjustment fails.
@@ -24,11 +26,20 @@ pub(super) fn snoop(
     ties: usize,
     control: &[&GroundPoint],
     options: &AdjustOptions,
+    screened: &mut Screened,
 ) -> Result<Snooped> {
     let solving = Options { loss: Loss::Huber(3.0), ..Options::default() };
     let mut blunders = Vec::new();
     loop {
+        let before = problem.clone();
         let summary = solve(problem, &solving)?;
+        // Out there the tests' straight lines hold no more: what is wrong shows where the block stood before.
+        if let Some(index) = driver(&before, problem, ties) {
+            *problem = before;
+            screened.set_aside(problem, index);
+            hold(problem, ties, control);
+            continue;
+        }
         let factored = factor(problem, solving.loss);
         let surveyed = problem.points[ties..].iter().filter(|p| p.survey.is_some()).count();
         let tested = factored.as_ref().filter(|_| surveyed > 3 && blunders.len() < control.len());
@@ -46,6 +57,25 @@ pub(super) fn snoop(
     }
 }
 
+/// What drove a GCP off: of all that moved farther than they were from a camera that shows them, or behind it, the
+/// image point that fitted worst before. `None` where none moved so, or none fitted badly.
+fn driver(before: &Problem, after: &Problem, ties: usize) -> Option<usize> {
+    let ran_off = |o: &Observation| {
+        let (from, to) = (before.points[o.point].xyz, after.points[o.point].xyz);
+        let away = (from - before.frames[o.frame].pose.centre).norm();
+        let in_front = |p: &Problem| p.frames[o.frame].pose.to_camera(&p.points[o.point].xyz).z > 0.0;
+        // Frames move too, and take their points along.
+        let shift = after.frames[o.frame].pose.centre - before.frames[o.frame].pose.centre;
+        (to - from - shift).norm() > away || (in_front(before) && !in_front(after))
+    };
+    let gcps = || before.observations.iter().enumerate().filter(|(_, o)| o.point >= ties);
+    let mut gone: Vec<usize> = gcps().filter(|(_, o)| ran_off(o)).map(|(_, o)| o.point).collect();
+    gone.dedup();
+    let misfit = |o: &Observation| before.residual(o).map_or(f64::INFINITY, |r| r[0].hypot(r[1]) / o.sigma_px);
+    let bad = gcps().filter(|(_, o)| gone.contains(&o.point)).map(|(index, o)| (index, misfit(o)));
+    bad.filter(|b| b.1 > GROSS).max_by(|a, b| a.1.total_cmp(&b.1)).map(|b| b.0)
+}
+
 /// A GCP that nothing holds any more leaves the unknowns determined by a wide survey.
 pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint]) {
     for i in ties..problem.points.len() {
@@ -54,6 +84,23 @@ pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint])
             let at = control[i - ties].xyz;
             problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
         }
+    }
+}
+
+/// Why no standard deviations can be stated; `None` where they can.
+pub(super) fn without_sigmas(summary: &Summary, factored: Option<&Factored>) -> Option<&'static str> {
+    match (factored, summary.ended) {
+        (None, _) => {
+            Some("the normal equations are singular: something is not fixed by what was measured; no covariances")
+        }
+        // Covariances are those of a minimum.
+        (_, Ended::OutOfIterations) => {
+            Some("the adjustment ran out of iterations before it converged: its cameras may be far off; no covariances")
+        }
+        (_, Ended::Stuck) => {
+            Some("the adjustment got stuck before it converged: its cameras may be far off; no covariances")
+        }
+        (Some(_), Ended::Converged) => None,
     }
 }
 
