@@ -131,6 +131,41 @@ fn every_stage_says_what_it_found(place: &Place, toml: &Path, bin: &Path) {
     assert!(picture.starts_with(b"\x89PNG"));
 }
 
+/// A table whose yaw is half a turn off in some frames, as where somebody turned the pictures, does not count there.
+#[test]
+fn directions_of_turned_frames_are_named_and_let_go_of() {
+    let place = Place::new();
+    place.five_frames();
+    let (toml, bin) = (place.init(), place.stand_in());
+    let table = std::fs::read_to_string(place.at("table.csv")).expect("there");
+    let turned = |row: &str| {
+        let mut cells: Vec<String> = row.split(',').map(str::to_string).collect();
+        if ["f1.png", "f3.png"].contains(&cells[0].as_str()) {
+            cells[4] = format!("{:.3}", cells[4].parse::<f64>().expect("a yaw") + 180.0);
+        }
+        cells.join(",") + "\n"
+    };
+    let solve = || {
+        let output =
+            autoref(&["flight", "solve", text(&toml), "-o", text(&place.at("out")), "--json"], Some(&bin), &[]);
+        expect(&output, 0, &[]);
+        json(&output)
+    };
+    let is_told = |document: &Value| document["notes"].to_string().contains("the table's direction of");
+    let turns = |document: &Value| -> Vec<f64> {
+        let frames = document["rough_differences"]["frames"].as_array().expect("a list");
+        frames.iter().map(|f| f["turn_deg"].as_f64().expect("a direction")).collect()
+    };
+    let right = solve();
+    assert!(!is_told(&right) && turns(&right).iter().all(|turn| *turn < 5.0), "{}", right["notes"]);
+    place.write("table.csv", &table.lines().map(turned).collect::<String>());
+    let found = solve();
+    let notes = found["notes"].to_string();
+    assert!(notes.contains("of 2 of 5 frames is 17") && notes.contains("(f1.png, f3.png)"), "{notes}");
+    assert_eq!(turns(&found).iter().filter(|turn| **turn > 160.0).count(), 2, "{:?}", turns(&found));
+    assert!(place.flight.worst_camera_m(&found) < 1.0, "{} m", place.flight.worst_camera_m(&found));
+}
+
 /// The same commands by an interpreter of Python, of which only what it is asked and how it ends is looked at here.
 #[test]
 fn pycolmap_is_asked_what_colmap_is() {

@@ -1,15 +1,18 @@
 //! What a solved flight shows besides its cameras: how far each stands from the rough table, and which ground its frame
 //! sees.
 
-use autoref_flight::adjust::Adjustment;
+use autoref_flight::adjust::{Adjustment, RoughPose};
+use autoref_flight::pose::Similarity;
 use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{Reconstruction, same_image};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::{Coordinate, Crs};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use serde_json::{Value, json};
+
+use super::lists;
 
 /// Points to a side of a frame.
 const SIDE: usize = 12;
@@ -27,10 +30,44 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
         let (Some(row), Some(at)) = (row, world.to_map(&camera.pose.centre)) else { continue };
         let by: [f64; 3] = std::array::from_fn(|a| at[a] - row.xyz[a]);
         let d = Vector3::from(by).norm();
-        frames.push(json!({"name": name, "x_m": by[0], "y_m": by[1], "z_m": by[2], "d_m": d, "line": row.line}));
+        let turn_deg = lists::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
+        frames.push(json!({
+            "name": name, "x_m": by[0], "y_m": by[1], "z_m": by[2], "d_m": d, "turn_deg": turn_deg, "line": row.line,
+        }));
         all.push(by);
     }
     json!({"frames": frames, "statistics": Residuals::of(&all)})
+}
+
+/// The turn between a camera and what the table says of it; `None` where the table has no direction.
+fn turn_deg(pose: &Pose, rough: &RoughPose) -> Option<f64> {
+    let turn = Rotation3::from_matrix_unchecked(pose.rotation * rough.pose.rotation.transpose());
+    rough.sigma_rad.is_finite().then(|| turn.angle().to_degrees())
+}
+
+/// Lets go of directions of the table that are far from those of the block on the ground: they are no errors of a few
+/// degrees but frames that were turned, or angles of another kind. A note that names the frames.
+pub fn let_go_of_turned(rough: &mut [Option<RoughPose>], model: &Reconstruction, by: &Similarity) -> Option<String> {
+    /// A table that states degrees is not wrong by so many.
+    const FAR_DEG: f64 = 60.0;
+    let (mut turned, mut by_deg) = (Vec::new(), Vec::new());
+    for (photograph, rough) in model.photographs.iter().zip(rough) {
+        let Some(rough) = rough else { continue };
+        if let Some(turn) = turn_deg(&photograph.pose.moved(by), rough).filter(|turn| *turn > FAR_DEG) {
+            rough.sigma_rad = f64::INFINITY;
+            turned.push(photograph.name.clone());
+            by_deg.push(turn);
+        }
+    }
+    by_deg.sort_by(f64::total_cmp);
+    let median = by_deg.get(by_deg.len() / 2)?;
+    Some(format!(
+        "the table's direction of {} of {} frames is {median:.0} degrees off ({}): it does not count; were these frames \
+         turned, or are its angles of another kind? Correct them, or leave the columns of directions out",
+        turned.len(),
+        model.photographs.len(),
+        lists::some_of(&turned)
+    ))
 }
 
 /// A frame's ground on the plane of height `ground_m`, map coordinates, as a ring that is not closed. Empty when the

@@ -8,6 +8,7 @@ use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::Crs;
 use serde_json::{Value, json};
 
+use super::lists::some_of;
 use super::project::Project;
 use super::relative::{Flight, GroundPlane};
 
@@ -99,6 +100,35 @@ pub fn plan(project: &Project, names: &[&str], rows: &[CameraRow], sight: Option
     }
 }
 
+/// A note on frames that follow each other on a line and share no ties, though the table has them see the same ground.
+/// `tied`: how many ties each pair of frames has, by names.
+pub fn untied(plan: &Plan, names: &[&str], tied: &Value) -> Option<String> {
+    /// Share of a frame that is enough to be matched.
+    const ENOUGH: f64 = 0.3;
+    let shared = |a: usize, b: usize| {
+        let at = plan.pairs.iter().position(|pair| *pair == (a.min(b), a.max(b)));
+        at.and_then(|at| plan.shared[at]).is_some_and(|shared| shared >= ENOUGH)
+    };
+    let has_ties = |a: usize, b: usize| {
+        let mut all = tied.as_array().into_iter().flatten();
+        let of = |pair: &&Value| [[a, b], [b, a]].iter().any(|f| pair["frames"] == json!(f.map(|i| names[i])));
+        all.find(of).is_some_and(|pair| pair["ties"].as_u64() > Some(0))
+    };
+    let next = plan.lines.iter().flat_map(|line| line.frames.windows(2)).filter(|two| shared(two[0], two[1]));
+    let (tied, bare): (Vec<&[usize]>, Vec<&[usize]>) = next.partition(|two| has_ties(two[0], two[1]));
+    if bare.is_empty() {
+        return None;
+    }
+    let named: Vec<String> = bare.iter().map(|two| format!("{} and {}", names[two[0]], names[two[1]])).collect();
+    Some(format!(
+        "{} of {} pairs of neighbours share no ties though the table has them see the same ground ({}): where its \
+         directions are wrong, or frames were turned, leave its columns of directions out",
+        bare.len(),
+        tied.len() + bare.len(),
+        some_of(&named)
+    ))
+}
+
 /// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis
 /// of 2017 has them.
 pub fn document(lines: &[Line], names: &[&str], solved: &Value) -> Value {
@@ -128,4 +158,27 @@ pub fn document(lines: &[Line], names: &[&str], solved: &Value) -> Value {
         })
     };
     lines.iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_without_ties_are_told_where_the_table_has_them_overlap() {
+        let names = ["a", "b", "c", "d"];
+        let line = |frames: &[usize]| Line { name: String::new(), frames: frames.to_vec() };
+        let plan = Plan {
+            lines: vec![line(&[1, 0]), line(&[2, 3])],
+            pairs: vec![(0, 1), (0, 2), (2, 3)],
+            shared: vec![Some(0.6), Some(0.9), Some(0.5)],
+            places_m: vec![None; 4],
+            azimuths_rad: vec![None; 4],
+        };
+        let tied = |ab: u64, cd: u64| json!([{"frames": ["a", "b"], "ties": ab}, {"frames": ["c", "d"], "ties": cd}]);
+        assert_eq!(untied(&plan, &names, &tied(40, 50)), None);
+        let note = untied(&plan, &names, &tied(40, 0)).expect("c and d");
+        assert!(note.starts_with("1 of 2 pairs of neighbours share no ties") && note.contains("(c and d)"), "{note}");
+        assert!(untied(&Plan { shared: vec![Some(0.1); 3], ..plan }, &names, &tied(0, 0)).is_none());
+    }
 }

@@ -230,7 +230,7 @@ impl<'a> Ready<'a> {
         let world = control.world()?;
         let ground = control.in_world(&world, model, &self.points)?;
         let by_micmac = self.args.engine.of_colmap().is_none();
-        let rough = match by_micmac {
+        let mut rough = match by_micmac {
             false => table_poses(project, rows, model, &world),
             true => micmac::held(model, &world),
         };
@@ -241,13 +241,16 @@ impl<'a> Ready<'a> {
             return Ok(found);
         }
 
+        let turned = if by_micmac { None } else { footprints::let_go_of_turned(&mut rough, model, &placed.similarity) };
+        let untied = ties.as_ref().and_then(|ties| runs::untied(plan, &flight.ordered, ties));
+
         // MicMac has compensated the interior with the poses.
         let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free)? };
         let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
         let busy = Busy::new("adjusting", is_mute(Stream::Errors));
         let mut found = adjust(model, &ground, &options)?;
         drop(busy);
-        found.notes.extend(notes);
+        found.notes.extend(turned.into_iter().chain(untied).chain(notes));
         found.notes.extend(self.left_out.iter().cloned());
         if by_micmac {
             found.notes.push(micmac::note());
