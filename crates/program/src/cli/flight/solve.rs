@@ -18,7 +18,7 @@ use super::project::{
 };
 use super::relative::{Flight, GroundPlane, Oriented};
 use super::stages::{self, After, Record, Stage};
-use super::{document, footprints, frames, image_size, interior, lists, micmac, page, runs, stage_pages};
+use super::{document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs, stage_pages};
 use crate::cli::progress::Busy;
 use crate::out::{Stream, is_mute};
 
@@ -195,7 +195,9 @@ impl<'a> Ready<'a> {
     fn by_colmap(&self, flight: &Flight<'_>, plane: Option<&GroundPlane>) -> Result<ByColmap> {
         let tied = match plane.zip(self.control.as_ref()) {
             Some((plane, control)) => {
-                let ground = control.in_world(&control.world()?, &flight.listed(plane), &self.points)?;
+                let listed = flight.listed(plane);
+                let mut ground = control.in_world(&control.world()?, &listed, &self.points)?;
+                plausible::within_frames(&mut ground, &listed, &self.points.gcps.display().to_string())?;
                 flight.tied(plane, &ground)?
             }
             None => None,
@@ -226,9 +228,10 @@ impl<'a> Ready<'a> {
         for p in &mut control.points {
             p.sigma = p.sigma_or(ground_m).map(Some);
         }
-        let notes = control.notes(model, &self.points, &self.out.join("relative"))?;
+        let mut notes = control.notes(model, &self.points, &self.out.join("relative"))?;
         let world = control.world()?;
-        let ground = control.in_world(&world, model, &self.points)?;
+        let mut ground = control.in_world(&world, model, &self.points)?;
+        notes.extend(plausible::within_frames(&mut ground, model, &self.points.gcps.display().to_string())?);
         let by_micmac = self.args.engine.of_colmap().is_none();
         let mut rough = match by_micmac {
             false => table_poses(project, rows, model, &world),
