@@ -44,15 +44,19 @@ pub struct ColourCluster {
 }
 
 impl ColourSearch {
-    /// What to try next, of clusters that look like marks.
-    pub fn advice(&self) -> Vec<String> {
+    /// What to try next, of clusters that look like marks; not the paint that `profile` was asked for.
+    pub fn advice(&self, profile: &str) -> Vec<String> {
+        let asked = srgb(profile).map(place);
+        let is_new = |c: &&ColourCluster| {
+            asked.zip(srgb(&c.colour)).is_none_or(|(asked, own)| (place(own) - asked).norm() >= NEAR)
+        };
         if self.clusters.iter().any(|cluster| cluster.adopted) {
             return Vec::new();
         }
         let line = |c: &ColourCluster| {
             format!("these {} objects of colour {} look like marks: --paint \"{}\"", c.objects, c.colour, c.colour)
         };
-        self.clusters.iter().take(3).map(line).collect()
+        self.clusters.iter().filter(is_new).take(3).map(line).collect()
     }
 
     /// That the marks are of another paint.
@@ -116,6 +120,12 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
 }
 
+/// The colour that `#RRGGBB` writes.
+fn srgb(text: &str) -> Option<[u8; 3]> {
+    let number = u32::from_str_radix(text.strip_prefix('#').filter(|digits| digits.len() == 6)?, 16).ok()?;
+    Some([16, 8, 0].map(|shift| (number >> shift) as u8))
+}
+
 fn place(rgb: [u8; 3]) -> Vector3<f64> {
     let lab = lab_from_srgb(rgb.map(|v| f64::from(v) / 255.0));
     Vector3::new(lab[0] / 2.0, lab[1], lab[2])
@@ -158,4 +168,21 @@ fn median_colour(candidates: &[Candidate]) -> [u8; 3] {
         values.sort_unstable();
         values.get(values.len() / 2).copied().unwrap_or(0)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_is_sent_to_the_paint_that_was_asked_for() {
+        let cluster = |colour: &str| ColourCluster { colour: colour.into(), objects: 20, matched: 0, adopted: false };
+        let search =
+            ColourSearch { objects: 40, clusters: vec![cluster("#2A4363"), cluster("#C83232")], elapsed_s: 0.0 };
+        assert_eq!(search.advice("orange").len(), 2);
+        for asked in ["#2A4363", "#2C4564"] {
+            let advice = search.advice(asked);
+            assert!(advice.len() == 1 && advice[0].contains("#C83232"), "{advice:?}");
+        }
+    }
 }

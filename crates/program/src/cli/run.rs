@@ -186,7 +186,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    advise(&mut document.result, colours, source.as_ref())?;
+    advise(&mut document.result, colours, (source.as_ref(), &args.paint.of(&args.marks).profile))?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -225,10 +225,10 @@ fn diagnose(
 fn advise(
     result: &mut RunResult,
     colours: Option<ColourSearch>,
-    source: &dyn autoref_raster::RasterSource,
+    (source, profile): (&dyn autoref_raster::RasterSource, &str),
 ) -> anyhow::Result<()> {
     if let Some(search) = &colours {
-        result.advice.extend(search.advice());
+        result.advice.extend(search.advice(profile));
         result.warnings.extend(search.note());
     }
     result.colour_search = colours;

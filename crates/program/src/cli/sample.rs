@@ -260,6 +260,16 @@ fn report(lesson: &Lesson, statistics: Option<&SampleStatistics>, outside: &[Str
     let [r, g, b] = l.mean_srgb.map(|v| (v * 255.0).round());
     eprintln!("{} marks, {} pixels of paint, mean colour {r} {g} {b}", l.marks, l.pixels);
     eprintln!("side {:.1} to {:.1} px, median {:.1}", l.side_px_min, l.side_px_max, l.side_px_median);
+    /// Flat paint on even ground scores above 0, marks with some texture little below.
+    const UNLIKE_PAINT: f64 = -15.0;
+    if profile.examine.min_score < UNLIKE_PAINT {
+        tracing::warn!(
+            "what was pointed at is little like flat paint of one colour (marks count from a score of {:.0} on): centres may \
+             be off by more than they state; crosses and checkers in black and white have profiles of their own \
+             (--profile black-white-cross)",
+            profile.examine.min_score
+        );
+    }
     eprintln!(
         "colour limit {:.2}; the nearest 1 % of the ground beside the marks is within {:.2}, {:.2} % of it would be taken for paint",
         profile.colour.limit,
