@@ -21,8 +21,8 @@ const MOST_STEPS: usize = 2000;
 const SWEEPS: [f32; 2] = [1.2422, 0.5571];
 /// Damping and number of the sweeps on the coarsest surface.
 const LAST_SWEEPS: [f32; 16] = [0.8; 16];
-/// Stiffness of coarse springs, relative to Galerkin's: least steps on lidar ground with holes. 0.6 takes a seventh more
-/// where holes are 1,000 cells wide, 0.5 a twentieth more where they are small.
+/// Stiffness of coarse springs, relative to Galerkin's: least steps on lidar ground with holes. 0.6 takes a seventh
+/// more where holes are 1,000 cells wide, 0.5 a twentieth more where they are small.
 const COARSE: f32 = 0.55;
 /// Rows of one piece of work at least.
 const BAND_ROWS: usize = 16;
