@@ -247,10 +247,19 @@ fn refined(mut best: Vec<(f64, Camera, Pose)>, seen: &[Seen], options: &ResectOp
     });
     let mut result: Option<(f64, Resection)> = None;
     let mut is_open = false;
-    for (_, camera, pose) in best {
+    let is_good = |result: &Option<(f64, Resection)>| {
+        result.as_ref().is_some_and(|(score, _)| *score <= AS_GOOD * options.sigma_px.powi(2))
+    };
+    for (rank, (_, camera, pose)) in best.into_iter().enumerate() {
+        if rank >= BEST_STARTS && is_good(&result) {
+            break;
+        }
         // Gross errors may carry the focal length away before they are named: it is held until then as well.
         let held_too = (options.focal == Focal::Sought).then_some(Focal::Known);
-        for at_first in std::iter::once(options.focal).chain(held_too) {
+        for (way, at_first) in std::iter::once(options.focal).chain(held_too).enumerate() {
+            if way > 0 && is_good(&result) {
+                break;
+            }
             let Ok(found) = refine(&camera, &pose, seen, options, at_first) else { continue };
             let sides = found.camera.f_px() / camera.size_px[0].max(camera.size_px[1]);
             if options.focal == Focal::Sought && !FOCAL_SIDES.contains(&sides) {

@@ -302,7 +302,11 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     if seen.is_empty() && checks.is_empty() {
         let list = args.points.gcps.display();
         return Err(match control.frames().as_slice() {
-            [] => Error::no_result(format!("{list}: says of no point where it was seen"), "name --observations"),
+            [] => {
+                let why =
+                    control.no_image_points.as_ref().map_or(String::new(), |why| format!(" (as image points: {why})"));
+                Error::no_result(format!("{list}: says of no point where it was seen{why}"), "name --observations")
+            }
             names => Error::no_result(
                 format!("{list}: no point is seen in `{name}`; it has points of {}", lists::some_of(names)),
                 "name one of these frames",

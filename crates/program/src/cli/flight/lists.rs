@@ -65,6 +65,8 @@ pub struct Control {
     pub listed_in: Option<Crs>,
     /// The coordinates are those of the reconstruction's own frame on the Earth.
     pub own_datum: bool,
+    /// Why the list was not read as one of points in images, where it was another.
+    pub no_image_points: Option<String>,
 }
 
 /// Both ways, found once: every point of a block takes them.
@@ -464,7 +466,9 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
             seen: Vec::new(),
         });
         let mut points: Vec<ListPoint> = points.collect();
-        settle_places(list, &mut points, crs, stated.as_ref())?;
+        if !crs.is_some_and(is_local) {
+            settle_places(list, &mut points, stated.as_ref())?;
+        }
         return Ok(Control { points, crs: stated, ..Control::default() });
     }
     if needs_reconstruction(&start) {
@@ -477,9 +481,12 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         }
         other => other,
     };
+    let no_image_points = measured.as_ref().err().map(ToString::to_string);
     if let Ok((line, measured)) = measured
         && measured.iter().all(|p| p.xyz.is_some())
     {
+        let word = crs.or(line.as_deref());
+        let plane = word.is_some_and(is_local);
         let stated = match (stated, line, crs) {
             (Some(crs), _, _) => Some(crs),
             (None, Some(line), None) if !is_local(&line) => Some(Crs::parse(&line)?),
@@ -509,7 +516,10 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
                 }),
             }
         }
-        settle_places(list, &mut points, crs, stated.as_ref())?;
+        // A plane of one's own has no order that could be told.
+        if !plane {
+            settle_places(list, &mut points, stated.as_ref())?;
+        }
         return metric(points, stated);
     }
     let options = GcpOptions { crs: crs.filter(|c| !is_local(c)).map(str::to_string), ..GcpOptions::default() };
@@ -524,15 +534,11 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         points.push(ListPoint { name: g.name, xyz: [g.easting, g.northing, height], sigma, check, seen: Vec::new() });
     }
     let crs = if crs.is_some_and(is_local) { None } else { read.crs };
-    Ok(Control { points, crs, ..Control::default() })
+    Ok(Control { points, crs, no_image_points, ..Control::default() })
 }
 
-/// East before north, on the map: what [`gcp::read`] does for lists of other kinds. A plane of one's own has no order
-/// that could be told.
-fn settle_places(list: &Path, points: &mut [ListPoint], word: Option<&str>, crs: Option<&Crs>) -> Result<()> {
-    if word.is_some_and(is_local) {
-        return Ok(());
-    }
+/// East before north, on the map: what [`gcp::read`] does for lists of other kinds.
+fn settle_places(list: &Path, points: &mut [ListPoint], crs: Option<&Crs>) -> Result<()> {
     let mut places: Vec<[f64; 3]> = points.iter().map(|p| p.xyz).collect();
     for note in gcp::settle_places(list, &mut places, crs)? {
         tracing::warn!("{note}");
@@ -553,7 +559,7 @@ fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
         geographic.transform(&mut at, &utm, 100.0)?;
         p.xyz = [at[0].x, at[0].y, p.xyz[2]];
     }
-    Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), own_datum: false })
+    Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), ..Control::default() })
 }
 
 fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {
