@@ -25,6 +25,10 @@ const FORETOLD: f64 = 0.75;
 /// A cost that fell by less than this part of it is near its end.
 const NEAR: f64 = 0.03;
 
+/// Share of the foretold fall of the cost from which longer steps are tried, and the longest.
+const CREEPING: f64 = 1.5;
+const FARTHEST_REACH: f64 = 256.0;
+
 /// Why the iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
@@ -42,6 +46,8 @@ pub struct Summary {
     pub cost: f64,
     pub iterations: usize,
     pub ended: Ended,
+    /// By which part of itself the cost fell in the last step.
+    pub last_fall: f64,
 }
 
 /// Adjusts the problem in place.
@@ -52,7 +58,7 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
     check(problem)?;
     let layout = Layout::new(problem);
     let first_cost = problem.cost(options.loss);
-    let mut cost = first_cost;
+    let (mut cost, mut last_fall) = (first_cost, 0.0);
     let (mut damping, mut grow) = (1e-4, 2.0);
     // Weights by the loss alone make safe steps from afar; near the end its curvature makes them fast.
     let mut curvature = Curvature::Weights;
@@ -62,7 +68,7 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
         for _ in 0..30 {
             let reduced = Reduced::new(problem, &layout, options.loss, curvature, damping);
             if reduced.slope < 1e-12 * (1.0 + cost.sqrt()) {
-                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged });
+                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged, last_fall });
             }
             let Some(step) = reduced.step() else {
                 damping *= grow;
@@ -81,8 +87,20 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
                 }
             }
             let ratio = (cost - next_cost) / foretold;
+            // Robust weights foretell too little along what is hardly determined: farther on it falls still.
+            let mut reach = 2.0;
+            while ratio > CREEPING && reach <= FARTHEST_REACH {
+                let far = moved(problem, &layout, &step.times(reach), &Common::none());
+                let far_cost = far.cost(options.loss);
+                if far_cost.is_nan() || far_cost >= next_cost {
+                    break;
+                }
+                (next, next_cost) = (far, far_cost);
+                reach *= 2.0;
+            }
             if next_cost.is_finite() && next_cost < cost {
                 let fall = cost - next_cost;
+                last_fall = fall / cost;
                 *problem = next;
                 // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not
                 // hold.
@@ -93,14 +111,20 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
                 curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
                 cost = next_cost;
                 if done {
-                    return Ok(Summary { first_cost, cost, iterations: iteration + 1, ended: Ended::Converged });
+                    return Ok(Summary {
+                        first_cost,
+                        cost,
+                        iterations: iteration + 1,
+                        ended: Ended::Converged,
+                        last_fall,
+                    });
                 }
                 accepted = true;
                 break;
             }
             if step.gain <= options.least_gain * cost {
                 // Rounding, not the model, decides from here on.
-                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged });
+                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged, last_fall });
             }
             if curvature == Curvature::Whole {
                 curvature = Curvature::Weights;
@@ -110,10 +134,10 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
             grow *= 2.0;
         }
         if !accepted {
-            return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Stuck });
+            return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Stuck, last_fall });
         }
     }
-    Ok(Summary { first_cost, cost, iterations: options.most_iterations, ended: Ended::OutOfIterations })
+    Ok(Summary { first_cost, cost, iterations: options.most_iterations, ended: Ended::OutOfIterations, last_fall })
 }
 
 /// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was
