@@ -212,6 +212,7 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     let world = control.world()?;
     let mut points = control.in_world(&world, &model, &args.points)?;
     notes.extend(plausible::within_frames(&mut points, &model, &args.points.gcps.display().to_string())?);
+    let said = notes.clone();
     let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
     if let Some(table) = &args.cameras {
         let rows = lists::on_map(lists::cameras(table, args.angles.angles())?, table, control.crs.as_ref())?;
@@ -251,7 +252,7 @@ fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
     let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
-        document::say(&document);
+        document::say(&document, &said);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -327,6 +328,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         ..ResectOptions::default()
     };
     let found = resect(&camera, &seen, &options)?;
+    let said = notes.clone();
     notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
     let mut document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
     if let Some(all) = document.get_mut("notes").and_then(serde_json::Value::as_array_mut) {
@@ -334,7 +336,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     }
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
-        document::say(&document);
+        document::say(&document, &said);
     }
     Ok(ExitCode::SUCCESS)
 }

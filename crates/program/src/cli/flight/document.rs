@@ -231,8 +231,8 @@ fn notes(found: &Resection) -> Vec<String> {
     notes
 }
 
-/// The essence on standard error.
-pub fn say(document: &Value) {
+/// The essence on standard error, without the notes that were said `already`.
+pub fn say(document: &Value, already: &[String]) {
     let get = |k: &str| document.get(k).cloned().unwrap_or(Value::Null);
     let fixed = |v: &Value, digits: usize| v.as_f64().map_or("-".into(), |v| format!("{v:.digits$}"));
     let several = |v: &Value, digits: usize| -> String {
@@ -285,8 +285,8 @@ pub fn say(document: &Value) {
             let angles = format!("yaw {} pitch {} roll {}", angle("yaw_deg"), angle("pitch_deg"), angle("roll_deg"));
             eprintln!("  or: C ({}) {angles}", several(&other["C"], 3));
         }
-        for note in rows("notes") {
-            eprintln!("note: {}", note.as_str().unwrap_or_default());
-        }
+    }
+    for note in rows("notes").iter().filter_map(Value::as_str).filter(|note| !already.iter().any(|said| said == note)) {
+        eprintln!("note: {note}");
     }
 }

@@ -90,7 +90,7 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     if args.json {
         crate::out::product(&(serde_json::to_string_pretty(&document)? + "\n"));
     } else if args.until == Stage::Cameras {
-        document::say(&document);
+        document::say(&document, &[]);
         println!("{}", ready.out.join("cameras.json").display());
     } else {
         println!("{}", ready.record.page(args.until).display());
