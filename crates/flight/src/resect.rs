@@ -155,7 +155,7 @@ fn are_in_line(seen: &[Seen]) -> bool {
 }
 
 /// Focal lengths of cameras, in sides of their images: beyond, an object far off would do as well.
-const FOCAL_SIDES: std::ops::Range<f64> = 0.15..20.0;
+const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
 
 /// Starts that are refined, beside the best one of each focal length.
 const BEST_STARTS: usize = 12;
