@@ -10,8 +10,8 @@ use crate::matching::MatchOutcome;
 use crate::pipeline::georeference::{Job, Outcome, Run, find, orient_again};
 use crate::pipeline::second_pass::{keep_strongest, strongest, taught};
 use crate::pipeline::{MarkDetector, ScanOutcome, scan};
-use crate::profile::Profile;
 use crate::profile::colour::lab_from_srgb;
+use crate::profile::{Profile, srgb_of_hex};
 use autoref_raster::error::Result;
 
 /// So many clusters are tried at most, the largest first.
@@ -46,9 +46,9 @@ pub struct ColourCluster {
 impl ColourSearch {
     /// What to try next, of clusters that look like marks; not the paint that `profile` was asked for.
     pub fn advice(&self, profile: &str) -> Vec<String> {
-        let asked = srgb(profile).map(place);
+        let asked = srgb_of_hex(profile).map(place);
         let is_new = |c: &&ColourCluster| {
-            asked.zip(srgb(&c.colour)).is_none_or(|(asked, own)| (place(own) - asked).norm() >= NEAR)
+            asked.zip(srgb_of_hex(&c.colour)).is_none_or(|(asked, own)| (place(own) - asked).norm() >= NEAR)
         };
         if self.clusters.iter().any(|cluster| cluster.adopted) {
             return Vec::new();
@@ -118,12 +118,6 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     let job = Job { refiner: refiner.as_detector(), ..*job };
     let outcome = orient_again(&job, candidates, *solved, refiner.as_detector())?;
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
-}
-
-/// The colour that `#RRGGBB` writes.
-fn srgb(text: &str) -> Option<[u8; 3]> {
-    let number = u32::from_str_radix(text.strip_prefix('#').filter(|digits| digits.len() == 6)?, 16).ok()?;
-    Some([16, 8, 0].map(|shift| (number >> shift) as u8))
 }
 
 fn place(rgb: [u8; 3]) -> Vector3<f64> {

@@ -26,6 +26,7 @@ use autoref_raster::error::{Error, Result};
 use autoref_raster::mask::Element;
 use colour::{Cloud, Metric, Space};
 pub use family::Family;
+pub(crate) use paint::srgb_of_hex;
 pub use rule::{Property, Rule};
 
 /// A mark profile. See `docs/detection-options.md` for the meaning and unit of each field.

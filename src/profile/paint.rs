@@ -51,6 +51,13 @@ pub(super) fn fresh(name: &str) -> Option<[u8; 3]> {
     PAINTS.iter().find(|paint| paint.name == name).map(|paint| paint.srgb[0])
 }
 
+/// The colour that `#RRGGBB` writes.
+pub(crate) fn srgb_of_hex(text: &str) -> Option<[u8; 3]> {
+    let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()))?;
+    let byte = |at: usize| u8::from_str_radix(&digits[at..at + 2], 16).ok();
+    Some([byte(0)?, byte(2)?, byte(4)?])
+}
+
 impl Profile {
     /// The profile of a paint of this colour in full sun, sRGB 0..=255.
     pub fn of_paint(srgb: [u8; 3]) -> Profile {
@@ -62,9 +69,7 @@ impl Profile {
 
     /// The same of a colour written as `#RRGGBB`.
     pub fn of_hex(text: &str) -> Option<Profile> {
-        let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()))?;
-        let byte = |at: usize| u8::from_str_radix(&digits[at..at + 2], 16).ok();
-        Some(Profile::of_paint([byte(0)?, byte(2)?, byte(4)?]))
+        srgb_of_hex(text).map(Profile::of_paint)
     }
 
     /// Any paint at all: saturated colours all around the circle, and white. Only to see what might be marks when a
