@@ -166,6 +166,51 @@ fn directions_of_turned_frames_are_named_and_let_go_of() {
     assert!(place.flight.worst_camera_m(&found) < 1.0, "{} m", place.flight.worst_camera_m(&found));
 }
 
+/// Where there are no GCPs, the positions of the table place the block, each with the deviation that its row states.
+#[test]
+fn positions_place_a_block_without_gcps() {
+    let place = Place::new();
+    place.five_frames();
+    let (toml, bin) = (place.init(), place.stand_in());
+    let mut project: toml::Table = std::fs::read_to_string(&toml).expect("there").parse().expect("TOML");
+    project.remove("gcps").expect("GCPs");
+    let bare = place.write("bare.toml", &project.to_string());
+    let solve = |toml: &Path| autoref(&["flight", "solve", text(toml), "-o", text(&place.at("out"))], Some(&bin), &[]);
+    expect(&solve(&bare), 0, &["5 of 5 frames", "no GCPs", "in no standard deviation"]);
+    let document = || -> Value {
+        serde_json::from_slice(&std::fs::read(place.at("out/cameras.json")).expect("written")).expect("JSON")
+    };
+    let found = document();
+    assert!(found["gcps"].as_array().is_some_and(Vec::is_empty), "{}", found["gcps"]);
+    // The table is up to 15 m off along each axis, and nothing else says where the block is.
+    assert!(place.flight.worst_camera_m(&found) < 26.0, "{} m", place.flight.worst_camera_m(&found));
+    let sigma_m = |found: &Value| found["cameras"][0]["sigma_h"].as_f64().expect("a deviation");
+    let loose_m = sigma_m(&found);
+    let rows: String = place
+        .flight
+        .model
+        .photographs
+        .iter()
+        .map(|p| {
+            let (c, a) = (p.pose.centre, p.pose.yaw_pitch_roll());
+            let (yaw, pitch, roll) = (a.yaw_deg, a.pitch_deg, a.roll_deg);
+            format!("{},{:.4},{:.4},{:.4},{yaw},{pitch},{roll},0.02,0.03\n", p.name, c.x, c.y, c.z)
+        })
+        .collect();
+    place.write("table.csv", &format!("name,x,y,z,yaw,pitch,roll,sigma_m,sigma_height_m\n{rows}"));
+    expect(&solve(&bare), 0, &["no GCPs"]);
+    let found = document();
+    assert!(place.flight.worst_camera_m(&found) < 0.1, "{} m", place.flight.worst_camera_m(&found));
+    assert!(sigma_m(&found) < 0.05 && loose_m > 5.0, "{} and {loose_m} m", sigma_m(&found));
+    place.write("table.csv", &format!("name,x,y,z,sigma_m\n{}", "f0.png,1,2,3,0\n"));
+    expect(&solve(&bare), 2, &["table.csv", "row 2", "a standard deviation of 0 m"]);
+    place.write("table.csv", "name,x,y,z\nf0.png,1,2,3\nf1.png,1,9,3\n");
+    expect(&solve(&bare), 2, &["table.csv: 2 positions, and no GCPs: 3 are needed"]);
+    project.remove("rough").expect("a table");
+    let lost = place.write("lost.toml", &project.to_string());
+    expect(&solve(&lost), 2, &["lost.toml: neither [gcps] nor [rough]"]);
+}
+
 /// The same commands by an interpreter of Python, of which only what it is asked and how it ends is looked at here.
 #[test]
 fn pycolmap_is_asked_what_colmap_is() {

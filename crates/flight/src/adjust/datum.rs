@@ -59,19 +59,23 @@ pub(super) fn placing(
     })
 }
 
-/// Positions and directions together: the rotation is the mean of the directions', scale and shift are those of the
-/// positions. Without directions, positions off one line.
+/// Positions that spread in two directions; else positions and directions together: the rotation is the middle of the
+/// directions', scale and shift are those of the positions.
 fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option<Similarity> {
     let all = || model.photographs.iter().zip(rough).filter_map(|(p, r)| Some((&p.pose, r.as_ref()?)));
     let pairs: Vec<(&Pose, &Pose)> =
         all().filter(|(_, r)| r.sigma_rad.is_finite()).map(|(p, r)| (p, &r.pose)).collect();
-    if pairs.len() < 2 {
-        let (from, to): (Vec<_>, Vec<_>) = all().map(|(p, r)| (p.centre, r.pose.centre)).unzip();
-        return (from.len() >= 3).then(|| datum(&from, &to)).flatten();
+    let (from, to): (Vec<_>, Vec<_>) = all().map(|(p, r)| (p.centre, r.pose.centre)).unzip();
+    let mut sigmas: Vec<f64> = all().map(|(_, r)| r.sigma_m.max()).collect();
+    sigmas.sort_by(f64::total_cmp);
+    let spread = sigmas.get(sigmas.len() / 2).is_some_and(|sigma_m| across_m(&to) > *sigma_m);
+    if pairs.len() < 2 || spread {
+        let by_positions = (from.len() >= 3).then(|| datum(&from, &to)).flatten();
+        if by_positions.is_some() || pairs.len() < 2 {
+            return by_positions;
+        }
     }
-    // R_rough ≈ R_model Qᵀ → Q ≈ R_roughᵀ R_model.
-    let sum = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).fold(Matrix3::zeros(), |a, b| a + b);
-    let rotation = crate::pose::orthonormal(&sum);
+    let rotation = middle_rotation(&pairs);
     let n = pairs.len() as f64;
     let mean =
         |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
@@ -84,4 +88,66 @@ fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option
     }
     let scale = up / down;
     (scale.is_finite() && scale > 0.0).then(|| Similarity { scale, rotation, shift: mr - rotation * mm * scale })
+}
+
+/// How far positions lie beside the line that fits them best, root mean square.
+fn across_m(positions: &[Vector3<f64>]) -> f64 {
+    let n = positions.len().max(1) as f64;
+    let mean = positions.iter().sum::<Vector3<f64>>() / n;
+    let about: Matrix3<f64> = positions.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
+    let mut moments: [f64; 3] = about.symmetric_eigenvalues().into();
+    moments.sort_by(f64::total_cmp);
+    (moments[1].max(0.0) / n).sqrt()
+}
+
+/// The turn from the model to the ground that half of the directions agree on: Weiszfeld's steps towards the rotation
+/// with the least sum of distances, which directions turned the other way do not pull along (R. Hartley, K. Aftab, J.
+/// Trumpf, "L1 rotation averaging using the Weiszfeld algorithm", 2011; here of chordal distances).
+fn middle_rotation(pairs: &[(&Pose, &Pose)]) -> Matrix3<f64> {
+    /// Distances below this weigh alike.
+    const ALIKE: f64 = 0.05;
+    const STEPS: usize = 20;
+    // R_rough ≈ R_model Qᵀ → Q ≈ R_roughᵀ R_model.
+    let each: Vec<Matrix3<f64>> = pairs.iter().map(|(m, r)| r.rotation.transpose() * m.rotation).collect();
+    let mean = |weight: &dyn Fn(&Matrix3<f64>) -> f64| {
+        crate::pose::orthonormal(&each.iter().map(|q| q * weight(q)).sum::<Matrix3<f64>>())
+    };
+    (0..STEPS).fold(mean(&|_| 1.0), |middle, _| mean(&|q| 1.0 / (q - middle).norm().max(ALIKE)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose::YawPitchRoll;
+
+    fn down(yaw_deg: f64, centre: [f64; 3]) -> Pose {
+        Pose::looking(Vector3::from(centre), YawPitchRoll { yaw_deg, pitch_deg: -80.0, roll_deg: 0.0 })
+    }
+
+    #[test]
+    fn directions_turned_the_other_way_do_not_pull_the_middle_along() {
+        let model: Vec<Pose> = (0..9).map(|i| down(0.5 * f64::from(i), [f64::from(i), 0.0, 0.0])).collect();
+        // The ground is turned by 40°; four of nine directions are half a turn off.
+        let rough: Vec<Pose> = model
+            .iter()
+            .enumerate()
+            .map(|(i, p)| {
+                let yaw_deg = p.yaw_pitch_roll().yaw_deg - 40.0 + if i % 2 == 1 { 180.0 } else { 0.0 };
+                down(yaw_deg, [0.0; 3])
+            })
+            .collect();
+        let pairs: Vec<(&Pose, &Pose)> = model.iter().zip(&rough).collect();
+        let truth = rough[0].rotation.transpose() * model[0].rotation;
+        let angle = ((middle_rotation(&pairs).transpose() * truth).trace() - 1.0).mul_add(0.5, 0.0).min(1.0).acos();
+        assert!(angle.to_degrees() < 1.0, "{}", angle.to_degrees());
+    }
+
+    #[test]
+    fn positions_in_a_row_have_no_width() {
+        let row: Vec<Vector3<f64>> = (0..5).map(|i| Vector3::new(100.0 * f64::from(i), 0.0, 500.0)).collect();
+        assert!(across_m(&row) < 1e-6);
+        let two: Vec<Vector3<f64>> =
+            row.iter().flat_map(|p| [p - Vector3::y() * 30.0, p + Vector3::y() * 30.0]).collect();
+        assert!((across_m(&two) - 30.0).abs() < 1e-6);
+    }
 }

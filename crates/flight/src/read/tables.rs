@@ -37,6 +37,8 @@ pub struct CameraRow {
     pub roll_deg: Option<f64>,
     pub omega_phi_kappa_deg: Option<[f64; 3]>,
     pub line: Option<String>,
+    /// 1σ of the position in plan and of its height, metres.
+    pub sigma_m: [Option<f64>; 2],
     /// The angles come from those of an aircraft of which some were not stated.
     pub taken_level: bool,
 }
@@ -118,7 +120,7 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let n = heads.len();
         let opk = n >= 7;
         let known = [Some(1), Some(2), (n > 3).then_some(3), (n > 4 && !opk).then_some(4), None, None];
-        let tail = [opk.then_some(4), opk.then_some(5), opk.then_some(6), None];
+        let tail = [opk.then_some(4), opk.then_some(5), opk.then_some(6), None, None, None];
         (0, known.into_iter().chain(tail).collect())
     };
     let mut rows = Vec::new();
@@ -158,7 +160,9 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
             pitch_deg: value(4)?,
             roll_deg: value(5)?,
             omega_phi_kappa_deg: opk,
-            line: at[9].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
+            line: at[LINE].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
+            sigma_m: stated_sigmas([value(SIGMA)?, value(SIGMA + 1)?])
+                .map_err(|what| Error::format(path, format!("row {row}"), what))?,
             taken_level: false,
         });
     }
@@ -166,6 +170,18 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         return Err(Error::format(path, "the table", "has no rows"));
     }
     Ok(rows)
+}
+
+/// The columns of a line's name, and of the first deviation.
+const LINE: usize = 9;
+const SIGMA: usize = 10;
+
+/// Standard deviations of plan and height as a row states them; that of the height is the other's where it is alone.
+fn stated_sigmas([plan, up]: [Option<f64>; 2]) -> std::result::Result<[Option<f64>; 2], String> {
+    match [plan, up].into_iter().flatten().find(|sigma| *sigma <= 0.0) {
+        Some(sigma) => Err(format!("a standard deviation of {sigma} m; a positive number, or nothing, is expected")),
+        None => Ok([plan, up.or(plan)]),
+    }
 }
 
 /// A point measured in an image, with its place on the ground when the list has it.

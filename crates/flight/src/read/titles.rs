@@ -58,7 +58,7 @@ pub(super) const IMAGES: [&str; 10] =
     ["image", "images", "frame", "frames", "photo", "photos", "img", "imagename", "photoname", "filename"];
 const LONGITUDES: [&str; 5] = ["lon", "long", "longitude", "x/longitude", "gpslongitude"];
 const LATITUDES: [&str; 4] = ["lat", "latitude", "y/latitude", "gpslatitude"];
-pub(super) const COLUMNS: [(&str, &[&str]); 10] = [
+pub(super) const COLUMNS: [(&str, &[&str]); 12] = [
     (
         "x",
         &[
@@ -119,6 +119,8 @@ pub(super) const COLUMNS: [(&str, &[&str]); 10] = [
     ("phi", &["phi", "phideg"]),
     ("kappa", &["kappa", "kappadeg"]),
     ("line", &["line", "strip", "flightline", "run"]),
+    ("sigma_m", &["sigmam", "sigma"]),
+    ("sigma_height_m", &["sigmaheightm", "sigmah", "sigmaheight"]),
 ];
 
 pub(super) const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];

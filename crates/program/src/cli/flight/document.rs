@@ -242,14 +242,20 @@ pub fn say(document: &Value, already: &[String]) {
     let rows = |key: &str| document[key].as_array().cloned().unwrap_or_default();
     if document.get("frames_registered").is_some() {
         let d = |k: &str| fixed(&document[k]["d"]["rms"], 2);
+        let points = match rows("gcps").len() + rows("check_points").len() {
+            0 => "no GCPs".into(),
+            _ => format!(
+                "GCPs {} m rms; check points {} m rms; {} blunders",
+                d("gcp_statistics"),
+                d("check_point_statistics"),
+                rows("blunders").len()
+            ),
+        };
         eprintln!(
-            "{} of {} frames; ties {} px rms; GCPs {} m rms; check points {} m rms; {} blunders",
+            "{} of {} frames; ties {} px rms; {points}",
             get("frames_registered"),
             get("frames_listed"),
             fixed(&document["reprojection_rms_px"], 2),
-            d("gcp_statistics"),
-            d("check_point_statistics"),
-            rows("blunders").len()
         );
         for b in rows("blunders") {
             let (gcp, test) = (b["gcp"].as_str().unwrap_or_default(), fixed(&b["test"], 1));

@@ -144,6 +144,10 @@ pub struct Told {
     pub height_m: Option<f64>,
     /// Yaw from true north, pitch and roll, degrees.
     pub angles_deg: [Option<f64>; 3],
+    /// 1σ in plan and of the height, of a position that carrier phases fixed (RTK).
+    pub sigma_m: Option<[f64; 2]>,
+    /// Height above the place of take-off.
+    pub above_start_m: Option<f64>,
 }
 
 fn numbers(text: &str) -> Vec<f64> {
@@ -207,14 +211,47 @@ pub fn told(frame: &Path) -> Told {
     // Of a direction from magnetic north nobody says how far that is from true north.
     let magnetic = tag("GPSImgDirectionRef").is_some_and(|r| r.trim().eq_ignore_ascii_case("M"));
     let direction = || number("GPSImgDirection").filter(|_| !magnetic);
-    Told { f_px, place, height_m, angles_deg: [gimbal("Yaw").or_else(direction), gimbal("Pitch"), gimbal("Roll")] }
+    Told {
+        f_px,
+        place,
+        height_m,
+        angles_deg: [gimbal("Yaw").or_else(direction), gimbal("Pitch"), gimbal("Roll")],
+        sigma_m: rtk_sigma_m(&packet),
+        above_start_m: of_xmp(&packet, "drone-dji:RelativeAltitude").filter(|h| h.abs() < HIGHEST_M),
+    }
+}
+
+/// What DJI's receiver states of a position whose ambiguities are fixed: `RtkFlag` 50, and deviations of each axis.
+fn rtk_sigma_m(packet: &str) -> Option<[f64; 2]> {
+    const FIXED: f64 = 50.0;
+    of_xmp(packet, "drone-dji:RtkFlag").filter(|flag| *flag == FIXED)?;
+    let stated = |axis: &str| of_xmp(packet, &format!("drone-dji:RtkStd{axis}")).filter(|s| *s > 0.0 && *s < 1.0);
+    Some([stated("Lon")?.max(stated("Lat")?), stated("Hgt")?])
 }
 
 /// A table of rough positions, and what is to be said of it.
 pub struct RoughTable {
     pub text: String,
     pub crs: Crs,
+    /// Height of the place of take-off, the median of what frames tell.
+    pub start_m: Option<f64>,
+    /// Frames whose position has deviations of its own in the table.
+    pub fixed: usize,
     pub warnings: Vec<String>,
+}
+
+/// What the table says of how good positions are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Deviations {
+    /// Those that receivers state.
+    Stated,
+    /// Nothing: GCPs and receivers may count in two datums, above all of heights.
+    LeftOut,
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 /// The table of rough positions that frames tell, in `crs`, or in the UTM zone of the first; directions count from the
@@ -223,12 +260,11 @@ pub struct RoughTable {
 ///
 /// # Errors
 /// When a position does not lie in the CRS.
-pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option<RoughTable>> {
+pub fn table(names: &[String], told: &[Told], crs: Option<Crs>, deviations: Deviations) -> Result<Option<RoughTable>> {
     let placed: Vec<(&String, &Told, [f64; 2])> =
         names.iter().zip(told).filter_map(|(name, t)| Some((name, t, t.place?))).collect();
-    let mut heights: Vec<f64> = placed.iter().filter_map(|(_, t, _)| t.height_m).collect();
-    heights.sort_by(f64::total_cmp);
-    let usual_m = heights.get(heights.len() / 2).copied();
+    let usual_m = median(placed.iter().filter_map(|(_, t, _)| t.height_m).collect());
+    let start_m = median(placed.iter().filter_map(|(_, t, _)| Some(t.height_m? - t.above_start_m?)).collect());
     let (Some(usual_m), true) = (usual_m, placed.len() >= 2) else { return Ok(None) };
     let earth = Crs::from_epsg(4326)?;
     let crs = match crs {
@@ -254,15 +290,24 @@ pub fn table(names: &[String], told: &[Told], crs: Option<Crs>) -> Result<Option
         ..CameraRow::default()
     };
     let rows = on_map(placed.iter().map(row).collect(), Path::new("EXIF"), Some(&crs))?;
-    let mut text = "name,x,y,z,yaw,pitch,roll\n".to_string();
+    let of_receiver = |told: &Told| told.sigma_m.filter(|_| deviations == Deviations::Stated);
+    let fixed = placed.iter().filter(|(_, told, _)| of_receiver(told).is_some()).count();
+    let mut text = "name,x,y,z,yaw,pitch,roll".to_string();
+    text += if fixed > 0 { ",sigma_m,sigma_height_m\n" } else { "\n" };
     for (row, (name, told, _)) in rows.iter().zip(&placed) {
         let yaw = row.yaw_deg.map_or(String::new(), |a| format!("{:.3}", a.rem_euclid(360.0)));
         let [pitch, roll] =
             [told.angles_deg[1], told.angles_deg[2]].map(|a| a.map_or(String::new(), |a| a.to_string()));
         let [x, y, z] = row.xyz;
-        text += &format!("\"{name}\",{x:.3},{y:.3},{z:.3},{yaw},{pitch},{roll}\n");
+        text += &format!("\"{name}\",{x:.3},{y:.3},{z:.3},{yaw},{pitch},{roll}");
+        text += &match (fixed, of_receiver(told)) {
+            (0, _) => String::new(),
+            (_, Some([plan, up])) => format!(",{plan},{up}"),
+            (_, None) => ",,".into(),
+        };
+        text += "\n";
     }
-    Ok(Some(RoughTable { text, crs, warnings }))
+    Ok(Some(RoughTable { text, crs, start_m, fixed, warnings }))
 }
 
 #[cfg(test)]
@@ -278,6 +323,14 @@ mod tests {
         let element = "<drone-dji:GimbalRollDegree>-1.5</drone-dji:GimbalRollDegree>";
         assert_eq!(of_xmp(element, "drone-dji:GimbalRollDegree"), Some(-1.5));
         assert_eq!(of_xmp(packet, "drone-dji:GimbalRollDegree"), None);
+        let rtk = |flag: u32| {
+            format!(
+                "drone-dji:RtkFlag=\"{flag}\" drone-dji:RtkStdLon=\"0.011\" drone-dji:RtkStdLat=\"0.012\" drone-dji:RtkStdHgt=\"0.03\""
+            )
+        };
+        assert_eq!(rtk_sigma_m(&rtk(50)), Some([0.012, 0.03]));
+        // A float solution states deviations that nobody should trust.
+        assert_eq!(rtk_sigma_m(&rtk(34)), None);
     }
 
     #[test]
@@ -286,16 +339,24 @@ mod tests {
             place: Some([x, 78.5]),
             height_m: (x < 15.05).then_some(500.0),
             angles_deg: [Some(90.0), None, None],
+            sigma_m: (x < 15.05).then_some([0.02, 0.04]),
+            above_start_m: Some(120.0),
             f_px: None,
         };
         let names = ["a.jpg".to_string(), "b.jpg".to_string()];
-        let made = table(&names, &[told(15.0), told(15.1)], None).expect("inside").expect("two");
+        let both = [told(15.0), told(15.1)];
+        let made = table(&names, &both, None, Deviations::LeftOut).expect("inside").expect("two");
+        assert_eq!((made.start_m, made.fixed), (Some(380.0), 0));
         assert_eq!(made.crs.label(), "EPSG:32633");
         let line = |n: usize| made.text.lines().nth(n).unwrap_or_default();
         assert!(line(1).starts_with("\"a.jpg\",500000.000,") && line(1).ends_with("500.000,90.000,,"), "{}", made.text);
         // The second tells no height, and true north is 0.1° · sin 78.5° to the left of the grid's there.
         assert!(line(2).ends_with(",500.000,89.902,,"), "{}", made.text);
         assert!(made.warnings.len() == 1 && made.warnings[0].contains("b.jpg"), "{:?}", made.warnings);
-        assert!(table(&names[..1], &[told(15.0)], None).expect("inside").is_none());
+        assert!(table(&names[..1], &both[..1], None, Deviations::Stated).expect("inside").is_none());
+        let stated = table(&names, &both, None, Deviations::Stated).expect("inside").expect("two");
+        let ends: Vec<&str> = stated.text.lines().collect();
+        assert!(stated.fixed == 1 && ends[0].ends_with(",sigma_m,sigma_height_m"), "{}", stated.text);
+        assert!(ends[1].ends_with(",,0.02,0.04") && ends[2].ends_with(",,,"), "{}", stated.text);
     }
 }

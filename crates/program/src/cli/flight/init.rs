@@ -9,6 +9,7 @@ use autoref_flight::read::tables::Angles;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 
+use super::frames::Deviations;
 use super::project::{
     Adjust, CameraPart, Focal, Frames, Gcps, Pairs, Project, Rough, absolute, default_ground_m, default_image_px,
     default_rough_m, frames_in,
@@ -231,19 +232,25 @@ fn init_rough(args: &InitArgs, names: &[String], told: &[frames::Told]) -> Resul
         return Ok((args.crs.clone(), None));
     }
     let stated = known.is_some();
-    let Some(made) = frames::table(names, told, known)? else {
+    let deviations = if args.gcps.is_some() { Deviations::LeftOut } else { Deviations::Stated };
+    let Some(made) = frames::table(names, told, known, deviations)? else {
         if told.iter().any(|t| t.place.is_some()) {
             eprintln!("EXIF: fewer than two frames tell place and altitude; give --cameras, or points in the frames");
         }
         return Ok((args.crs.clone(), None));
     };
-    let frames::RoughTable { text, crs, warnings } = made;
+    let frames::RoughTable { text, crs, start_m, fixed, warnings } = made;
     warnings.iter().for_each(|warning| eprintln!("EXIF: {warning}"));
     let stem = args.output.file_stem().unwrap_or_default().to_string_lossy();
     let path = args.output.with_file_name(format!("{stem}_gps.csv"));
     check_output(Some(&path), Existing::of_flag(args.overwrite))?;
     autoref_raster::atomic::write(&path, text.as_bytes())?;
     eprintln!("EXIF: {} positions, in {}", text.lines().count() - 1, path.display());
+    if fixed > 0 {
+        eprintln!("EXIF: {fixed} of them are fixed by carrier phases (RTK) and state their deviations");
+    }
     let project_crs = if stated { args.crs.clone() } else { Some(crs.label()) };
-    Ok((project_crs, Some(rough(absolute(&path)?, GPS_M))))
+    // GCPs know the ground better than the place of take-off.
+    let ground_m = start_m.filter(|_| args.gcps.is_none()).map(|m| (m * 10.0).round() / 10.0);
+    Ok((project_crs, Some(Rough { ground_m, ..rough(absolute(&path)?, GPS_M) })))
 }

@@ -65,6 +65,8 @@ pub struct Control {
     pub listed_in: Option<Crs>,
     /// The coordinates are those of the reconstruction's own frame on the Earth.
     pub own_datum: bool,
+    /// The middle of the cameras' positions, which place the block where there are no points.
+    pub cameras_at: Option<[f64; 3]>,
     /// Why the list was not read as one of points in images, where it was another.
     pub no_image_points: Option<String>,
 }
@@ -77,6 +79,9 @@ struct Proj {
 
 /// 1σ of GCPs on the ground where nothing is stated, metres.
 pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
+
+/// Positions of cameras that fix a datum.
+const LEAST_POSITIONS: usize = 3;
 
 /// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
 const DATUM_M: f64 = 100.0;
@@ -203,11 +208,18 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
 }
 
 /// What a row of a camera table says, in the world's frame: its position, and its direction where that is stated whole.
+/// `sigma_m` is that of positions whose row states none.
 pub fn rough_pose(row: &CameraRow, world: &World, sigma_m: f64, sigma_rad: f64) -> Option<RoughPose> {
     let any_way = || Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::from(row.xyz) };
     let pose = world.pose_to_world(&row.pose(Some(0.0)).unwrap_or_else(any_way))?;
     let sigma_rad = if row.is_directed() { sigma_rad } else { f64::INFINITY };
-    Some(RoughPose { pose, sigma_m: Vector3::repeat(sigma_m), sigma_rad })
+    Some(RoughPose { pose, sigma_m: position_sigmas(row, sigma_m), sigma_rad })
+}
+
+/// 1σ of a row's position: what it states, else `sigma_m`.
+pub fn position_sigmas(row: &CameraRow, sigma_m: f64) -> Vector3<f64> {
+    let [plan, up] = row.sigma_m.map(|stated| stated.unwrap_or(sigma_m));
+    Vector3::new(plan, plan, up)
 }
 
 /// Refuses a table none of whose names is a frame's; a note on those that are not.
@@ -232,6 +244,22 @@ pub fn unmatched(rows: &[CameraRow], table: &Path, frames: &[&str]) -> Result<Op
 }
 
 impl Control {
+    /// A block that only positions of its cameras place, in coordinates of `crs`.
+    ///
+    /// # Errors
+    /// When there are fewer than three rows, which fix no datum.
+    pub fn of_positions(rows: &[CameraRow], crs: Option<Crs>, table: &Path) -> Result<Self> {
+        if rows.len() < LEAST_POSITIONS {
+            bail!(
+                "{}: {} positions, and no GCPs: {LEAST_POSITIONS} are needed to place a block; name a list of GCPs",
+                table.display(),
+                rows.len()
+            );
+        }
+        let mean = |axis: usize| rows.iter().map(|row| row.xyz[axis]).sum::<f64>() / rows.len() as f64;
+        Ok(Control { crs, cameras_at: Some([mean(0), mean(1), mean(2)]), ..Control::default() })
+    }
+
     /// A place in the coordinates of the list, in the world's frame.
     ///
     /// # Errors
@@ -251,7 +279,7 @@ impl Control {
         }
         let n = self.points.len().max(1) as f64;
         let mean = |a: usize| self.points.iter().map(|p| p.xyz[a]).sum::<f64>() / n;
-        world_of(self.crs.as_ref(), [mean(0), mean(1), mean(2)])
+        world_of(self.crs.as_ref(), self.cameras_at.unwrap_or_else(|| [mean(0), mean(1), mean(2)]))
     }
 
     /// The frames that the list names, in order, each once.

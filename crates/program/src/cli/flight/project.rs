@@ -1,5 +1,6 @@
 //! FLIGHT.toml, and the frames that it names.
 
+use autoref_raster::crs::Crs;
 use autoref_raster::{bounded, protected};
 use std::path::{Path, PathBuf};
 
@@ -192,6 +193,11 @@ pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
 }
 
 impl Project {
+    /// Whether its coordinates are said to lie on a plane of their own.
+    fn is_local(&self) -> bool {
+        self.crs.as_deref().is_some_and(lists::is_local)
+    }
+
     /// Refuses values that no stage can work with, before the first begins.
     fn check(&self, path: &Path) -> Result<()> {
         let refuse = |key: &str, what: String| Err(Error::format(path, key, what).into());
@@ -227,21 +233,28 @@ pub struct OrderedFrames {
 }
 
 impl OrderedFrames {
-    /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name.
+    /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name. That
+    /// map.
     ///
     /// # Errors
     /// When neither names one.
-    pub fn rows_on_map(&mut self, project: &Project, base: &Path, control: Option<&lists::Control>) -> Result<()> {
-        let Some(rough) = &project.rough else { return Ok(()) };
-        let stated = project
-            .crs
-            .as_deref()
-            .filter(|crs| !lists::is_local(crs))
-            .map(autoref_raster::crs::Crs::parse)
-            .transpose()?;
-        let crs = control.and_then(|known| known.crs.clone()).or(stated);
+    pub fn rows_on_map(
+        &mut self,
+        project: &Project,
+        base: &Path,
+        control: Option<&lists::Control>,
+    ) -> Result<Option<Crs>> {
+        let Some(rough) = &project.rough else { return Ok(None) };
+        let stated = project.crs.as_deref().filter(|crs| !lists::is_local(crs)).map(Crs::parse).transpose()?;
+        let mut crs = control.and_then(|known| known.crs.clone()).or(stated);
+        // Without a list, positions in longitude and latitude choose their map.
+        let lon_lat = self.rows.iter().find(|row| row.geographic).filter(|_| project.gcps.is_none());
+        let is_map = |crs: &Crs| !crs.is_geographic();
+        if let Some(row) = lon_lat.filter(|_| !crs.as_ref().is_some_and(is_map) && !project.is_local()) {
+            crs = Some(Crs::from_epsg(4326)?.utm_zone(row.xyz[0], row.xyz[1])?);
+        }
         self.rows = lists::on_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
-        Ok(())
+        Ok(crs)
     }
 }
 

@@ -5,11 +5,10 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use autoref_flight::Error;
-use autoref_flight::adjust::{AdjustOptions, RoughPose, adjust, on_ground};
+use autoref_flight::adjust::{AdjustOptions, GroundPoint, RoughPose, adjust, on_ground};
 use autoref_flight::read::{Reconstruction, colmap, tables};
 use autoref_flight::world::World;
 use autoref_raster::atomic;
-use nalgebra::Vector3;
 use serde_json::Value;
 
 use super::engine::Program;
@@ -78,8 +77,9 @@ struct Ready<'a> {
     /// A line about each frame or mask that is not used.
     left_out: Vec<String>,
     out: PathBuf,
-    points: lists::PointArgs,
-    /// The points as far as they are known without a reconstruction.
+    /// Where the GCPs are; without them the positions of the table place the block.
+    points: Option<lists::PointArgs>,
+    /// The points, or the positions, as far as they are known without a reconstruction.
     control: Option<lists::Control>,
     record: Record,
 }
@@ -101,14 +101,23 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
 impl<'a> Ready<'a> {
     fn of(args: &'a SolveArgs) -> Result<Self> {
         let (project, base) = read_project(&args.project)?;
-        let Some(points) = point_args(&project, &base) else {
-            bail!("{}: no [gcps]: the block cannot be placed; name a list", args.project.display())
+        let points = point_args(&project, &base);
+        let mut control = match &points {
+            Some(points) => points.load_first()?,
+            None => None,
         };
-        let control = points.load_first()?;
         let mut frames = ordered_frames(&project, &base)?;
-        frames.rows_on_map(&project, &base, control.as_ref())?;
-        if let Some(known) = &control {
-            known.named_checks(&points)?;
+        let crs = frames.rows_on_map(&project, &base, control.as_ref())?;
+        match (&points, &control, &project.rough) {
+            (Some(points), Some(known), _) => known.named_checks(points)?,
+            (Some(_), None, _) => {}
+            (None, _, Some(rough)) => {
+                control = Some(lists::Control::of_positions(&frames.rows, crs, &base.join(&rough.table))?);
+            }
+            (None, _, None) => bail!(
+                "{}: neither [gcps] nor [rough]: nothing places the block; name a list of GCPs or a table of positions",
+                args.project.display()
+            ),
         }
         let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
         let lost = match &project.rough {
@@ -196,8 +205,7 @@ impl<'a> Ready<'a> {
         let tied = match plane.zip(self.control.as_ref()) {
             Some((plane, control)) => {
                 let listed = flight.listed(plane);
-                let mut ground = control.in_world(&control.world()?, &listed, &self.points)?;
-                plausible::within_frames(&mut ground, &listed, &self.points.gcps.display().to_string())?;
+                let (ground, _) = self.ground(control, &control.world()?, &listed)?;
                 flight.tied(plane, &ground)?
             }
             None => None,
@@ -212,7 +220,34 @@ impl<'a> Ready<'a> {
         Ok(ByColmap::Oriented(flight.relative(matched)?, pairs))
     }
 
-    /// The datum by GCPs, and the adjustment of everything.
+    /// The GCPs in the world's frame, and what is to be said of them; none where positions place the block.
+    fn ground(
+        &self,
+        control: &lists::Control,
+        world: &World,
+        model: &Reconstruction,
+    ) -> Result<(Vec<GroundPoint>, Vec<String>)> {
+        let Some(points) = &self.points else { return Ok((Vec::new(), Vec::new())) };
+        let mut ground = control.in_world(world, model, points)?;
+        let notes = plausible::within_frames(&mut ground, model, &points.gcps.display().to_string())?;
+        Ok((ground, notes))
+    }
+
+    /// The points, now that there is a reconstruction, and what is to be said of their frames.
+    fn control(&self, model: &Reconstruction) -> Result<(lists::Control, Vec<String>)> {
+        let Some(points) = &self.points else {
+            return Ok((self.control.clone().unwrap_or_default(), vec![NO_GCPS.to_string()]));
+        };
+        let mut control = points.load(Some(model))?;
+        let ground_m = self.project.gcps.as_ref().map_or(default_ground_m(), |gcps| gcps.sigma_ground_m);
+        for p in &mut control.points {
+            p.sigma = p.sigma_or(ground_m).map(Some);
+        }
+        let notes = control.notes(model, points, &self.out.join("relative"))?;
+        Ok((control, notes))
+    }
+
+    /// The datum by GCPs or positions, and the adjustment of everything.
     fn on_the_ground(
         &self,
         flight: &Flight<'_>,
@@ -221,17 +256,11 @@ impl<'a> Ready<'a> {
         ties: Option<Value>,
     ) -> Result<Value> {
         let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
-        let mut control = self.points.load(Some(model))?;
-        let gcps = project.gcps.as_ref();
-        let (ground_m, image_px) =
-            gcps.map_or((default_ground_m(), default_image_px()), |g| (g.sigma_ground_m, g.sigma_image_px));
-        for p in &mut control.points {
-            p.sigma = p.sigma_or(ground_m).map(Some);
-        }
-        let mut notes = control.notes(model, &self.points, &self.out.join("relative"))?;
+        let image_px = project.gcps.as_ref().map_or(default_image_px(), |gcps| gcps.sigma_image_px);
+        let (control, mut notes) = self.control(model)?;
         let world = control.world()?;
-        let mut ground = control.in_world(&world, model, &self.points)?;
-        notes.extend(plausible::within_frames(&mut ground, model, &self.points.gcps.display().to_string())?);
+        let (ground, astray) = self.ground(&control, &world, model)?;
+        notes.extend(astray);
         let by_micmac = self.args.engine.of_colmap().is_none();
         let mut rough = match by_micmac {
             false => table_poses(project, rows, model, &world),
@@ -278,6 +307,10 @@ impl<'a> Ready<'a> {
         Ok(document)
     }
 }
+
+/// What a block without GCPs cannot say.
+const NO_GCPS: &str = "no GCPs: the positions of the table place the block; what is wrong with all of them alike (the \
+                       datum of their heights, a receiver's offset) is in no standard deviation";
 
 /// How far COLMAP's stages went.
 enum ByColmap {
@@ -327,7 +360,7 @@ fn ground_plane(
     let mut heights: Vec<f64> = control.points.iter().map(|p| p.xyz[2]).collect();
     heights.sort_by(f64::total_cmp);
     let height = table.ground_m.or_else(|| heights.get(heights.len() / 2).copied())?;
-    let first = control.points.first()?.xyz;
+    let first = control.cameras_at.or_else(|| Some(control.points.first()?.xyz))?;
     let ground_m = world.to_world([first[0], first[1], height])?.z;
     let names = &flight.ordered;
     let stated = runs::rows_of(names, rows).into_iter().map(|row| {
@@ -336,7 +369,7 @@ fn ground_plane(
         let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
         Some(RoughPose {
             pose: world.pose_to_world(&row.pose(table.pitch_deg)?)?,
-            sigma_m: Vector3::repeat(table.sigma_m),
+            sigma_m: lists::position_sigmas(row, table.sigma_m),
             sigma_rad: sigma_deg.to_radians(),
         })
     });
