@@ -206,6 +206,9 @@ fn positions_place_a_block_without_gcps() {
     expect(&solve(&bare), 2, &["table.csv", "row 2", "a standard deviation of 0 m"]);
     place.write("table.csv", "name,x,y,z\nf0.png,1,2,3\nf1.png,1,9,3\n");
     expect(&solve(&bare), 2, &["table.csv: 2 positions, and no GCPs: 3 are needed"]);
+    let out = place.at("micmac");
+    let by_micmac = ["flight", "solve", text(&bare), "-o", text(&out), "--engine", "micmac"];
+    expect(&autoref(&by_micmac, None, &[]), 2, &["bare.toml: no [gcps]: MicMac places a block by GCPs"]);
     project.remove("rough").expect("a table");
     let lost = place.write("lost.toml", &project.to_string());
     expect(&solve(&lost), 2, &["lost.toml: neither [gcps] nor [rough]"]);

@@ -111,6 +111,10 @@ impl<'a> Ready<'a> {
         match (&points, &control, &project.rough) {
             (Some(points), Some(known), _) => known.named_checks(points)?,
             (Some(_), None, _) => {}
+            (None, ..) if args.engine == Engine::Micmac => bail!(
+                "{}: no [gcps]: MicMac places a block by GCPs; name a list, or leave out --engine micmac",
+                args.project.display()
+            ),
             (None, _, Some(rough)) => {
                 control = Some(lists::Control::of_positions(&frames.rows, crs, &base.join(&rough.table))?);
             }
