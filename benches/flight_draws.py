@@ -7,7 +7,8 @@
 FLIGHT holds truth.json, dem10.npz, depth_NAME.npz and the frames (../shared/data/flight; its README says what they are). For each
 draw (its seed is its number) the table gets errors of 200 m and 1 degree, and GCPs and check points are drawn on the ground where
 at least three frames see it, as its depths have it. Printed: frames registered, RMS errors of cameras and of check points
-against the truth (not against what the list says), focal length, and at the end median and worst. Wants numpy.
+against the truth (not against what the list says), focal length, and at the end median and worst. With --gcps 0 the table alone
+places the block. Wants numpy.
 """
 
 import argparse
@@ -109,14 +110,15 @@ def draw(folder, seed):
     for image in images:
         (frames / image["name"]).symlink_to((args.flight / image["name"]).resolve())
     checks = json.dumps([name for name in points if name[0] == "C"])
+    gcps = f'[gcps]\nlist = "gcps.txt"\nsigma_ground_m = {ground_m}\nsigma_image_px = {image_px}\ncheck = {checks}\n'
     (folder / "FLIGHT.toml").write_text(
         f'crs = "local"\n[frames]\nfolder = "frames"\npattern = ["*.png"]\n[camera]\nf_px = {f}\npp_px = [{cx}, {cy}]\n'
-        f'[rough]\ntable = "table.csv"\nsigma_m = {place_m}\n[gcps]\nlist = "gcps.txt"\nsigma_ground_m = {ground_m}\n'
-        f"sigma_image_px = {image_px}\ncheck = {checks}\n"
+        f'[rough]\ntable = "table.csv"\nsigma_m = {place_m}\n'
+        + (gcps if args.gcps else f"ground_m = {np.median(heights):.0f}\n")
     )
 
 
-found = []
+found, errors = [], []
 for seed in range(args.first, args.first + args.draws):
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
@@ -133,11 +135,13 @@ for seed in range(args.first, args.first + args.draws):
         document = json.loads(run.stdout)
         at = {image["name"]: np.array(image["C"]) for image in images}
         cameras = np.array([np.array(c["C"]) - at[c["name"]] for c in document["cameras"]])
-        checks = np.array([p["residual_m"] for p in document["check_points"] if p["residual_m"]])
+        checks = np.array([p["residual_m"] for p in document["check_points"] if p["residual_m"]]).reshape(-1, 3)
+        sigmas = [[c[f"sigma_{axis}"] for axis in "enh"] for c in document["cameras"]]
+        errors.extend(cameras / np.array(sigmas, dtype=float))
         row = [
             document["frames_registered"],
             *np.sqrt((cameras**2).mean(0)),
-            *np.sqrt((checks**2).mean(0)),
+            *(np.sqrt((checks**2).mean(0)) if len(checks) else [np.nan] * 3),
             100 * (document["interior"][0]["f_px"] / f - 1),
             document["reprojection_mean_px"],
         ]
@@ -157,3 +161,4 @@ for name, row in [("median", np.median(table, 0)), ("worst", table.max(0))]:
         f"mean reprojection {row[8]:.2f} px"
     )
 print(f"fewest frames registered: {int(np.array(found)[:, 0].min())}; draws solved: {len(found)} of {args.draws}")
+print("cameras' errors over their stated deviations, RMS in e, n, h: " + " ".join(f"{v:.2f}" for v in np.sqrt((np.array(errors) ** 2).mean(0))))
