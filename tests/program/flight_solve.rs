@@ -131,6 +131,15 @@ fn every_stage_says_what_it_found(place: &Place, toml: &Path, bin: &Path) {
     assert!(picture.starts_with(b"\x89PNG"));
 }
 
+/// A row of a camera table, its yaw half a turn off if it is of one of the frames.
+fn turned(row: &str, frames: &[&str]) -> String {
+    let mut cells: Vec<String> = row.split(',').map(str::to_string).collect();
+    if frames.contains(&cells[0].as_str()) {
+        cells[4] = format!("{:.3}", cells[4].parse::<f64>().expect("a yaw") + 180.0);
+    }
+    cells.join(",") + "\n"
+}
+
 /// A table whose yaw is half a turn off in some frames, as where somebody turned the pictures, does not count there.
 #[test]
 fn directions_of_turned_frames_are_named_and_let_go_of() {
@@ -138,13 +147,6 @@ fn directions_of_turned_frames_are_named_and_let_go_of() {
     place.five_frames();
     let (toml, bin) = (place.init(), place.stand_in());
     let table = std::fs::read_to_string(place.at("table.csv")).expect("there");
-    let turned = |row: &str| {
-        let mut cells: Vec<String> = row.split(',').map(str::to_string).collect();
-        if ["f1.png", "f3.png"].contains(&cells[0].as_str()) {
-            cells[4] = format!("{:.3}", cells[4].parse::<f64>().expect("a yaw") + 180.0);
-        }
-        cells.join(",") + "\n"
-    };
     let solve = || {
         let output =
             autoref(&["flight", "solve", text(&toml), "-o", text(&place.at("out")), "--json"], Some(&bin), &[]);
@@ -158,7 +160,7 @@ fn directions_of_turned_frames_are_named_and_let_go_of() {
     };
     let right = solve();
     assert!(!is_told(&right) && turns(&right).iter().all(|turn| *turn < 5.0), "{}", right["notes"]);
-    place.write("table.csv", &table.lines().map(turned).collect::<String>());
+    place.write("table.csv", &table.lines().map(|row| turned(row, &["f1.png", "f3.png"])).collect::<String>());
     let found = solve();
     let notes = found["notes"].to_string();
     assert!(notes.contains("of 2 of 5 frames is 17") && notes.contains("(f1.png, f3.png)"), "{notes}");
@@ -307,6 +309,32 @@ fn killed_and_resumed(place: &Place, document: &Value, solve: impl Fn(&str, &[(&
             assert!(apart.abs() < 1e-3, "{axis} of {}: {apart:.6} m", a["name"]);
         }
     }
+}
+
+/// Where the table's directions warp neighbours away from each other, frames are matched as they are.
+#[test]
+fn frames_of_which_the_table_has_wrong_directions_are_matched_as_they_are() {
+    if Command::new("colmap").arg("help").output().is_err() {
+        skipped("`colmap` is not installed: no frames with wrong directions were matched");
+        return;
+    }
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let toml = place.init();
+    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    // So sure of its positions, the table leaves little room to find what is elsewhere.
+    std::fs::write(&toml, sharp.replace("sigma_m = 200.0", "sigma_m = 10.0")).expect("written");
+    let table = std::fs::read_to_string(place.at("table.csv")).expect("there");
+    place.write("table.csv", &table.lines().map(|row| turned(row, &["f1.png", "f3.png"])).collect::<String>());
+    let output = autoref(&["flight", "solve", text(&toml), "-o", text(&place.at("out")), "--json"], None, &[]);
+    expect(&output, 0, &["plain_features.db"]);
+    let document = json(&output);
+    assert!(document["notes"].to_string().contains("the table's direction of 2 of 5 frames"), "{}", document["notes"]);
+    assert_eq!(document["frames_registered"], 5);
+    let worst = place.flight.worst_camera_m(&document);
+    assert!(worst < 4.0 && document.get("pairs").is_none(), "{worst:.2} m");
+    let stage = std::fs::read_to_string(place.at("out/stages/relative.json")).expect("written");
+    assert!(stage.contains("of frames matched as they are"), "{stage}");
 }
 
 /// From drawn frames to cameras, by COLMAP itself; with AUTOREF_LARGE=1 also killed before it checks the ties and

@@ -168,11 +168,14 @@ fn map(out: &mut String, document: &Value) {
         bar_m * frame.px_per_m,
         height - 18.0
     );
-    let _ = write!(
-        out,
-        "<p>North is up. Triangles: cameras and where they look. <span style=\"color:{CONTROL}\">Control points</span> and \
-         <span style=\"color:{CHECK}\">check points</span> with their residuals, the longest {residual:.2} m."
-    );
+    let _ = write!(out, "<p>North is up. Triangles: cameras and where they look.");
+    if !points.is_empty() {
+        let _ = write!(
+            out,
+            " <span style=\"color:{CONTROL}\">Control points</span> and <span style=\"color:{CHECK}\">check points</span> \
+             with their residuals, the longest {residual:.2} m."
+        );
+    }
     if moved > 0.0 {
         let _ = write!(
             out,

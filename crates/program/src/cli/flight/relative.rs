@@ -40,19 +40,49 @@ pub struct GroundPlane {
     pub rough: Vec<RoughPose>,
     pub f_px: f64,
     pub ground_m: f64,
+    /// 1σ of a position against the plane at least: a receiver knows its own place better than anybody the ground's.
+    least_sigma_m: f64,
 }
 
 /// What makes a block.
-const FROM_TABLE: &str = "ties, GCPs and the rough table together";
-const BY_MAPPER: &str = "COLMAP's mapper";
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MadeBy {
+    /// Ties between warped neighbours, GCPs and the rough table together.
+    Table,
+    /// COLMAP's mapper, of the ties that there are.
+    Mapper,
+    /// COLMAP's mapper, of frames matched as they are where warped neighbours had joined fewer.
+    MapperOfPlainFrames,
+    Micmac,
+}
+
+impl MadeBy {
+    pub fn words(self) -> &'static str {
+        match self {
+            MadeBy::Table => "ties, GCPs and the rough table together",
+            MadeBy::Mapper => "COLMAP's mapper",
+            MadeBy::MapperOfPlainFrames => "COLMAP's mapper, of frames matched as they are",
+            MadeBy::Micmac => "MicMac",
+        }
+    }
+}
+
+/// Where a larger share of the frames is not joined, they are matched once more as they are: directions of the table
+/// that are wrong, or frames that were turned, warp neighbours away from each other.
+const MOST_LOST: f64 = 0.05;
 /// How far relief moves ground that the plane stands for, where the poses are known.
 const RELIEF_PX: f64 = 80.0;
 /// A frame that was placed farther from its rough pose, in standard deviations, was placed wrongly.
 const MOST_SIGMAS: f64 = 4.0;
 
 impl GroundPlane {
-    /// From the rough table alone.
-    pub fn of_table(names: &[&str], rough: Vec<RoughPose>, f_px: f64, ground_m: f64, size_px: [f64; 2]) -> Self {
+    /// From the rough table alone; `least_sigma_m` is what its positions are worth against the plane at best.
+    pub fn of_table(
+        names: &[&str],
+        (rough, least_sigma_m): (Vec<RoughPose>, f64),
+        (f_px, size_px): (f64, [f64; 2]),
+        ground_m: f64,
+    ) -> Self {
         let mut away: Vec<f64> = rough
             .iter()
             .map(|r| {
@@ -66,12 +96,14 @@ impl GroundPlane {
         let most_px = (0.25 * size_px[0].max(size_px[1])).max(200.0);
         let view = |(name, rough): (&&str, &RoughPose)| {
             // Three standard deviations of both frames' positions and directions together.
-            let sigma_px = f_px * (rough.sigma_m.max() / distance).hypot(rough.sigma_rad) * std::f64::consts::SQRT_2;
+            let sigma_px = f_px
+                * (rough.sigma_m.max().max(least_sigma_m) / distance).hypot(rough.sigma_rad)
+                * std::f64::consts::SQRT_2;
             let window_px = (3.0 * sigma_px).clamp(RELIEF_PX, most_px);
             View { name: (*name).to_string(), pose: rough.pose, window_px }
         };
         let views = names.iter().zip(&rough).map(view).collect();
-        GroundPlane { views, rough, f_px, ground_m }
+        GroundPlane { views, rough, f_px, ground_m, least_sigma_m }
     }
 
     /// The frames where they were placed, unless that is far from what the table says.
@@ -80,7 +112,8 @@ impl GroundPlane {
             let pose = block.photographs.iter().find(|p| p.name == view.name).map(|p| p.pose);
             let far = |pose: &Pose| {
                 let turn = Rotation3::from_matrix_unchecked(pose.rotation * rough.pose.rotation.transpose()).angle();
-                let away = (pose.centre - rough.pose.centre).component_div(&rough.sigma_m).norm();
+                let sigma_m = rough.sigma_m.map(|s| s.max(self.least_sigma_m));
+                let away = (pose.centre - rough.pose.centre).component_div(&sigma_m).norm();
                 away > MOST_SIGMAS || turn > MOST_SIGMAS * rough.sigma_rad
             };
             match pose.filter(|pose| !far(pose)) {
@@ -119,7 +152,7 @@ pub struct Matched {
 /// A block of cameras, and what made it.
 pub struct Oriented {
     pub model: Reconstruction,
-    pub by: &'static str,
+    pub by: MadeBy,
 }
 
 impl<'a> Flight<'a> {
@@ -256,16 +289,31 @@ impl<'a> Flight<'a> {
     }
 
     /// The relative orientation: the block that ties and rough table agree on when it has all frames, else that of
-    /// COLMAP's mapper unless it has fewer.
+    /// COLMAP's mapper unless it has fewer; where both lack frames, that of frames matched as they are if it has more.
     ///
     /// # Errors
     /// When COLMAP is missing or fails; [`no_pair`]'s when no two frames fit together.
     pub fn relative(&self, matched: Matched) -> Result<Oriented> {
         let (matches, hash) = matched.matches;
-        match matched.placed {
-            Some(Ok(model)) if model.photographs.len() == self.ordered.len() => Ok(Oriented { model, by: FROM_TABLE }),
-            None => Ok(Oriented { model: self.grown(&matches, hash)?, by: BY_MAPPER }),
-            Some(placed) => larger(self.grown(&matches, hash), placed),
+        let all = self.ordered.len();
+        let warped = match matched.placed {
+            Some(Ok(model)) if model.photographs.len() == all => return Ok(Oriented { model, by: MadeBy::Table }),
+            None => return Ok(Oriented { model: self.grown("sparse", &matches, hash)?, by: MadeBy::Mapper }),
+            Some(placed) => larger(self.grown("sparse", &matches, hash), placed),
+        };
+        let joined = match &warped {
+            Ok(block) => block.model.photographs.len(),
+            Err(error) if is_no_result(error) => 0,
+            Err(_) => return warped,
+        };
+        if (all - joined) as f64 <= MOST_LOST * all as f64 {
+            return warped;
+        }
+        let (matches, hash) = self.matches(None, "plain_")?;
+        match self.grown("plain_sparse", &matches, hash) {
+            Ok(model) if model.photographs.len() > joined => Ok(Oriented { model, by: MadeBy::MapperOfPlainFrames }),
+            Err(error) if !is_no_result(&error) => Err(error),
+            Ok(_) | Err(_) => warped,
         }
     }
 
@@ -286,12 +334,13 @@ impl<'a> Flight<'a> {
         })
     }
 
-    fn grown(&self, matches: &Path, mut hash: Fingerprint) -> Result<Reconstruction> {
+    /// The block that COLMAP's mapper grows; `stage` is where it is kept.
+    fn grown(&self, stage: &str, matches: &Path, mut hash: Fingerprint) -> Result<Reconstruction> {
         let (stages, project) = (self.stages(), self.project);
         let text = |p: &Path| p.display().to_string();
         let held = if project.camera.f_px.is_some() && project.camera.focal == Focal::Held { "0" } else { "1" };
         hash.write(&project.adjust.seed.to_le_bytes());
-        let sparse = stages.run("sparse", &hash.hex(), |part| {
+        let sparse = stages.run(stage, &hash.hex(), |part| {
             std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
             let a = [
                 ("database_path", text(matches)),
@@ -338,15 +387,18 @@ impl Tied {
 /// # Errors
 /// When neither is there: what COLMAP said.
 fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Result<Oriented> {
-    let from_table = |model| Oriented { model, by: FROM_TABLE };
+    let from_table = |model| Oriented { model, by: MadeBy::Table };
     match (grown, placed) {
         (Ok(grown), Ok(placed)) if placed.photographs.len() > grown.photographs.len() => Ok(from_table(placed)),
-        (Ok(model), _) => Ok(Oriented { model, by: BY_MAPPER }),
-        (Err(error), placed) => match error.downcast_ref::<Error>() {
-            Some(Error::NoResult { .. }) => placed.map(from_table).map_err(|_| error),
-            _ => Err(error),
-        },
+        (Ok(model), _) => Ok(Oriented { model, by: MadeBy::Mapper }),
+        (Err(error), placed) if is_no_result(&error) => placed.map(from_table).map_err(|_| error),
+        (Err(error), _) => Err(error),
     }
+}
+
+/// Whether COLMAP ran, and found nothing that fits together.
+fn is_no_result(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref::<Error>(), Some(Error::NoResult { .. }))
 }
 
 /// Removes a file or a folder, if it is there.

@@ -15,7 +15,7 @@ use super::engine::Program;
 use super::project::{
     OrderedFrames, Project, absolute, default_ground_m, default_image_px, ordered_frames, point_args, read_project,
 };
-use super::relative::{Flight, GroundPlane, Oriented};
+use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
 use super::stages::{self, After, Record, Stage};
 use super::{document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs, stage_pages};
 use crate::cli::progress::Busy;
@@ -193,7 +193,7 @@ impl<'a> Ready<'a> {
                     bail!("MicMac makes ties and relative orientation in one run; --until relative");
                 }
                 let model = micmac::oriented(&self.args.project, (project, &self.base), &self.frames, &self.out)?;
-                (Oriented { model, by: "MicMac" }, None)
+                (Oriented { model, by: MadeBy::Micmac }, None)
             }
         };
         let found = stages::relative(&oriented, &flight.ordered, self.listed);
@@ -221,7 +221,10 @@ impl<'a> Ready<'a> {
             return Ok(ByColmap::Ends(found));
         }
         let pairs = stages::all_matches(&matched, &flight.ordered);
-        Ok(ByColmap::Oriented(flight.relative(matched)?, pairs))
+        let oriented = flight.relative(matched)?;
+        // What warped neighbours share is nothing of a block that was made without them.
+        let pairs = pairs.filter(|_| oriented.by != MadeBy::MapperOfPlainFrames);
+        Ok(ByColmap::Oriented(oriented, pairs))
     }
 
     /// The GCPs in the world's frame, and what is to be said of them; none where positions place the block.
@@ -378,5 +381,5 @@ fn ground_plane(
         })
     });
     let rough = runs::filled(&stated.collect::<Vec<_>>())?;
-    Some(GroundPlane::of_table(names, rough, f_px, ground_m, flight.size_px))
+    Some(GroundPlane::of_table(names, (rough, table.sigma_m), (f_px, flight.size_px), ground_m))
 }

@@ -262,7 +262,7 @@ pub fn relative(oriented: &Oriented, names: &[&str], listed: usize) -> Value {
     let lost: Vec<&&str> = names.iter().filter(|n| model.find(n).is_none()).collect();
     json!({
         "stage": "relative",
-        "made_by": oriented.by,
+        "made_by": oriented.by.words(),
         "frames_registered": model.photographs.len(),
         "frames_listed": listed,
         "not_registered": lost,
