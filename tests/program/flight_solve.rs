@@ -1,7 +1,7 @@
 //! `flight solve` through the program: resumed after a failure and a kill, stage by stage, by COLMAP itself where it is
 //! installed, and by pycolmap.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
@@ -204,7 +204,7 @@ fn positions_place_a_block_without_gcps() {
     let found = document();
     assert!(place.flight.worst_camera_m(&found) < 0.1, "{} m", place.flight.worst_camera_m(&found));
     assert!(sigma_m(&found) < 0.05 && loose_m > 5.0, "{} and {loose_m} m", sigma_m(&found));
-    place.write("table.csv", &format!("name,x,y,z,sigma_m\n{}", "f0.png,1,2,3,0\n"));
+    place.write("table.csv", "name,x,y,z,sigma_m\nf0.png,1,2,3,0\n");
     expect(&solve(&bare), 2, &["table.csv", "row 2", "a standard deviation of 0 m"]);
     place.write("table.csv", "name,x,y,z\nf0.png,1,2,3\nf1.png,1,9,3\n");
     expect(&solve(&bare), 2, &["table.csv: 2 positions, and no GCPs: 3 are needed"]);
@@ -311,17 +311,23 @@ fn killed_and_resumed(place: &Place, document: &Value, solve: impl Fn(&str, &[(&
     }
 }
 
-/// Where the table's directions warp neighbours away from each other, frames are matched as they are.
-#[test]
-fn frames_of_which_the_table_has_wrong_directions_are_matched_as_they_are() {
+/// Drawn frames, their project, and its text with GCPs as good as they are drawn; `None` where COLMAP is not there.
+fn drawn() -> Option<(Place, PathBuf, String)> {
     if Command::new("colmap").arg("help").output().is_err() {
-        skipped("`colmap` is not installed: no frames with wrong directions were matched");
-        return;
+        skipped("`colmap` is not installed: no frames were solved");
+        return None;
     }
     let place = Place::new();
     place.flight.render(&place.at("frames"));
     let toml = place.init();
     let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    Some((place, toml, sharp))
+}
+
+/// Where the table's directions warp neighbours away from each other, frames are matched as they are.
+#[test]
+fn frames_of_which_the_table_has_wrong_directions_are_matched_as_they_are() {
+    let Some((place, toml, sharp)) = drawn() else { return };
     // So sure of its positions, the table leaves little room to find what is elsewhere.
     std::fs::write(&toml, sharp.replace("sigma_m = 200.0", "sigma_m = 10.0")).expect("written");
     let table = std::fs::read_to_string(place.at("table.csv")).expect("there");
@@ -341,14 +347,7 @@ fn frames_of_which_the_table_has_wrong_directions_are_matched_as_they_are() {
 /// resumed: the same cameras.
 #[test]
 fn frames_become_cameras() {
-    if Command::new("colmap").arg("help").output().is_err() {
-        skipped("`colmap` is not installed: no frames were solved");
-        return;
-    }
-    let place = Place::new();
-    place.flight.render(&place.at("frames"));
-    let toml = place.init();
-    let sharp = sharpened(&std::fs::read_to_string(&toml).expect("there"));
+    let Some((place, toml, sharp)) = drawn() else { return };
     let list = sharp.replace("sigma_ground_m = 0.1", "sigma_ground_m = 0.1\ncheck = [\"G1\", \"G6\"]");
     std::fs::write(&toml, list).expect("written");
     let solve = |out: &str, words: &[(&str, &str)], bin: Option<&Path>| {

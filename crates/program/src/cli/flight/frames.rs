@@ -249,7 +249,8 @@ pub enum Deviations {
     LeftOut,
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+/// The middle value, the upper of two; `None` of none.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }

@@ -233,11 +233,11 @@ pub struct OrderedFrames {
 }
 
 impl OrderedFrames {
-    /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name. That
-    /// map.
+    /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name, or to
+    /// their UTM zone where there is no list. Returns that map.
     ///
     /// # Errors
-    /// When neither names one.
+    /// When there is a list and neither it nor the project names a map.
     pub fn rows_on_map(
         &mut self,
         project: &Project,

@@ -47,7 +47,7 @@ pub struct GroundPlane {
 /// What makes a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MadeBy {
-    /// Ties between warped neighbours, GCPs and the rough table together.
+    /// Ties between warped neighbours, the rough table and GCPs, where there are any, together.
     Table,
     /// COLMAP's mapper, of the ties that there are.
     Mapper,
@@ -59,7 +59,7 @@ pub enum MadeBy {
 impl MadeBy {
     pub fn words(self) -> &'static str {
         match self {
-            MadeBy::Table => "ties, GCPs and the rough table together",
+            MadeBy::Table => "ties, the rough table and GCPs, where there are any",
             MadeBy::Mapper => "COLMAP's mapper",
             MadeBy::MapperOfPlainFrames => "COLMAP's mapper, of frames matched as they are",
             MadeBy::Micmac => "MicMac",

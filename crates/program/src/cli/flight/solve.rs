@@ -364,9 +364,7 @@ fn ground_plane(
 ) -> Option<GroundPlane> {
     let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
     let world = control.world().ok()?;
-    let mut heights: Vec<f64> = control.points.iter().map(|p| p.xyz[2]).collect();
-    heights.sort_by(f64::total_cmp);
-    let height = table.ground_m.or_else(|| heights.get(heights.len() / 2).copied())?;
+    let height = table.ground_m.or_else(|| frames::median(control.points.iter().map(|p| p.xyz[2]).collect()))?;
     let first = control.cameras_at.or_else(|| Some(control.points.first()?.xyz))?;
     let ground_m = world.to_world([first[0], first[1], height])?.z;
     let names = &flight.ordered;
