@@ -15,7 +15,8 @@ use self::outcome::End;
 use self::screening::Screened;
 use self::snooping::Snooped;
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Treatment, Trust, solve,
+    BundleCamera, BundleFrame, BundlePoint, Deviations, Loss, Observation, Options, Problem, Summary, Treatment, Trust,
+    solve,
 };
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
@@ -201,7 +202,9 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
         ));
     }
     notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
-    let end = End { problem, factored, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
+    let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
+    notes.extend(deviations.as_ref().and_then(|d| snooping::missing_terms(&problem, d)));
+    let end = End { problem, deviations, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
     let mut adjusted = outcome::outcome(&world, points, &control, end);
     adjusted.notes.extend(snooping::rays_apart(&adjusted.points, options.sigma_image_px));
     Ok(adjusted)

@@ -214,6 +214,73 @@ fn covariances_cover_the_errors() {
     assert!(rms.iter().all(|r| (r - 1.0).abs() < tolerance), "{rms:?}");
 }
 
+/// What the lens model leaves is alike in all images, what a bent frame leaves in its own: the deviations know, though
+/// each residual is small.
+#[test]
+fn what_errs_together_shows_in_the_deviations() {
+    let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 100 } else { 25 };
+    let mut draw = Draw(17);
+    let (truth, points) = block(&mut draw, 6, 2000, 8);
+    for (name, of_lens) in [("a lens that is not as its model", true), ("frames that are bent each", false)] {
+        let mut sums = [(0.0, 0usize); 3];
+        for _ in 0..trials {
+            let (mut start, mut seen) = (truth.clone(), points.clone());
+            let fields: Vec<Waves> = (0..truth.photographs.len()).map(|_| Waves::draw(&mut draw, 0.5)).collect();
+            let shift = |i: usize, at: [f64; 2]| fields[if of_lens { 0 } else { i }].at(at);
+            for t in &mut start.ties {
+                t.seen.iter_mut().for_each(|(i, at)| *at = shift(*i, *at));
+            }
+            for p in &mut seen {
+                p.seen.iter_mut().for_each(|(i, at)| *at = shift(*i, *at));
+            }
+            noisy(&mut draw, &mut start, &mut seen, 0.3, 1.0);
+            let options = AdjustOptions { critical: 1e9, ..AdjustOptions::default() };
+            let found = adjust(&start, &seen, &options).expect("adjusted");
+            let mut add = |k: usize, error: f64, sigma: f64| {
+                sums[k].0 += (error / sigma).powi(2);
+                sums[k].1 += 1;
+            };
+            for (a, b) in found.photographs.iter().zip(&truth.photographs) {
+                let c = a.covariance.expect("the datum is fixed");
+                let turn =
+                    Rotation3::from_matrix_unchecked(a.pose.rotation * b.pose.rotation.transpose()).scaled_axis();
+                for i in 0..3 {
+                    add(0, turn[i], c[(i, i)].sqrt());
+                    add(1, a.pose.centre[i] - b.pose.centre[i], c[(i + 3, i + 3)].sqrt());
+                }
+            }
+            for (p, s) in &found.interior_sigmas[0] {
+                add(2, found.cameras[0].get(*p) - truth.cameras[0].get(*p), *s);
+            }
+        }
+        let rms: Vec<f64> = sums.iter().map(|(s, n)| (s / *n as f64).sqrt()).collect();
+        eprintln!("{name}: normalised errors of directions, positions, interior: {rms:.2?}");
+        assert!(rms.iter().all(|r| (0.5..2.0).contains(r)), "{name}: {rms:?}");
+    }
+}
+
+/// A smooth field of shifts over an image: waves as long as the image down to a quarter of it.
+struct Waves([[f64; 5]; 12]);
+
+impl Waves {
+    /// Of about `px` RMS in each coordinate.
+    fn draw(draw: &mut Draw, px: f64) -> Waves {
+        Waves(std::array::from_fn(|_| {
+            let towards = draw.uniform(0.0, std::f64::consts::TAU);
+            let k = std::f64::consts::TAU * draw.uniform(1.0, 4.0) / 1800.0;
+            let phase = draw.uniform(0.0, std::f64::consts::TAU);
+            let size = px / 6.0f64.sqrt();
+            [k * towards.cos(), k * towards.sin(), phase, size * draw.normal(), size * draw.normal()]
+        }))
+    }
+    fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        self.0.iter().fold([x, y], |at, [kx, ky, phase, sx, sy]| {
+            let wave = (kx * x + ky * y + phase).cos();
+            [at[0] + sx * wave, at[1] + sy * wave]
+        })
+    }
+}
+
 #[test]
 fn large_blocks_take_seconds() {
     let (frames, ties) = if std::env::var_os("AUTOREF_LARGE").is_some() { (100, 200_000) } else { (12, 1200) };

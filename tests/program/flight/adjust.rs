@@ -183,3 +183,24 @@ fn positions_count_alone() {
     let twice = places.clone() + "f0.png,1,2,3\n";
     expect(&adjusted(&twice), 2, &["places.csv", "`f0.png` has row 2 already"]);
 }
+
+/// Without GCPs the positions of the table place the block, and the result says so.
+#[test]
+fn positions_alone_place_a_block() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, table) = (place.at("model"), place.write("table.csv", &place.flight.table()));
+    let adjust = |more: &[&str]| autoref(&[&["flight", "adjust", text(&model), "--json"], more].concat(), None, &[]);
+    let output = adjust(&["--cameras", text(&table)]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    assert!(document["notes"].to_string().contains("no GCPs"), "{}", document["notes"]);
+    let sigma_m = document["cameras"][2]["sigma_e"].as_f64().expect("a number");
+    let worst_m = place.flight.worst_camera_m(&document);
+    assert!((2.0..30.0).contains(&sigma_m) && worst_m < 4.0 * sigma_m, "{worst_m} m, stated {sigma_m} m");
+    expect(&adjust(&[]), 2, &["--gcps"]);
+    expect(&adjust(&["--cameras", text(&table), "--check", "G1"]), 2, &["--check without a list of points"]);
+    let two: String = place.flight.table().lines().take(3).fold(String::new(), |all, line| all + line + "\n");
+    let two = place.write("two.csv", &two);
+    expect(&adjust(&["--cameras", text(&two)]), 2, &["two.csv", "2 positions", "3 are needed"]);
+}

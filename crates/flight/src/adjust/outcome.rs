@@ -3,14 +3,14 @@
 use nalgebra::Vector3;
 
 use super::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder, GroundPoint, Role};
-use crate::bundle::{Factored, Problem, Summary};
+use crate::bundle::{Deviations, Problem, Summary};
 use crate::intersect::intersect_seen;
 use crate::read::{Reconstruction, TiePoint};
 
 /// The adjusted problem, and what is known of it.
 pub(super) struct End {
     pub problem: Problem,
-    pub factored: Option<Factored>,
+    pub deviations: Option<Deviations>,
     /// The model's ties that took part.
     pub kept: Vec<usize>,
     pub ties: usize,
@@ -27,7 +27,7 @@ pub(super) fn outcome(
     control: &[&GroundPoint],
     end: End,
 ) -> Adjustment {
-    let End { problem, factored, kept, ties, .. } = &end;
+    let End { problem, deviations, kept, ties, .. } = &end;
     let mut model =
         Reconstruction { cameras: problem.cameras.iter().map(|c| c.camera.clone()).collect(), ..world.clone() };
     for (p, f) in model.photographs.iter_mut().zip(&problem.frames) {
@@ -46,12 +46,12 @@ pub(super) fn outcome(
         .map(|(i, f)| AdjustedCamera {
             photograph: i,
             pose: f.pose,
-            covariance: factored.as_ref().map(|n| n.frame(i)),
+            covariance: deviations.as_ref().map(|d| d.frame(i)),
             rms_px: root_mean(residuals.by_frame[i]),
             ties: residuals.by_frame[i].1,
         })
         .collect();
-    let interior = |i: usize| factored.as_ref().map(|f| f.interior(i)).unwrap_or_default();
+    let interior = |i: usize| deviations.as_ref().map(|d| d.interior(i)).unwrap_or_default();
     Adjustment {
         cameras: model.cameras.clone(),
         interior_sigmas: (0..model.cameras.len()).map(interior).collect(),
@@ -125,7 +125,7 @@ fn adjusted_point(p: &GroundPoint, model: &Reconstruction, control: &[&GroundPoi
         image: image(&xyz),
     };
     if let Some(k) = control.iter().position(|c| c.name == p.name && p.role == Role::Control) {
-        let covariance = end.factored.as_ref().map(|f| f.point(end.ties + k));
+        let covariance = end.deviations.as_ref().map(|d| d.point(end.ties + k));
         return AdjustedPoint { covariance, ..of(end.problem.points[end.ties + k].xyz) };
     }
     match intersect_seen(model, &p.seen).filter(|_| p.seen.len() >= 2) {

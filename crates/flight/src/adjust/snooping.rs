@@ -4,9 +4,13 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
 use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
-use crate::bundle::{Ended, Factored, Loss, Observation, Options, Problem, Summary, factor, solve};
+use crate::bundle::{Deviations, Ended, Factored, Loss, Observation, Options, Problem, Summary, factor, solve};
+use crate::camera::Parameter;
 use crate::error::Result;
 use crate::read::Reconstruction;
+
+/// What the last adjustment makes of ties that do not fit.
+pub(super) const LOSS: Loss = Loss::Huber(3.0);
 
 /// The end of the adjustment, without what was wrong.
 pub(super) struct Snooped {
@@ -28,7 +32,7 @@ pub(super) fn snoop(
     options: &AdjustOptions,
     screened: &mut Screened,
 ) -> Result<Snooped> {
-    let solving = Options { loss: Loss::Huber(3.0), ..Options::default() };
+    let solving = Options { loss: LOSS, ..Options::default() };
     let mut blunders = Vec::new();
     loop {
         let before = problem.clone();
@@ -85,6 +89,22 @@ pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint])
             problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
         }
     }
+}
+
+/// A lens that is not as its model, where that is what the deviations of its interior come from.
+pub(super) fn missing_terms(problem: &Problem, deviations: &Deviations) -> Option<String> {
+    let missing = deviations.missing_terms()?;
+    let of = problem.cameras[missing.camera].active().iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
+    let by = match missing.parameter {
+        Parameter::F | Parameter::Cx | Parameter::Cy => format!("{:+.2} px", missing.by),
+        _ => format!("{:+.2e}", missing.by),
+    };
+    Some(format!(
+        "the lens has more terms than {of} say: with {} free too the ties would fit better than chance explains, and {} \
+         would change by {by}, which its deviation counts in; let them free (--free, or free under [adjust])",
+        missing.terms.map(Parameter::name).join(", "),
+        missing.parameter.name(),
+    ))
 }
 
 /// Why no standard deviations can be stated; `None` where they can.

@@ -5,10 +5,13 @@
 //! stored as a skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern
 //! Synthesis*, 2000, section 4.3 for the curvature of a robust loss; damping after Nielsen 1999).
 
+mod deviations;
 mod normal;
+mod other_lens;
 pub mod skyline;
 mod solve;
 
+pub use deviations::{Deviations, MissingTerms};
 pub use normal::Factored;
 pub use solve::{Ended, Options, Summary, factor, solve};
 

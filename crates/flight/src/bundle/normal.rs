@@ -348,17 +348,22 @@ impl Reduced {
 
 impl Eliminated {
     fn back(&self, reduced: &DVector<f64>) -> Vector3<f64> {
-        let mut g = self.right;
+        self.inverse * (self.right - self.pulled(reduced))
+    }
+
+    /// Wᵀ of a step of the cameras.
+    fn pulled(&self, reduced: &DVector<f64>) -> Vector3<f64> {
+        let mut g = Vector3::zeros();
         for (at, w) in &self.pose {
             let step = reduced.fixed_rows::<6>(*at);
             for c in 0..3 {
-                g[c] -= w.column(c).dot(&step);
+                g[c] += w.column(c).dot(&step);
             }
         }
         for (at, w) in &self.interior {
-            g -= w * reduced[*at];
+            g += w * reduced[*at];
         }
-        self.inverse * g
+        g
     }
 }
 
@@ -517,6 +522,35 @@ impl Factored {
             })
             .collect();
         e.inverse + Matrix3::from_fn(|r, c| columns[r].dot(&solved[c]))
+    }
+
+    /// Adds Jᵀr of an observation, reduced to the cameras, with the sign of a step.
+    pub(super) fn add_pull(&self, problem: &Problem, o: &Observation, l: &Linear, into: &mut DVector<f64>) {
+        let e = &self.points[o.point];
+        if e.pose.is_empty() {
+            return;
+        }
+        let (at, camera) = (self.layout.frame_at[o.frame], problem.frames[o.frame].camera);
+        let slope = across(&l.pose, &l.residual);
+        for r in 0..6 {
+            into[at + r] -= slope[r];
+        }
+        for i in 0..self.layout.active[camera].len() {
+            into[self.layout.interior_at[camera] + i] -= l.interior[i].dot(&l.residual);
+        }
+        self.scatter(e, &(e.inverse * across(&l.point, &l.residual)), into);
+    }
+
+    /// N⁻¹ of a right side.
+    pub(super) fn solved(&self, mut right: DVector<f64>) -> DVector<f64> {
+        self.factor.solve(right.as_mut_slice());
+        right
+    }
+
+    /// How a point that nothing pulls itself follows a step of the cameras.
+    pub(super) fn follows(&self, point: usize, reduced: &DVector<f64>) -> Vector3<f64> {
+        let e = &self.points[point];
+        -(e.inverse * e.pulled(reduced))
     }
 
     fn scatter(&self, e: &Eliminated, v: &Vector3<f64>, into: &mut DVector<f64>) {

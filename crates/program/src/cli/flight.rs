@@ -1,5 +1,7 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
+mod adjust;
+mod camera_tables;
 pub(super) mod click;
 mod document;
 mod engine;
@@ -26,7 +28,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::adjust::{AdjustOptions, Role, RoughPose, adjust};
+use autoref_flight::adjust::Role;
 use autoref_flight::read::{self, Reconstruction};
 use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
 use autoref_flight::{Camera, Error, Parameter};
@@ -44,47 +46,11 @@ pub struct FlightArgs {
 enum FlightCommand {
     Init(init::InitArgs),
     Solve(solve::SolveArgs),
-    Adjust(AdjustArgs),
+    Adjust(adjust::AdjustArgs),
     Resect(ResectArgs),
     Orthorectify(ortho::OrthorectifyArgs),
     Export(export::ExportArgs),
     Click(click::ClickArgs),
-}
-
-/// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
-#[derive(Debug, clap::Args)]
-struct AdjustArgs {
-    /// A folder with COLMAP's model or MicMac's orientations, OpenSfM's reconstruction.json, or a cameras.json.
-    reconstruction: PathBuf,
-    #[command(flatten)]
-    points: lists::PointArgs,
-    /// Interior parameters that are adjusted: f, cx, cy, k1 … p1, p2, b1, b2; `f=20` within 20 px of what is given;
-    /// `none`.
-    #[arg(long, value_delimiter = ',', default_value = "f,k1", value_name = "LIST")]
-    free: Vec<String>,
-    /// 1σ of ties in the image. Default: from their residuals.
-    #[arg(long, value_name = "PX")]
-    sigma_tie: Option<f64>,
-    /// Rough camera table whose positions (and directions) count with --sigma-position and --sigma-direction.
-    #[arg(long, value_name = "TABLE")]
-    cameras: Option<PathBuf>,
-    #[command(flatten)]
-    angles: lists::AnglesArgs,
-    /// 1σ of rough positions.
-    #[arg(long, value_name = "M", default_value_t = 200.0)]
-    sigma_position: f64,
-    /// 1σ of rough directions.
-    #[arg(long, value_name = "DEG", default_value_t = 2.0)]
-    sigma_direction: f64,
-    /// Where to write cameras.json.
-    #[arg(short, long, value_name = "JSON")]
-    output: Option<PathBuf>,
-    /// Replace an existing output.
-    #[arg(long)]
-    overwrite: bool,
-    /// Print the result as one JSON document on standard output.
-    #[arg(long)]
-    json: bool,
 }
 
 /// Find where one frame was taken from, from three or more GCPs measured in it.
@@ -145,7 +111,7 @@ pub fn run(args: &FlightArgs) -> Result<ExitCode> {
         FlightCommand::Export(args) => export::export(args),
         FlightCommand::Click(args) => click::click(args),
         FlightCommand::Solve(args) => solve::solve(args),
-        FlightCommand::Adjust(args) => run_adjust(args),
+        FlightCommand::Adjust(args) => adjust::run(args),
         FlightCommand::Resect(args) => run_resect(args),
         FlightCommand::Orthorectify(args) => ortho::run(args),
     };
@@ -197,66 +163,6 @@ fn check_sigmas(sigmas: &[(&str, Option<f64>)]) -> Result<()> {
     }
 }
 
-fn run_adjust(args: &AdjustArgs) -> Result<ExitCode> {
-    check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
-    check_sigmas(&[
-        ("sigma-tie", args.sigma_tie),
-        ("sigma-image", Some(args.points.sigma_image)),
-        ("sigma-ground", args.points.sigma_ground),
-        ("sigma-position", Some(args.sigma_position)),
-        ("sigma-direction", Some(args.sigma_direction)),
-    ])?;
-    let model = read::reconstruction(&args.reconstruction)?;
-    let control = args.points.load(Some(&model))?;
-    let mut notes = control.notes(&model, &args.points, &args.reconstruction)?;
-    let world = control.world()?;
-    let mut points = control.in_world(&world, &model, &args.points)?;
-    notes.extend(plausible::within_frames(&mut points, &model, &args.points.gcps.display().to_string())?);
-    let said = notes.clone();
-    let mut rough: Vec<Option<RoughPose>> = vec![None; model.photographs.len()];
-    if let Some(table) = &args.cameras {
-        let rows = lists::on_map(lists::cameras(table, args.angles.angles())?, table, control.crs.as_ref())?;
-        let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
-        notes.extend(lists::unmatched(&rows, table, &names)?);
-        for row in &rows {
-            if let Some(i) = model.find(&row.name) {
-                rough[i] = lists::rough_pose(row, &world, args.sigma_position, args.sigma_direction.to_radians());
-            }
-        }
-    } else {
-        // A block that stands on the Earth already keeps its datum, loosely: in its own frame, or where too few points
-        // would fix another.
-        let fixing = points.iter().filter(|p| p.role == Role::Control && p.seen.len() >= 2).count();
-        for (slot, p) in rough.iter_mut().zip(&model.photographs) {
-            let pose = match model.reference_lla {
-                _ if control.own_datum => Some(p.pose),
-                Some(reference) if fixing < 3 => world.pose_of_tangent(reference, &p.pose),
-                Some(_) | None => None,
-            };
-            let loosely = |pose| RoughPose { pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY };
-            *slot = pose.map(loosely);
-        }
-    }
-    let options = AdjustOptions {
-        sigma_image_px: args.points.sigma_image,
-        sigma_tie_px: args.sigma_tie,
-        interior: interior(&args.free)?,
-        rough,
-        ..AdjustOptions::default()
-    };
-    let mut found = adjust(&model, &points, &options)?;
-    found.notes.extend(notes);
-    let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
-    found.notes.extend(plausible::below_ground(poses, ground, &world));
-    let listed = model.photographs.len();
-    let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
-    finish(&document, args.output.as_deref(), args.json)?;
-    if !args.json {
-        document::say(&document, &said);
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
 fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
         if list
@@ -267,8 +173,8 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         }
     }
     check_sigmas(&[
-        ("sigma-image", Some(args.points.sigma_image)),
-        ("sigma-ground", args.points.sigma_ground),
+        ("sigma-image", Some(args.points.how.sigma_image)),
+        ("sigma-ground", args.points.how.sigma_ground),
         ("sigma-position", Some(args.sigma_position)),
     ])?;
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
@@ -291,7 +197,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     let (mut seen, mut checks) = (Vec::new(), Vec::new());
     for (p, listed) in points.iter().zip(&control.points) {
         // Where nobody states how good the points are, they are exact.
-        let sigma_m = args.points.sigma_ground.map_or_else(|| listed.sigma_or(0.0), |s| [s; 3]).into();
+        let sigma_m = args.points.how.sigma_ground.map_or_else(|| listed.sigma_or(0.0), |s| [s; 3]).into();
         let of_role = if p.role == Role::Check { &mut checks } else { &mut seen };
         of_role.extend(p.seen.iter().map(|(_, pixel)| Seen {
             name: p.name.clone(),
@@ -316,7 +222,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         .into());
     }
     let options = ResectOptions {
-        sigma_px: args.points.sigma_image,
+        sigma_px: args.points.how.sigma_image,
         position: match &args.position {
             Some(p) => {
                 let at = control.place_in_world(&world, [p[0], p[1], p[2]], "--position")?;

@@ -12,7 +12,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use nalgebra::{Rotation3, Vector3};
 use serde_json::{Value, json};
 
-use super::lists;
+use super::{camera_tables, lists};
 
 /// Points to a side of a frame.
 const SIDE: usize = 12;
@@ -30,7 +30,7 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
         let (Some(row), Some(at)) = (row, world.to_map(&camera.pose.centre)) else { continue };
         let by: [f64; 3] = std::array::from_fn(|a| at[a] - row.xyz[a]);
         let d = Vector3::from(by).norm();
-        let turn_deg = lists::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
+        let turn_deg = camera_tables::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
         frames.push(json!({
             "name": name, "x_m": by[0], "y_m": by[1], "z_m": by[2], "d_m": d, "turn_deg": turn_deg, "line": row.line,
         }));

@@ -11,7 +11,8 @@ use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
-use super::lists::{on_map, some_of};
+use super::camera_tables::on_map;
+use super::lists::some_of;
 use super::views::{Grey, LARGEST_PX};
 
 /// The frames that can be read and are of the size that most have, and a line about each of the others. `seen` is shown

@@ -14,7 +14,7 @@ use super::project::{
     Adjust, CameraPart, Focal, Frames, Gcps, Pairs, Project, Rough, absolute, default_ground_m, default_image_px,
     default_rough_m, frames_in,
 };
-use super::{check_output, frames, lists};
+use super::{camera_tables, check_output, frames, lists};
 
 /// Write FLIGHT.toml from a folder of frames, a rough camera table and a list of GCPs.
 #[derive(Debug, clap::Args)]
@@ -26,7 +26,7 @@ pub struct InitArgs {
     #[arg(long, value_name = "TABLE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
-    angles: lists::AnglesArgs,
+    angles: camera_tables::AnglesArgs,
     /// GCPs.
     #[arg(long, value_name = "LIST")]
     gcps: Option<PathBuf>,
@@ -132,7 +132,7 @@ fn image_pattern(folder: &Path) -> Result<Vec<String>> {
 /// Refuses a camera table that names none of the frames; tells how many it names.
 fn check_table(args: &InitArgs, folder: &Path, names: &[String]) -> Result<()> {
     let Some(table) = &args.cameras else { return Ok(()) };
-    let rows = lists::cameras(table, args.angles.angles())?;
+    let rows = camera_tables::cameras(table, args.angles.angles())?;
     let known = rows.iter().filter(|r| same_image(&r.name, names.iter().map(String::as_str)).is_some()).count();
     if known == 0 {
         bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
@@ -152,11 +152,13 @@ fn check_points(args: &InitArgs) -> Result<()> {
     }
     let points = lists::PointArgs {
         gcps: list.clone(),
-        observations: args.observations.clone(),
-        crs: args.crs.clone(),
-        check: args.check.clone(),
-        sigma_ground: None,
-        sigma_image: args.sigma_image,
+        how: lists::PointOptions {
+            observations: args.observations.clone(),
+            crs: args.crs.clone(),
+            check: args.check.clone(),
+            sigma_ground: None,
+            sigma_image: args.sigma_image,
+        },
     };
     if let Some(known) = points.load_first()? {
         known.named_checks(&points)?;

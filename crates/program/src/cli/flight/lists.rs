@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use autoref_flight::Pose;
-use autoref_flight::adjust::{GroundPoint, Role, RoughPose};
-use autoref_flight::read::tables::{self, Angles, CameraRow};
+use autoref_flight::adjust::{GroundPoint, Role};
+use autoref_flight::read::tables::{self, CameraRow};
 use autoref_flight::read::{self, Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::bounded;
@@ -20,6 +19,13 @@ pub struct PointArgs {
     /// any list of points, with --observations.
     #[arg(long, value_name = "LIST")]
     pub gcps: PathBuf,
+    #[command(flatten)]
+    pub how: PointOptions,
+}
+
+/// How the points of a list are read and weighted.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PointOptions {
     /// Where the GCPs were seen, instead of what the list says of images: a table with name, image, px, py, MicMac's
     /// measurements, or a folder with such files. Those of MMVII are also found beside its MesGCP file.
     #[arg(long, value_name = "FILE")]
@@ -84,7 +90,7 @@ pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
 const LEAST_POSITIONS: usize = 3;
 
 /// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
-const DATUM_M: f64 = 100.0;
+pub const DATUM_M: f64 = 100.0;
 
 impl Proj {
     fn around(crs: &Crs, centre: [f64; 3]) -> Result<Self> {
@@ -109,83 +115,6 @@ impl Geodesy for Proj {
     }
 }
 
-/// What the yaw, pitch and roll of a camera table are.
-#[derive(Clone, Copy, Debug, clap::Args)]
-pub struct AnglesArgs {
-    /// With a camera table: whose yaw, pitch and roll it states. `view`: a pitch of 0 is level, -90 straight down, as
-    /// of a gimbal; `aircraft`: a pitch of 0 looks straight down, as Metashape, Pix4D and OpenSfM count.
-    #[arg(long, value_enum, default_value = "view")]
-    angles: AnglesWord,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum AnglesWord {
-    View,
-    Aircraft,
-}
-
-impl AnglesArgs {
-    pub fn angles(self) -> Angles {
-        match self.angles {
-            AnglesWord::View => Angles::View,
-            AnglesWord::Aircraft => Angles::Aircraft,
-        }
-    }
-}
-
-/// The rows of a camera table, with the angles of the view.
-///
-/// # Errors
-/// Those of [`tables::cameras`].
-pub fn cameras(table: &Path, angles: Angles) -> Result<Vec<CameraRow>> {
-    let rows = tables::cameras(table)?;
-    let above = rows.iter().filter(|row| row.pitch_deg.is_some_and(|pitch| pitch > 0.0)).count();
-    if above > 0 && angles == Angles::View {
-        tracing::warn!(
-            "{}: the view of {above} of {} rows would look above the horizon; Metashape, Pix4D and OpenSfM count pitch from \
-             straight down: --angles aircraft, or angles = \"aircraft\" under [rough]",
-            table.display(),
-            rows.len()
-        );
-    }
-    Ok(rows.into_iter().map(|row| row.with_angles_of_view(angles)).collect())
-}
-
-/// Rows of a camera table on the map: longitudes and latitudes are brought to `crs`, and directions count from the
-/// grid's north.
-///
-/// # Errors
-/// When there is no map to bring them to.
-pub fn on_map(mut rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<Vec<CameraRow>> {
-    let Some(first) = rows.iter().find(|row| row.geographic) else { return Ok(rows) };
-    let Some(crs) = crs.filter(|c| !c.is_local()) else {
-        bail!(
-            "{}: longitudes and latitudes, and no CRS to bring them to; give --crs, or crs in FLIGHT.toml",
-            table.display()
-        )
-    };
-    let at = Coordinate { x: first.xyz[0], y: first.xyz[1], height: None };
-    let way = Crs::from_epsg(4326)?.way(&[at], crs, DATUM_M)?;
-    /// Degrees of latitude over which the grid's north is taken.
-    const NORTH_DEG: f64 = 1e-4;
-    for row in rows.iter_mut().filter(|row| row.geographic) {
-        if row.omega_phi_kappa_deg.is_some() {
-            bail!(
-                "{}: omega, phi and kappa beside longitude and latitude; give map coordinates, in which they count",
-                table.display()
-            );
-        }
-        let [x, y, height] = row.xyz;
-        let mut both = [0.0, NORTH_DEG].map(|north| Coordinate { x, y: y + north, height: None });
-        way.transform(&mut both)?;
-        let north_deg = (both[1].x - both[0].x).atan2(both[1].y - both[0].y).to_degrees();
-        row.xyz = [both[0].x, both[0].y, height];
-        row.yaw_deg = row.yaw_deg.map(|yaw| yaw + north_deg);
-        row.geographic = false;
-    }
-    Ok(rows)
-}
-
 /// The first names of a list, and how many more there are.
 pub fn some_of(names: &[String]) -> String {
     let first = names[..names.len().min(5)].join(", ");
@@ -205,42 +134,6 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
             world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
         }
     }
-}
-
-/// What a row of a camera table says, in the world's frame: its position, and its direction where that is stated whole.
-/// `sigma_m` is that of positions whose row states none.
-pub fn rough_pose(row: &CameraRow, world: &World, sigma_m: f64, sigma_rad: f64) -> Option<RoughPose> {
-    let any_way = || Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::from(row.xyz) };
-    let pose = world.pose_to_world(&row.pose(Some(0.0)).unwrap_or_else(any_way))?;
-    let sigma_rad = if row.is_directed() { sigma_rad } else { f64::INFINITY };
-    Some(RoughPose { pose, sigma_m: position_sigmas(row, sigma_m), sigma_rad })
-}
-
-/// 1σ of a row's position: what it states, else `sigma_m`.
-pub fn position_sigmas(row: &CameraRow, sigma_m: f64) -> Vector3<f64> {
-    let [plan, up] = row.sigma_m.map(|stated| stated.unwrap_or(sigma_m));
-    Vector3::new(plan, plan, up)
-}
-
-/// Refuses a table none of whose names is a frame's; a note on those that are not.
-///
-/// # Errors
-/// When no row is of a frame.
-pub fn unmatched(rows: &[CameraRow], table: &Path, frames: &[&str]) -> Result<Option<String>> {
-    let is_lost = |row: &&CameraRow| same_image(&row.name, frames.iter().copied()).is_none();
-    let lost: Vec<String> = rows.iter().filter(is_lost).map(|row| row.name.clone()).collect();
-    if !rows.is_empty() && lost.len() == rows.len() {
-        let frames: Vec<String> = frames.iter().map(|name| (*name).to_string()).collect();
-        bail!(
-            "{}: none of its names ({}) is a frame's ({}); correct the names",
-            table.display(),
-            some_of(&lost),
-            some_of(&frames)
-        );
-    }
-    let all = rows.len();
-    Ok((!lost.is_empty())
-        .then(|| format!("{}: {} of {all} rows are of no frame: {}", table.display(), lost.len(), some_of(&lost))))
 }
 
 impl Control {
@@ -298,7 +191,7 @@ impl Control {
     /// # Errors
     /// With its name.
     pub fn named_checks(&self, args: &PointArgs) -> Result<()> {
-        if let Some(lost) = args.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
+        if let Some(lost) = args.how.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
             bail!("{}: has no point `{lost}` to check with; name one of its points", args.gcps.display());
         }
         Ok(())
@@ -348,11 +241,11 @@ impl Control {
                     seen.push((i, *pixel));
                 }
             }
-            let sigma = args.sigma_ground.map_or_else(|| p.sigma_or(DEFAULT_SIGMA_GROUND_M), |s| [s; 3]);
+            let sigma = args.how.sigma_ground.map_or_else(|| p.sigma_or(DEFAULT_SIGMA_GROUND_M), |s| [s; 3]);
             if !sigma.iter().all(|s| *s > 0.0 && s.is_finite()) {
                 bail!("GCP `{}`: its standard deviation must be positive", p.name);
             }
-            let check = p.check || args.check.contains(&p.name);
+            let check = p.check || args.how.check.contains(&p.name);
             let role = if check { Role::Check } else { Role::Control };
             points.push(GroundPoint { name: p.name.clone(), xyz, sigma: Vector3::from(sigma), role, seen });
         }
@@ -362,7 +255,7 @@ impl Control {
 
 impl PointArgs {
     pub fn load(&self, model: Option<&Reconstruction>) -> Result<Control> {
-        load(&self.gcps, self.observations.as_deref(), self.crs.as_deref(), model)
+        load(&self.gcps, self.how.observations.as_deref(), self.how.crs.as_deref(), model)
     }
 
     /// Before there is a reconstruction; `None` of a list whose coordinates are those of one.

@@ -17,7 +17,7 @@ use gdal::raster::GdalDataType;
 use nalgebra::Matrix3;
 use serde_json::json;
 
-use super::{check_output, lists};
+use super::{camera_tables, check_output};
 use crate::cli::dem::ResourceArgs;
 use draw::Job;
 pub(in crate::cli) use model::Dem;
@@ -37,7 +37,7 @@ pub struct OrthorectifyArgs {
     #[arg(long, value_name = "FILE")]
     cameras: Option<PathBuf>,
     #[command(flatten)]
-    angles: lists::AnglesArgs,
+    angles: camera_tables::AnglesArgs,
     /// With a camera table: the interior, as for `resect`.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,

@@ -10,7 +10,7 @@ use autoref_flight::read::same_image;
 use autoref_flight::read::tables::{Angles, CameraRow};
 use serde::{Deserialize, Serialize};
 
-use super::{interior, lists, views};
+use super::{camera_tables, interior, lists, views};
 
 /// FLIGHT.toml. Paths are taken from the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -247,13 +247,10 @@ impl OrderedFrames {
         let Some(rough) = &project.rough else { return Ok(None) };
         let stated = project.crs.as_deref().filter(|crs| !lists::is_local(crs)).map(Crs::parse).transpose()?;
         let mut crs = control.and_then(|known| known.crs.clone()).or(stated);
-        // Without a list, positions in longitude and latitude choose their map.
-        let lon_lat = self.rows.iter().find(|row| row.geographic).filter(|_| project.gcps.is_none());
-        let is_map = |crs: &Crs| !crs.is_geographic();
-        if let Some(row) = lon_lat.filter(|_| !crs.as_ref().is_some_and(is_map) && !project.is_local()) {
-            crs = Some(Crs::from_epsg(4326)?.utm_zone(row.xyz[0], row.xyz[1])?);
+        if project.gcps.is_none() && !project.is_local() {
+            crs = camera_tables::map_of(&self.rows, crs)?;
         }
-        self.rows = lists::on_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
+        self.rows = camera_tables::on_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
         Ok(crs)
     }
 }
@@ -265,7 +262,7 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
         bail!("{}: {} frames match; two or more are needed", folder.display(), names.len());
     }
     let rows = match &project.rough {
-        Some(r) => lists::cameras(&base.join(&r.table), r.angles)?,
+        Some(r) => camera_tables::cameras(&base.join(&r.table), r.angles)?,
         None => Vec::new(),
     };
     let mut order: Vec<usize> = Vec::new();
@@ -296,7 +293,7 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
 fn protect_inputs(project: &Project, base: &Path, frames: &OrderedFrames) {
     let table = project.rough.as_ref().map(|rough| base.join(&rough.table));
     let points = point_args(project, base);
-    let lists = points.into_iter().flat_map(|p| [Some(p.gcps), p.observations]).flatten();
+    let lists = points.into_iter().flat_map(|p| [Some(p.gcps), p.how.observations]).flatten();
     let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
     let pictures = frames.names.iter().map(|name| frames.folder.join(name)).chain(frames.masks.files(&names));
     table.into_iter().chain(lists).chain(pictures).for_each(|path| protected::protect(&path));
@@ -307,11 +304,13 @@ pub fn point_args(project: &Project, base: &Path) -> Option<lists::PointArgs> {
     let gcps = project.gcps.as_ref()?;
     Some(lists::PointArgs {
         gcps: base.join(&gcps.list),
-        observations: gcps.observations.as_ref().map(|o| base.join(o)),
-        crs: project.crs.clone(),
-        check: gcps.check.clone(),
-        sigma_ground: None,
-        sigma_image: gcps.sigma_image_px,
+        how: lists::PointOptions {
+            observations: gcps.observations.as_ref().map(|o| base.join(o)),
+            crs: project.crs.clone(),
+            check: gcps.check.clone(),
+            sigma_ground: None,
+            sigma_image: gcps.sigma_image_px,
+        },
     })
 }
 

@@ -17,7 +17,10 @@ use super::project::{
 };
 use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
 use super::stages::{self, After, Record, Stage};
-use super::{document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs, stage_pages};
+use super::{
+    camera_tables, document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs,
+    stage_pages,
+};
 use crate::cli::progress::Busy;
 use crate::out::{Stream, is_mute};
 
@@ -125,7 +128,7 @@ impl<'a> Ready<'a> {
         }
         let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
         let lost = match &project.rough {
-            Some(rough) => lists::unmatched(&frames.rows, &base.join(&rough.table), &names)?,
+            Some(rough) => camera_tables::unmatched(&frames.rows, &base.join(&rough.table), &names)?,
             None => None,
         };
         let listed = frames.names.len();
@@ -243,7 +246,7 @@ impl<'a> Ready<'a> {
     /// The points, now that there is a reconstruction, and what is to be said of their frames.
     fn control(&self, model: &Reconstruction) -> Result<(lists::Control, Vec<String>)> {
         let Some(points) = &self.points else {
-            return Ok((self.control.clone().unwrap_or_default(), vec![NO_GCPS.to_string()]));
+            return Ok((self.control.clone().unwrap_or_default(), vec![camera_tables::NO_GCPS.to_string()]));
         };
         let mut control = points.load(Some(model))?;
         let ground_m = self.project.gcps.as_ref().map_or(default_ground_m(), |gcps| gcps.sigma_ground_m);
@@ -315,10 +318,6 @@ impl<'a> Ready<'a> {
     }
 }
 
-/// What a block without GCPs cannot say.
-const NO_GCPS: &str = "no GCPs: the positions of the table place the block; what is wrong with all of them alike (the \
-                       datum of their heights, a receiver's offset) is in no standard deviation";
-
 /// How far COLMAP's stages went.
 enum ByColmap {
     /// Ties were all that was asked for.
@@ -348,7 +347,7 @@ fn table_poses(
     if let Some(r) = &project.rough {
         for row in rows {
             if let Some(i) = model.find(&row.name) {
-                rough[i] = lists::rough_pose(row, world, r.sigma_m, 2f64.to_radians());
+                rough[i] = camera_tables::rough_pose(row, world, r.sigma_m, 2f64.to_radians());
             }
         }
     }
@@ -374,7 +373,7 @@ fn ground_plane(
         let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
         Some(RoughPose {
             pose: world.pose_to_world(&row.pose(table.pitch_deg)?)?,
-            sigma_m: lists::position_sigmas(row, table.sigma_m),
+            sigma_m: camera_tables::position_sigmas(row, table.sigma_m),
             sigma_rad: sigma_deg.to_radians(),
         })
     });

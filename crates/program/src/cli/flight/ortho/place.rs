@@ -13,7 +13,7 @@ use autoref_raster::error::Error as RasterError;
 use autoref_raster::window::Window;
 use nalgebra::{Matrix3, Vector3};
 
-use super::super::{camera_file, lists, set_interior};
+use super::super::{camera_file, camera_tables, lists, set_interior};
 use super::OrthorectifyArgs;
 use super::model::Dem;
 
@@ -49,13 +49,13 @@ pub(super) fn posed(
         if args.shift.is_some() {
             bail!("--shift is of a reconstruction; write the map coordinates into {}", file.display());
         }
-        let rows = lists::cameras(&file, args.angles.angles())?;
+        let rows = camera_tables::cameras(&file, args.angles.angles())?;
         let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
             bail!("{}: has no row of `{name}`", file.display())
         };
         // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
         let frame = Frame::Map(asked().filter(|_| !rows[i].geographic));
-        let rows = lists::on_map(vec![rows[i].clone()], &file, model_crs)?;
+        let rows = camera_tables::on_map(vec![rows[i].clone()], &file, model_crs)?;
         let i = 0;
         let Some(pose) = rows[i].pose(None) else {
             bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())

@@ -1,0 +1,55 @@
+//! What a lens with more terms would change.
+
+use nalgebra::{SVector, Vector3};
+
+use super::normal::{Curvature, Layout, MOST_INTERIOR, Reduced, Step};
+use super::{Loss, Problem, Treatment};
+use crate::camera::Parameter;
+
+/// Terms of the lens that may be missing.
+pub(super) const BROWN: [Parameter; 5] = [Parameter::K1, Parameter::K2, Parameter::K3, Parameter::P1, Parameter::P2];
+
+/// By how much χ² must fall for a lens to be not as its model. Five free terms take off 5 by chance, and 40 in one of
+/// 10⁷ blocks.
+const BEYOND_CHANCE: f64 = 40.0;
+
+/// Where all unknowns would go, in one step, if the lens had all of Brown's terms.
+pub(super) struct OtherLens {
+    layout: Layout,
+    step: Step,
+}
+
+impl OtherLens {
+    /// `None` where the lens has them already, where they are not determined, and where the ties would fit no better
+    /// than by chance.
+    pub fn of(problem: &Problem, loss: Loss) -> Option<OtherLens> {
+        let mut other = problem.clone();
+        for camera in &mut other.cameras {
+            for p in BROWN {
+                if camera.treatment[p as usize] == Treatment::Held {
+                    camera.treatment[p as usize] = Treatment::Free;
+                }
+            }
+            if camera.active().len() > MOST_INTERIOR {
+                return None;
+            }
+        }
+        let layout = Layout::new(&other);
+        let step = Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).step()?;
+        (2.0 * step.gain > BEYOND_CHANCE).then_some(OtherLens { layout, step })
+    }
+
+    /// Of a frame's turn and centre.
+    pub fn frame(&self, frame: usize) -> SVector<f64, 6> {
+        self.step.reduced.fixed_rows::<6>(self.layout.frame_at[frame]).into_owned()
+    }
+
+    pub fn interior(&self, camera: usize, parameter: Parameter) -> f64 {
+        let at = self.layout.active[camera].iter().position(|p| *p == parameter);
+        at.map_or(0.0, |at| self.step.reduced[self.layout.interior_at[camera] + at])
+    }
+
+    pub fn point(&self, point: usize) -> Vector3<f64> {
+        self.step.points[point]
+    }
+}

@@ -1,0 +1,192 @@
+//! `autoref-stream flight adjust`: a reconstruction brought to the ground.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Result, bail};
+use autoref_flight::adjust::{AdjustOptions, GroundPoint, Role, RoughPose, adjust, on_ground};
+use autoref_flight::read::tables::CameraRow;
+use autoref_flight::read::{self, Reconstruction};
+use autoref_flight::world::World;
+use autoref_raster::atomic::Existing;
+use autoref_raster::crs::Crs;
+use nalgebra::Vector3;
+
+use super::{camera_tables, check_output, check_sigmas, document, finish, footprints, interior, lists, plausible};
+
+/// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
+#[derive(Debug, clap::Args)]
+pub struct AdjustArgs {
+    /// A folder with COLMAP's model or MicMac's orientations, OpenSfM's reconstruction.json, or a cameras.json.
+    reconstruction: PathBuf,
+    /// GCPs, as of `flight solve`: OpenDroneMap's gcp_list.txt, rows of `x y z px py`, MicMac's XML, OpenSfM's
+    /// ground_control_points.json, or any list of points, with --observations. Without it the positions of --cameras
+    /// place the block.
+    #[arg(long, value_name = "LIST", required_unless_present = "cameras")]
+    gcps: Option<PathBuf>,
+    #[command(flatten)]
+    how: lists::PointOptions,
+    /// Interior parameters that are adjusted: f, cx, cy, k1 … p1, p2, b1, b2; `f=20` within 20 px of what is given;
+    /// `none`.
+    #[arg(long, value_delimiter = ',', default_value = "f,k1", value_name = "LIST")]
+    free: Vec<String>,
+    /// 1σ of ties in the image. Default: from their residuals.
+    #[arg(long, value_name = "PX")]
+    sigma_tie: Option<f64>,
+    /// Rough camera table whose positions (and directions) count with --sigma-position and --sigma-direction.
+    #[arg(long, value_name = "TABLE")]
+    cameras: Option<PathBuf>,
+    #[command(flatten)]
+    angles: camera_tables::AnglesArgs,
+    /// 1σ of rough positions whose table states none. Default: 200 m beside GCPs, 20 m where they place the block.
+    #[arg(long, value_name = "M")]
+    sigma_position: Option<f64>,
+    /// 1σ of rough directions.
+    #[arg(long, value_name = "DEG", default_value_t = 2.0)]
+    sigma_direction: f64,
+    /// Where to write cameras.json.
+    #[arg(short, long, value_name = "JSON")]
+    output: Option<PathBuf>,
+    /// Replace an existing output.
+    #[arg(long)]
+    overwrite: bool,
+    /// Print the result as one JSON document on standard output.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Where the block comes to stand: its points and rough poses in the world's frame, and what is to be said of them.
+struct Datum {
+    control: lists::Control,
+    world: World,
+    points: Vec<GroundPoint>,
+    rough: Vec<Option<RoughPose>>,
+    notes: Vec<String>,
+    /// Of the notes, those that the terminal has said already.
+    said: Vec<String>,
+}
+
+/// 1σ of positions of a table that states none, metres: beside GCPs, and where they place the block alone.
+const SIGMA_BESIDE_GCPS_M: f64 = 200.0;
+const SIGMA_ALONE_M: f64 = 20.0;
+
+impl Datum {
+    fn of(args: &AdjustArgs, model: &Reconstruction) -> Result<Datum> {
+        match (&args.gcps, &args.cameras) {
+            (Some(list), table) => Datum::of_points(args, list, table.as_deref(), model),
+            (None, Some(table)) => Datum::of_positions(args, table, model),
+            (None, None) => bail!("neither --gcps nor --cameras: nothing places the block"),
+        }
+    }
+
+    fn of_points(args: &AdjustArgs, list: &Path, table: Option<&Path>, model: &Reconstruction) -> Result<Datum> {
+        let named = lists::PointArgs { gcps: list.to_path_buf(), how: args.how.clone() };
+        let control = named.load(Some(model))?;
+        let mut notes = control.notes(model, &named, &args.reconstruction)?;
+        let world = control.world()?;
+        let mut points = control.in_world(&world, model, &named)?;
+        notes.extend(plausible::within_frames(&mut points, model, &list.display().to_string())?);
+        let mut datum =
+            Datum { said: notes.clone(), rough: vec![None; model.photographs.len()], control, world, points, notes };
+        match table {
+            Some(table) => {
+                let rows = camera_tables::cameras(table, args.angles.angles())?;
+                let rows = camera_tables::on_map(rows, table, datum.control.crs.as_ref())?;
+                datum.weight_by(&rows, table, args, model)?;
+            }
+            None => datum.rough = kept_datum(&datum, model),
+        }
+        Ok(datum)
+    }
+
+    fn of_positions(args: &AdjustArgs, table: &Path, model: &Reconstruction) -> Result<Datum> {
+        let how = &args.how;
+        let given = [("observations", how.observations.is_some()), ("check", !how.check.is_empty())];
+        let given = given.into_iter().chain([("sigma-ground", how.sigma_ground.is_some())]);
+        if let Some((option, _)) = given.into_iter().find(|(_, given)| *given) {
+            bail!("--{option} without a list of points; name it with --gcps");
+        }
+        let rows = camera_tables::cameras(table, args.angles.angles())?;
+        let local = how.crs.as_deref().is_some_and(lists::is_local);
+        let stated = how.crs.as_deref().filter(|_| !local).map(Crs::parse).transpose()?;
+        let crs = if local { None } else { camera_tables::map_of(&rows, stated)? };
+        let rows = camera_tables::on_map(rows, table, crs.as_ref())?;
+        let of_block = rows.iter().filter(|row| model.find(&row.name).is_some()).cloned().collect::<Vec<_>>();
+        let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
+        camera_tables::unmatched(&rows, table, &names)?;
+        let control = lists::Control::of_positions(&of_block, crs, table)?;
+        let world = control.world()?;
+        let mut datum = Datum {
+            rough: vec![None; model.photographs.len()],
+            notes: vec![camera_tables::NO_GCPS.to_string()],
+            said: Vec::new(),
+            points: Vec::new(),
+            control,
+            world,
+        };
+        datum.weight_by(&rows, table, args, model)?;
+        Ok(datum)
+    }
+
+    /// What a camera table says counts with its deviations; directions that the block contradicts are let go of.
+    fn weight_by(&mut self, rows: &[CameraRow], table: &Path, args: &AdjustArgs, model: &Reconstruction) -> Result<()> {
+        let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
+        self.notes.extend(camera_tables::unmatched(rows, table, &names)?);
+        let alone = if self.points.is_empty() { SIGMA_ALONE_M } else { SIGMA_BESIDE_GCPS_M };
+        let sigma_m = args.sigma_position.unwrap_or(alone);
+        for row in rows {
+            if let Some(i) = model.find(&row.name) {
+                let sigma_rad = args.sigma_direction.to_radians();
+                self.rough[i] = camera_tables::rough_pose(row, &self.world, sigma_m, sigma_rad);
+            }
+        }
+        let placed = on_ground(model, &self.points, &self.rough)?;
+        self.notes.extend(footprints::let_go_of_turned(&mut self.rough, model, &placed.similarity));
+        Ok(())
+    }
+}
+
+/// A block that stands on the Earth already keeps its datum, loosely: in its own frame, or where too few points would
+/// fix another.
+fn kept_datum(datum: &Datum, model: &Reconstruction) -> Vec<Option<RoughPose>> {
+    let fixing = datum.points.iter().filter(|p| p.role == Role::Control && p.seen.len() >= 2).count();
+    let kept = |p: &read::Photograph| match model.reference_lla {
+        _ if datum.control.own_datum => Some(p.pose),
+        Some(reference) if fixing < 3 => datum.world.pose_of_tangent(reference, &p.pose),
+        Some(_) | None => None,
+    };
+    let loosely = |pose| RoughPose { pose, sigma_m: Vector3::repeat(5.0), sigma_rad: f64::INFINITY };
+    model.photographs.iter().map(|p| kept(p).map(loosely)).collect()
+}
+
+pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
+    check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
+    check_sigmas(&[
+        ("sigma-tie", args.sigma_tie),
+        ("sigma-image", Some(args.how.sigma_image)),
+        ("sigma-ground", args.how.sigma_ground),
+        ("sigma-position", args.sigma_position),
+        ("sigma-direction", Some(args.sigma_direction)),
+    ])?;
+    let interior = interior(&args.free)?;
+    let model = read::reconstruction(&args.reconstruction)?;
+    let Datum { control, world, points, rough, notes, said } = Datum::of(args, &model)?;
+    let options = AdjustOptions {
+        sigma_image_px: args.how.sigma_image,
+        sigma_tie_px: args.sigma_tie,
+        interior,
+        rough,
+        ..AdjustOptions::default()
+    };
+    let mut found = adjust(&model, &points, &options)?;
+    found.notes.extend(notes);
+    let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
+    found.notes.extend(plausible::below_ground(poses, ground, &world));
+    let listed = model.photographs.len();
+    let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
+    finish(&document, args.output.as_deref(), args.json)?;
+    if !args.json {
+        document::say(&document, &said);
+    }
+    Ok(ExitCode::SUCCESS)
+}
