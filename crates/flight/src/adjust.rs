@@ -3,6 +3,7 @@
 
 mod datum;
 mod outcome;
+mod positions;
 mod rays;
 mod screening;
 mod snooping;
@@ -182,6 +183,9 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
         } else {
             o.trust = Trust::Full;
         }
+    }
+    if control.is_empty() {
+        notes.extend(positions::snoop(&mut problem, &world)?);
     }
     let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened)?;
     // What was set aside early may be right after all.

@@ -198,6 +198,24 @@ fn positions_alone_place_a_block() {
     let sigma_m = document["cameras"][2]["sigma_e"].as_f64().expect("a number");
     let worst_m = place.flight.worst_camera_m(&document);
     assert!((2.0..30.0).contains(&sigma_m) && worst_m < 4.0 * sigma_m, "{worst_m} m, stated {sigma_m} m");
+    // One row is 900 m off; the others tell, and it pulls at nothing.
+    let wrong: String = place.flight.table().lines().fold(String::new(), |all, line| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_string).collect();
+        if cells[0] == place.flight.model.photographs[2].name {
+            cells[1] = (cells[1].parse::<f64>().expect("a number") + 900.0).to_string();
+        }
+        all + &cells.join(",") + "\n"
+    });
+    let output = adjust(&["--cameras", text(&place.write("wrong.csv", &wrong))]);
+    expect(&output, 0, &[]);
+    let (document, name) = (json(&output), &place.flight.model.photographs[2].name);
+    let notes = document["notes"].to_string();
+    assert!(notes.contains(&format!("{name}: its position in the table is")), "{notes}");
+    assert!(
+        place.flight.worst_camera_m(&document) < 2.0 * worst_m + 10.0,
+        "{}",
+        place.flight.worst_camera_m(&document)
+    );
     expect(&adjust(&[]), 2, &["--gcps"]);
     expect(&adjust(&["--cameras", text(&table), "--check", "G1"]), 2, &["--check without a list of points"]);
     let two: String = place.flight.table().lines().take(3).fold(String::new(), |all, line| all + line + "\n");

@@ -233,7 +233,7 @@ fn worst(
 /// The error of an observation of so many numbers that explains its residual, and its size as a number of σ. `adjusted`
 /// is the covariance of what the block makes of it. In directions that the block hardly checks nothing is said; `None`
 /// where those are all.
-fn snooped<const N: usize>(
+pub(super) fn snooped<const N: usize>(
     residual: SVector<f64, N>,
     sigma: SVector<f64, N>,
     adjusted: SMatrix<f64, N, N>,

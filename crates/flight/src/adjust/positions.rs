@@ -1,0 +1,79 @@
+//! Positions of cameras that place a block alone, tested as GCPs are elsewhere.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::snooping::{LOSS, snooped};
+use crate::bundle::{Options, Problem, factor, solve};
+use crate::error::Result;
+use crate::read::Reconstruction;
+
+/// Standard deviations that a position is not off by chance; receivers drift, so more than for GCPs.
+const FAR: f64 = 5.0;
+/// Share of the positions that may be wrong, and one at least; where more seem to be, the block is in doubt.
+const MOST: f64 = 0.2;
+
+/// A position that the others contradict.
+#[derive(Clone, Debug)]
+struct Wrong {
+    frame: usize,
+    at: Vector3<f64>,
+    sigma: Vector3<f64>,
+    test: f64,
+}
+
+/// Adjusts, takes the position out that the others contradict most, and adjusts again, until none is left; notes name
+/// them. Where more than a fifth seem to be wrong, all stay.
+///
+/// # Errors
+/// Those of [`solve`].
+pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction) -> Result<Vec<String>> {
+    let solving = Options { loss: LOSS, ..Options::default() };
+    let all = problem.frames.iter().filter(|f| f.position.is_some()).count();
+    let most = ((MOST * all as f64) as usize).max(1);
+    let mut out: Vec<Wrong> = Vec::new();
+    loop {
+        solve(problem, &solving)?;
+        let Some(wrong) = worst(problem) else { break };
+        problem.frames[wrong.frame].position = None;
+        out.push(wrong);
+        if out.len() > most {
+            for wrong in out.drain(..) {
+                problem.frames[wrong.frame].position = Some((wrong.at, wrong.sigma));
+            }
+            solve(problem, &solving)?;
+            break;
+        }
+    }
+    let said = out.iter().map(|wrong| {
+        let by = wrong.at - problem.frames[wrong.frame].pose.centre;
+        format!(
+            "{}: its position in the table is {:.1} m off ({:.0} standard deviations by what the others say): left out",
+            world.photographs[wrong.frame].name,
+            by.norm(),
+            wrong.test
+        )
+    });
+    Ok(said.collect())
+}
+
+/// The position that is farthest from where the others have it, where that is no chance.
+fn worst(problem: &Problem) -> Option<Wrong> {
+    let far = |(at, sigma): &(Vector3<f64>, Vector3<f64>), centre: &Vector3<f64>| {
+        (at - centre).component_div(sigma).norm() > FAR / 2.0
+    };
+    let suspects: Vec<usize> = (0..problem.frames.len())
+        .filter(|i| problem.frames[*i].position.as_ref().is_some_and(|p| far(p, &problem.frames[*i].pose.centre)))
+        .collect();
+    if suspects.is_empty() {
+        return None;
+    }
+    let factored = factor(problem, LOSS)?;
+    let test = |frame: usize| {
+        let (at, sigma) = problem.frames[frame].position?;
+        let adjusted: Matrix3<f64> = factored.frame(frame).fixed_view::<3, 3>(3, 3).into_owned();
+        let (_, test) = snooped(at - problem.frames[frame].pose.centre, sigma, adjusted)?;
+        Some(Wrong { frame, at, sigma, test })
+    };
+    let tested = suspects.into_iter().filter_map(test).filter(|wrong| wrong.test > FAR);
+    tested.max_by(|a, b| a.test.total_cmp(&b.test))
+}
