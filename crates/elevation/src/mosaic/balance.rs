@@ -17,7 +17,8 @@ use crate::resample::Interpolation;
 use crate::window::Window;
 
 use super::graph::Normal;
-use super::source::{Opened, Source};
+use super::read::Opened;
+use super::source::Source;
 
 /// The degree of the surfaces beside gains and offsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

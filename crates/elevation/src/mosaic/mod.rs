@@ -5,6 +5,8 @@ mod blend;
 mod graph;
 mod mix;
 mod page;
+mod read;
+mod reduce;
 mod source;
 
 pub use balance::{Balance, Balancing, DifferenceMap, Overlap, Surface};
@@ -22,7 +24,8 @@ use crate::grid::Grid;
 use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
 use crate::window::Window;
-use source::{Opened, Source};
+use read::Opened;
+use source::Source;
 
 /// Which source a cell is taken from.
 #[derive(Clone, Debug, PartialEq, Eq)]

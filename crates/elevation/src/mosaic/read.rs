@@ -1,0 +1,272 @@
+//! How windows of a mosaic's sources are read: as they are, between their cells, or as means of finer ones.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use autoref_raster::masked;
+use gdal::Dataset;
+use gdal::raster::ColorInterpretation;
+
+use crate::error::{Error, Result};
+use crate::grid::Grid;
+use crate::model::open_dataset;
+use crate::resample::{Interpolation, Resampled};
+use crate::source::{Heights, MemoryHeights, Patch};
+use crate::window::Window;
+
+use super::reduce;
+use super::source::Source;
+
+/// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
+/// of those neighbours that are there, as GDAL's warper has it. Otherwise tiles that abut would leave a gap.
+fn between_what_is_there(
+    grid: Grid,
+    values: &[f64],
+    mosaic: &Grid,
+    patch: Patch,
+    interpolation: Interpolation,
+    out: &mut Vec<f64>,
+) -> Result<()> {
+    /// Cells beyond the edge that the widest of the kernels sees.
+    const BEYOND: usize = 2;
+    /// Of neighbours that weigh less nothing follows.
+    const LEAST_WEIGHT: f64 = 0.05;
+    let (width, height) = (grid.width as usize, grid.height as usize);
+    let (wide, high) = (width + 2 * BEYOND, height + 2 * BEYOND);
+    let padded = Grid {
+        x0: grid.x0 - BEYOND as f64 * grid.step_x,
+        y0: grid.y0 - BEYOND as f64 * grid.step_y,
+        width: wide as u64,
+        height: high as u64,
+        ..grid
+    };
+    let (mut filled, mut there) = (vec![0.0; wide * high], vec![0.0; wide * high]);
+    for (row, line) in values.chunks_exact(width).enumerate() {
+        let from = (row + BEYOND) * wide + BEYOND;
+        for (k, value) in line.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            (filled[from + k], there[from + k]) = (*value, 1.0);
+        }
+    }
+    let (filled, there) = (MemoryHeights::new(padded, filled), MemoryHeights::new(padded, there));
+    let on_mosaic = |memory: &MemoryHeights, interpolation, plane: &mut Vec<f64>| {
+        Resampled::new(memory, *mosaic, (0.0, 0.0), interpolation).read(patch, plane)
+    };
+    let (mut weights, mut nearest) = (Vec::new(), Vec::new());
+    on_mosaic(&filled, interpolation, out)?;
+    on_mosaic(&there, interpolation, &mut weights)?;
+    on_mosaic(&there, Interpolation::Nearest, &mut nearest)?;
+    for ((value, weight), nearest) in out.iter_mut().zip(weights).zip(nearest) {
+        // Where all neighbours are there nothing is divided: the same bits as away from any edge.
+        if nearest != 1.0 || weight < LEAST_WEIGHT {
+            *value = f64::NAN;
+        } else if (weight - 1.0).abs() > 1e-9 {
+            *value /= weight;
+        }
+    }
+    Ok(())
+}
+
+/// Datasets that a worker has open, not too many.
+#[derive(Default)]
+pub struct Opened {
+    datasets: HashMap<PathBuf, (u64, Dataset)>,
+    uses: u64,
+}
+
+const MOST_OPEN: usize = 24;
+
+impl Opened {
+    fn dataset(&mut self, path: &Path) -> Result<&Dataset> {
+        self.uses += 1;
+        if !self.datasets.contains_key(path) {
+            if self.datasets.len() >= MOST_OPEN {
+                let oldest = self.datasets.iter().min_by_key(|(_, (used, _))| *used).map(|(path, _)| path.clone());
+                oldest.and_then(|path| self.datasets.remove(&path));
+            }
+            self.datasets.insert(path.to_path_buf(), (0, open_dataset(path)?));
+        }
+        let entry = self.datasets.get_mut(path).expect("it was put there above");
+        entry.0 = self.uses;
+        Ok(&entry.1)
+    }
+
+    /// All bands of a source in a window of the mosaic; NaN where there is nothing.
+    ///
+    /// # Errors
+    /// When the source cannot be opened, or its cells or its mask not be read.
+    pub fn read(
+        &mut self,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Result<Vec<f64>> {
+        // Between two classes of a palette lies none.
+        let whole = source.on_grid || !source.palette.is_empty();
+        let interpolation = if whole { Interpolation::Nearest } else { interpolation };
+        if reduce::is_finer(&source.grid, mosaic) && interpolation != Interpolation::Nearest {
+            return self.read_reduced(source, mosaic, window, interpolation);
+        }
+        let dataset = self.dataset(&source.path)?;
+        let mut all = Vec::with_capacity(window.area() as usize * source.bands);
+        let mut plane = Vec::new();
+        let patch = Patch {
+            x: window.x as i64,
+            y: window.y as i64,
+            width: window.width as usize,
+            height: window.height as usize,
+        };
+        let Some(part) = source.part(mosaic, window) else {
+            return Ok(vec![f64::NAN; window.area() as usize * source.bands]);
+        };
+        let grid = Grid {
+            x0: source.grid.x0 + part.x as f64 * source.grid.step_x,
+            y0: source.grid.y0 + part.y as f64 * source.grid.step_y,
+            width: part.width,
+            height: part.height,
+            ..source.grid
+        };
+        let at_edge =
+            part.x == 0 || part.y == 0 || part.right() == source.grid.width || part.bottom() == source.grid.height;
+        for values in valid_bands(dataset, source, part)? {
+            if interpolation != Interpolation::Nearest && (at_edge || values.iter().any(|v| v.is_nan())) {
+                between_what_is_there(grid, &values, mosaic, patch, interpolation, &mut plane)?;
+            } else {
+                let memory = MemoryHeights::new(grid, values);
+                Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;
+            }
+            all.extend_from_slice(&plane);
+        }
+        Ok(all)
+    }
+
+    /// As [`Opened::read`], of a source whose cells are finer than the mosaic's: means, in parts of bounded size.
+    fn read_reduced(
+        &mut self,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Result<Vec<f64>> {
+        /// Cells of the source that are held at once, in each band.
+        const MOST_CELLS: u64 = 1 << 21;
+        let Some(part) = source.part(mosaic, window) else {
+            return Ok(vec![f64::NAN; window.area() as usize * source.bands]);
+        };
+        let Some((first, second)) = halves(window).filter(|_| part.area() > MOST_CELLS) else {
+            let mut all = Vec::with_capacity(window.area() as usize * source.bands);
+            for values in valid_bands(self.dataset(&source.path)?, source, part)? {
+                all.extend(reduce::means(&values, part, (&source.grid, mosaic), window, interpolation));
+            }
+            return Ok(all);
+        };
+        let mut all = vec![f64::NAN; window.area() as usize * source.bands];
+        for piece in [first, second] {
+            let values = self.read_reduced(source, mosaic, piece, interpolation)?;
+            let planes = values.chunks_exact(piece.area() as usize);
+            for (whole, values) in all.chunks_exact_mut(window.area() as usize).zip(planes) {
+                for (row, line) in values.chunks_exact(piece.width as usize).enumerate() {
+                    let y = piece.y - window.y + row as u64;
+                    let at = (y * window.width + piece.x - window.x) as usize;
+                    whole[at..at + line.len()].copy_from_slice(line);
+                }
+            }
+        }
+        Ok(all)
+    }
+
+    /// What the cells of a source cost; infinite where nobody says.
+    ///
+    /// # Errors
+    /// Those of [`Opened::read`], of the companion.
+    pub fn read_companion(&mut self, source: &Source, mosaic: &Grid, window: Window) -> Result<Vec<f64>> {
+        let Some(companion) = &source.companion else { return Ok(vec![f64::INFINITY; window.area() as usize]) };
+        let mut costs = self.read(companion, mosaic, window, Interpolation::Bilinear)?;
+        costs.truncate(window.area() as usize);
+        Ok(costs)
+    }
+}
+
+impl Source {
+    /// Puts NaN where there is nothing. A picture is nothing where all its colours are nodata: red that is 0 beside
+    /// green is a colour. Other bands are read each for itself.
+    fn leave_out_nodata(&self, planes: &mut [Vec<f64>]) {
+        let is_void = |value: f64| self.nodata.is_some_and(|n| value == n || value == f64::from(n as f32));
+        let (is_picture, colours) = (self.is_picture(), self.deciding_bands());
+        for cell in 0..planes.first().map_or(0, Vec::len) {
+            let all = is_picture && colours.iter().all(|band| is_void(planes[*band][cell]));
+            for plane in planes.iter_mut() {
+                let value = &mut plane[cell];
+                if all || (!is_picture && is_void(*value)) || !value.is_finite() {
+                    *value = f64::NAN;
+                }
+            }
+        }
+    }
+}
+
+/// A window cut in two across its longer side; `None` of a single cell.
+fn halves(window: Window) -> Option<(Window, Window)> {
+    let Window { x, y, width, height } = window;
+    if window.area() <= 1 {
+        return None;
+    }
+    Some(if width > height {
+        (Window::new(x, y, width / 2, height), Window::new(x + width / 2, y, width - width / 2, height))
+    } else {
+        (Window::new(x, y, width, height / 2), Window::new(x, y + height / 2, width, height - height / 2))
+    })
+}
+
+/// The bands of a window; NaN where there is nothing.
+fn valid_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<Vec<f64>>> {
+    let size = (part.width as usize, part.height as usize);
+    let mut planes = all_bands(dataset, source, part)?;
+    source.leave_out_nodata(&mut planes);
+    for (number, values) in (1..).zip(&mut planes) {
+        let colour = source.colours.get(number - 1);
+        // What is transparent is not there: its opacity is no part of a median or a mean either.
+        if colour == Some(&ColorInterpretation::AlphaBand) {
+            values.iter_mut().filter(|value| **value == 0.0).for_each(|value| *value = f64::NAN);
+        }
+        if source.masked {
+            let band = dataset.rasterband(number).map_err(|e| Error::gdal(&source.path, e))?;
+            masked::leave_out(&source.path, &band, (part.x as isize, part.y as isize), size, values)?;
+        }
+    }
+    Ok(planes)
+}
+
+/// The bands of a window as they are in the file: block by block with all bands, so that a block which holds them all
+/// is decoded once whatever the size of GDAL's cache.
+fn all_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<Vec<f64>>> {
+    let failed = |e: gdal::errors::GdalError| Error::gdal(&source.path, e);
+    let bands = (1..=source.bands).map(|number| dataset.rasterband(number)).collect::<std::result::Result<Vec<_>, _>>();
+    let bands = bands.map_err(failed)?;
+    let (across, down) = match bands.as_slice() {
+        [first, _, ..] => first.block_size(),
+        // One band has no others to wait for.
+        _ => (part.right() as usize, part.bottom() as usize),
+    };
+    let mut planes = vec![vec![0.0; part.area() as usize]; source.bands];
+    let mut block = Vec::new();
+    // From one edge of a block to the next.
+    let cuts = |first: u64, end: u64, side: u64| {
+        let edges =
+            std::iter::successors(Some(first), move |at| Some((at / side + 1) * side)).take_while(move |at| *at < end);
+        edges.map(move |at| (at, ((at / side + 1) * side).min(end) - at))
+    };
+    for (y, height) in cuts(part.y, part.bottom(), down as u64) {
+        for (x, width) in cuts(part.x, part.right(), across as u64) {
+            let size = (width as usize, height as usize);
+            block.resize(size.0 * size.1, 0.0);
+            for (band, plane) in bands.iter().zip(&mut planes) {
+                band.read_into_slice((x as isize, y as isize), size, size, &mut block, None).map_err(failed)?;
+                let at = ((y - part.y) * part.width + (x - part.x)) as usize;
+                let lines = plane[at..].chunks_mut(part.width as usize);
+                lines.zip(block.chunks_exact(size.0)).for_each(|(to, from)| to[..size.0].copy_from_slice(from));
+            }
+        }
+    }
+    Ok(planes)
+}
