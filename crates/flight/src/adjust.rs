@@ -10,6 +10,7 @@ mod snooping;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
 use self::outcome::End;

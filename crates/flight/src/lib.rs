@@ -3,6 +3,7 @@
 pub mod adjust;
 pub mod bundle;
 pub mod camera;
+pub mod complete;
 pub mod dual;
 pub mod error;
 pub mod intersect;

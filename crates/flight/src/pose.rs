@@ -1,6 +1,6 @@
 //! Where a camera stood and where it looked.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// A pose: p = R (X − C) takes a point of the world into the camera's axes (x right, y down, z forward).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +17,12 @@ pub struct YawPitchRoll {
     pub yaw_deg: f64,
     pub pitch_deg: f64,
     pub roll_deg: f64,
+}
+
+/// The rotation vector δ, radians, with `rotation` = exp(δ) `from`. By way of a quaternion: of a matrix that rounding has
+/// made a hair larger than the identity there is no angle.
+pub fn turn(rotation: &Matrix3<f64>, from: &Matrix3<f64>) -> Vector3<f64> {
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation * from.transpose())).scaled_axis()
 }
 
 impl Pose {

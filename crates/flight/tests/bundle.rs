@@ -5,8 +5,10 @@ use autoref_flight::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Ended, Loss, Observation, Options, Problem, Treatment, Trust, factor, solve,
 };
 use autoref_flight::camera::{Camera, Parameter};
+use autoref_flight::complete::{completed, joined};
 use autoref_flight::pose::{Pose, Similarity, YawPitchRoll};
 use autoref_flight::read::{Photograph, Reconstruction, TiePoint};
+use autoref_flight::start::Track;
 use nalgebra::{Rotation3, Vector3};
 
 /// Numbers that every run draws alike (SplitMix64), uniform and normal.
@@ -99,6 +101,58 @@ fn shaken(draw: &mut Draw, model: &Reconstruction) -> Reconstruction {
         t.xyz = by.apply(&t.xyz);
     }
     out
+}
+
+/// Some frames of a model in a datum of their own, with the ties that two of them see.
+fn part(draw: &mut Draw, model: &Reconstruction, frames: std::ops::Range<usize>) -> Reconstruction {
+    let mut part = shaken(draw, model);
+    part.photographs = part.photographs[frames.clone()].to_vec();
+    for t in &mut part.ties {
+        t.seen.retain(|(i, _)| frames.contains(i));
+        t.seen.iter_mut().for_each(|(i, _)| *i -= frames.start);
+    }
+    part.ties.retain(|t| t.seen.len() >= 2);
+    part
+}
+
+/// A mapper's parts become one block, and frames that it left out join it, though a third of their ties are wrong.
+#[test]
+fn parts_are_joined_and_frames_left_out_are_placed() {
+    let mut draw = Draw(23);
+    let (truth, points) = block(&mut draw, 9, 900, 8);
+    let names: Vec<&str> = truth.photographs.iter().map(|p| p.name.as_str()).collect();
+    let (mut seen, mut measured) = (truth.clone(), points.clone());
+    noisy(&mut draw, &mut seen, &mut measured, 0.5, 0.05);
+    let parts = vec![part(&mut draw, &seen, 3..7), part(&mut draw, &seen, 0..5)];
+    let joined = joined(parts).expect("a block");
+    assert_eq!(joined.photographs.len(), 7);
+    // Each tie of two parts is one.
+    let of = |names: [&str; 2]| {
+        let index = names.map(|name| joined.find(name).expect("joined"));
+        joined.ties.iter().filter(|t| index.iter().all(|k| t.seen.iter().any(|(i, _)| i == k))).count()
+    };
+    assert!(of(["f2", "f5"]) > 20, "{}", of(["f2", "f5"]));
+    let mut tracks: Vec<Track> = seen.ties.iter().map(|t| t.seen.clone()).collect();
+    for track in tracks.iter_mut().step_by(3) {
+        track.iter_mut().filter(|(frame, _)| *frame >= 7).for_each(|(_, at)| at[0] = 1800.0 - at[0]);
+    }
+    let block = completed(joined, &names, &tracks).expect("completed");
+    assert_eq!(block.photographs.len(), 9);
+    for p in &mut measured {
+        p.seen.iter_mut().for_each(|(i, _)| *i = block.find(names[*i]).expect("placed"));
+    }
+    let found = adjust(&block, &measured, &AdjustOptions::default()).expect("adjusted");
+    for a in &found.photographs {
+        let b = &truth.photographs[truth.find(&block.photographs[a.photograph].name).expect("known")];
+        let (off, c) = (a.pose.centre - b.pose.centre, a.covariance.expect("the datum is fixed"));
+        let sigma = c.diagonal().fixed_rows::<3>(3).map(f64::sqrt);
+        assert!(off.component_div(&sigma).amax() < 4.0 && sigma.amax() < 40.0, "{}: {off:?} {sigma:?}", b.name);
+    }
+    assert!(found.tie_rms_px < 1.0, "{}", found.tie_rms_px);
+    // What no tie leads to stays out.
+    let few: Vec<Track> = tracks.iter().filter(|t| t.iter().all(|(i, _)| *i < 8)).cloned().collect();
+    let block = completed(part(&mut draw, &seen, 0..7), &names, &few).expect("completed");
+    assert_eq!(block.photographs.len(), 8);
 }
 
 #[test]

@@ -75,13 +75,19 @@ fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option
             return by_positions;
         }
     }
-    let rotation = middle_rotation(&pairs);
+    by_poses(&pairs)
+}
+
+/// The similarity that brings poses to others: the rotation is the middle of the directions', scale and shift are those
+/// of the places. `None` where all places are one.
+pub(crate) fn by_poses(pairs: &[(&Pose, &Pose)]) -> Option<Similarity> {
+    let rotation = middle_rotation(pairs);
     let n = pairs.len() as f64;
     let mean =
         |f: &dyn Fn(&(&Pose, &Pose)) -> Vector3<f64>| pairs.iter().map(f).fold(Vector3::zeros(), |a, b| a + b) / n;
     let (mm, mr) = (mean(&|p| p.0.centre), mean(&|p| p.1.centre));
     let (mut up, mut down) = (0.0, 0.0);
-    for (m, r) in &pairs {
+    for (m, r) in pairs {
         let turned = rotation * (m.centre - mm);
         up += turned.dot(&(r.centre - mr));
         down += turned.norm_squared();

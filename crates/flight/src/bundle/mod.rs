@@ -15,10 +15,10 @@ pub use deviations::{Deviations, MissingTerms};
 pub use normal::Factored;
 pub use solve::{Ended, Options, Summary, factor, solve};
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 use crate::camera::{Camera, PARAMETERS, Parameter};
-use crate::pose::Pose;
+use crate::pose::{Pose, turn};
 
 /// What becomes of an interior parameter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -181,9 +181,4 @@ impl Problem {
         }
         0.5 * sum
     }
-}
-
-/// The rotation vector δ with `rotation` = exp(δ) `from`.
-pub(crate) fn turn(rotation: &Matrix3<f64>, from: &Matrix3<f64>) -> Vector3<f64> {
-    Rotation3::from_matrix_unchecked(rotation * from.transpose()).scaled_axis()
 }

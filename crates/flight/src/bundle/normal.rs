@@ -3,8 +3,9 @@
 use nalgebra::{DVector, Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
 use super::skyline::{Skyline, order};
-use super::{Loss, Observation, Problem, Treatment, Trust, turn};
+use super::{Loss, Observation, Problem, Treatment, Trust};
 use crate::camera::Parameter;
+use crate::pose::turn;
 
 type Matrix2x6 = SMatrix<f64, 2, 6>;
 type Matrix6x3 = SMatrix<f64, 6, 3>;

@@ -40,13 +40,13 @@ pub fn is_name(path: &Path) -> bool {
 
 /// The folder of a model: itself, or the largest of `sparse/0`, `0`, `1`, … below.
 pub fn model_folder(path: &Path) -> Option<PathBuf> {
-    let has = |p: &Path| {
-        ["bin", "txt"]
-            .iter()
-            .any(|e| p.join(format!("cameras.{e}")).is_file() && p.join(format!("images.{e}")).is_file())
-    };
-    if has(path) {
-        return Some(path.to_path_buf());
+    model_folders(path).into_iter().next()
+}
+
+/// The folders of models: itself, or all that it holds, the one with the most images first.
+pub fn model_folders(path: &Path) -> Vec<PathBuf> {
+    if holds_model(path) {
+        return vec![path.to_path_buf()];
     }
     let weight = |p: &Path| {
         ["bin", "txt"]
@@ -60,10 +60,16 @@ pub fn model_folder(path: &Path) -> Option<PathBuf> {
         .iter()
         .filter_map(|p| std::fs::read_dir(p).ok())
         .flat_map(|d| d.flatten().map(|e| e.path()))
-        .filter(|p| has(p))
+        .filter(|p| holds_model(p))
         .collect();
     found.sort();
-    found.into_iter().max_by_key(|p| weight(p))
+    found.sort_by_key(|p| std::cmp::Reverse(weight(p)));
+    found
+}
+
+fn holds_model(path: &Path) -> bool {
+    let there = |e: &&str| path.join(format!("cameras.{e}")).is_file() && path.join(format!("images.{e}")).is_file();
+    ["bin", "txt"].iter().any(there)
 }
 
 /// A camera of a COLMAP model.

@@ -2,14 +2,14 @@
 //! sees.
 
 use autoref_flight::adjust::{Adjustment, RoughPose};
-use autoref_flight::pose::Similarity;
+use autoref_flight::pose::{Similarity, turn};
 use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{Reconstruction, same_image};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::{Coordinate, Crs};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use super::{camera_tables, lists};
@@ -41,8 +41,8 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
 
 /// The turn between a camera and what the table says of it; `None` where the table has no direction.
 fn turn_deg(pose: &Pose, rough: &RoughPose) -> Option<f64> {
-    let turn = Rotation3::from_matrix_unchecked(pose.rotation * rough.pose.rotation.transpose());
-    rough.sigma_rad.is_finite().then(|| turn.angle().to_degrees())
+    let angle = || turn(&pose.rotation, &rough.pose.rotation).norm().to_degrees();
+    rough.sigma_rad.is_finite().then(angle)
 }
 
 /// Lets go of directions of the table that are far from those of the block on the ground: they are no errors of a few

@@ -88,6 +88,7 @@ def mapper():
     options.random_seed = int(given["random_seed"])
     options.ba_refine_focal_length = given["Mapper.ba_refine_focal_length"] == "1"
     options.ba_refine_principal_point = False
+    options.min_model_size = int(given["Mapper.min_model_size"])
     models = pycolmap.incremental_mapping(database_path, given["image_path"], given["output_path"], options)
     if not models:
         print("failed to create sparse model")

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use autoref_flight::adjust::{GroundPoint, RoughPose};
+use autoref_flight::pose::turn;
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
-use autoref_flight::{Camera, Error, Pose, start};
+use autoref_flight::{Camera, Error, Pose, complete, start};
 use autoref_raster::fingerprint::Fingerprint;
-use nalgebra::Rotation3;
 
 use super::engine::{Program, no_pair};
+use super::lists::some_of;
 use super::project::{Focal, Project};
 use super::ties::{self, Ties};
 use super::views::{Interior, Masks, View};
@@ -43,6 +44,9 @@ pub struct GroundPlane {
     /// 1σ of a position against the plane at least: a receiver knows its own place better than anybody the ground's.
     least_sigma_m: f64,
 }
+
+/// Frames of the smallest part that COLMAP's mapper keeps.
+const LEAST_PART: &str = "3";
 
 /// What makes a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,7 +115,7 @@ impl GroundPlane {
         let moved = |(view, rough): (&View, &RoughPose)| {
             let pose = block.photographs.iter().find(|p| p.name == view.name).map(|p| p.pose);
             let far = |pose: &Pose| {
-                let turn = Rotation3::from_matrix_unchecked(pose.rotation * rough.pose.rotation.transpose()).angle();
+                let turn = turn(&pose.rotation, &rough.pose.rotation).norm();
                 let sigma_m = rough.sigma_m.map(|s| s.max(self.least_sigma_m));
                 let away = (pose.centre - rough.pose.centre).component_div(&sigma_m).norm();
                 away > MOST_SIGMAS || turn > MOST_SIGMAS * rough.sigma_rad
@@ -334,12 +338,14 @@ impl<'a> Flight<'a> {
         })
     }
 
-    /// The block that COLMAP's mapper grows; `stage` is where it is kept.
+    /// The block that COLMAP's mapper grows, its parts joined and frames that it left out placed by their ties; `stage`
+    /// is where it is kept.
     fn grown(&self, stage: &str, matches: &Path, mut hash: Fingerprint) -> Result<Reconstruction> {
         let (stages, project) = (self.stages(), self.project);
         let text = |p: &Path| p.display().to_string();
         let held = if project.camera.f_px.is_some() && project.camera.focal == Focal::Held { "0" } else { "1" };
         hash.write(&project.adjust.seed.to_le_bytes());
+        hash.write(LEAST_PART.as_bytes());
         let sparse = stages.run(stage, &hash.hex(), |part| {
             std::fs::create_dir_all(part).map_err(|e| Error::io(part, "create", e))?;
             let a = [
@@ -349,13 +355,32 @@ impl<'a> Flight<'a> {
                 ("random_seed", project.adjust.seed.to_string()),
                 // More threads change the order of sums, and so the last digits.
                 ("Mapper.num_threads", "1".into()),
+                ("Mapper.min_model_size", LEAST_PART.into()),
                 ("Mapper.ba_refine_focal_length", held.into()),
                 ("Mapper.ba_refine_principal_point", "0".into()),
             ];
             self.engine.run(&self.out.join("mapper.log"), &a, "mapper")
         })?;
-        let best = colmap::model_folder(&sparse).ok_or_else(no_pair)?;
-        colmap::read(&best).context("COLMAP's model")
+        let parts: Vec<Reconstruction> = colmap::model_folders(&sparse)
+            .iter()
+            .map(|part| colmap::read(part).context("COLMAP's model"))
+            .collect::<Result<_>>()?;
+        let grown = parts.iter().map(|part| part.photographs.len()).max().unwrap_or(0);
+        let mut block = complete::joined(parts).ok_or_else(no_pair)?;
+        if block.photographs.len() < self.ordered.len() {
+            let tracks = Ties::of_plain_frames(matches, &self.ordered)?.tracks();
+            block = complete::completed(block, &self.ordered, &tracks)?;
+        }
+        let late: Vec<String> = block.photographs.iter().skip(grown).map(|p| p.name.clone()).collect();
+        if !late.is_empty() {
+            block.notes.push(format!(
+                "COLMAP's mapper left {} of {} frames out of its block; their ties placed them: {}",
+                late.len(),
+                block.photographs.len(),
+                some_of(&late)
+            ));
+        }
+        Ok(block)
     }
 
     /// The block from the rough table, `ground` being seen in the frames by their order.
