@@ -116,27 +116,36 @@ pub fn azimuth_rad(pose: &Pose) -> f64 {
 }
 
 /// Pairs of frames to compare, smaller number first, sorted: `along` frames to each side on a line, and for each frame
-/// the `across` frames of other lines that see most of the same ground. `poses` are those of all frames in a metric
-/// frame with the height upwards, where they are known; without them the nearest places stand for the ground.
+/// the `across` frames of other lines, or of its own where that comes back beside it, that see most of the same ground.
+/// `poses` are those of all frames in a metric frame with the height upwards, where they are known; without them the
+/// nearest places stand for the ground.
 pub fn pairs(
     stations: &[Station],
     lines: &[Line],
     (along, across): (usize, usize),
     sight: Option<Sight<'_>>,
 ) -> Vec<(usize, usize)> {
-    let mut line_of = vec![usize::MAX; stations.len()];
+    let mut line_of = vec![(usize::MAX, 0); stations.len()];
+    // How far the frames stand that a frame is compared with on its line.
+    let mut reach_m = vec![0.0f64; stations.len()];
     let mut pairs = std::collections::BTreeSet::new();
     for (number, line) in lines.iter().enumerate() {
         for (at, a) in line.frames.iter().enumerate() {
-            line_of[*a] = number;
-            pairs.extend(line.frames[at + 1..].iter().take(along).map(|b| (*a.min(b), *a.max(b))));
+            line_of[*a] = (number, at);
+            for b in line.frames[at + 1..].iter().take(along) {
+                pairs.insert((*a.min(b), *a.max(b)));
+                let apart_m = between(&stations[*a], &stations[*b]).map_or(0.0, length);
+                reach_m[*a] = reach_m[*a].max(apart_m);
+                reach_m[*b] = reach_m[*b].max(apart_m);
+            }
         }
     }
-    if lines.len() < 2 {
-        return pairs.into_iter().collect();
-    }
+    let comes_back = |a: usize, b: usize| {
+        let apart_m = between(&stations[a], &stations[b]).map(length);
+        line_of[a].1.abs_diff(line_of[b].1) > along && apart_m.is_some_and(|m| m < COMES_BACK * reach_m[a])
+    };
     for a in 0..stations.len() {
-        let others = (0..stations.len()).filter(|b| line_of[*b] != line_of[a]);
+        let others = (0..stations.len()).filter(|b| line_of[*b].0 != line_of[a].0 || comes_back(a, *b));
         let mut ranked: Vec<(f64, usize)> = match &sight {
             Some(sight) => {
                 let shared = |b: usize| sight.shared(a, b).min(sight.shared(b, a));
@@ -150,6 +159,8 @@ pub fn pairs(
     pairs.into_iter().collect()
 }
 
+/// A line comes back where a frame farther along it is nearer than this share of those that are compared anyway.
+const COMES_BACK: f64 = 0.8;
 /// Of each of two frames so much must show ground that the other sees.
 const LEAST_SHARED: f64 = 0.12;
 /// Points along a side of a frame.
@@ -264,6 +275,28 @@ mod tests {
             assert!(!pairs.contains(&(a, b)), "{a}, {b}");
         }
         assert!(pairs.is_sorted());
+    }
+
+    /// A turn that the table's errors hide ends no line; its frames are compared across it all the same.
+    #[test]
+    fn a_line_that_comes_back_is_compared_with_itself() {
+        let place = |i: usize| match i {
+            0..8 => [28.0 * i as f64, 0.0],
+            _ => [28.0 * (15 - i) as f64, 40.0],
+        };
+        let stations: Vec<Station> =
+            (0..16).map(|i| Station { place_m: Some(place(i)), ..Station::default() }).collect();
+        let found = lines(&stations, 40.0);
+        assert_eq!(found.len(), 1);
+        let compared = pairs(&stations, &found, (3, 4), None);
+        for (a, b) in [(0, 15), (2, 13), (1, 15)] {
+            assert!(compared.contains(&(a, b)), "{a}, {b}");
+        }
+        assert!(!compared.contains(&(0, 9)));
+        let straight: Vec<Station> =
+            (0..12).map(|i| Station { place_m: Some([28.0 * f64::from(i), 0.0]), ..Station::default() }).collect();
+        let compared = pairs(&straight, &lines(&straight, 40.0), (3, 4), None);
+        assert!(compared.iter().all(|(a, b)| b - a <= 3), "{compared:?}");
     }
 
     #[test]
