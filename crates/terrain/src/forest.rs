@@ -28,7 +28,7 @@ pub struct Growth {
 
 impl Default for Growth {
     fn default() -> Self {
-        Growth { trees: 40, depth: 11, tried: 7, leaf: 4 }
+        Growth { trees: 40, depth: 11, tried: 7, leaf: 60 }
     }
 }
 
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn it_learns_what_no_single_feature_tells() {
-        let growth = Growth { tried: 3, ..Growth::default() };
+        let growth = Growth { tried: 3, leaf: 4, ..Growth::default() };
         let forest = Forest::grow(&examples(7, 4000), growth).expect("two classes");
         let unseen = examples(8, 1000);
         let right = unseen.iter().filter(|e| (forest.keep(&e.features) > 127) == e.keep).count();

@@ -18,18 +18,26 @@ use crate::reduce::Reduced;
 use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
 use crate::unlike::Known;
 
-/// Features and class of pixels of licensed photographs (`docs/masks.md` names them): [`FEATURES`] bytes and one of 0
-/// (mask) or 1 (keep) each.
+/// Features and class of pixels of licensed photographs: [`FEATURES`] bytes, one of 0 (mask) or 1 (keep) and the number
+/// of the frame in `teaching/frames.csv` each. `examples/ship.rs` writes it.
 static SHIPPED: &[u8] = include_bytes!("shipped.bin");
 
-/// The examples that come with the program.
-pub fn shipped() -> Vec<Example<FEATURES>> {
+/// Bytes of a shipped example.
+pub const SHIPPED_ROW: usize = FEATURES + 2;
+
+/// The examples that come with the program, with the number of their frame.
+pub fn shipped_by_frame() -> Vec<(u8, Example<FEATURES>)> {
     let example = |bytes: &[u8]| {
         let mut features = [0; FEATURES];
         features.copy_from_slice(&bytes[..FEATURES]);
-        Example { features, keep: bytes[FEATURES] == 1, weight: 1 }
+        (bytes[FEATURES + 1], Example { features, keep: bytes[FEATURES] == 1, weight: 1 })
     };
-    SHIPPED.chunks_exact(FEATURES + 1).map(example).collect()
+    SHIPPED.chunks_exact(SHIPPED_ROW).map(example).collect()
+}
+
+/// The examples that come with the program.
+pub fn shipped() -> Vec<Example<FEATURES>> {
+    shipped_by_frame().into_iter().map(|(_, example)| example).collect()
 }
 
 /// Entropy and intensity of the shipped examples, 250 of each class, drawn by a fixed stride.
