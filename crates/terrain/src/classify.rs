@@ -46,8 +46,8 @@ pub enum Cleaner {
 /// whole.
 const KEEP_ABOVE: u8 = 140;
 
-/// A masked area with a greater mean vote, of 255, is ground: 0.4.
-pub const DOUBT_LIMIT: f64 = 102.0;
+/// A masked area with a greater mean vote, of 255, is ground: 0.35.
+pub const DOUBT_LIMIT: f64 = 90.0;
 
 /// Between these probabilities, of 255, a pixel is unsure.
 pub const UNSURE: std::ops::RangeInclusive<u8> = 77..=178;

@@ -22,7 +22,8 @@ pub struct Growth {
     pub depth: usize,
     /// Features that each split chooses among.
     pub tried: usize,
-    /// Least number of examples in a leaf.
+    /// Least number of examples in a leaf. With 60, water of photographs that did not teach is found more often than
+    /// with 4: small leaves learn one frame's water by heart.
     pub leaf: usize,
 }
 

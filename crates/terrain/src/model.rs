@@ -278,3 +278,21 @@ pub fn labelled_samples(reduced: &Reduced, labels: &Labels) -> Result<Vec<Sample
     }
     Ok(samples)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_shipped_row_has_a_frame_of_the_table() {
+        let table: Vec<u8> = include_str!("../teaching/frames.csv")
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').next().and_then(|n| n.parse().ok()).expect("a number"))
+            .collect();
+        let mut frames: Vec<u8> = shipped_by_frame().into_iter().map(|(frame, _)| frame).collect();
+        assert!(frames.is_sorted());
+        frames.dedup();
+        assert_eq!(frames, table);
+    }
+}
