@@ -22,13 +22,22 @@ const LUMA: [u32; 3] = [77, 150, 29];
 
 /// Grey of 16-bit samples on the scale of bytes, by the fixed rule of the colour path: `(255·v + white/2) / white`.
 fn byte(colour: [u16; 3], white: u16) -> u8 {
-    let scaled = colour.map(|v| ((255 * u32::from(v) + u32::from(white) / 2) / u32::from(white)).min(255));
-    ((scaled[0] * LUMA[0] + scaled[1] * LUMA[1] + scaled[2] * LUMA[2] + 128) >> 8) as u8
+    if white == 255 {
+        // The rule leaves bytes as they are.
+        return luma([colour[0].into(), colour[1].into(), colour[2].into()]);
+    }
+    luma(colour.map(|v| ((255 * u32::from(v) + u32::from(white) / 2) / u32::from(white)).min(255)))
+}
+
+#[inline(always)]
+fn luma([red, green, blue]: [u32; 3]) -> u8 {
+    ((red * LUMA[0] + green * LUMA[1] + blue * LUMA[2] + 128) >> 8) as u8
 }
 
 /// Grey on the scale of bytes, not rounded, for fits.
 pub fn level(colour: [u16; 3], white: u16) -> f64 {
-    let sum: f64 = colour.iter().zip(LUMA).map(|(&v, w)| f64::from(v) * f64::from(w)).sum();
+    const WEIGHTS: [f64; 3] = [LUMA[0] as f64, LUMA[1] as f64, LUMA[2] as f64];
+    let sum = f64::from(colour[0]) * WEIGHTS[0] + f64::from(colour[1]) * WEIGHTS[1] + f64::from(colour[2]) * WEIGHTS[2];
     (sum * 255.0 / 256.0 / f64::from(white)).min(255.0)
 }
 
@@ -76,7 +85,13 @@ impl Plane {
         for y in window.y..window.bottom() {
             let first = ((y - patch.window.y) * patch.window.width + window.x - patch.window.x) as usize;
             let pixels = patch.rgb[first..first + width].iter().zip(&patch.valid[first..first + width]);
-            data.extend(pixels.map(|(c, &valid)| if valid { byte(*c, patch.white) } else { 0 }));
+            if patch.white == 255 {
+                data.extend(
+                    pixels.map(|(c, &valid)| if valid { luma([c[0].into(), c[1].into(), c[2].into()]) } else { 0 }),
+                );
+            } else {
+                data.extend(pixels.map(|(c, &valid)| if valid { byte(*c, patch.white) } else { 0 }));
+            }
         }
         Plane { x: window.x, y: window.y, width, height, data }
     }

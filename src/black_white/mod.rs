@@ -8,6 +8,7 @@
 mod examine;
 pub(crate) mod fit;
 pub(crate) mod grey;
+mod kernels;
 mod response;
 
 use crate::candidate::Candidate;
@@ -115,7 +116,7 @@ impl TargetDetector {
 
     /// The measurements behind a candidate's score, with the score; `None` when nothing there can be a target.
     pub fn look(&self, region: &Region, pixels: &dyn Pixels) -> Option<(Seen, f64)> {
-        examine::look(self, region, &pixels.whole())
+        examine::look(self, region, pixels)
     }
 
     /// Levels of halving that are needed.
@@ -195,12 +196,12 @@ impl Detector for TargetDetector {
     }
 
     fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        examine::examine(self, region, &pixels.whole())
+        examine::examine(self, region, pixels)
     }
 
     /// A square of the target's side that lies as its lines do.
     fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        let (seen, _) = examine::look(self, region, &pixels.whole())?;
+        let (seen, _) = examine::look(self, region, pixels)?;
         let centre = PixelPoint { x: seen.fit.x, y: seen.fit.y };
         let (half, (sin, cos)) = (seen.side_px / 2.0, seen.fit.angles[0].sin_cos());
         let corners = [(-half, -half), (half, -half), (half, half), (-half, half)]

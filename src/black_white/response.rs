@@ -136,43 +136,78 @@ fn saddle(around: &Around<'_>, out: &mut [u8]) {
     }
 }
 
-/// The strongest response at one cell with its direction: `(response, bright, radians)`. For a cross the direction is
-/// that of an arm and `bright` says that the arms are; for a saddle it is the middle of a bright quarter.
-pub fn direction(plane: &Plane, ring: &Ring, column: usize, row: usize, motif: Motif) -> (u8, bool, f64) {
-    let at = |(dx, dy): (i32, i32)| plane.row((row as i32 + dy) as usize)[(column as i32 + dx) as usize];
-    let s = ring.offsets.map(at);
-    let angle = |k: usize| f64::from(ring.offsets[k].1).atan2(f64::from(ring.offsets[k].0));
-    let mut best = (0u8, true, 0.0);
-    match motif {
-        Motif::Cross => {
-            let middle = at((0, 0));
-            for k in 0..4 {
-                let arms = [s[k], s[k + 4], s[k + 8], s[k + 12]];
-                let between = [s[(k + 2) % 16], s[(k + 6) % 16], s[(k + 10) % 16], s[(k + 14) % 16]];
-                let min = |v: &[u8]| v.iter().copied().fold(255, u8::min);
-                let max = |v: &[u8]| v.iter().copied().fold(0, u8::max);
-                let bright = min(&arms).min(middle).saturating_sub(max(&between));
-                let dark = min(&between).saturating_sub(max(&arms).max(middle));
-                for (response, is_bright) in [(bright, true), (dark, false)] {
+/// The sixteen samples of a ring in a plane, as steps along its bytes.
+pub struct Steps<'a> {
+    plane: &'a Plane,
+    steps: [isize; 16],
+}
+
+impl<'a> Steps<'a> {
+    pub fn new(plane: &'a Plane, ring: &Ring) -> Steps<'a> {
+        let mut steps = [0; 16];
+        for (step, (dx, dy)) in steps.iter_mut().zip(ring.offsets) {
+            *step = dy as isize * plane.width as isize + dx as isize;
+        }
+        Steps { plane, steps }
+    }
+
+    /// The strongest response at a cell that is the ring's reach from the plane's edge: the response, whether the arms
+    /// (or the quarters of the sample) are bright, and the number of the sample at an arm (or the first of two about the
+    /// middle of a quarter).
+    #[inline]
+    pub fn strongest(&self, column: usize, row: usize, motif: Motif) -> (u8, bool, usize) {
+        let at = row * self.plane.width + column;
+        let mut s = [0u8; 16];
+        for (s, step) in s.iter_mut().zip(self.steps) {
+            *s = self.plane.data[at.wrapping_add_signed(step)];
+        }
+        let mut best = (0u8, true, 0);
+        match motif {
+            Motif::Cross => {
+                let middle = self.plane.data[at];
+                let (mut low, mut high) = ([0u8; 4], [0u8; 4]);
+                for k in 0..4 {
+                    low[k] = s[k].min(s[k + 4]).min(s[k + 8].min(s[k + 12]));
+                    high[k] = s[k].max(s[k + 4]).max(s[k + 8].max(s[k + 12]));
+                }
+                for k in 0..4 {
+                    let between = (k + 2) % 4;
+                    let bright = low[k].min(middle).saturating_sub(high[between]);
+                    let dark = low[between].saturating_sub(high[k].max(middle));
+                    for (response, is_bright) in [(bright, true), (dark, false)] {
+                        if response > best.0 {
+                            best = (response, is_bright, k);
+                        }
+                    }
+                }
+            }
+            Motif::Saddle => {
+                let (mut low, mut high) = ([0u8; 8], [0u8; 8]);
+                for k in 0..8 {
+                    low[k] = s[k].min(s[k + 8]);
+                    high[k] = s[k].max(s[k + 8]);
+                }
+                for k in 0..8 {
+                    let (next, across, after) = ((k + 1) % 8, (k + 4) % 8, (k + 5) % 8);
+                    let response = low[k].min(low[next]).saturating_sub(high[across].max(high[after]));
                     if response > best.0 {
-                        best = (response, is_bright, angle(k));
+                        best = (response, true, k);
                     }
                 }
             }
         }
-        Motif::Saddle => {
-            for k in 0..8 {
-                let low = s[k].min(s[k + 1]).min(s[k + 8].min(s[(k + 9) % 16]));
-                let high = s[k + 4].max(s[k + 5]).max(s[(k + 12) % 16].max(s[(k + 13) % 16]));
-                let response = low.saturating_sub(high);
-                if response > best.0 {
-                    let (a, b) = (ring.offsets[k], ring.offsets[k + 1]);
-                    best = (response, true, f64::from(a.1 + b.1).atan2(f64::from(a.0 + b.0)));
-                }
-            }
-        }
+        best
     }
-    best
+}
+
+/// The direction of an arm of a cross, or of the middle of a bright quarter of a saddle, of which [`Steps::strongest`]
+/// has the sample.
+pub fn direction(ring: &Ring, sample: usize, motif: Motif) -> f64 {
+    let (a, b) = (ring.offsets[sample], ring.offsets[sample + 1]);
+    match motif {
+        Motif::Cross => f64::from(a.1).atan2(f64::from(a.0)),
+        Motif::Saddle => f64::from(a.1 + b.1).atan2(f64::from(a.0 + b.0)),
+    }
 }
 
 #[cfg(test)]
@@ -188,7 +223,7 @@ mod tests {
         let mut out = Vec::new();
         respond(plane, ring, 10, motif, &mut out);
         let response = out[10 - ring.reach];
-        assert_eq!(response, direction(plane, ring, 10, 10, motif).0, "rows and single cells agree");
+        assert_eq!(response, Steps::new(plane, ring).strongest(10, 10, motif).0, "rows and single cells agree");
         response
     }
 

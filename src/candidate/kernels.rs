@@ -309,7 +309,7 @@ pub fn values(model: &Model, samples: &Samples, left: &mut Vec<f64>, values: &mu
 
 /// The widest instructions that the kernels have a twin for.
 #[cfg(target_arch = "x86_64")]
-enum Vectors {
+pub(crate) enum Vectors {
     None,
     Avx2,
     Avx512,
@@ -317,7 +317,7 @@ enum Vectors {
 
 #[cfg(target_arch = "x86_64")]
 impl Vectors {
-    fn of_machine() -> Vectors {
+    pub(crate) fn of_machine() -> Vectors {
         if autoref_raster::simd::Kernels::wanted() == autoref_raster::simd::Kernels::Scalar {
             Vectors::None
         } else if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
