@@ -227,6 +227,13 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
             100.0 * share
         );
         (Reason::Hidden, what)
+    } else if contrast >= LEAST_CONTRAST && paint.is_none() {
+        // Targets that are found by their shape have no paint to be faint.
+        let what = format!(
+            "something stands out there by {contrast:.1} deviations of the ground, but no whole target: covered in part, \
+             cut, or of another shape"
+        );
+        (Reason::Hidden, what)
     } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
         (
             Reason::Faint,
@@ -273,4 +280,29 @@ fn hues_apart(colour: &Vector3<f64>, paint: [u8; 3]) -> f64 {
 fn hex(colour: &Vector3<f64>) -> String {
     let [r, g, b] = [0, 1, 2].map(|c| colour[c].round().clamp(0.0, 255.0) as u8);
     format!("#{r:02X}{g:02X}{b:02X}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A white plate on grey ground, 10 px wide.
+    fn plate(paint: Option<[u8; 3]>) -> NotFound {
+        let window = Window::new(0, 0, 60, 60);
+        let far = |i: u64| (i as f64 + 0.5 - 30.0).abs();
+        let level = |i: u64| if far(i % 60).max(far(i / 60)) < 5.0 { 200 } else { 100 };
+        let rgb = (0..3600).map(|i| [level(i); 3]).collect();
+        let patch = Patch { window, rgb, valid: vec![true; 3600], white: 255 };
+        look("7".into(), PixelPoint { x: 30.0, y: 30.0 }, &patch, 10.0, paint)
+    }
+
+    /// A plate that stands out plainly and was no target by its shape was said to be faint.
+    #[test]
+    fn what_has_no_paint_and_stands_out_is_not_faint() {
+        let seen = plate(None);
+        assert_eq!(seen.reason, Reason::Hidden, "{seen:?}");
+        assert!(seen.detail.contains("no whole target"), "{seen:?}");
+        // White paint of which half is there stays faint.
+        assert_eq!(plate(Some([255; 3])).reason, Reason::Faint);
+    }
 }
