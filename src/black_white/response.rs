@@ -152,8 +152,8 @@ impl<'a> Steps<'a> {
     }
 
     /// The strongest response at a cell that is the ring's reach from the plane's edge: the response, whether the arms
-    /// (or the quarters of the sample) are bright, and the number of the sample at an arm (or the first of two about the
-    /// middle of a quarter).
+    /// (or the quarters of the sample) are bright, and the number of the sample at an arm (or the first of two about
+    /// the middle of a quarter).
     #[inline]
     pub fn strongest(&self, column: usize, row: usize, motif: Motif) -> (u8, bool, usize) {
         let at = row * self.plane.width + column;

@@ -1,9 +1,10 @@
 //! A block completed: parts that a mapper left apart are joined, frames that it left out are resected by their ties.
 //!
-//! A mapper that grows frame by frame ends where a frame sees too few points that are known already, as at the turn of a
-//! flight, and begins another part there. Parts share frames, which say how one lies in the other. A frame by itself is
-//! placed by the ties that lead to known points: poses of three points (Grunert) drawn many times, the one that most
-//! ties agree with (Fischler and Bolles, *Random sample consensus*, 1981), refined; then all is adjusted together.
+//! A mapper that grows frame by frame ends where a frame sees too few points that are known already, as at the turn of
+//! a flight, and begins another part there. Parts share frames, which say how one lies in the other. A frame by itself
+//! is placed by the ties that lead to known points: poses of three points (Grunert) drawn many times, the one that
+//! most ties agree with (Fischler and Bolles, *Random sample consensus*, 1981), refined; then all is adjusted
+//! together.
 
 use std::collections::HashMap;
 
@@ -113,8 +114,8 @@ fn see(tie: &mut TiePoint, seen: &[(usize, [f64; 2])]) {
     }
 }
 
-/// The block with those of `names` that it lacks and `tracks`, whose frames go by `names`, can place. A block of several
-/// cameras stays as it is.
+/// The block with those of `names` that it lacks and `tracks`, whose frames go by `names`, can place. A block of
+/// several cameras stays as it is.
 ///
 /// # Errors
 /// When a number is not finite.

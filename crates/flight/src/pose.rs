@@ -19,8 +19,8 @@ pub struct YawPitchRoll {
     pub roll_deg: f64,
 }
 
-/// The rotation vector δ, radians, with `rotation` = exp(δ) `from`. By way of a quaternion: of a matrix that rounding has
-/// made a hair larger than the identity there is no angle.
+/// The rotation vector δ, radians, with `rotation` = exp(δ) `from`. By way of a quaternion: of a matrix that rounding
+/// has made a hair larger than the identity there is no angle.
 pub fn turn(rotation: &Matrix3<f64>, from: &Matrix3<f64>) -> Vector3<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation * from.transpose())).scaled_axis()
 }

@@ -1,7 +1,7 @@
 //! Cells that are coarser than a source's: means under a kernel as wide as they are.
 //!
-//! Samples taken between cells that are much finer alias. As in GDAL's warper, the kernel is drawn out by the ratio of the
-//! cells: a triangle for bilinear, Keys's cubic for the others, over what is there.
+//! Samples taken between cells that are much finer alias. As in GDAL's warper, the kernel is drawn out by the ratio of
+//! the cells: a triangle for bilinear, Keys's cubic for the others, over what is there.
 
 use crate::grid::Grid;
 use crate::resample::{Interpolation, keys};
@@ -59,8 +59,8 @@ fn reaches(
     (first..first + count).map(reach).collect()
 }
 
-/// The cells of `window` of the mosaic from the cells of `part` of the source; NaN where the cell that the centre lies in
-/// holds nothing.
+/// The cells of `window` of the mosaic from the cells of `part` of the source; NaN where the cell that the centre lies
+/// in holds nothing.
 pub(super) fn means(
     values: &[f64],
     part: Window,

@@ -8,9 +8,9 @@
 //! *Robust inference with multiway clustering*, 2011, who add and subtract several ways of clustering where the largest
 //! is taken here). No deviation gets smaller by it.
 //!
-//! What a too simple lens model bends shows in residuals only in part, since the other unknowns give way. Where the ties
-//! would fit better, beyond all chance, with those of Brown's terms free that are held, the way that an unknown would go
-//! counts as one more deviation (the difference of two estimators, on which J. A. Hausman's test is built:
+//! What a too simple lens model bends shows in residuals only in part, since the other unknowns give way. Where the
+//! ties would fit better, beyond all chance, with those of Brown's terms free that are held, the way that an unknown
+//! would go counts as one more deviation (the difference of two estimators, on which J. A. Hausman's test is built:
 //! *Specification tests in econometrics*, 1978).
 
 use nalgebra::{DVector, Matrix3, SMatrix, SVector};
