@@ -83,6 +83,35 @@ fn scaled_heights_are_heights() {
     assert!((found.mean_m.expect("cells") - 2.0).abs() < 1e-3, "{:?}", found.mean_m);
 }
 
+/// The mean of a model over coarser cells differs from the model by nothing, whatever the ratio of the cells.
+#[test]
+fn finer_cells_are_compared_as_means_of_any_ratio() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rough = |x: usize, y: usize| ((x * 7919 + y * 104_729 + x * y * 31) % 211) as f64;
+    let fine = (0..SIDE * SIDE).map(|i| rough(i % SIDE, i / SIDE) as f32).collect();
+    let a = model(&folder.path().join("a.tif"), "EPSG:32633", fine, -10.0);
+    for ratio in [1.5, 2.5, 3.0] {
+        let side = (SIDE as f64 / ratio) as usize;
+        let share = |k: usize, cell: usize| {
+            let (low, high) = (k as f64 * ratio, (k + 1) as f64 * ratio);
+            (high.min(cell as f64 + 1.0) - low.max(cell as f64)).max(0.0) / ratio
+        };
+        let under = |k: usize| (k as f64 * ratio) as usize..((k + 1) as f64 * ratio).ceil() as usize;
+        let mean = |x: usize, y: usize| -> f64 {
+            let row = |r: usize| under(x).map(|c| share(x, c) * rough(c, r)).sum::<f64>();
+            under(y).map(|r| share(y, r) * row(r)).sum()
+        };
+        let b = folder.path().join("b.tif");
+        let step = 10.0 * ratio;
+        let set = create::<f32>(&b, (side, side), 1, "EPSG:32633", [500_000.0, step, 0.0, 8_700_000.0, 0.0, -step]);
+        put(&set, 1, (0..side * side).map(|i| mean(i % side, i / side) as f32).collect());
+        drop(set);
+        let found = compare(&a, &b, None, &folder.path().join(format!("c{ratio}")));
+        let sd = found.sd_m.expect("cells");
+        assert!(sd < 1e-4 && found.mean_m.is_some_and(|m| m.abs() < 1e-4), "{ratio}: {sd}");
+    }
+}
+
 #[test]
 fn heights_of_a_resampled_model_are_in_the_unit_that_is_written() {
     let folder = tempfile::tempdir().expect("a folder");

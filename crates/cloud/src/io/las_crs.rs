@@ -2,6 +2,7 @@
 
 use autoref_raster::crs::Crs;
 
+use super::geokeys;
 use super::las_header::{LasHeader, Vlr, text_of, u16_at};
 
 /// The records that WKT stands in; liblas wrote a second one.
@@ -17,14 +18,33 @@ impl LasHeader {
         let wkt = wkt.filter(|text| text.contains(|letter: char| letter.is_ascii_alphanumeric()));
         wkt.or_else(|| {
             let code = |id: u16| self.key(id).filter(|&value| value > 1000 && value < 32_767);
-            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey. Below a projection that the keys spell out
-            // (GTModelTypeGeoKey 1, code 32767) the geographic system is not that of the coordinates.
-            let is_projected = self.key(1024) == Some(1) || self.key(3072).is_some();
-            let flat = format!("EPSG:{}", code(3072).or_else(|| code(2048).filter(|_| !is_projected))?);
+            // ProjectedCSTypeGeoKey, else GeographicTypeGeoKey, which is the system of the coordinates only where no
+            // projection is meant, nor coordinates from the Earth's centre (GTModelTypeGeoKey 2, or none).
+            let is_geographic = self.key(1024).is_none_or(|model| model == 2) && self.key(3072).is_none();
+            let flat = code(3072).filter(|code| self.counts_in_unit_of(*code));
+            let Some(flat) = flat.or_else(|| code(2048).filter(|_| is_geographic)) else {
+                let wkt = geokeys::wkt(KEYS.map(|id| self.vlr("LASF_Projection", id).map(|vlr| &vlr.content[..])))?;
+                // Below a projection that cannot be made out nothing is known of the coordinates.
+                let fits = |crs: Crs| is_geographic || !crs.is_geographic();
+                return Crs::parse(&wkt).is_ok_and(fits).then_some(wkt);
+            };
+            let flat = format!("EPSG:{flat}");
             // VerticalCSTypeGeoKey, in which old files have codes of other things.
             let both = code(4096).map(|vertical| format!("{flat}+{vertical}"));
             Some(both.filter(|both| Crs::parse(both).is_ok()).unwrap_or(flat))
         })
+    }
+
+    /// Whether ProjLinearUnitsGeoKey, where it is there, names the unit of the projected system: a system in metres
+    /// may be meant in feet.
+    fn counts_in_unit_of(&self, code: u16) -> bool {
+        let stated_m = match self.key(3076) {
+            Some(9001) => 1.0,
+            Some(9002) => 0.3048,
+            Some(9003) => 1200.0 / 3937.0,
+            Some(_) | None => return true,
+        };
+        Crs::parse(&format!("EPSG:{code}")).map_or(true, |crs| (crs.metres_per_unit() / stated_m - 1.0).abs() < 1e-9)
     }
 
     /// The unit of heights as bands of rasters name it: what VerticalUnitsGeoKey says, which no WKT contradicts.

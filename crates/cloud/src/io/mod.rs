@@ -4,6 +4,7 @@ mod copc;
 mod e57;
 mod e57_packets;
 mod e57_schema;
+mod geokeys;
 mod las;
 mod las_crs;
 mod las_fields;

@@ -105,6 +105,12 @@ fn names_all_axes(row: &[&str]) -> bool {
     AXES.iter().all(|axis| row.iter().any(|word| axis.contains(&word.to_ascii_lowercase().as_str())))
 }
 
+/// Whether the words name longitude and latitude, or easting and northing: the columns of another kind of table.
+fn names_places(row: &[&str]) -> bool {
+    let starts = |start: &str| row.iter().any(|word| word.to_ascii_lowercase().starts_with(start));
+    (starts("lon") && starts("lat")) || (starts("east") && starts("north"))
+}
+
 /// Reads the next line into `bytes`; `false` at the end of the file.
 fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64, bytes: &mut Vec<u8>) -> Result<bool> {
     bytes.clear();
@@ -192,6 +198,8 @@ fn first_row(
     bytes: &mut Vec<u8>,
 ) -> Result<(Option<Head>, usize)> {
     let mut head: Option<Head> = None;
+    // Columns that a remark names, none of them x, y and z.
+    let mut others: Vec<String> = Vec::new();
     loop {
         let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, *line);
         let Some(text) = next_line(path, file, line, bytes)? else {
@@ -199,8 +207,13 @@ fn first_row(
             return Ok((head, columns));
         };
         let row = match remark(text) {
-            // Other remarks say nothing of the table.
-            Some(rest) if head.is_some() || !names_all_axes(&words(rest)) => continue,
+            // Other remarks say nothing of the table, but for what the columns are if not x, y and z.
+            Some(rest) if head.is_some() || !names_all_axes(&words(rest)) => {
+                if names_places(&words(rest)) {
+                    others = words(rest).into_iter().map(str::to_string).collect();
+                }
+                continue;
+            }
             Some(rest) => words(rest),
             None => words(text),
         };
@@ -210,6 +223,10 @@ fn first_row(
                 continue;
             }
             let columns = row.len();
+            if head.is_none() && others.len() == columns {
+                let what = format!("no columns X, Y and Z among {}", others.join(", "));
+                return Err(Error::format(path, "head", what));
+            }
             file.seek(std::io::SeekFrom::Start(before.0)).map_err(|e| Error::io(path, "seek", e))?;
             *line = before.1;
             return Ok((head, columns));
@@ -314,6 +331,22 @@ mod tests {
                 prop_assert_eq!(plain, full);
             }
         }
+    }
+
+    /// A head in a remark that names other columns than x, y and z is no reason to take the first three.
+    #[test]
+    fn columns_of_another_table_are_not_taken_for_coordinates() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lvis.txt");
+        let rows = "1654935003 145 42504.0 311.2 69.4 1500.3\n1654935003 146 42504.1 311.3 69.4 1501.3\n";
+        let error = |head: &str| {
+            std::fs::write(&path, format!("# exported 2009\n{head}\n{rows}")).expect("a file");
+            open(&path).map(|(header, _)| header.schema).err().map(|error| error.to_string())
+        };
+        let refused = error("# LFID SHOT TIME LONGITUDE_CENTROID LATITUDE_CENTROID ELEVATION_CENTROID");
+        assert!(refused.is_some_and(|what| what.contains("LATITUDE_CENTROID")));
+        assert_eq!(error("# six columns: height and latitude unknown"), None);
+        assert_eq!(error("# points of a scanner that stood here"), None);
     }
 
     #[test]

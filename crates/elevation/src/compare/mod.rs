@@ -24,18 +24,18 @@ use serde::Serialize;
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
-use crate::grid::{Grid, GroundUnit};
+use crate::grid::GroundUnit;
 use crate::kept::Room;
 use crate::output::{self, Cut, Form};
-use crate::resample::{Interpolation, Resampled};
-use crate::source::{Heights, Means as Averaged};
+use crate::resample::Interpolation;
+use crate::source::Heights;
 use crate::stream::{self, Means};
 
 use extent::Extent;
 use groups::Groups;
 use moments::Moments;
 use observed::{Observed, Record, Recorder};
-use scan::{Buffers, Cell, Scan};
+use scan::{Buffers, Cell, OnGrid, Scan};
 use select::{Distribution, Pass, Question};
 use tables::write_tables;
 
@@ -222,14 +222,11 @@ impl CompareJob<'_> {
         if couple.a.grid().overlap(&grid).is_none() {
             return Err(nothing());
         }
-        let cell = |g: &Grid| (g.step_x * g.step_y).abs();
-        let ratio = (cell(&grid) / cell(&couple.a.grid())).sqrt().round().max(1.0) as u64;
         let room = Room { held_cells: self.resources.held_cells(), scratch: Some(folder) };
-        let averaged = Averaged::new(&couple.a as &dyn Heights, ratio);
         let mut scan = Scan {
             grid,
             unit: couple.b.ground_unit(),
-            a: Resampled::new(&averaged, grid, (0.0, 0.0), self.resampling),
+            a: OnGrid::new(&couple.a, grid, self.resampling),
             b: &couple.b,
             zones: zones.as_ref(),
             slope_limits: self.slope_limits,

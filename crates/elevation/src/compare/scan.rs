@@ -1,9 +1,10 @@
 //! Both models, cell by cell on B's grid.
 
 use crate::error::Result;
+use crate::footprint::{self, Footprints};
 use crate::grid::{Grid, GroundUnit};
-use crate::resample::{Resampled, Scratch};
-use crate::source::{Heights, Means as Averaged, Patch};
+use crate::resample::{Interpolation, Resampled, Scratch};
+use crate::source::{Heights, Patch};
 use crate::window::Window;
 use crate::zones::{RowSets, Zones};
 
@@ -27,11 +28,40 @@ pub(super) struct Facing {
     pub(super) aspect: u16,
 }
 
+/// A on B's grid.
+pub(super) enum OnGrid<'a> {
+    Between(Resampled<'a, dyn Heights + 'a>),
+    /// Cells finer than B's, as means over each of B's cells: between samples of them, the ground that is rougher than
+    /// B's cells would count as a difference, with one sign on ridges and the other in valleys.
+    Under(Footprints<'a, dyn Heights + 'a>),
+}
+
+impl<'a> OnGrid<'a> {
+    /// Cells of B so many times as long as A's are means of these.
+    const FINER: f64 = 1.05;
+
+    pub(super) fn new(a: &'a dyn Heights, grid: Grid, resampling: Interpolation) -> OnGrid<'a> {
+        let cell = |g: &Grid| (g.step_x * g.step_y).abs();
+        if (cell(&grid) / cell(&a.grid())).sqrt() > Self::FINER {
+            OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)))
+        } else {
+            OnGrid::Between(Resampled::new(a, grid, (0.0, 0.0), resampling))
+        }
+    }
+
+    fn read(&self, patch: Patch, buffers: &mut Buffers) -> Result<()> {
+        match self {
+            OnGrid::Between(a) => a.read_with(patch, &mut buffers.scratch, &mut buffers.a),
+            OnGrid::Under(a) => a.read_with(patch, &mut buffers.under, &mut buffers.a),
+        }
+    }
+}
+
 /// Both models on B's grid.
 pub(super) struct Scan<'a> {
     pub(super) grid: Grid,
     pub(super) unit: GroundUnit,
-    pub(super) a: Resampled<'a, Averaged<'a, dyn Heights + 'a>>,
+    pub(super) a: OnGrid<'a>,
     pub(super) b: &'a dyn Heights,
     pub(super) zones: Option<&'a Zones>,
     /// Lower limits of the slope classes, per cent.
@@ -43,6 +73,7 @@ pub(super) struct Scan<'a> {
 #[derive(Default)]
 pub(super) struct Buffers {
     pub(super) scratch: Scratch,
+    pub(super) under: footprint::Buffers,
     pub(super) a: Vec<f64>,
     pub(super) b: Vec<f64>,
     pub(super) zones: RowSets,
@@ -56,7 +87,7 @@ impl Scan<'_> {
     pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell<'_>)) -> Result<()> {
         let (width, height) = (window.width as usize, window.height as usize);
         let (x, y) = (window.x as i64, window.y as i64);
-        self.a.read_with(Patch { x, y, width, height }, &mut buffers.scratch, &mut buffers.a)?;
+        self.a.read(Patch { x, y, width, height }, buffers)?;
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
         buffers.zones.clear(width);
