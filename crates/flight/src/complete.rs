@@ -123,6 +123,10 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
     if block.cameras.len() != 1 {
         return Ok(block);
     }
+    let mut of_frame: Vec<Vec<&Track>> = vec![Vec::new(); names.len()];
+    for track in tracks {
+        track.iter().for_each(|(frame, _)| of_frame[*frame].push(track));
+    }
     let mut hopeless = vec![false; names.len()];
     loop {
         let index: Vec<Option<usize>> = names.iter().map(|name| block.find(name)).collect();
@@ -133,7 +137,7 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
             if hopeless[frame] {
                 continue;
             }
-            let seen = known_points(frame, tracks, &index, &known, &before);
+            let seen = known_points(frame, &of_frame[frame], &index, &known, &before);
             if let Some(pose) = drawn_pose(&before, &seen) {
                 block.photographs.push(Photograph { name: names[frame].to_string(), camera: 0, pose });
                 added.push(frame);
@@ -159,12 +163,12 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
 /// Points of the block that ties lead to from a frame: pixel and place.
 fn known_points(
     frame: usize,
-    tracks: &[Track],
+    tracks: &[&Track],
     index: &[Option<usize>],
     known: &HashMap<Place, usize>,
     block: &Reconstruction,
 ) -> Vec<([f64; 2], Vector3<f64>)> {
-    let of = |track: &Track| {
+    let of = |track: &&Track| {
         let pixel = track.iter().find(|(f, _)| *f == frame)?.1;
         let tie = track.iter().find_map(|(f, at)| known.get(&place(index[*f]?, *at)))?;
         Some((pixel, block.ties[*tie].xyz))

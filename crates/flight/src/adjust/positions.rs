@@ -11,6 +11,8 @@ use crate::read::Reconstruction;
 const FAR: f64 = 5.0;
 /// Share of the positions that may be wrong, and one at least; where more seem to be, the block is in doubt.
 const MOST: f64 = 0.2;
+/// Positions that are sought one after another, an adjustment each; notes name further ones that are far off.
+const MOST_ROUNDS: usize = 20;
 
 /// A position that the others contradict.
 #[derive(Clone, Debug)]
@@ -33,7 +35,7 @@ pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction) -> Result<Vec
     let mut out: Vec<Wrong> = Vec::new();
     loop {
         solve(problem, &solving)?;
-        let Some(wrong) = worst(problem) else { break };
+        let Some(wrong) = worst(problem).filter(|_| out.len() < MOST_ROUNDS) else { break };
         problem.frames[wrong.frame].position = None;
         out.push(wrong);
         if out.len() > most {
