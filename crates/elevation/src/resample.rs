@@ -18,7 +18,7 @@ pub enum Interpolation {
 }
 
 /// Keys's kernel with a = −1/2, at a distance in cells.
-pub fn keys(distance: f64) -> f64 {
+pub(crate) fn keys(distance: f64) -> f64 {
     let t = distance.abs();
     match t {
         t if t < 1.0 => 1.5 * t * t * t - 2.5 * t * t + 1.0,

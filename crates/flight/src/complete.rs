@@ -25,6 +25,8 @@ use crate::start::Track;
 /// between shared frames.
 const SAME_DEG: f64 = 5.0;
 const SAME_SHARE: f64 = 0.15;
+/// Share by which their focal lengths may.
+const SAME_FOCAL: f64 = 0.1;
 /// Known points that a frame must see where its pose has them, to be placed; what is left after the adjustment.
 const LEAST_SEEN: usize = 20;
 const LEAST_KEPT: usize = 12;
@@ -42,23 +44,36 @@ fn place(photograph: usize, pixel: [f64; 2]) -> Place {
     (photograph, x, y)
 }
 
+/// A photograph by its whole name: others may differ in their extension only.
+fn find(block: &Reconstruction, name: &str) -> Option<usize> {
+    block.photographs.iter().position(|p| p.name == name)
+}
+
 /// The ties' places.
 fn places_of(block: &Reconstruction) -> HashMap<Place, usize> {
     let of = |(k, tie): (usize, &TiePoint)| tie.seen.iter().map(move |(i, at)| (place(*i, *at), k)).collect::<Vec<_>>();
     block.ties.iter().enumerate().flat_map(of).collect()
 }
 
-/// The largest part with all that share two frames with it, or with what is joined already.
+/// The largest part with all that share two frames with it, or with what is joined already, adjusted together.
 pub fn joined(mut parts: Vec<Reconstruction>) -> Option<Reconstruction> {
     // The first of equals stays the first.
     parts.sort_by_key(|part| std::cmp::Reverse(part.photographs.len()));
     let mut rest = parts.into_iter();
     let mut block = rest.next()?;
     let mut rest: Vec<Reconstruction> = rest.collect();
+    let alone = block.photographs.len();
     while let Some((k, by)) = rest.iter().enumerate().find_map(|(k, part)| Some((k, lies_in(&block, part)?))) {
         let part = rest.remove(k);
-        if part.photographs.iter().any(|p| block.find(&p.name).is_none()) {
+        if part.photographs.iter().any(|p| find(&block, &p.name).is_none()) {
             merge(&mut block, &part, &by);
+        }
+    }
+    if block.photographs.len() > alone {
+        // What cannot be adjusted stays as it was joined.
+        let before = block.clone();
+        if adjust(&mut block).is_err() {
+            block = before;
         }
     }
     Some(block)
@@ -66,13 +81,14 @@ pub fn joined(mut parts: Vec<Reconstruction>) -> Option<Reconstruction> {
 
 /// How a part lies in a block, by the frames that both have; `None` where these are fewer than two, or contradict.
 fn lies_in(block: &Reconstruction, part: &Reconstruction) -> Option<Similarity> {
-    if block.cameras.len() != 1 || part.cameras.len() != 1 {
+    let ([own], [other]) = (&block.cameras[..], &part.cameras[..]) else { return None };
+    if (other.f_px() / own.f_px() - 1.0).abs() > SAME_FOCAL {
         return None;
     }
     let shared: Vec<(&Pose, &Pose)> = part
         .photographs
         .iter()
-        .filter_map(|p| Some((&p.pose, &block.photographs[block.find(&p.name)?].pose)))
+        .filter_map(|p| Some((&p.pose, &block.photographs[find(block, &p.name)?].pose)))
         .collect();
     let by = if shared.len() >= 2 { by_poses(&shared)? } else { return None };
     let extent = shared.iter().map(|(_, b)| (b.centre - shared[0].1.centre).norm()).fold(0.0, f64::max);
@@ -89,7 +105,7 @@ fn merge(block: &mut Reconstruction, part: &Reconstruction, by: &Similarity) {
         .photographs
         .iter()
         .map(|p| {
-            block.find(&p.name).unwrap_or_else(|| {
+            find(block, &p.name).unwrap_or_else(|| {
                 block.photographs.push(Photograph { name: p.name.clone(), camera: 0, pose: p.pose.moved(by) });
                 block.photographs.len() - 1
             })
@@ -129,7 +145,7 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
     }
     let mut hopeless = vec![false; names.len()];
     loop {
-        let index: Vec<Option<usize>> = names.iter().map(|name| block.find(name)).collect();
+        let index: Vec<Option<usize>> = names.iter().map(|name| find(&block, name)).collect();
         let known = places_of(&block);
         let before = block.clone();
         let mut added = Vec::new();
@@ -146,15 +162,16 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
         if added.is_empty() {
             return Ok(block);
         }
-        let index: Vec<Option<usize>> = names.iter().map(|name| block.find(name)).collect();
+        let index: Vec<Option<usize>> = names.iter().map(|name| find(&block, name)).collect();
         tie(&mut block, &added, &index, tracks, &known);
         adjust(&mut block)?;
         let first = before.photographs.len();
         let mut ties = vec![0; block.photographs.len()];
         block.ties.iter().flat_map(|t| &t.seen).for_each(|(i, _)| ties[*i] += 1);
         if (first..ties.len()).any(|i| ties[i] < LEAST_KEPT) {
-            // One that does not hold may have bent the others: once more without it.
-            added.iter().zip(&ties[first..]).for_each(|(frame, ties)| hopeless[*frame] |= *ties < LEAST_KEPT);
+            // The one that holds least may have bent the others: once more without it.
+            let least = added.iter().zip(&ties[first..]).min_by_key(|(_, ties)| **ties);
+            least.into_iter().for_each(|(frame, _)| hopeless[*frame] = true);
             block = before;
         }
     }

@@ -115,7 +115,7 @@ impl Source {
     pub(super) fn part(&self, mosaic: &Grid, window: Window) -> Option<Window> {
         let along = |first: u64, count: u64, from: (f64, f64), own: (f64, f64), size: u64| {
             // Cells that meet cells need no others, whose blocks would be decoded for nothing.
-            let neighbours = if self.on_grid { -SNAP_PX } else { 3.0 * (from.1 / own.1).max(1.0) };
+            let neighbours = if self.on_grid { -SNAP_PX } else { 2.0 * (from.1 / own.1).max(1.0) + 1.0 };
             let a = (from.0 + first as f64 * from.1 - own.0) / own.1 - neighbours;
             let b = (from.0 + (first + count) as f64 * from.1 - own.0) / own.1 + neighbours;
             let low = a.floor().clamp(0.0, size as f64) as u64;

@@ -100,9 +100,9 @@ pub(super) fn missing_terms(problem: &Problem, deviations: &Deviations) -> Optio
         _ => format!("{:+.2e}", missing.by),
     };
     Some(format!(
-        "the lens has more terms than {of} say: with {} free too the ties would fit better than chance explains, and {} \
+        "the lens has more terms than {of} say: with {} free the ties would fit better than chance explains, and {} \
          would change by {by}, which its deviation counts in; let them free (--free, or free under [adjust])",
-        missing.terms.map(Parameter::name).join(", "),
+        missing.terms.iter().map(|p| p.name()).collect::<Vec<_>>().join(", "),
         missing.parameter.name(),
     ))
 }

@@ -16,18 +16,19 @@
 use nalgebra::{DVector, Matrix3, SMatrix, SVector};
 
 use super::normal::{Curvature, Factored, linear};
-use super::other_lens::{BROWN, OtherLens};
+use super::other_lens::OtherLens;
 use super::{Loss, Problem};
 use crate::camera::Parameter;
 
 /// What a lens with more terms would change.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct MissingTerms {
     pub camera: usize,
     pub parameter: Parameter,
     /// Units of the parameter.
     pub by: f64,
-    pub terms: [Parameter; 5],
+    /// Held terms with which the ties would fit better.
+    pub terms: Vec<Parameter>,
 }
 
 /// Cells along a side of the image, and of the ground, that make a cluster.
@@ -47,7 +48,7 @@ impl Deviations {
     /// Of the solution; the first `ties` points are ties.
     pub fn new(problem: &Problem, factored: Factored, loss: Loss, ties: usize) -> Deviations {
         let places = Cells::of(problem.observations.iter().filter(|o| o.point < ties).map(|o| o.pixel));
-        let ground = Cells::of(problem.points[..ties].iter().map(|p| [p.xyz.x, p.xyz.y]));
+        let ground = Cells::of_most(problem.points[..ties].iter().map(|p| [p.xyz.x, p.xyz.y]).collect());
         let share = problem.frames.len().div_ceil(MOST_FRAMES).max(1);
         let groups = [CELLS * CELLS, problem.frames.len().div_ceil(share), CELLS * CELLS];
         let mut sums: Vec<Vec<Option<DVector<f64>>>> = groups.iter().map(|n| vec![None; *n]).collect();
@@ -77,7 +78,7 @@ impl Deviations {
             self.factored.interior(camera).into_iter().enumerate().map(move |(i, (parameter, sigma))| {
                 let deviation = self.variance(|pull| pull[at + i]).sqrt().max(sigma);
                 let by = other.interior(camera, parameter);
-                (by.abs() / deviation, MissingTerms { camera, parameter, by, terms: BROWN })
+                (by.abs() / deviation, MissingTerms { camera, parameter, by, terms: other.terms.clone() })
             })
         };
         let all = (0..self.factored.layout.active.len()).flat_map(of);
@@ -145,6 +146,18 @@ impl Cells {
             low: std::array::from_fn(|a| box_.low[a].min(at[a])),
             high: std::array::from_fn(|a| box_.high[a].max(at[a])),
         })
+    }
+
+    /// Over all but a fiftieth at each side: ties near the horizon, and those that are hardly determined, lie far off.
+    fn of_most(places: Vec<[f64; 2]>) -> Cells {
+        let side = |a: usize| {
+            let mut all: Vec<f64> = places.iter().map(|p| p[a]).collect();
+            all.sort_unstable_by(f64::total_cmp);
+            let at = |part: usize| all.get(all.len().saturating_sub(1) * part / 50).copied().unwrap_or(0.0);
+            [at(1), at(49)]
+        };
+        let [x, y] = [side(0), side(1)];
+        Cells { low: [x[0], y[0]], high: [x[1], y[1]] }
     }
 
     fn cell(&self, at: [f64; 2]) -> usize {

@@ -7,7 +7,7 @@ use super::{Loss, Problem, Treatment};
 use crate::camera::Parameter;
 
 /// Terms of the lens that may be missing.
-pub(super) const BROWN: [Parameter; 5] = [Parameter::K1, Parameter::K2, Parameter::K3, Parameter::P1, Parameter::P2];
+const BROWN: [Parameter; 5] = [Parameter::K1, Parameter::K2, Parameter::K3, Parameter::P1, Parameter::P2];
 
 /// By how much χ² must fall for a lens to be not as its model. Five free terms take off 5 by chance, and 40 in one of
 /// 10⁷ blocks.
@@ -17,6 +17,8 @@ const BEYOND_CHANCE: f64 = 40.0;
 pub(super) struct OtherLens {
     layout: Layout,
     step: Step,
+    /// What was held before.
+    pub terms: Vec<Parameter>,
 }
 
 impl OtherLens {
@@ -24,10 +26,12 @@ impl OtherLens {
     /// than by chance.
     pub fn of(problem: &Problem, loss: Loss) -> Option<OtherLens> {
         let mut other = problem.clone();
+        let mut terms = Vec::new();
         for camera in &mut other.cameras {
             for p in BROWN {
                 if camera.treatment[p as usize] == Treatment::Held {
                     camera.treatment[p as usize] = Treatment::Free;
+                    terms.push(p);
                 }
             }
             if camera.active().len() > MOST_INTERIOR {
@@ -35,8 +39,12 @@ impl OtherLens {
             }
         }
         let layout = Layout::new(&other);
+        // Terms that only rounding determines would go anywhere.
+        Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).factored(Layout::new(&other))?;
         let step = Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).step()?;
-        (2.0 * step.gain > BEYOND_CHANCE).then_some(OtherLens { layout, step })
+        terms.sort_unstable();
+        terms.dedup();
+        (2.0 * step.gain > BEYOND_CHANCE).then_some(OtherLens { layout, step, terms })
     }
 
     /// Of a frame's turn and centre.

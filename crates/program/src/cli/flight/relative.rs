@@ -361,25 +361,28 @@ impl<'a> Flight<'a> {
             ];
             self.engine.run(&self.out.join("mapper.log"), &a, "mapper")
         })?;
-        let parts: Vec<Reconstruction> = colmap::model_folders(&sparse)
-            .iter()
-            .map(|part| colmap::read(part).context("COLMAP's model"))
-            .collect::<Result<_>>()?;
+        let folders = colmap::model_folders(&sparse);
+        let (largest, others) = folders.split_first().ok_or_else(no_pair)?;
+        let mut parts = vec![colmap::read(largest).context("COLMAP's model")?];
+        // A part that cannot be read takes nothing from the others.
+        parts.extend(others.iter().filter_map(|part| colmap::read(part).ok()));
         let grown = parts.iter().map(|part| part.photographs.len()).max().unwrap_or(0);
         let mut block = complete::joined(parts).ok_or_else(no_pair)?;
-        if block.photographs.len() < self.ordered.len() {
+        let joined = block.photographs.len();
+        if joined < self.ordered.len() {
             let tracks = Ties::of_plain_frames(matches, &self.ordered)?.tracks();
-            block = complete::completed(block, &self.ordered, &tracks)?;
+            block = complete::completed(block.clone(), &self.ordered, &tracks).unwrap_or(block);
         }
-        let late: Vec<String> = block.photographs.iter().skip(grown).map(|p| p.name.clone()).collect();
-        if !late.is_empty() {
-            block.notes.push(format!(
-                "COLMAP's mapper left {} of {} frames out of its block; their ties placed them: {}",
-                late.len(),
-                block.photographs.len(),
-                some_of(&late)
-            ));
-        }
+        let names = |from: usize, to: usize| -> Vec<String> {
+            block.photographs[from..to].iter().map(|p| p.name.clone()).collect()
+        };
+        let said = [
+            (names(grown, joined), "joined from a part that COLMAP's mapper left apart"),
+            (names(joined, block.photographs.len()), "placed by their ties, after COLMAP's mapper had left them out"),
+        ];
+        let said = said.into_iter().filter(|(names, _)| !names.is_empty());
+        let said: Vec<String> = said.map(|(names, what)| format!("{}: {what}", some_of(&names))).collect();
+        block.notes.extend(said);
         Ok(block)
     }
 
