@@ -28,8 +28,8 @@ struct Wrong {
 }
 
 /// Adjusts, takes the position out that the others contradict most, and adjusts again, until none is left; notes name
-/// them. Where more than a fifth or more than [`MOST_ROUNDS`] seem to be wrong, and where fewer than [`LEAST`] are there,
-/// all stay.
+/// them. Where more than a fifth or more than [`MOST_ROUNDS`] seem to be wrong, and where fewer than [`LEAST`] are
+/// there, all stay.
 ///
 /// # Errors
 /// Those of [`solve`].
