@@ -14,7 +14,8 @@ use nalgebra::Vector3;
 
 use super::{camera_tables, check_output, check_sigmas, document, finish, footprints, interior, lists, plausible};
 
-/// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs.
+/// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs or
+/// known positions.
 #[derive(Debug, clap::Args)]
 pub struct AdjustArgs {
     /// A folder with COLMAP's model or MicMac's orientations, OpenSfM's reconstruction.json, or a cameras.json.

@@ -30,7 +30,7 @@ pub struct PointOptions {
     /// measurements, or a folder with such files. Those of MMVII are also found beside its MesGCP file.
     #[arg(long, value_name = "FILE")]
     pub observations: Option<PathBuf>,
-    /// CRS of the list; `local` for metric coordinates on a plane.
+    /// CRS of the list, or of positions that stand without one; `local` for metric coordinates on a plane.
     #[arg(long, value_name = "CRS")]
     pub crs: Option<String>,
     /// Keep these points out of the fit and compare them afterwards.
