@@ -13,6 +13,11 @@ type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// Interior parameters of one camera that can be adjusted at once.
 pub(super) const MOST_INTERIOR: usize = 13;
 
+/// Pivots, as shares of their diagonals, above which an unknown is determined by more than rounding, and above which a
+/// damped system can be solved.
+pub(super) const DETERMINED: f64 = 1e-11;
+pub(super) const SOLVABLE: f64 = 1e-15;
+
 /// What the second derivative of a robust loss counts for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curvature {
@@ -312,9 +317,9 @@ impl Reduced {
         Reduced { matrix, right, points, slope, diagonal, damping, point_diagonal }
     }
 
-    /// Solves; `None` when the matrix is not positive definite.
-    pub fn step(self) -> Option<Step> {
-        let factor = self.matrix.cholesky(1e-15).ok()?;
+    /// Solves; `None` when the matrix is not positive definite, a pivot being at most `least_pivot` of its diagonal.
+    pub fn step(self, least_pivot: f64) -> Option<Step> {
+        let factor = self.matrix.cholesky(least_pivot).ok()?;
         let mut reduced = self.right.clone();
         factor.solve(reduced.as_mut_slice());
         let mut gain = 0.0;
@@ -342,7 +347,7 @@ impl Reduced {
 
     /// Keeps what covariances need; `None` when the datum is not fixed.
     pub fn factored(self, layout: Layout) -> Option<Factored> {
-        let factor = self.matrix.cholesky(1e-11).ok()?;
+        let factor = self.matrix.cholesky(DETERMINED).ok()?;
         Some(Factored { factor, points: self.points, layout })
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{SVector, Vector3};
 
-use super::normal::{Curvature, Layout, MOST_INTERIOR, Reduced, Step};
+use super::normal::{Curvature, DETERMINED, Layout, MOST_INTERIOR, Reduced, Step};
 use super::{Loss, Problem, Treatment};
 use crate::camera::Parameter;
 
@@ -40,8 +40,7 @@ impl OtherLens {
         }
         let layout = Layout::new(&other);
         // Terms that only rounding determines would go anywhere.
-        Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).factored(Layout::new(&other))?;
-        let step = Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).step()?;
+        let step = Reduced::new(&other, &layout, loss, Curvature::Weights, 0.0).step(DETERMINED)?;
         terms.sort_unstable();
         terms.dedup();
         (2.0 * step.gain > BEYOND_CHANCE).then_some(OtherLens { layout, step, terms })

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::normal::{Curvature, Factored, Layout, MOST_INTERIOR, Reduced, Step};
+use super::normal::{Curvature, Factored, Layout, MOST_INTERIOR, Reduced, SOLVABLE, Step};
 use super::{Loss, Problem};
 use crate::error::{Error, Result};
 
@@ -70,7 +70,7 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
             if reduced.slope < 1e-12 * (1.0 + cost.sqrt()) {
                 return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged, last_fall });
             }
-            let Some(step) = reduced.step() else {
+            let Some(step) = reduced.step(SOLVABLE) else {
                 damping *= grow;
                 grow *= 2.0;
                 continue;
