@@ -14,6 +14,7 @@ mod las_write;
 mod ply;
 mod ply_write;
 mod text;
+mod text_head;
 
 use std::path::Path;
 

@@ -3,12 +3,13 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use super::text_head::{self, Count, remark};
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
-use crate::schema::{Batch, Kind, Schema};
+use crate::schema::{Batch, Kind};
 
 const MOST_LINE_BYTES: u64 = 1 << 16;
 const MOST_COLUMNS: usize = 256;
@@ -21,6 +22,9 @@ struct TextReader {
     columns: usize,
     line: u64,
     bytes: Vec<u8>,
+    /// How many rows the file says that this scan has, and how many of them were read.
+    count: Option<Count>,
+    counted: u64,
 }
 
 /// Calls `take` with each word of a line, up to the first that it does not take.
@@ -38,11 +42,11 @@ fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> 
 }
 
 /// The number that a word is.
-fn number(word: &str) -> Option<f64> {
+pub(super) fn number(word: &str) -> Option<f64> {
     word.parse().ok().or_else(|| word.contains(',').then(|| word.replacen(',', ".", 1).parse().ok()).flatten())
 }
 
-fn words(line: &str) -> Vec<&str> {
+pub(super) fn words(line: &str) -> Vec<&str> {
     let mut words = Vec::new();
     each_word(line, |word| {
         words.push(word);
@@ -92,25 +96,6 @@ fn plain_numbers(line: &[u8], raw: &mut Vec<u8>) -> Option<usize> {
     Some(count)
 }
 
-/// What follows the sign of a remark, which may be the head of the table.
-fn remark(line: &str) -> Option<&str> {
-    line.strip_prefix("//").or_else(|| line.strip_prefix('#')).map(|rest| rest.trim_start_matches(['#', '/']).trim())
-}
-
-/// Names of x, y and z.
-const AXES: [&[&str]; 3] =
-    [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
-
-fn names_all_axes(row: &[&str]) -> bool {
-    AXES.iter().all(|axis| row.iter().any(|word| axis.contains(&word.to_ascii_lowercase().as_str())))
-}
-
-/// Whether the words name longitude and latitude, or easting and northing: the columns of another kind of table.
-fn names_places(row: &[&str]) -> bool {
-    let starts = |start: &str| row.iter().any(|word| word.to_ascii_lowercase().starts_with(start));
-    (starts("lon") && starts("lat")) || (starts("east") && starts("north"))
-}
-
 /// Reads the next line into `bytes`; `false` at the end of the file.
 fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64, bytes: &mut Vec<u8>) -> Result<bool> {
     bytes.clear();
@@ -132,7 +117,7 @@ fn text_of(bytes: &mut Vec<u8>) -> &str {
 }
 
 /// The next line with content, in `bytes`.
-fn next_line<'a>(
+pub(super) fn next_line<'a>(
     path: &Path,
     file: &mut BufReader<File>,
     line: &mut u64,
@@ -158,7 +143,8 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let mut file = BufReader::with_capacity(1 << 20, file);
     let (mut line, mut bytes) = (0, Vec::new());
-    let (head, columns) = first_row(path, &mut file, &mut line, &mut bytes)?;
+    let head = text_head::read(path, &mut file, &mut line, &mut bytes)?;
+    let (columns, count) = (head.columns, head.count);
     if !(3..=MOST_COLUMNS).contains(&columns) {
         return Err(Error::format(
             path,
@@ -166,12 +152,12 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             format!("{columns} columns; x, y, z are needed"),
         ));
     }
-    let names = names_of(path, head, columns, line)?;
-    let axes = axes_among(path, &names)?;
+    let names = text_head::names_of(path, head, line)?;
+    let axes = text_head::axes_among(path, &names)?;
     let header = Header {
         format: Format::Text,
         points: None,
-        schema: schema_of(&names, axes),
+        schema: text_head::schema_of(&names, axes),
         precision: Precision::Double,
         crs: None,
         shift: None,
@@ -179,127 +165,56 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         las: None,
         description: format!("text, {columns} columns"),
     };
-    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes })))
+    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes, count, counted: 0 })))
 }
 
-/// The words that stand above the numbers.
-struct Head {
-    names: Vec<String>,
-    /// They stand in a remark, which may be a sentence.
-    in_remark: bool,
-}
-
-/// Reads up to the first row of numbers, which is the next to be read then. Answers the head above it and how many
-/// columns there are; of a table without rows those of the head, or three.
-fn first_row(
-    path: &Path,
-    file: &mut BufReader<File>,
-    line: &mut u64,
-    bytes: &mut Vec<u8>,
-) -> Result<(Option<Head>, usize)> {
-    let mut head: Option<Head> = None;
-    // Columns that a remark names, none of them x, y and z.
-    let mut others: Vec<String> = Vec::new();
-    loop {
-        let before = (file.stream_position().map_err(|e| Error::io(path, "seek", e))?, *line);
-        let Some(text) = next_line(path, file, line, bytes)? else {
-            let columns = head.as_ref().map_or(3, |head| head.names.len());
-            return Ok((head, columns));
-        };
-        let row = match remark(text) {
-            // Other remarks say nothing of the table, but for what the columns are if not x, y and z.
-            Some(rest) if head.is_some() || !names_all_axes(&words(rest)) => {
-                if names_places(&words(rest)) {
-                    others = words(rest).into_iter().map(str::to_string).collect();
-                }
-                continue;
+impl TextReader {
+    /// Whether the rows that were read are as many as the file says.
+    fn check_count(&self) -> Result<()> {
+        match self.count {
+            Some(Count { rows, line }) if rows != self.counted => {
+                let what =
+                    format!("{} rows follow, not {rows}: the table is damaged, or this is no count", self.counted);
+                Err(Error::format(&self.path, format!("line {line}"), what))
             }
-            Some(rest) => words(rest),
-            None => words(text),
-        };
-        if row.iter().all(|word| number(word).is_some()) {
-            // PTS files begin with the number of points.
-            if row.len() == 1 && head.is_none() && row[0].parse::<u64>().is_ok() {
-                continue;
-            }
-            let columns = row.len();
-            if head.is_none() && others.len() == columns {
-                let what = format!("no columns X, Y and Z among {}", others.join(", "));
-                return Err(Error::format(path, "head", what));
-            }
-            file.seek(std::io::SeekFrom::Start(before.0)).map_err(|e| Error::io(path, "seek", e))?;
-            *line = before.1;
-            return Ok((head, columns));
+            _ => Ok(()),
         }
-        if head.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
-            let what = format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z");
-            return Err(Error::format(path, format!("line {line}"), what));
+    }
+
+    /// Takes a line that is no row: an empty one, a remark, or the count of the next scan of a file that counts.
+    fn take_other(&mut self, columns: usize) -> Result<()> {
+        let text = text_of(&mut self.bytes);
+        if text.is_empty() || remark(text).is_some() {
+            return Ok(());
         }
-        // What noise is told by, under the names that tables give it.
-        let named = |word: &&str| match word.to_ascii_lowercase().as_str() {
-            "class" | "scalar_classification" => "classification".to_string(),
-            other => other.to_string(),
-        };
-        head = Some(Head { names: row.iter().map(named).collect(), in_remark: remark(text).is_some() });
+        let next = self.count.and_then(|_| Count::of(text, self.line));
+        if next.is_none() {
+            return Err(Error::format(&self.path, format!("line {}", self.line), mistake(text, columns)));
+        }
+        self.check_count()?;
+        (self.count, self.counted) = (next, 0);
+        Ok(())
     }
-}
-
-/// The names of the columns: those of the head, or x, y, z and numbers. `line` is the one before the first row.
-fn names_of(path: &Path, head: Option<Head>, columns: usize, line: u64) -> Result<Vec<String>> {
-    // A sentence about x, y and z is no head.
-    let head = head.filter(|head| !head.in_remark || head.names.len() == columns);
-    let names = head.map_or_else(
-        || {
-            let axes = ["x", "y", "z"].map(String::from);
-            axes.into_iter().chain((4..=columns).map(|number| format!("column_{number}"))).collect()
-        },
-        |head| head.names,
-    );
-    if names.len() != columns {
-        let what = format!("{columns} numbers below a head of {} columns", names.len());
-        return Err(Error::format(path, format!("line {}", line + 1), what));
-    }
-    Ok(names)
-}
-
-/// Which columns x, y and z are; no name may be there twice.
-fn axes_among(path: &Path, names: &[String]) -> Result<[usize; 3]> {
-    let mut axes = [0; 3];
-    for (place, words) in axes.iter_mut().zip(AXES) {
-        *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
-            Error::format(path, "head", format!("no column `{}` among {}", words[0].to_uppercase(), names.join(", ")))
-        })?;
-    }
-    if let Some(twice) = (1..names.len()).find(|&index| names[..index].contains(&names[index])) {
-        return Err(Error::format(path, "head", format!("the column `{}` is there twice", names[twice])));
-    }
-    Ok(axes)
-}
-
-fn schema_of(names: &[String], axes: [usize; 3]) -> Schema {
-    let mut schema = Schema::default();
-    for (index, name) in names.iter().enumerate() {
-        let axis = axes.iter().position(|&axis| axis == index);
-        schema.push(axis.map_or(name.as_str(), |axis| ["x", "y", "z"][axis]), Kind::F64);
-    }
-    schema
 }
 
 impl PointReader for TextReader {
     fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()> {
         batch.clear();
-        while batch.len() < limit && read_line(&self.path, &mut self.file, &mut self.line, &mut self.bytes)? {
+        while batch.len() < limit {
+            if !read_line(&self.path, &mut self.file, &mut self.line, &mut self.bytes)? {
+                return self.check_count();
+            }
             let begin = batch.raw.len();
             if plain_numbers(&self.bytes, &mut batch.raw) != Some(self.columns) {
                 batch.raw.truncate(begin);
                 let text = text_of(&mut self.bytes);
-                if text.is_empty() || remark(text).is_some() {
+                if remark(text).is_some() || numbers(text, &mut batch.raw) != Some(self.columns) {
+                    batch.raw.truncate(begin);
+                    self.take_other(self.columns)?;
                     continue;
                 }
-                if numbers(text, &mut batch.raw) != Some(self.columns) {
-                    return Err(Error::format(&self.path, format!("line {}", self.line), mistake(text, self.columns)));
-                }
             }
+            self.counted += 1;
             batch.xyz.push(self.axes.map(|axis| Kind::F64.read(&batch.raw[begin + 8 * axis..])));
         }
         Ok(())
@@ -331,6 +246,38 @@ mod tests {
                 prop_assert_eq!(plain, full);
             }
         }
+    }
+
+    /// Reads a table to its end: how many points, and the names of its columns.
+    fn read_all(name: &str, table: &str) -> Result<(usize, Vec<String>)> {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(name);
+        std::fs::write(&path, table).expect("a file");
+        let (header, mut reader) = open(&path)?;
+        let (mut batch, mut points) = (Batch::default(), 0);
+        loop {
+            reader.read(&mut batch, 2)?;
+            if batch.len() == 0 {
+                return Ok((points, header.schema.fields.iter().map(|field| field.name.clone()).collect()));
+            }
+            points += batch.len();
+        }
+    }
+
+    /// Counts are checked, scans that follow each other are one cloud, and the columns of PTS have names.
+    #[test]
+    fn counts_and_columns_of_pts() {
+        let table = "2\n1 2 3 -500 10 20 30\n1 2 4 -400 10 20 30\n0\n1\n1 2 5 -300 10 20 255\n";
+        let (points, names) = read_all("scan.pts", table).expect("two scans");
+        assert_eq!((points, names.join(" ").as_str()), (3, "x y z intensity red green blue"));
+        assert_eq!(read_all("scan.pts", "1\n1 2 3 0.5\n").expect("a scan").1[3], "intensity");
+        assert_eq!(read_all("normals.pts", "1\n1 2 3 0.1 0.2 0.9\n").expect("a scan").1[3], "column_4");
+        let cloud_compare = "//X Y Z Intensity\n2\n1 2 3 7\n1 2 4 8\n";
+        assert_eq!(read_all("cloud.asc", cloud_compare).expect("a table").0, 2);
+        let refused = |table: &str| read_all("scan.pts", table).expect_err("a wrong count").to_string();
+        assert!(refused("3\n1 2 3\n1 2 4\n").contains("line 1: 2 rows follow, not 3"));
+        assert!(refused("1\n1 2 3\n1 2 4\n2\n1 2 3\n").contains("line 1: 2 rows follow, not 1"));
+        assert!(refused("10\n20\n0 0 0\n1 0 0\n").contains("PTX"));
     }
 
     /// A head in a remark that names other columns than x, y and z is no reason to take the first three.
