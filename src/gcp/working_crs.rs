@@ -115,7 +115,7 @@ impl WorkingCrs {
             point.height = point.height.map(|h| h / self.height_metres_per_unit);
         }
         if let (Some(from), Some(to)) = (&self.crs, &self.to) {
-            from.transform(points, to, self.worst_accuracy_m)?;
+            transform(from, points, to, self.worst_accuracy_m)?;
         }
         Ok(())
     }
@@ -182,6 +182,19 @@ fn utm_of_mean(path: &Path, gcps: &[Gcp], source: &Crs, notes: &mut Vec<String>)
     Ok(utm)
 }
 
+/// [`Crs::transform`] for the commands that read lists of points: what is too coarse for the demand can be accepted by
+/// an option.
+pub(super) fn transform(from: &Crs, points: &mut [Coordinate], to: &Crs, worst_accuracy_m: f64) -> Result<Accuracy> {
+    from.transform(points, to, worst_accuracy_m).map_err(|error| {
+        match (error, from.transform(&mut points.to_vec(), to, f64::INFINITY)) {
+            (Error::Usage { what, remedy }, Ok(Accuracy::Metres(metres))) => {
+                Error::usage(what, format!("{remedy}, or accept it with --datum-accuracy {metres}"))
+            }
+            (error, _) => error,
+        }
+    })
+}
+
 /// Brings points from one CRS into another, in place; says in `notes` what a change of datum costs.
 ///
 /// # Errors
@@ -216,7 +229,7 @@ pub(super) fn change(
     }
     let mut points: Vec<Coordinate> =
         gcps.iter().map(|g| Coordinate { x: g.easting, y: g.northing, height: g.height }).collect();
-    match source.transform(&mut points, target, worst_accuracy_m)? {
+    match transform(source, &mut points, target, worst_accuracy_m)? {
         Accuracy::Exact => {}
         Accuracy::Metres(metres) => notes.push(format!(
             "from {} to {} the datum changes, which the authority states as good to {metres} m; within one datum nothing \

@@ -9,7 +9,7 @@ use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::lift::Lift;
-use crate::model::Model;
+use crate::model::{Model, how_to_name_crs};
 use crate::source::Heights as _;
 
 /// Both models, A brought to B's CRS and vertical datum.
@@ -219,7 +219,7 @@ pub fn check_named(a: &Model, b: &Model) -> Result<()> {
     };
     Err(Error::usage(
         format!("{}: no CRS, while {} has {}", without.path().display(), with.path().display(), crs.label()),
-        format!("name it: gdal_edit.py -a_srs CRS {}", without.path().display()),
+        how_to_name_crs(without.path()),
     ))
 }
 

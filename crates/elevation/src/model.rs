@@ -68,11 +68,7 @@ impl Model {
         let degrees = crs.as_ref().is_some_and(|crs| crs.is_geographic() && crs.unit_name().starts_with("deg"));
         if degrees && !(south >= -reach && north <= reach) {
             let what = format!("latitudes from {south} to {north} degrees");
-            return Err(Error::unsupported(
-                path,
-                what,
-                "give it the CRS that its coordinates are in, with gdal_edit.py",
-            ));
+            return Err(Error::unsupported(path, what, how_to_name_crs(path)));
         }
         let (kind, block) = (band.band_type(), band.block_size());
         let band = HeightBand::of(path, &band, crs.as_ref())?;
@@ -227,6 +223,16 @@ impl Heights for Model {
             }
         }
         Ok(())
+    }
+}
+
+/// How a raster gets the CRS that it lacks: an ASCII grid by a file beside it, for GDAL does not write into it.
+pub fn how_to_name_crs(path: &Path) -> String {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if ["asc", "grd", "txt", "agr"].contains(&extension.as_str()) {
+        format!("name it: gdalsrsinfo -o wkt_esri CRS > {}", path.with_extension("prj").display())
+    } else {
+        format!("name it: gdal_edit.py -a_srs CRS {}", path.display())
     }
 }
 

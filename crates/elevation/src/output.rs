@@ -12,6 +12,7 @@ use gdal::{Dataset, DriverManager};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::window::Window;
+use autoref_raster::atomic::{self, Existing};
 
 /// Side of the blocks in files that are written, of few bands.
 pub const FILE_BLOCK_PX: u64 = 256;
@@ -37,6 +38,25 @@ impl Cut {
     pub fn of_one_band(tile_px: u64) -> Self {
         Cut { tile_px, block_px: FILE_BLOCK_PX }
     }
+}
+
+/// Extensions that promise another format than the GeoTIFF that is written.
+const OTHER_FORMATS: [&str; 15] =
+    ["png", "jpg", "jpeg", "webp", "jp2", "gif", "bmp", "vrt", "img", "asc", "grd", "nc", "hdr", "bil", "xyz"];
+
+/// Whether rasters can be written so: [`atomic::check_outputs`], and no name promises another format than GeoTIFF.
+///
+/// # Errors
+/// When one cannot.
+pub fn check(outs: &[&Path], existing: Existing) -> Result<()> {
+    for out in outs {
+        let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        if OTHER_FORMATS.contains(&extension.as_str()) {
+            let what = format!("{}: a GeoTIFF is written, which is not called `.{extension}`", out.display());
+            return Err(Error::usage(what, "name it .tif; gdal_translate turns it into other formats"));
+        }
+    }
+    atomic::check_outputs(outs, existing)
 }
 
 /// What the file is told of its content.

@@ -64,9 +64,9 @@ impl Error {
     /// GDAL's message may span lines; ours is one.
     pub fn gdal(path: impl Into<PathBuf>, what: impl std::fmt::Display) -> Self {
         let what = what.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
-        // The binding wraps GDAL's own words into which function returned nothing.
-        let inner =
-            what.split_once("returned a NULL pointer. Error msg: '").map(|(_, inner)| inner.trim_end_matches('\''));
+        // The binding wraps GDAL's own words into which function returned nothing, or into the error's number.
+        let wraps = ["returned a NULL pointer. Error msg: '", ", error msg: '"];
+        let inner = wraps.iter().find_map(|wrap| what.split_once(wrap)).map(|(_, inner)| inner.trim_end_matches('\''));
         let path = path.into();
         let what = match inner {
             None => what,

@@ -7,7 +7,7 @@ use gdal::spatial_ref::{AxisMappingStrategy, SpatialRef};
 use gdal::vector::{Feature, FieldDefn, Geometry, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
 
 use super::{ListFormat, Survey};
-use crate::gcp::{Gcp, GcpRole};
+use crate::gcp::{Gcp, GcpRole, working_crs};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
@@ -159,7 +159,7 @@ fn places(
         places.iter_mut().for_each(|place| place.height = place.height.map(|height| height * height_unit));
         lost.push(format!("heights in {}: they were brought into metres", crs.unit_name()));
     }
-    let how = match crs.transform(&mut places, &degrees, worst_accuracy_m)? {
+    let how = match working_crs::transform(crs, &mut places, &degrees, worst_accuracy_m)? {
         Accuracy::Exact => String::new(),
         Accuracy::Metres(metres) => format!(", good to {metres} m"),
         Accuracy::Unstated => ", how well is not stated".into(),

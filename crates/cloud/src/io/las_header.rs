@@ -57,7 +57,11 @@ impl LasHeader {
         file.read_exact(&mut raw).map_err(|_| bad("begin", format!("{file_bytes} bytes are no whole header")))?;
         let (major, minor) = (raw[24], raw[25]);
         if major != 1 || minor > 5 {
-            return Err(Error::unsupported(path, format!("LAS {major}.{minor}"), "convert it to LAS 1.4 first"));
+            let what = format!("LAS {major}.{minor}");
+            return Err(match major {
+                1 => Error::unsupported(path, what, "convert it to LAS 1.4 first"),
+                _ => bad("version", format!("{what} does not exist: the header is damaged")),
+            });
         }
         let size = usize::from(u16_at(&raw, 94));
         let least = if minor >= 4 { 375 } else { 227 };

@@ -14,7 +14,7 @@ use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, MemoryHeights, Patch};
 use crate::window::Window;
 
-use super::reduce;
+use super::reduce::{self, Means, Reaches};
 use super::source::Source;
 
 /// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
@@ -140,7 +140,7 @@ impl Opened {
         Ok(all)
     }
 
-    /// As [`Opened::read`], of a source whose cells are finer than the mosaic's: means, in parts of bounded size.
+    /// As [`Opened::read`], of a source whose cells are finer than the mosaic's: means, from strips of bounded size.
     fn read_reduced(
         &mut self,
         source: &Source,
@@ -153,26 +153,45 @@ impl Opened {
         let Some(part) = source.part(mosaic, window) else {
             return Ok(vec![f64::NAN; window.area() as usize * source.bands]);
         };
-        let Some((first, second)) = halves(window).filter(|_| part.area() > MOST_CELLS) else {
-            let mut all = Vec::with_capacity(window.area() as usize * source.bands);
-            for values in valid_bands(self.dataset(&source.path)?, source, part)? {
-                all.extend(reduce::means(&values, part, (&source.grid, mosaic), window, interpolation));
-            }
-            return Ok(all);
-        };
-        let mut all = vec![f64::NAN; window.area() as usize * source.bands];
-        for piece in [first, second] {
-            let values = self.read_reduced(source, mosaic, piece, interpolation)?;
-            let planes = values.chunks_exact(piece.area() as usize);
-            for (whole, values) in all.chunks_exact_mut(window.area() as usize).zip(planes) {
-                for (row, line) in values.chunks_exact(piece.width as usize).enumerate() {
-                    let y = piece.y - window.y + row as u64;
-                    let at = (y * window.width + piece.x - window.x) as usize;
-                    whole[at..at + line.len()].copy_from_slice(line);
-                }
-            }
+        let dataset = self.dataset(&source.path)?;
+        let block_rows = dataset.rasterband(1).map_err(|e| Error::gdal(&source.path, e))?.block_size().1 as u64;
+        // Rows of whole blocks, that none be decoded twice; windows too wide for those are cut first.
+        if part.width * block_rows.min(part.height) > MOST_CELLS && window.width > 1 {
+            return self.read_side_by_side(source, mosaic, window, interpolation);
         }
-        Ok(all)
+        let rows = (MOST_CELLS / part.width).max(1);
+        let strip_rows = if rows < block_rows { rows } else { rows / block_rows * block_rows };
+        let reaches = Reaches::new(part, (&source.grid, mosaic), window, interpolation);
+        let mut means: Vec<_> = (0..source.bands).map(|_| Means::new(&reaches)).collect();
+        let mut y = part.y;
+        while y < part.bottom() {
+            let end = ((y / strip_rows + 1) * strip_rows).min(part.bottom());
+            let strip = Window::new(part.x, y, part.width, end - y);
+            for (means, values) in means.iter_mut().zip(valid_bands(dataset, source, strip)?) {
+                means.add(&values);
+            }
+            y = end;
+        }
+        Ok(means.into_iter().flat_map(Means::finish).collect())
+    }
+
+    /// As [`Opened::read_reduced`], in two halves of the window.
+    fn read_side_by_side(
+        &mut self,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Result<Vec<f64>> {
+        let Window { x, y, width, height } = window;
+        let west = Window::new(x, y, width / 2, height);
+        let east = Window::new(west.right(), y, width - west.width, height);
+        let [west, east] = [west, east].map(|half| self.read_reduced(source, mosaic, half, interpolation));
+        let (west, east) = (west?, east?);
+        // Rows of all bands lie below each other.
+        let (left, right) = ((width / 2) as usize, (width - width / 2) as usize);
+        let lines = west.chunks_exact(left).zip(east.chunks_exact(right));
+        Ok(lines.flat_map(|(west, east)| west.iter().chain(east)).copied().collect())
     }
 
     /// What the cells of a source cost; infinite where nobody says.
@@ -203,19 +222,6 @@ impl Source {
             }
         }
     }
-}
-
-/// A window cut in two across its longer side; `None` of a single cell.
-fn halves(window: Window) -> Option<(Window, Window)> {
-    let Window { x, y, width, height } = window;
-    if window.area() <= 1 {
-        return None;
-    }
-    Some(if width > height {
-        (Window::new(x, y, width / 2, height), Window::new(x + width / 2, y, width - width / 2, height))
-    } else {
-        (Window::new(x, y, width, height / 2), Window::new(x, y + height / 2, width, height - height / 2))
-    })
 }
 
 /// The bands of a window; NaN where there is nothing.

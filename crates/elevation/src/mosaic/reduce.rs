@@ -59,63 +59,126 @@ fn reaches(
     (first..first + count).map(reach).collect()
 }
 
-/// The cells of `window` of the mosaic from the cells of `part` of the source; NaN where the cell that the centre lies
-/// in holds nothing.
-pub(super) fn means(
-    values: &[f64],
-    part: Window,
-    (source, mosaic): (&Grid, &Grid),
-    window: Window,
-    interpolation: Interpolation,
-) -> Vec<f64> {
-    let columns = reaches(
-        (window.x, window.width),
-        (mosaic.x0, mosaic.step_x),
-        (source.x0, source.step_x),
-        (part.x, part.width),
-        interpolation,
-    );
-    let rows = reaches(
-        (window.y, window.height),
-        (mosaic.y0, mosaic.step_y),
-        (source.y0, source.step_y),
-        (part.y, part.height),
-        interpolation,
-    );
-    let (width, across) = (part.width as usize, window.width as usize);
-    // Along the rows first: weighted sums of what is there, and its weights.
-    let mut sums = vec![(0.0, 0.0); part.height as usize * across];
-    for (line, row) in sums.chunks_exact_mut(across).zip(values.chunks_exact(width)) {
-        for (sum, reach) in line.iter_mut().zip(&columns) {
-            let cells = &row[reach.first..reach.first + reach.weights.len()];
-            for (value, weight) in cells.iter().zip(&reach.weights).filter(|(value, _)| !value.is_nan()) {
-                *sum = (sum.0 + weight * value, sum.1 + weight);
+/// What the cells of a window of the mosaic take of a part of a source.
+pub(super) struct Reaches {
+    columns: Vec<Reach>,
+    rows: Vec<Reach>,
+    /// Columns of the part.
+    width: usize,
+}
+
+impl Reaches {
+    pub(super) fn new(
+        part: Window,
+        (source, mosaic): (&Grid, &Grid),
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Reaches {
+        let columns = reaches(
+            (window.x, window.width),
+            (mosaic.x0, mosaic.step_x),
+            (source.x0, source.step_x),
+            (part.x, part.width),
+            interpolation,
+        );
+        let rows = reaches(
+            (window.y, window.height),
+            (mosaic.y0, mosaic.step_y),
+            (source.y0, source.step_y),
+            (part.y, part.height),
+            interpolation,
+        );
+        Reaches { columns, rows, width: part.width as usize }
+    }
+}
+
+/// Means that grow as rows of the part come: what they hold does not depend on how many source cells lie under one of
+/// theirs.
+pub(super) struct Means<'r> {
+    reaches: &'r Reaches,
+    /// Weighted sums of what is there, and its weights.
+    sums: Vec<(f64, f64)>,
+    /// Whether the cell that the centre lies in holds something.
+    there: Vec<bool>,
+    /// Rows of the part that came.
+    rows_seen: usize,
+    line: Vec<(f64, f64)>,
+}
+
+impl<'r> Means<'r> {
+    pub(super) fn new(reaches: &'r Reaches) -> Self {
+        let (across, cells) = (reaches.columns.len(), reaches.columns.len() * reaches.rows.len());
+        let zero = (0.0, 0.0);
+        Means { reaches, sums: vec![zero; cells], there: vec![false; cells], rows_seen: 0, line: vec![zero; across] }
+    }
+
+    /// Adds the next rows of the part; NaN where there is nothing.
+    pub(super) fn add(&mut self, values: &[f64]) {
+        let Reaches { columns, rows, width } = self.reaches;
+        for row in values.chunks_exact(*width) {
+            // Along the row first.
+            for (sum, reach) in self.line.iter_mut().zip(columns) {
+                *sum = (0.0, 0.0);
+                let cells = &row[reach.first..reach.first + reach.weights.len()];
+                for (value, weight) in cells.iter().zip(&reach.weights).filter(|(value, _)| !value.is_nan()) {
+                    *sum = (sum.0 + weight * value, sum.1 + weight);
+                }
             }
+            let at = self.rows_seen;
+            let from = rows.partition_point(|reach| reach.first + reach.weights.len() <= at);
+            for (number, reach) in rows.iter().enumerate().skip(from).take_while(|(_, reach)| reach.first <= at) {
+                let weight = reach.weights[at - reach.first];
+                let cells = number * columns.len()..(number + 1) * columns.len();
+                for (sum, along) in self.sums[cells.clone()].iter_mut().zip(&self.line) {
+                    *sum = (sum.0 + weight * along.0, sum.1 + weight * along.1);
+                }
+                if reach.within == Some(at) {
+                    for (there, column) in self.there[cells].iter_mut().zip(columns) {
+                        *there = column.within.is_some_and(|x| !row[x].is_nan());
+                    }
+                }
+            }
+            self.rows_seen += 1;
         }
     }
-    // What weights of a whole reach sum to.
-    let whole = |reach: &Reach| reach.weights.iter().sum::<f64>();
-    let all: Vec<f64> = columns.iter().map(whole).collect();
-    let mut out = Vec::with_capacity(rows.len() * across);
-    for row in &rows {
-        let down = whole(row);
-        for (column, reach) in columns.iter().enumerate() {
-            let (mut sum, mut weights) = (0.0, 0.0);
-            for (k, weight) in row.weights.iter().enumerate() {
-                let along = sums[(row.first + k) * across + column];
-                (sum, weights) = (sum + weight * along.0, weights + weight * along.1);
-            }
-            let there = row.within.zip(reach.within).is_some_and(|(y, x)| !values[y * width + x].is_nan());
-            let enough = weights > LEAST_WEIGHT * down * all[column];
-            out.push(if there && enough { sum / weights } else { f64::NAN });
+
+    /// The cells of the window; NaN where the cell that the centre lies in holds nothing.
+    pub(super) fn finish(self) -> Vec<f64> {
+        let Reaches { columns, rows, .. } = self.reaches;
+        // What weights of a whole reach sum to.
+        let whole = |reach: &Reach| reach.weights.iter().sum::<f64>();
+        let all: Vec<f64> = columns.iter().map(whole).collect();
+        let cells = self.sums.chunks_exact(columns.len()).zip(self.there.chunks_exact(columns.len()));
+        let mut out = Vec::with_capacity(self.sums.len());
+        for (row, (sums, there)) in rows.iter().zip(cells) {
+            let down = whole(row);
+            out.extend(sums.iter().zip(there).zip(&all).map(|(((sum, weights), there), across)| {
+                let enough = *weights > LEAST_WEIGHT * down * across;
+                if *there && enough { sum / weights } else { f64::NAN }
+            }));
         }
+        out
     }
-    out
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The means of a window, its part given in strips of so many rows.
+    fn means(
+        values: &[f64],
+        part: Window,
+        grids: (&Grid, &Grid),
+        window: Window,
+        interpolation: Interpolation,
+        rows: usize,
+    ) -> Vec<f64> {
+        let reaches = Reaches::new(part, grids, window, interpolation);
+        let mut means = Means::new(&reaches);
+        values.chunks(rows * part.width as usize).for_each(|strip| means.add(strip));
+        means.finish()
+    }
 
     /// A stripe of two cells that samples between cells would take or miss keeps its share.
     #[test]
@@ -125,7 +188,7 @@ mod tests {
         let values: Vec<f64> = (0..1600).map(|i| f64::from(u8::from(i % 8 < 2))).collect();
         let (part, window) = (Window::whole(40, 40), Window::whole(10, 10));
         for interpolation in [Interpolation::Bilinear, Interpolation::Cubic] {
-            let means = means(&values, part, (&source, &mosaic), window, interpolation);
+            let means = means(&values, part, (&source, &mosaic), window, interpolation, 40);
             let row = &means[50..60];
             assert!((row[2..8].iter().sum::<f64>() / 6.0 - 0.25).abs() < 0.02, "{interpolation:?} {row:?}");
         }
@@ -141,9 +204,9 @@ mod tests {
             (part.y..part.bottom()).flat_map(|y| (part.x..part.right()).map(move |x| value(x, y))).collect()
         };
         let whole = Window::whole(60, 50);
-        let all = means(&cells(whole), whole, (&source, &mosaic), Window::whole(24, 20), Interpolation::Bilinear);
+        let all = means(&cells(whole), whole, (&source, &mosaic), Window::whole(24, 20), Interpolation::Bilinear, 50);
         let (part, window) = (Window::new(10, 10, 40, 38), Window::new(7, 6, 5, 5));
-        let some = means(&cells(part), part, (&source, &mosaic), window, Interpolation::Bilinear);
+        let some = means(&cells(part), part, (&source, &mosaic), window, Interpolation::Bilinear, 3);
         for (i, value) in some.iter().enumerate() {
             let at = (6 + i / 5) * 24 + 7 + i % 5;
             assert_eq!(value.to_bits(), all[at].to_bits(), "{i}");

@@ -9,7 +9,7 @@ use gdal::{Dataset, Metadata};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::model::open_dataset;
+use crate::model::{how_to_name_crs, open_dataset};
 use crate::window::Window;
 use autoref_raster::masked;
 use autoref_raster::protected::same_file;
@@ -255,11 +255,11 @@ fn check_alike(sources: &[Source]) -> Result<()> {
             return Err(match (wkt.is_empty(), source.wkt.is_empty()) {
                 (false, true) => {
                     let what = format!("no CRS, while {first} has one");
-                    Error::unsupported(&source.path, what, "name it with gdal_edit.py -a_srs")
+                    Error::unsupported(&source.path, what, how_to_name_crs(&source.path))
                 }
                 (true, false) => {
                     let what = format!("no CRS, while {} has one", source.path.display());
-                    Error::unsupported(&sources[0].path, what, "name it with gdal_edit.py -a_srs")
+                    Error::unsupported(&sources[0].path, what, how_to_name_crs(&sources[0].path))
                 }
                 _ => {
                     let what = format!("another CRS than that of {first}");

@@ -10,6 +10,7 @@ use autoref_elevation::compare::{CompareJob, Summary};
 use autoref_elevation::derive::{self, Drawing};
 use autoref_elevation::files::Resources;
 use autoref_elevation::gradient::{self, Edges, Kernel, Picture};
+use autoref_elevation::output;
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic::{self, Existing};
@@ -445,7 +446,7 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
     if !gradient::needs_true_sides(&args.draw.model, picture)? {
         return draw(&args.draw, kind, options, None);
     }
-    atomic::check_outputs(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;
+    output::check(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;
     let resources = args.draw.resources.resources();
     resources.check()?;
     derive::check_heights(&args.draw.model)?;
@@ -462,7 +463,7 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
 }
 
 fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {
-    atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
+    output::check(&[&args.out], Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     if args.compute_edges {
         options.push("-compute_edges".into());
@@ -510,7 +511,7 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     }
     let outs: Vec<PathBuf> =
         args.resolution.iter().map(|r| PathBuf::from(args.out.replace("{res}", &r.to_string()))).collect();
-    atomic::check_outputs(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
+    output::check(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     derive::check_heights(&args.model)?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use autoref_elevation::mosaic::{Choice, MosaicJob, Surface, WIDEST_BLEND_PX};
-use autoref_raster::atomic::{self, Existing};
+use autoref_elevation::output;
+use autoref_raster::atomic::Existing;
 use clap::{Args, ValueEnum};
 
 use crate::cli::dem::{ResamplingArg, ResourceArgs};
@@ -80,7 +81,7 @@ impl From<SurfaceArg> for Surface {
 pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
     let outputs = std::iter::once(&args.out).chain(&args.write_index).chain(&args.balance_page);
     let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
-    atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
+    output::check(&outputs, Existing::of_flag(args.overwrite))?;
     let job = MosaicJob {
         inputs: &args.inputs,
         out: &args.out,
@@ -96,6 +97,9 @@ pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
         resources: args.resources.resources(),
     };
     let made = job.run()?;
+    if made.filled_cells == 0 {
+        eprintln!("autoref-stream: no source has data: no cell of the mosaic is filled");
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&made)?);
         return Ok(ExitCode::SUCCESS);

@@ -124,8 +124,7 @@ impl Crs {
                         and_miss(&grids)
                     ),
                     &format!(
-                        "install the datum grid ({}), give the points in their own datum, \
-                         or accept it with --datum-accuracy {metres}",
+                        "install the datum grid ({}), or give the points in their own datum",
                         how_to_install(&grids)
                     ),
                 ));
@@ -291,7 +290,7 @@ mod tests {
         let (_, accuracy) = at("EPSG:4326", "EPSG:25832", 10.4, 63.4, None).expect("stated as 1 m");
         assert_eq!(accuracy, Accuracy::Metres(1.0));
         let error = at("EPSG:4326", "EPSG:2263", -74.0, 40.7, None).expect_err("4 m without a grid").to_string();
-        assert!(error.contains("--datum-accuracy 5"), "{error}");
+        assert!(error.contains("good to 5 m only"), "{error}");
     }
 
     /// Whether the grids are installed or not: never the coordinates as they were.

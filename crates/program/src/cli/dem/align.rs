@@ -7,7 +7,8 @@ use anyhow::bail;
 use autoref_elevation::align::{Alignment, Bend, BendTerm, Degree, Method, Outcome};
 use autoref_elevation::couple::Couple;
 use autoref_elevation::files::AlignJob;
-use autoref_raster::atomic::{self, Existing};
+use autoref_elevation::output;
+use autoref_raster::atomic::Existing;
 use clap::Args;
 use serde_json::{Map, Value, json};
 
@@ -49,7 +50,7 @@ pub struct AlignArgs {
 /// # Errors
 /// When a model cannot be read or the result not be written.
 pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
-    atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
+    output::check(&[&args.out], Existing::of_flag(args.overwrite))?;
     if !args.method.bends() && args.surface > Degree::Linear {
         bail!("--surface {}: --method {} fits no surface; use --method auto or tilt", args.surface, args.method);
     }

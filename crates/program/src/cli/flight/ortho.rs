@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use autoref_elevation::grid::Grid;
+use autoref_elevation::output;
 use autoref_flight::world::World;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
@@ -17,7 +18,7 @@ use gdal::raster::GdalDataType;
 use nalgebra::Matrix3;
 use serde_json::json;
 
-use super::{camera_tables, check_output};
+use super::camera_tables;
 use crate::cli::dem::ResourceArgs;
 use draw::Job;
 pub(in crate::cli) use model::Dem;
@@ -74,7 +75,7 @@ pub struct OrthorectifyArgs {
 
 pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     let out = args.checked_output()?;
-    check_output(Some(&out), Existing::of_flag(args.overwrite))?;
+    output::check(&[&out], Existing::of_flag(args.overwrite))?;
     let frame = open(&args.frame)?;
     let (columns, rows) = frame.raster_size();
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
