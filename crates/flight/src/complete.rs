@@ -36,6 +36,9 @@ const DRAWS: usize = 500;
 const NEAR_SHARE: f64 = 0.004;
 const NEAR_PX: f64 = 4.0;
 
+/// A large block is adjusted again when it has grown by one frame in so many.
+const GROWTH: usize = 20;
+
 /// A place of a photograph, to a thousandth of a pixel.
 type Place = (usize, i64, i64);
 
@@ -144,36 +147,43 @@ pub fn completed(mut block: Reconstruction, names: &[&str], tracks: &[Track]) ->
         track.iter().for_each(|(frame, _)| of_frame[*frame].push(track));
     }
     let mut hopeless = vec![false; names.len()];
+    // As it was adjusted last, and the frames that came since.
+    let (mut adjusted, mut fresh): (_, Vec<usize>) = (block.clone(), Vec::new());
     loop {
         let index: Vec<Option<usize>> = names.iter().map(|name| find(&block, name)).collect();
         let known = places_of(&block);
-        let before = block.clone();
-        let mut added = Vec::new();
-        for frame in (0..names.len()).filter(|f| index[*f].is_none()) {
-            if hopeless[frame] {
-                continue;
-            }
-            let seen = known_points(frame, &of_frame[frame], &index, &known, &before);
-            if let Some(pose) = drawn_pose(&before, &seen) {
-                block.photographs.push(Photograph { name: names[frame].to_string(), camera: 0, pose });
-                added.push(frame);
-            }
-        }
-        if added.is_empty() {
+        let missing = (0..names.len()).filter(|f| index[*f].is_none() && !hopeless[*f]);
+        let posed: Vec<(usize, Pose)> = missing
+            .filter_map(|f| Some((f, drawn_pose(&block, &known_points(f, &of_frame[f], &index, &known, &block))?)))
+            .collect();
+        let added: Vec<usize> = posed.iter().map(|(frame, _)| *frame).collect();
+        block.photographs.extend(posed.into_iter().map(|(frame, pose)| Photograph {
+            name: names[frame].to_string(),
+            camera: 0,
+            pose,
+        }));
+        fresh.extend(&added);
+        if fresh.is_empty() {
             return Ok(block);
         }
         let index: Vec<Option<usize>> = names.iter().map(|name| find(&block, name)).collect();
         tie(&mut block, &added, &index, tracks, &known);
+        if !added.is_empty() && fresh.len() < adjusted.photographs.len() / GROWTH {
+            continue;
+        }
         adjust(&mut block)?;
-        let first = before.photographs.len();
+        let first = adjusted.photographs.len();
         let mut ties = vec![0; block.photographs.len()];
         block.ties.iter().flat_map(|t| &t.seen).for_each(|(i, _)| ties[*i] += 1);
         if (first..ties.len()).any(|i| ties[i] < LEAST_KEPT) {
             // The one that holds least may have bent the others: once more without it.
-            let least = added.iter().zip(&ties[first..]).min_by_key(|(_, ties)| **ties);
+            let least = fresh.iter().zip(&ties[first..]).min_by_key(|(_, ties)| **ties);
             least.into_iter().for_each(|(frame, _)| hopeless[*frame] = true);
-            block = before;
+            block.clone_from(&adjusted);
+        } else {
+            adjusted.clone_from(&block);
         }
+        fresh.clear();
     }
 }
 

@@ -155,6 +155,21 @@ fn parts_are_joined_and_frames_left_out_are_placed() {
     assert_eq!(block.photographs.len(), 8);
 }
 
+/// A large block is not adjusted for each frame that it grows by, and holds together all the same.
+#[test]
+fn a_long_line_grows_frame_by_frame() {
+    let mut draw = Draw(29);
+    let (truth, points) = block(&mut draw, 55, 1600, 8);
+    let names: Vec<&str> = truth.photographs.iter().map(|p| p.name.as_str()).collect();
+    let (mut seen, mut measured) = (truth.clone(), points.clone());
+    noisy(&mut draw, &mut seen, &mut measured, 0.5, 0.05);
+    let tracks: Vec<Track> = seen.ties.iter().map(|t| t.seen.clone()).collect();
+    let block = completed(part(&mut draw, &seen, 0..45), &names, &tracks).expect("completed");
+    assert_eq!(block.photographs.len(), 55);
+    let found = adjust(&block, &measured, &AdjustOptions::default()).expect("adjusted");
+    assert!(found.tie_rms_px < 1.0, "{}", found.tie_rms_px);
+}
+
 #[test]
 fn exact_measurements_give_the_exact_block() {
     let mut draw = Draw(1);
