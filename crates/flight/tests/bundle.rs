@@ -183,6 +183,24 @@ fn exact_measurements_give_the_exact_block() {
     assert!((found.cameras[0].f_px() - 2107.0).abs() < 1e-4 && found.blunders.is_empty());
 }
 
+/// An interior orientation that is held and wrong is said, though none of its parameters is adjusted.
+#[test]
+fn a_held_lens_that_is_not_as_stated_is_said() {
+    let mut draw = Draw(31);
+    let (truth, mut points) = block(&mut draw, 6, 600, 8);
+    let mut seen = truth.clone();
+    noisy(&mut draw, &mut seen, &mut points, 0.5, 0.05);
+    let notes = |k1: f64| {
+        let mut start = seen.clone();
+        start.cameras[0] = start.cameras[0].clone().with(Parameter::K1, k1);
+        let options = AdjustOptions { interior: Vec::new(), ..AdjustOptions::default() };
+        adjust(&start, &points, &options).expect("adjusted").notes.join("; ")
+    };
+    let said = |notes: &str| notes.contains("which is held: with");
+    assert!(!said(&notes(-0.002)), "{}", notes(-0.002));
+    assert!(said(&notes(0.02)), "{}", notes(0.02));
+}
+
 /// Rays that are parallel tell nothing of the point, and take nothing from what others tell.
 #[test]
 fn a_tie_without_depth_costs_no_covariance() {

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
 use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
-use crate::bundle::{Deviations, Ended, Factored, Loss, Observation, Options, Problem, Summary, factor, solve};
+use crate::bundle::{Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, factor, solve};
 use crate::camera::Parameter;
 use crate::error::Result;
 use crate::read::Reconstruction;
@@ -91,19 +91,27 @@ pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint])
     }
 }
 
-/// A lens that is not as its model, where that is what the deviations of its interior come from.
+/// A lens that is not as its model, where that is what the deviations of its interior come from, or where no interior
+/// is adjusted.
 pub(super) fn missing_terms(problem: &Problem, deviations: &Deviations) -> Option<String> {
     let missing = deviations.missing_terms()?;
-    let of = problem.cameras[missing.camera].active().iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
-    let by = match missing.parameter {
-        Parameter::F | Parameter::Cx | Parameter::Cy => format!("{:+.2} px", missing.by),
-        _ => format!("{:+.2e}", missing.by),
+    let terms = missing.terms.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
+    let free = "let them free (--free, or free under [adjust])";
+    let Some(Moved { camera, parameter, by }) = missing.moved else {
+        return Some(format!(
+            "the lens is not as its interior orientation, which is held: with {terms} free the ties would fit better \
+             than chance explains, which the deviations count in; {free}"
+        ));
+    };
+    let of = problem.cameras[camera].active().iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
+    let by = match parameter {
+        Parameter::F | Parameter::Cx | Parameter::Cy => format!("{by:+.2} px"),
+        _ => format!("{by:+.2e}"),
     };
     Some(format!(
-        "the lens has more terms than {of} say: with {} free the ties would fit better than chance explains, and {} \
-         would change by {by}, which its deviation counts in; let them free (--free, or free under [adjust])",
-        missing.terms.iter().map(|p| p.name()).collect::<Vec<_>>().join(", "),
-        missing.parameter.name(),
+        "the lens has more terms than {of} say: with {terms} free the ties would fit better than chance explains, and {} \
+         would change by {by}, which its deviation counts in; {free}",
+        parameter.name(),
     ))
 }
 

@@ -15,7 +15,8 @@
 
 use nalgebra::{DVector, Matrix3, SMatrix, SVector};
 
-use super::normal::{Curvature, Factored, linear};
+use super::linear::{Curvature, linear};
+use super::normal::Factored;
 use super::other_lens::OtherLens;
 use super::{Loss, Problem};
 use crate::camera::Parameter;
@@ -23,12 +24,18 @@ use crate::camera::Parameter;
 /// What a lens with more terms would change.
 #[derive(Clone, Debug)]
 pub struct MissingTerms {
-    pub camera: usize,
-    pub parameter: Parameter,
-    /// Units of the parameter.
-    pub by: f64,
     /// Held terms with which the ties would fit better.
     pub terms: Vec<Parameter>,
+    /// What would change most of all interiors; `None` where none is adjusted.
+    pub moved: Option<Moved>,
+}
+
+/// An interior parameter that would change, in units of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    pub camera: usize,
+    pub parameter: Parameter,
+    pub by: f64,
 }
 
 /// Cells along a side of the image, and of the ground, that make a cluster.
@@ -69,8 +76,8 @@ impl Deviations {
         Deviations { ways: ways.collect(), factored, other_lens: OtherLens::of(problem, loss) }
     }
 
-    /// What would change most of all interiors if the lens had all of Brown's terms. `None` where the lens is as its
-    /// model, or the change is less than what the clusters bear out.
+    /// The terms that the lens lacks. `None` where it is as its model, or what they would change of the interiors is less
+    /// than what the clusters bear out.
     pub fn missing_terms(&self) -> Option<MissingTerms> {
         let other = self.other_lens.as_ref()?;
         let of = |camera: usize| {
@@ -78,11 +85,12 @@ impl Deviations {
             self.factored.interior(camera).into_iter().enumerate().map(move |(i, (parameter, sigma))| {
                 let deviation = self.variance(|pull| pull[at + i]).sqrt().max(sigma);
                 let by = other.interior(camera, parameter);
-                (by.abs() / deviation, MissingTerms { camera, parameter, by, terms: other.terms.clone() })
+                (by.abs() / deviation, Moved { camera, parameter, by })
             })
         };
-        let all = (0..self.factored.layout.active.len()).flat_map(of);
-        all.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(size, _)| *size > 1.0).map(|(_, missing)| missing)
+        let most = (0..self.factored.layout.active.len()).flat_map(of).max_by(|a, b| a.0.total_cmp(&b.0));
+        let counts = most.is_none_or(|(size, _)| size > 1.0);
+        counts.then(|| MissingTerms { terms: other.terms.clone(), moved: most.map(|(_, moved)| moved) })
     }
 
     /// The variance that the clusters bear out, the largest over the ways, of what `of` takes from a pull.

@@ -6,12 +6,14 @@
 //! Synthesis*, 2000, section 4.3 for the curvature of a robust loss; damping after Nielsen 1999).
 
 mod deviations;
+mod layout;
+mod linear;
 mod normal;
 mod other_lens;
 pub mod skyline;
 mod solve;
 
-pub use deviations::{Deviations, MissingTerms};
+pub use deviations::{Deviations, MissingTerms, Moved};
 pub use normal::Factored;
 pub use solve::{Ended, Options, Summary, factor, solve};
 

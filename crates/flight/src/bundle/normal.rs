@@ -1,153 +1,20 @@
 //! Normal equations, reduced to the cameras.
 
-use nalgebra::{DVector, Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{DVector, Matrix2, Matrix3, SMatrix, Vector3};
 
-use super::skyline::{Skyline, order};
+use super::layout::Layout;
+use super::linear::{Curvature, Linear, linear, times};
+use super::skyline::Skyline;
 use super::{Loss, Observation, Problem, Treatment, Trust};
 use crate::camera::Parameter;
 use crate::pose::turn;
 
-type Matrix2x6 = SMatrix<f64, 2, 6>;
 type Matrix6x3 = SMatrix<f64, 6, 3>;
-
-/// Interior parameters of one camera that can be adjusted at once.
-pub(super) const MOST_INTERIOR: usize = 13;
 
 /// Pivots, as shares of their diagonals, above which an unknown is determined by more than rounding, and above which a
 /// damped system can be solved.
 pub(super) const DETERMINED: f64 = 1e-11;
 pub(super) const SOLVABLE: f64 = 1e-15;
-
-/// What the second derivative of a robust loss counts for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Curvature {
-    /// Nothing: observations are weighted by ρ′, as covariances want it.
-    Weights,
-    /// Along a residual a far observation pulls, but hardly holds: steps that know it converge fast.
-    Whole,
-}
-
-/// Share of the weight that stays along a residual where the loss is straight or concave.
-const LEAST_RADIAL: f64 = 0.02;
-
-/// The weighted derivatives of one observation.
-pub(super) struct Linear {
-    /// By turn and centre of the pose.
-    pub pose: Matrix2x6,
-    /// By the active interior parameters.
-    pub interior: [Vector2<f64>; MOST_INTERIOR],
-    pub point: Matrix2x3<f64>,
-    pub residual: Vector2<f64>,
-}
-
-/// Where each unknown stands in the reduced system.
-pub(super) struct Layout {
-    pub frame_at: Vec<usize>,
-    pub interior_at: Vec<usize>,
-    pub active: Vec<Vec<Parameter>>,
-    pub size: usize,
-    first: Vec<usize>,
-    /// Observations of each point.
-    pub of_point: Vec<Vec<u32>>,
-}
-
-impl Layout {
-    pub fn new(problem: &Problem) -> Self {
-        let n = problem.frames.len();
-        let mut of_point = vec![Vec::new(); problem.points.len()];
-        for (i, o) in problem.observations.iter().enumerate() {
-            of_point[o.point].push(i as u32);
-        }
-        let mut linked: Vec<std::collections::BTreeSet<usize>> = vec![Default::default(); n];
-        for list in &of_point {
-            for a in list {
-                for b in list {
-                    let (fa, fb) = (problem.observations[*a as usize].frame, problem.observations[*b as usize].frame);
-                    if fa != fb {
-                        linked[fa].insert(fb);
-                    }
-                }
-            }
-        }
-        let neighbours: Vec<Vec<usize>> = linked.into_iter().map(|s| s.into_iter().collect()).collect();
-        let order = order(&neighbours);
-        let mut frame_at = vec![0; n];
-        for (place, frame) in order.iter().enumerate() {
-            frame_at[*frame] = place * 6;
-        }
-        let active: Vec<Vec<Parameter>> = problem.cameras.iter().map(|c| c.active()).collect();
-        let mut interior_at = Vec::new();
-        let mut size = n * 6;
-        for list in &active {
-            interior_at.push(size);
-            size += list.len();
-        }
-        let mut first = vec![0; size];
-        for frame in 0..n {
-            let low = neighbours[frame].iter().map(|k| frame_at[*k]).min().unwrap_or(usize::MAX).min(frame_at[frame]);
-            for row in frame_at[frame]..frame_at[frame] + 6 {
-                first[row] = low;
-            }
-        }
-        Layout { frame_at, interior_at, active, size, first, of_point }
-    }
-}
-
-/// The derivatives of an observation, weighted by 1/σ and the robust loss; `None` behind the camera.
-pub(super) fn linear(
-    problem: &Problem,
-    layout: &Layout,
-    o: &Observation,
-    loss: Loss,
-    curvature: Curvature,
-) -> Option<Linear> {
-    let frame = &problem.frames[o.frame];
-    let x = &problem.points[o.point].xyz;
-    let p = frame.pose.to_camera(x);
-    if p.z <= 0.0 {
-        return None;
-    }
-    let camera = &problem.cameras[frame.camera].camera;
-    let active = &layout.active[frame.camera];
-    let mut interior = [Vector2::zeros(); MOST_INTERIOR];
-    let (at, by_p) = if active.is_empty() {
-        let (at, j) = camera.project_with_jacobian(p.into());
-        (at, Matrix2x3::from_fn(|r, c| j[r][c]))
-    } else if active.len() <= 5 {
-        split::<8>(&camera.project_with_parameters::<8>(p.into(), active), active.len(), &mut interior)
-    } else {
-        split::<16>(&camera.project_with_parameters::<16>(p.into(), active), active.len(), &mut interior)
-    };
-    let residual = Vector2::new(at[0] - o.pixel[0], at[1] - o.pixel[1]) / o.sigma_px;
-    if !residual.iter().all(|v| v.is_finite()) {
-        return None;
-    }
-    let squared = residual.norm_squared();
-    let (weight, radial) = match (o.trust, curvature) {
-        (Trust::Robust, Curvature::Whole) => (loss.at(squared).1.sqrt(), loss.radial(squared).max(LEAST_RADIAL).sqrt()),
-        (Trust::Robust, Curvature::Weights) => (loss.at(squared).1.sqrt(), 1.0),
-        (Trust::Full, _) => (1.0, 1.0),
-    };
-    let scale = weight / o.sigma_px;
-    let mut by_p = by_p * scale;
-    // The part of the derivatives along the residual shrinks, the residual grows by as much: the slope stays the same.
-    let bent = (radial < 1.0).then(|| {
-        Matrix2::identity() - residual * residual.transpose() * ((1.0 - radial) / squared.max(f64::MIN_POSITIVE))
-    });
-    if let Some(m) = bent {
-        by_p = m * by_p;
-    }
-    let by_x = times(&by_p, &frame.pose.rotation);
-    // exp(δ) p ≈ p + δ × p.
-    let by_turn = times(&by_p, &-p.cross_matrix());
-    let mut pose = Matrix2x6::zeros();
-    pose.fixed_columns_mut::<3>(0).copy_from(&by_turn);
-    pose.fixed_columns_mut::<3>(3).copy_from(&-by_x);
-    for v in &mut interior[..active.len()] {
-        *v = bent.map_or(*v, |m| m * *v) * scale;
-    }
-    Some(Linear { pose, interior, point: by_x, residual: residual * (weight / radial) })
-}
 
 /// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for
 /// each column.
@@ -160,34 +27,6 @@ fn across<const R: usize, const C: usize>(a: &SMatrix<f64, 2, R>, b: &SMatrix<f6
         }
     }
     out
-}
-
-/// a b of small matrices, spelled out.
-#[inline(always)]
-fn times<const R: usize, const K: usize, const C: usize>(
-    a: &SMatrix<f64, R, K>,
-    b: &SMatrix<f64, K, C>,
-) -> SMatrix<f64, R, C> {
-    let mut out = SMatrix::zeros();
-    for c in 0..C {
-        for k in 0..K {
-            for r in 0..R {
-                out[(r, c)] += a[(r, k)] * b[(k, c)];
-            }
-        }
-    }
-    out
-}
-
-fn split<const N: usize>(
-    at: &[crate::dual::Dual<N>; 2],
-    active: usize,
-    interior: &mut [Vector2<f64>; MOST_INTERIOR],
-) -> ([f64; 2], Matrix2x3<f64>) {
-    for (i, v) in interior[..active].iter_mut().enumerate() {
-        *v = Vector2::new(at[0].d[i + 3], at[1].d[i + 3]);
-    }
-    ([at[0].v, at[1].v], Matrix2x3::from_fn(|r, c| at[r].d[c]))
 }
 
 /// Whether rays meet at less than some two seconds of arc: the point could lie anywhere along them.

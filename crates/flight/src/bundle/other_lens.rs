@@ -2,7 +2,9 @@
 
 use nalgebra::{SVector, Vector3};
 
-use super::normal::{Curvature, DETERMINED, Layout, MOST_INTERIOR, Reduced, Step};
+use super::layout::{Layout, MOST_INTERIOR};
+use super::linear::Curvature;
+use super::normal::{DETERMINED, Reduced, Step};
 use super::{Loss, Problem, Treatment};
 use crate::camera::Parameter;
 

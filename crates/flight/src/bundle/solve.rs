@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::normal::{Curvature, Factored, Layout, MOST_INTERIOR, Reduced, SOLVABLE, Step};
+use super::layout::{Layout, MOST_INTERIOR};
+use super::linear::Curvature;
+use super::normal::{Factored, Reduced, SOLVABLE, Step};
 use super::{Loss, Problem};
 use crate::error::{Error, Result};
 
