@@ -160,6 +160,9 @@ const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
 /// Starts that are refined, beside the best one of each focal length.
 const BEST_STARTS: usize = 12;
 
+/// Points that starts are compared by, at most.
+const MOST_ASKED: usize = 200;
+
 /// Finds the pose; wrong points are named.
 ///
 /// # Errors
@@ -183,10 +186,12 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
         }
     };
     let judging = judging(seen, options);
+    // Which starts are good, some tell as well as all.
+    let some: Vec<Seen> = seen.iter().step_by(seen.len().div_ceil(MOST_ASKED)).cloned().collect();
     let mut best: Vec<(f64, Camera, Pose)> = Vec::new();
     for camera in &cameras {
         for pose in starts(camera, seen, options) {
-            let score = disagreement(camera, &pose, seen, &judging);
+            let score = disagreement(camera, &pose, &some, &judging);
             best.push((score, camera.clone(), pose));
         }
     }
@@ -422,9 +427,10 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions, 
         let judged = options.position.is_none() || !position_counts || first.position.is_some();
         let spare = known >= unknowns + 3 && kept.len() > 4 && judged;
         let left = (2.0 * summary.cost, redundancy);
-        let worst = factored.as_ref().filter(|_| spare).and_then(|f| worst_point(&at, f, &subset, options, left));
-        if let Some((index, _)) = worst {
-            blunders.push(kept.remove(index));
+        let worst = factored.as_ref().filter(|_| spare).map(|f| worst_points(&at, f, &subset, options, left));
+        if let Some(worst) = worst.filter(|worst| !worst.is_empty()) {
+            blunders.extend(worst.iter().map(|index| kept[*index]));
+            kept.retain(|i| !blunders.contains(i));
             continue;
         }
         if !position_counts {
@@ -508,18 +514,43 @@ fn off_by(
     inverse.map_or(f64::INFINITY, |inverse| v.dot(&(inverse * v)).sqrt())
 }
 
+/// Of so many points one at a time is judged wrong: in larger nets, where none hides another, as many as hold these
+/// together.
+const NET: usize = 50;
+
 /// The point whose residual is largest against its own standard deviation, if beyond the critical value. The σ stated
 /// may be too small for the whole net: then a point is wrong when it is beyond the critical value in units of the
 /// others' spread (by their median: several may be wrong), or when the others fit so much better without it as chance
 /// would have it for the worst of them once in twenty sets (Fisher's test on the sum of squares that it accounts for,
-/// with Bonferroni's bound). `left` is the sum of squares of all and the redundancy.
-fn worst_point(
+/// with Bonferroni's bound). `left` is the sum of squares of all and the redundancy. Of a large net the worst ones,
+/// by the first of these rules.
+fn worst_points(
     at: &Problem,
     factored: &crate::bundle::Factored,
     seen: &[Seen],
     options: &ResectOptions,
     left: (f64, usize),
-) -> Option<(usize, f64)> {
+) -> Vec<usize> {
+    let Some(tests) = normalised(at, factored, seen) else { return Vec::new() };
+    let mut worst: Vec<usize> = (0..tests.len()).collect();
+    worst.sort_by(|a, b| tests[*b].total_cmp(&tests[*a]));
+    // The median length of a normal 2-vector is 1.1774 σ.
+    let unit = (tests[worst[(worst.len() - 1) / 2]] / 1.1774).max(1.0);
+    worst.truncate((tests.len() / NET).max(1));
+    let most = tests[worst[0]];
+    let rest = left.1.saturating_sub(2) as f64;
+    // Of F with 2 and n degrees of freedom: P(F > x) = (1 + 2x/n)^(−n/2).
+    let ratio = most * most / (left.0 - most * most).max(f64::MIN_POSITIVE);
+    let by_chance = if rest > 0.0 { (1.0 + ratio).powf(-rest / 2.0) * tests.len() as f64 } else { 1.0 };
+    let first = worst[0];
+    worst.retain(|i| {
+        tests[*i] > options.critical && (tests[*i] > options.critical * unit || (*i == first && by_chance < 0.05))
+    });
+    worst
+}
+
+/// The residual of each point against its standard deviation; `None` where one lies behind the camera.
+fn normalised(at: &Problem, factored: &crate::bundle::Factored, seen: &[Seen]) -> Option<Vec<f64>> {
     let mut tests = Vec::new();
     for (i, o) in at.observations.iter().enumerate() {
         // From where the fit has the point: image and survey of a point that one frame sees share one test.
@@ -532,15 +563,5 @@ fn worst_point(
         let test = v.dot(&((q + floor).try_inverse()? * v)).max(0.0).sqrt();
         tests.push(test);
     }
-    let mut sorted = tests.clone();
-    sorted.sort_by(f64::total_cmp);
-    // The median length of a normal 2-vector is 1.1774 σ.
-    let unit = (sorted[sorted.len() / 2] / 1.1774).max(1.0);
-    let (index, worst) = tests.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let rest = left.1.saturating_sub(2) as f64;
-    // Of F with 2 and n degrees of freedom: P(F > x) = (1 + 2x/n)^(−n/2).
-    let ratio = worst * worst / (left.0 - worst * worst).max(f64::MIN_POSITIVE);
-    let by_chance = if rest > 0.0 { (1.0 + ratio).powf(-rest / 2.0) * tests.len() as f64 } else { 1.0 };
-    let wrong = worst > options.critical && (worst > options.critical * unit || by_chance < 0.05);
-    wrong.then_some((index, worst / unit))
+    Some(tests)
 }
