@@ -104,6 +104,19 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
             "every box is four numbers in millimetres: x, y, x, y of two opposite corners",
         );
     }
+    for (axis, place) in [|m: &CameraMark| m.x_mm, |m: &CameraMark| m.y_mm].iter().enumerate() {
+        let places = || camera.marks.iter().filter_map(place);
+        let apart = places().fold(f64::MIN, f64::max) - places().fold(f64::MAX, f64::min);
+        // Film of which a part was cut off may be stated as what is left.
+        if apart > 1.2 * camera.film_size_mm[axis] {
+            let what = format!(
+                "lie {apart:.1} mm apart in {}, on a film of {} mm",
+                ["x", "y"][axis],
+                camera.film_size_mm[axis]
+            );
+            return wrong("marks".into(), &what);
+        }
+    }
     let mut names = HashSet::new();
     for mark in &camera.marks {
         let place = || format!("mark \"{}\"", mark.name);

@@ -12,6 +12,8 @@ const MOST_CHANCE: f64 = 2e-3;
 /// By how much the size of a pixel may differ from a stated one: told, and looked at.
 const TOLD: f64 = 0.005;
 const ASTRAY: f64 = 0.04;
+/// By how much from one that a person gave: axes of scanners differ by up to 2.3 %, half of which is in the mean.
+const GIVEN_ASTRAY: f64 = 0.02;
 /// A file's resolution further off than this many times says nothing of the scan.
 const NONSENSE: f64 = 3.0;
 /// What a scan may show of the film's width and height at all, where nothing else tells its scale.
@@ -43,10 +45,17 @@ impl Finder {
         let Some(interior) = &result.interior else { return };
         let mut said = Said::default();
         if assembly.chance > MOST_CHANCE {
+            let unsaid = [
+                (options.pixel_um.is_none(), "say --pixel-um"),
+                (options.turn_deg.is_none(), "say --turn"),
+                (options.mirrored.is_none(), "say --mirrored"),
+            ];
+            let ways =
+                unsaid.into_iter().filter(|(open, _)| *open).map(|(_, way)| way).chain(["take a smaller --box-share"]);
             said.doubts.push(format!(
-                "so many places look like marks that {} of them would agree as well by chance; say --pixel-um, --turn or --mirrored, \
-                 or take a smaller --box-share",
-                interior.marks.len()
+                "so many places look like marks that {} of them would agree as well by chance; {}",
+                interior.marks.len(),
+                ways.collect::<Vec<_>>().join(", or ")
             ));
         }
         let by_file =
@@ -108,8 +117,11 @@ impl Said {
             )
         };
         if let Some(given) = given {
-            if off(pixel_um, given).abs() > ASTRAY {
-                self.doubts.push(told("--pixel-um".into(), given));
+            let (text, off) = (told("--pixel-um".into(), given), off(pixel_um, given).abs());
+            if off > GIVEN_ASTRAY {
+                self.doubts.push(format!("{text}: this is the camera only if --pixel-um is wrong by that much"));
+            } else if off > TOLD {
+                self.notes.push(text);
             }
         } else if let Some((resolution, um)) = by_file {
             let text = told(format!("the file's resolution ({:.0} dpi)", resolution.0[0]), um);

@@ -64,6 +64,9 @@ pub struct Resection {
     pub rms_px: f64,
     /// √(v'Pv / redundancy) with the σ that were stated; `None` without redundancy.
     pub sigma0: Option<f64>,
+    /// How many times as large the deviations are as those that follow from what was stated: √(v'Pv / redundancy) where
+    /// it is too large for chance, else 1. It is in `covariance`.
+    pub widened: f64,
     /// Other poses that see the points as well: three points allow up to four, and nothing but a known position tells.
     pub alternatives: Vec<Pose>,
 }
@@ -444,10 +447,12 @@ fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions, 
         if kept.iter().any(|i| residuals_px[*i].is_none()) {
             return Err(Error::no_result("a point lies behind the camera", "check the points"));
         }
+        let widened = excess(sigma0, redundancy);
         let sum: f64 = kept.iter().filter_map(|i| residuals_px[*i]).map(|r| r[0] * r[0] + r[1] * r[1]).sum();
         blunders.sort_unstable();
         return Ok(Resection {
-            covariance: factored.map(|f| f.frame(0)),
+            covariance: factored.map(|f| f.frame(0) * widened.powi(2)),
+            widened,
             rms_px: (sum / (2 * kept.len()) as f64).sqrt(),
             camera,
             pose,
@@ -484,11 +489,25 @@ fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions)
     if far.len() as f64 > MOST * seen.len() as f64 || left < needed { Vec::new() } else { far }
 }
 
-/// Of so many squares of normal numbers, the root of the share of their expected sum that one set in a hundred does not
-/// reach (Wilson and Hilferty, 1931): points that were chosen because they fit spread less than others.
-fn least_share(redundancy: usize) -> f64 {
+/// Of so many squares of normal numbers, the root of the share of their expected sum at a normal quantile (Wilson and
+/// Hilferty, 1931).
+fn share(redundancy: usize, quantile: f64) -> f64 {
     let ninth = 2.0 / (9.0 * redundancy.max(1) as f64);
-    (1.0 - ninth - 2.326 * ninth.sqrt()).max(0.2).powi(3).sqrt()
+    (1.0 - ninth + quantile * ninth.sqrt()).max(0.2).powi(3).sqrt()
+}
+
+/// The normal number that one in a hundred exceeds.
+const ONE_PERCENT: f64 = 2.326;
+
+/// What one set in a hundred does not reach: points that were chosen because they fit spread less than others.
+fn least_share(redundancy: usize) -> f64 {
+    share(redundancy, -ONE_PERCENT)
+}
+
+/// σ₀ where the points fit worse than one set in a hundred would by chance: how many times as large all deviations are
+/// as those that follow from what was stated. Else 1.
+fn excess(sigma0: Option<f64>, redundancy: usize) -> f64 {
+    sigma0.filter(|s| *s > share(redundancy, ONE_PERCENT)).unwrap_or(1.0)
 }
 
 /// How far a point that took no part lies from where the pose has it, in standard deviations of both.

@@ -107,8 +107,26 @@ pub fn camera(name: &str, model: &str, size: [f64; 2], p: &[f64]) -> Result<Came
 /// # Errors
 /// When a file is missing, broken, or holds a camera that is not supported.
 pub fn read(folder: &Path) -> Result<Reconstruction> {
-    let raw = if folder.join("cameras.bin").is_file() { binary(folder)? } else { text(folder)? };
-    raw.join(folder)
+    raw(folder, Parts::All)?.join(folder)
+}
+
+/// Reads the cameras of a model's folder, whose other files need not be there.
+///
+/// # Errors
+/// Those of [`read`].
+pub fn cameras(folder: &Path) -> Result<Vec<Camera>> {
+    Ok(raw(folder, Parts::Cameras)?.cameras.into_iter().map(|c| c.1).collect())
+}
+
+/// What is read of a model.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Parts {
+    All,
+    Cameras,
+}
+
+fn raw(folder: &Path, parts: Parts) -> Result<Raw> {
+    if folder.join("cameras.bin").is_file() { binary(folder, parts) } else { text(folder, parts) }
 }
 
 /// Id, name, camera, quaternion and translation, points in the image.
@@ -154,7 +172,11 @@ impl Raw {
             ties.push(TiePoint { xyz: Vector3::from(xyz), seen });
         }
         let cameras = self.cameras.into_iter().map(|c| c.1).collect();
-        Ok(Reconstruction { cameras, photographs, ties, ..Reconstruction::default() })
+        let mut notes = Vec::new();
+        if !["bin", "txt"].iter().any(|e| folder.join(format!("points3D.{e}")).is_file()) {
+            notes.push("the model has no points3D: no tie joins its frames".to_string());
+        }
+        Ok(Reconstruction { cameras, photographs, ties, notes, ..Reconstruction::default() })
     }
 }
 
@@ -194,7 +216,7 @@ impl Bytes<'_> {
     }
 }
 
-fn binary(folder: &Path) -> Result<Raw> {
+fn binary(folder: &Path, parts: Parts) -> Result<Raw> {
     let mut raw = Raw::default();
     let load = |name: &str| {
         let path = folder.join(name);
@@ -213,6 +235,9 @@ fn binary(folder: &Path) -> Result<Raw> {
         let camera = camera(&id.to_string(), name, size, &parameters)
             .map_err(|e| Error::format(&path, format!("camera {id}"), e))?;
         raw.cameras.push((id, camera));
+    }
+    if parts == Parts::Cameras {
+        return Ok(raw);
     }
     let (path, bytes) = load("images.bin")?;
     let mut b = Bytes { path: &path, bytes: &bytes, at: 0 };
@@ -254,7 +279,7 @@ fn binary(folder: &Path) -> Result<Raw> {
     Ok(raw)
 }
 
-fn text(folder: &Path) -> Result<Raw> {
+fn text(folder: &Path, parts: Parts) -> Result<Raw> {
     let mut raw = Raw::default();
     let numbers = |path: &Path, row: usize, words: &[&str]| -> Result<Vec<f64>> {
         let parse = |w: &&str| w.parse::<f64>().ok().filter(|v| v.is_finite());
@@ -277,6 +302,9 @@ fn text(folder: &Path) -> Result<Raw> {
         raw.cameras.push((head[0] as u64, camera));
     }
 
+    if parts == Parts::Cameras {
+        return Ok(raw);
+    }
     let path = folder.join("images.txt");
     let content = read_text(&path)?;
     // Rows come in pairs; the second is empty when the image has no points.

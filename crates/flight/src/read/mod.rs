@@ -46,6 +46,19 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
+    /// Takes out cameras that no photograph was taken with, as COLMAP keeps them of images that it left out.
+    pub fn drop_unused_cameras(&mut self) {
+        let mut place = vec![None; self.cameras.len()];
+        self.photographs.iter().for_each(|p| place[p.camera] = Some(0));
+        let used = place.iter().map(Option::is_some).collect::<Vec<_>>();
+        place.iter_mut().flatten().enumerate().for_each(|(new, place)| *place = new);
+        let mut keep = used.iter();
+        self.cameras.retain(|_| *keep.next().expect("a word for each camera"));
+        for p in &mut self.photographs {
+            p.camera = place[p.camera].expect("the photograph was taken with it");
+        }
+    }
+
     /// A photograph by its name, with or without folder and extension.
     pub fn find(&self, name: &str) -> Option<usize> {
         same_image(name, self.photographs.iter().map(|p| p.name.as_str()))

@@ -84,7 +84,7 @@ impl CameraRow {
 /// without one rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
 ///
 /// # Errors
-/// When a row has no name or a coordinate is no number.
+/// When a row has no name, or a coordinate is missing or no number.
 pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     let text = read_text(path)?;
     let lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
@@ -138,7 +138,11 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let (Some(x), Some(y)) = (value(0)?, value(1)?) else {
             return Err(Error::format(path, format!("row {row}"), "x or y is missing"));
         };
-        let xyz = [x, y, value(2)?.unwrap_or(0.0)];
+        let Some(z) = value(2)? else {
+            let what = format!("`{name}` has no height; the table wants one in a column `z` or `height`");
+            return Err(Error::format(path, format!("row {row}"), what));
+        };
+        let xyz = [x, y, z];
         let off_earth = geographic && !(x.abs() <= 360.0 && y.abs() <= 90.0);
         if off_earth || xyz.iter().any(|v| v.abs() >= FARTHEST) {
             let what = format!("`{name}` stands at ({x}, {y}, {}), which is no place on Earth", xyz[2]);

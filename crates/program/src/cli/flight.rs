@@ -309,6 +309,12 @@ fn camera_file(path: &Path, name: &str) -> Result<Camera> {
             Err(first) => of_frame(&read::reconstruction(path).map_err(|_| first)?, name, path),
         };
     }
+    let alone = |stem: &str| path.file_stem().is_some_and(|s| s == stem) && path.is_file();
+    let folder = path.parent().unwrap_or(Path::new(""));
+    if alone("cameras") && !["bin", "txt"].iter().any(|e| folder.join(format!("images.{e}")).exists()) {
+        let cameras = read::colmap::cameras(folder)?;
+        return of_frame(&Reconstruction { cameras, ..Reconstruction::default() }, name, path);
+    }
     of_frame(&read::reconstruction(path)?, name, path)
 }
 

@@ -170,7 +170,8 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
         ("sigma-direction", Some(args.sigma_direction)),
     ])?;
     let interior = interior(&args.free)?;
-    let model = read::reconstruction(&args.reconstruction)?;
+    let mut model = read::reconstruction(&args.reconstruction)?;
+    model.drop_unused_cameras();
     let Datum { control, world, points, rough, notes, said } = Datum::of(args, &model)?;
     let options = AdjustOptions {
         sigma_image_px: args.how.sigma_image,

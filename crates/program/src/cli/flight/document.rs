@@ -227,6 +227,12 @@ fn notes(found: &Resection) -> Vec<String> {
             "the points fit {sigma0:.0} times worse than is stated of them: do not trust the pose; look at the points, the \
              focal length and --position"
         ));
+    } else if found.widened > 1.0 {
+        notes.push(format!(
+            "the points fit {:.1} times worse than is stated of them, which chance does not explain: the standard deviations \
+             are as many times as large",
+            found.widened
+        ));
     }
     notes
 }
@@ -268,9 +274,10 @@ pub fn say(document: &Value, already: &[String]) {
         }
     } else {
         eprintln!(
-            "{}: C ({}) yaw {} pitch {} roll {} f {} px; rms {} px",
+            "{}: C ({}) ± ({}) yaw {} pitch {} roll {} f {} px; rms {} px",
             document["name"].as_str().unwrap_or_default(),
             several(&document["C"], 3),
+            ["sigma_e", "sigma_n", "sigma_h"].map(|k| fixed(&document[k], 3)).join(", "),
             fixed(&document["yaw_deg"], 3),
             fixed(&document["pitch_deg"], 3),
             fixed(&document["roll_deg"], 3),

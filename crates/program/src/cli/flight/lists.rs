@@ -237,8 +237,15 @@ impl Control {
             for (image, pixel) in &p.seen {
                 let index =
                     if image.is_empty() && model.photographs.len() == 1 { Some(0) } else { same_image(image, names()) };
-                if let Some(i) = index.filter(|i| seen.iter().all(|(k, _)| k != i)) {
-                    seen.push((i, *pixel));
+                let Some(i) = index else { continue };
+                match seen.iter().find(|(k, _)| *k == i) {
+                    Some((_, other)) if other != pixel => bail!(
+                        "`{}` is measured twice in {}, at {other:?} and {pixel:?}; keep the one that is right",
+                        p.name,
+                        model.photographs[i].name
+                    ),
+                    Some(_) => {}
+                    None => seen.push((i, *pixel)),
                 }
             }
             let sigma = args.how.sigma_ground.map_or_else(|| p.sigma_or(DEFAULT_SIGMA_GROUND_M), |s| [s; 3]);
