@@ -12,6 +12,7 @@ use std::os::unix::ffi::OsStrExt;
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
 use crate::error::{Error, Result};
+use crate::row_cache::{self, RowCache, Use};
 use autoref_raster::bounded;
 
 /// What is drawn, with the options of `gdaldem`.
@@ -23,6 +24,7 @@ pub struct Drawing<'a> {
     pub options: Vec<String>,
     /// Of `color-relief`.
     pub colours: Option<&'a Path>,
+    pub memory_budget_bytes: u64,
 }
 
 /// Cells that are read at a time.
@@ -89,10 +91,13 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
     let colours = drawing.colours.map(|table| Colours::read(table, || extremes(model, &dataset))).transpose()?;
+    let width = dataset.raster_size().0 as u64;
+    let _cache = RowCache::hold(model, &dataset, Use::Copied, drawing.memory_budget_bytes)?;
     let mut options = drawing.options.clone();
     options.extend(
         ["-of", "GTiff", "-co", "COMPRESS=DEFLATE", "-co", "TILED=YES", "-co", "BIGTIFF=IF_SAFER"].map(str::to_string),
     );
+    options.extend(["-co".into(), format!("BLOCKYSIZE={}", row_cache::block_rows(width))]);
     let words: Vec<CString> = options.iter().map(|o| c_string(model, o.as_bytes())).collect::<Result<_>>()?;
     let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
     pointers.push(std::ptr::null_mut());
@@ -239,7 +244,7 @@ const MOST_LEVELS: f64 = 100_000.0;
 /// # Errors
 /// An interval that is not positive or cuts the model's heights into more than 100,000 levels; GDAL's own words, when
 /// it cannot.
-pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64> {
+pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget_bytes: u64) -> Result<u64> {
     use gdal::spatial_ref::SpatialRef;
     use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
     if !(interval > 0.0 && interval.is_finite()) {
@@ -249,6 +254,7 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64) -> Result<u64
     let source = crate::model::open_heights(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     check_levels(model, &band, interval)?;
+    let _cache = RowCache::hold(model, &source, Use::Followed, memory_budget_bytes)?;
     let driver = DriverManager::get_driver_by_name(line_driver(out)?).map_err(failed)?;
     let mut dataset = driver.create_vector_only(out).map_err(failed)?;
     let wkt = source.projection();

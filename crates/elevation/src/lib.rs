@@ -24,6 +24,7 @@ pub mod mosaic;
 pub mod output;
 pub mod profile;
 pub mod resample;
+mod row_cache;
 pub mod source;
 pub mod stream;
 pub mod zones;

@@ -14,6 +14,7 @@ use gdal::spatial_ref::SpatialRef;
 use gdal::{Dataset, DriverManager};
 
 const SIDE: usize = 120;
+const MEMORY: u64 = 256 << 20;
 
 fn create<T: GdalType>(path: &Path, size: (usize, usize), bands: usize, crs: &str, transform: [f64; 6]) -> Dataset {
     let driver = DriverManager::get_driver_by_name("GTiff").expect("a driver");
@@ -51,7 +52,7 @@ fn model(path: &Path, crs: &str, values: Vec<f32>, step_y: f64) -> PathBuf {
 }
 
 fn resources() -> Resources {
-    Resources { tile_px: None, threads: 2, memory_budget_bytes: 256 << 20 }
+    Resources { tile_px: None, threads: 2, memory_budget_bytes: MEMORY }
 }
 
 fn compare(a: &Path, b: &Path, zones: Option<&Path>, folder: &Path) -> autoref_elevation::compare::Summary {
@@ -225,7 +226,7 @@ fn aspects_do_not_depend_on_how_rows_run() {
     assert!(!gradient::needs_true_sides(&north_up, Picture::Aspect).expect("a model"));
     assert!(gradient::needs_true_sides(&south_up, Picture::Aspect).expect("a model"));
     let (plain, own) = (folder.path().join("a.tif"), folder.path().join("b.tif"));
-    let drawing = derive::Drawing { kind: "aspect", options: Vec::new(), colours: None };
+    let drawing = derive::Drawing { kind: "aspect", options: Vec::new(), colours: None, memory_budget_bytes: MEMORY };
     derive::draw(&north_up, &plain, &drawing).expect("drawn");
     let (kernel, edges) = (gradient::Kernel::Horn, gradient::Edges::LeftOut);
     gradient::draw(&south_up, &own, Picture::Aspect, kernel, edges, 2).expect("drawn");
@@ -243,10 +244,11 @@ fn aspects_do_not_depend_on_how_rows_run() {
 fn lines_are_counted_whatever_their_format() {
     let folder = tempfile::tempdir().expect("a folder");
     let hills = model(&folder.path().join("b.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);
-    let count = |name: &str| derive::contour(&hills, &folder.path().join(name), 20.0, 0.0).expect("lines");
+    let count = |name: &str| derive::contour(&hills, &folder.path().join(name), 20.0, 0.0, MEMORY).expect("lines");
     assert!(count("a.gpkg") > 5);
     assert_eq!(count("b.gpkg"), count("b.geojson"));
-    let endless = derive::contour(&hills, &folder.path().join("c.gpkg"), 1e-6, 0.0).expect_err("millions of levels");
+    let endless =
+        derive::contour(&hills, &folder.path().join("c.gpkg"), 1e-6, 0.0, MEMORY).expect_err("millions of levels");
     assert!(endless.to_string().contains("--interval"), "{endless}");
     assert!(!folder.path().join("c.gpkg").exists());
 }
@@ -462,7 +464,7 @@ fn drawings_of_a_scaled_model_are_those_of_its_heights() {
     let mut band = set.rasterband(1).expect("a band");
     band.set_scale(0.02).and_then(|()| band.set_offset(400.0)).expect("labelled");
     drop(set);
-    let drawing = derive::Drawing { kind: "slope", options: Vec::new(), colours: None };
+    let drawing = derive::Drawing { kind: "slope", options: Vec::new(), colours: None, memory_budget_bytes: MEMORY };
     let drawn = [&plain, &scaled].map(|model| {
         let out = folder.path().join("slope.tif");
         derive::draw(model, &out, &drawing).expect("drawn");
@@ -471,7 +473,7 @@ fn drawings_of_a_scaled_model_are_those_of_its_heights() {
     let apart = drawn[0].iter().zip(&drawn[1]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(apart < 1e-3, "{apart}");
     let lines = [&plain, &scaled]
-        .map(|model| derive::contour(model, &folder.path().join("lines.gpkg"), 50.0, 0.0).expect("lines"));
+        .map(|model| derive::contour(model, &folder.path().join("lines.gpkg"), 50.0, 0.0, MEMORY).expect("lines"));
     assert!(lines[0] > 0 && lines[0] == lines[1], "{lines:?}");
 }
 

@@ -220,6 +220,8 @@ struct ContourArgs {
     /// Replace the output when it exists.
     #[arg(long)]
     overwrite: bool,
+    #[command(flatten)]
+    resources: ResourceArgs,
 }
 
 #[derive(Args, Debug)]
@@ -313,10 +315,13 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         DemCommand::Contour(args) => {
             atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
             derive::line_driver(&args.out)?;
+            let resources = args.resources.resources();
+            resources.check()?;
             derive::check_heights(&args.model)?;
+            let memory = resources.memory_budget_bytes;
             let mut lines = 0;
             atomic::with_temporary(&args.out, |path| {
-                lines = derive::contour(&args.model, path, args.interval, args.base)?;
+                lines = derive::contour(&args.model, path, args.interval, args.base, memory)?;
                 Ok(())
             })?;
             if lines == 0 {
@@ -464,12 +469,14 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
 
 fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {
     output::check(&[&args.out], Existing::of_flag(args.overwrite))?;
-    args.resources.resources().check()?;
+    let resources = args.resources.resources();
+    resources.check()?;
     if args.compute_edges {
         options.push("-compute_edges".into());
     }
     derive::check_heights(&args.model)?;
-    let drawing = Drawing { kind, options, colours };
+    let memory_budget_bytes = resources.memory_budget_bytes;
+    let drawing = Drawing { kind, options, colours, memory_budget_bytes };
     atomic::with_temporary(&args.out, |path| derive::draw(&args.model, path, &drawing))?;
     println!("Written              {}", args.out.display());
     Ok(())
