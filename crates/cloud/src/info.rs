@@ -68,6 +68,10 @@ pub fn info(path: &Path, shift: Option<[f64; 3]>) -> Result<Info> {
         (!bounds.is_empty()).then(|| [0, 1, 2].map(|axis| place[axis] + shift[axis]))
     };
     let area = (bounds.max[0] - bounds.min[0]) * (bounds.max[1] - bounds.min[1]);
+    // Without a system a unit is a metre; degrees are none.
+    let unit_m =
+        header.parsed_crs().map_or(1.0, |crs| if crs.is_geographic() { f64::NAN } else { crs.metres_per_unit() });
+    let area_m2 = area * unit_m * unit_m;
     let mut dimensions: Vec<String> = ["x", "y", "z"].map(String::from).into();
     let further = header.schema.fields.iter().map(|field| field.name.clone());
     dimensions.extend(further.filter(|name| !["x", "y", "z"].contains(&name.as_str())));
@@ -80,7 +84,7 @@ pub fn info(path: &Path, shift: Option<[f64; 3]>) -> Result<Info> {
         max: moved(bounds.max),
         shift,
         crs: header.crs,
-        points_per_m2: (area > 0.0 && area.is_finite()).then(|| (points - invalid) as f64 / area),
+        points_per_m2: (area_m2 > 0.0 && area_m2.is_finite()).then(|| (points - invalid) as f64 / area_m2),
         dimensions,
         classes,
         notes: header.las.map_or_else(Vec::new, |las| las.notes),

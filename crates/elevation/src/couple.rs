@@ -22,6 +22,23 @@ pub struct Couple {
     _warped: Option<tempfile::TempPath>,
 }
 
+impl Couple {
+    /// Models whose heights are taken for metres though their map counts in something else.
+    pub fn doubtful_units(&self) -> Vec<String> {
+        let doubt = |(letter, model): (&str, &Model)| {
+            let crs = model.crs().filter(|crs| !crs.is_geographic() && crs.metres_per_unit() != 1.0)?;
+            model.unit_name().is_none().then(|| {
+                format!(
+                    "{letter} names no unit of its heights, and its map counts in {}: they are taken for metres; name \
+                     their unit with gdal_edit.py -units",
+                    crs.unit_name()
+                )
+            })
+        };
+        [("A", &self.a), ("B", &self.b)].into_iter().filter_map(doubt).collect()
+    }
+}
+
 /// What the heights of a couple count from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum HeightDatum {

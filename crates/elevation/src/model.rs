@@ -284,6 +284,7 @@ fn open_named(name: &Path, path: &Path) -> Result<Dataset> {
         | GdalOpenFlags::GDAL_OF_RASTER
         | GdalOpenFlags::GDAL_OF_INTERNAL
         | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
+    autoref_raster::jpeg_end::check(path)?;
     let options = DatasetOptions { open_flags: flags, ..Default::default() };
     let opened = autoref_raster::unheard(|| Dataset::open_ex(name, options)).map_err(|e| {
         use gdal::errors::GdalError;

@@ -60,6 +60,29 @@ fn blunders_are_named_and_clean_nets_are_left_alone() {
     assert!(named(20.0, 400.0).1 >= 85);
 }
 
+/// Points that fit five times worse than was stated: the deviations say so, and hold.
+#[test]
+fn deviations_are_those_of_the_points_and_not_of_what_was_stated() {
+    let camera = Camera::pinhole("drawn", [4000.0, 3000.0], 3500.0, [2000.0, 1500.0]);
+    let mut random = Random::new(35);
+    let (mut squares, mut count) = (0.0, 0);
+    for stated in [5.0, 1.0] {
+        let (mut widened, mut sum) = (0, 0.0);
+        for _ in 0..40 {
+            let seen: Vec<Seen> = (0..2).flat_map(|_| net(&camera, &mut random, 5.0)).collect();
+            let options = ResectOptions { sigma_px: stated, ..ResectOptions::default() };
+            let found = resect(&camera, &seen, &options).expect("twenty points fix a pose");
+            widened += usize::from(found.widened > 1.0);
+            let variance = found.covariance.expect("redundant").diagonal();
+            sum += (0..3).map(|k| found.pose.centre[k].powi(2) / variance[3 + k]).sum::<f64>();
+        }
+        assert_eq!(widened > 20, stated < 5.0, "stated {stated} px: {widened} of 40");
+        (squares, count) = (squares + sum, count + 120);
+    }
+    let normalised = (squares / f64::from(count)).sqrt();
+    assert!((0.8..1.3).contains(&normalised), "{normalised}");
+}
+
 /// An isosceles triangle on level ground seen from above, whichever of its points comes first: the true pose is among
 /// those found.
 #[test]

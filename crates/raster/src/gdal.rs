@@ -16,6 +16,7 @@ use super::chunked::{ChunkDecoder, ChunkedSource, Counters, group_blocks};
 use super::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
+use crate::jpeg_end;
 use crate::window::{TileGrid, Window};
 
 /// The GDAL reader.
@@ -88,7 +89,9 @@ impl GdalName {
             | GdalOpenFlags::GDAL_OF_INTERNAL
             | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
         let options = DatasetOptions { open_flags: flags, ..Default::default() };
-        Dataset::open_ex(&self.name, options).map_err(|e| self.error(e))
+        let dataset = Dataset::open_ex(&self.name, options).map_err(|e| self.error(e))?;
+        jpeg_end::check(&self.path)?;
+        Ok(dataset)
     }
 
     fn error(&self, error: gdal::errors::GdalError) -> Error {

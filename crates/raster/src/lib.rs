@@ -33,6 +33,7 @@ pub mod error;
 pub mod fingerprint;
 mod gdal;
 mod height_band;
+pub mod jpeg_end;
 pub mod markup;
 pub mod mask;
 pub mod masked;

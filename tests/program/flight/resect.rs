@@ -34,6 +34,13 @@ fn resect_places_a_frame_and_names_the_blunder() {
     let document = json(&resect("f2.png", &list, &[]));
     assert!(document["blunders"] == serde_json::json!([wrong]) && off(&document) < 1.0, "{document}");
     expect(&resect("f9.png", &gcps, &[]), 1, &["f9.png", "gcps.txt"]);
+    // A point that is measured twice in one frame, at two places.
+    let once = place.flight.gcp_list();
+    let row = once.lines().find(|l| l.contains("f2.png")).expect("a point of the frame");
+    let again: Vec<String> =
+        row.split(' ').enumerate().map(|(i, word)| if i == 3 { "7".into() } else { word.into() }).collect();
+    let twice = place.write("twice.txt", &format!("{once}{}\n", again.join(" ")));
+    expect(&resect("f2.png", &twice, &[]), 2, &["is measured twice in f2.png"]);
     let two: String = place
         .flight
         .gcp_list()

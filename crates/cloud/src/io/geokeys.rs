@@ -14,12 +14,31 @@ pub(super) fn wkt(parts: [Option<&[u8]>; 3]) -> Option<String> {
     // The fourth number of the head says how many keys follow; some writers fill up with zeros.
     let keys = keys.filter(|keys| keys.len() >= 8)?;
     let count = usize::from(u16::from_le_bytes([keys[6], keys[7]]));
-    let keys = &keys[..(8 * (count + 1)).min(keys.len() / 8 * 8)];
-    gdal::vsi::create_mem_file(&path, one_pixel([Some(keys), parts[1], parts[2]])).ok()?;
-    let found = gdal::Dataset::open(&path).map(|dataset| dataset.projection());
+    let keys = known_units(&keys[..(8 * (count + 1)).min(keys.len() / 8 * 8)]);
+    gdal::vsi::create_mem_file(&path, one_pixel([Some(&keys), parts[1], parts[2]])).ok()?;
+    // Keys that are damaged harm no file that is being written meanwhile.
+    let found = autoref_raster::unheard(|| gdal::Dataset::open(&path).map(|dataset| dataset.projection()));
     gdal::vsi::unlink_mem_file(&path).ok()?;
     // A system of its own axes only says that nothing is known.
     found.ok().filter(|wkt| !wkt.is_empty() && !wkt.starts_with("LOCAL_CS") && !wkt.starts_with("ENGCRS"))
+}
+
+/// The keys without units whose codes are none of EPSG's, which PROJ would complain of on the terminal.
+fn known_units(keys: &[u8]) -> Vec<u8> {
+    /// Of geographic and vertical axes, angles and lengths; and the code of a unit that other keys describe.
+    const UNITS: [u16; 4] = [2052, 2054, 3076, 4099];
+    const DESCRIBED: u16 = 32_767;
+    let word = |key: &[u8], at: usize| u16::from_le_bytes([key[at], key[at + 1]]);
+    let is_known = |key: &&[u8]| {
+        let (id, place, value) = (word(key, 0), word(key, 2), word(key, 6));
+        !UNITS.contains(&id) || place != 0 || (9000..10_000).contains(&value) || value == DESCRIBED
+    };
+    let (head, rest) = keys.split_at(8);
+    let kept: Vec<&[u8]> = rest.chunks_exact(8).filter(is_known).collect();
+    let mut all = head.to_vec();
+    all[6..8].copy_from_slice(&(kept.len() as u16).to_le_bytes());
+    all.extend(kept.concat());
+    all
 }
 
 /// A little-endian TIFF of one byte.
@@ -72,6 +91,10 @@ mod tests {
         let wkt = wkt([Some(&keys), None, None]).expect("a system");
         let crs = Crs::parse(&wkt).expect("a projection");
         assert!((crs.metres_per_unit() - 1200.0 / 3937.0).abs() < 1e-9, "{wkt}");
+        assert_eq!(crs.epsg(), None, "the system of that code counts in metres");
+        let unknown = bytes(&[1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 26_995, 3076, 0, 1, 65_535]);
+        let wkt = super::wkt([Some(&unknown), None, None]).expect("the system of the code");
+        assert_eq!(Crs::parse(&wkt).expect("a projection").epsg(), Some(26_995));
         assert!(super::wkt([None, None, None]).is_none());
         assert!(super::wkt([Some(&keys[..5]), None, None]).is_none());
         // Cut anywhere, it is answered.

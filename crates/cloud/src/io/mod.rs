@@ -88,15 +88,18 @@ impl Header {
     /// A reference system that PROJ does not understand gives way to `asked`; without one it goes on as it came.
     /// Answers what is to be said of that; `otherwise` is what becomes of it without `asked`.
     pub fn settle_crs(&mut self, asked: Option<&str>, otherwise: &str) -> Option<String> {
-        Crs::parse(self.crs.as_deref()?).err()?;
+        let why = match Crs::parse(self.crs.as_deref()?).err()? {
+            Error::Usage { what, .. } => what,
+            other => other.to_string(),
+        };
         if asked.is_none() {
-            return Some(format!("PROJ does not understand its reference system: {otherwise}; --crs replaces it"));
+            return Some(format!("{why}: {otherwise}; --crs replaces it"));
         }
         self.crs = None;
         if let Some(las) = &mut self.las {
             las.forget_crs();
         }
-        Some("PROJ does not understand its reference system: that of --crs takes its place".into())
+        Some(format!("{why}: that of --crs takes its place"))
     }
 
     /// Refuses a cloud in degrees, `asked` being the system of one that names none.

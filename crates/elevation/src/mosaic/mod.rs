@@ -159,7 +159,7 @@ impl MosaicJob<'_> {
                 if made.last() == Some(&(grid.width * grid.height)) {
                     remove_mask(&plain);
                 }
-                cloud_optimised(&plain, path, self.resources.threads)?;
+                cloud_optimised(&plain, path, self.threads(&sources))?;
                 cells = made;
                 Ok(())
             });
@@ -564,6 +564,8 @@ fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> Result<()> {
         &threads,
     ]);
     let driver = DriverManager::get_driver_by_name("COG").map_err(failed)?;
+    // Overviews are the same from pieces of any size; GDAL takes ten megabytes for each, several times.
+    gdal::config::set_config_option("GDAL_OVR_CHUNK_MAX_SIZE", "2000000").map_err(failed)?;
     let copy = source.create_copy(&driver, out, &options).map_err(failed)?;
     output::finish(out, copy)
 }

@@ -153,3 +153,23 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
         )),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cameras_of_no_photograph_go() {
+        let camera = |name: &str| Camera::pinhole(name, [100.0, 80.0], 90.0, [50.0, 40.0]);
+        let pose = Pose { rotation: nalgebra::Matrix3::identity(), centre: Vector3::zeros() };
+        let photograph = |name: &str, camera| Photograph { name: name.into(), camera, pose };
+        let mut model = Reconstruction {
+            cameras: ["a", "b", "c", "d"].map(camera).to_vec(),
+            photographs: vec![photograph("1", 3), photograph("2", 1)],
+            ..Reconstruction::default()
+        };
+        model.drop_unused_cameras();
+        let names: Vec<&str> = model.photographs.iter().map(|p| model.cameras[p.camera].name.as_str()).collect();
+        assert_eq!((model.cameras.len(), names), (2, vec!["d", "b"]));
+    }
+}

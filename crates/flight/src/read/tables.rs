@@ -362,6 +362,17 @@ mod tests {
         (path.clone(), Gone(path))
     }
 
+    /// A height that is not there is not 0.
+    #[test]
+    fn a_table_without_heights_is_refused() {
+        for text in ["name,x,y\na.tif,1,2\n", "name,x,y,z\na.tif,1,2,\n", "name,x,y,q\na.tif,1,2,3\n", "a.tif 1 2\n"] {
+            let (path, _gone) = file(text);
+            assert!(cameras(&path).is_err_and(|e| e.to_string().contains("has no height")), "{text}");
+        }
+        let (path, _gone) = file("name,lat,lon,Ellipsoidal height\na.tif,1,2,3\n");
+        assert_eq!(cameras(&path).expect("read")[0].xyz[2], 3.0);
+    }
+
     #[test]
     fn titles_are_known_by_their_letters() {
         let (path, _gone) = file("Photo Name,Easting (m),Northing (m),Height [m],Yaw (deg)\na.tif,1,2,3,40\n");

@@ -109,6 +109,13 @@ impl MeansArgs {
     }
 }
 
+/// A reference system as a person reads it: code and name, and the unit where it is not the metre.
+fn crs_words(text: &str) -> String {
+    let Ok(crs) = Crs::parse(text) else { return text.to_string() };
+    let unit = (!crs.is_geographic() && crs.metres_per_unit() != 1.0).then(|| format!(", in {}", crs.unit_name()));
+    format!("{}{}", crs.title(), unit.unwrap_or_default())
+}
+
 /// The reference systems of a run.
 pub struct Begun {
     /// That of --crs.
@@ -234,9 +241,9 @@ fn run_info(args: &InfoArgs) -> anyhow::Result<ExitCode> {
             }
         }
         if let Some(density) = info.points_per_m2 {
-            println!("  {density:.3} points a square unit of its rectangle");
+            println!("  {density:.3} points a square metre of its rectangle");
         }
-        println!("  reference system: {}", info.crs.as_deref().unwrap_or("none named"));
+        println!("  reference system: {}", info.crs.as_deref().map_or_else(|| "none named".into(), crs_words));
         println!("  dimensions: {}", info.dimensions.join(", "));
         let classes: Vec<String> = info.classes.iter().map(|(class, count)| format!("{class}: {count}")).collect();
         if !classes.is_empty() {

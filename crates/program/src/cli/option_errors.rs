@@ -14,7 +14,7 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
         error.exit();
     }
     let help = help(arguments);
-    let line = format!("{}; see {help}", message(error));
+    let line = format!("{}; see {help}", about_negatives(message(error), arguments));
     out::error_line(&format!("autoref-stream: {line}"));
     if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
         let said =
@@ -45,6 +45,22 @@ fn message(error: &clap::Error) -> String {
     crate::printable(paragraphs.join("; ").trim_start_matches("error: "))
 }
 
+/// A negative number behind an option is taken for an option; the parser's advice would make it an argument of its own.
+fn about_negatives(message: String, arguments: &[OsString]) -> String {
+    let words: Vec<&str> = arguments.iter().filter_map(|word| word.to_str()).collect();
+    let pair = words.windows(2).find(|pair| {
+        pair[0].starts_with("--")
+            && pair[1].parse::<f64>().is_ok_and(|number| number < 0.0)
+            && message.contains(pair[1])
+    });
+    match (pair, message.split_once("tip: to pass")) {
+        (Some(pair), Some((what, _))) => {
+            format!("{what}a negative number is written {}={}, where the option takes one", pair[0], pair[1])
+        }
+        _ => message,
+    }
+}
+
 /// The help that explains the command.
 fn help(arguments: &[OsString]) -> String {
     let mut words = vec!["autoref-stream".to_string()];
@@ -60,12 +76,12 @@ fn help(arguments: &[OsString]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{OsString, help, message};
+    use super::{OsString, about_negatives, help, message};
 
     fn refused(line: &str) -> (String, String) {
         let words: Vec<OsString> = ["autoref-stream"].into_iter().chain(line.split(' ')).map(OsString::from).collect();
         let error = crate::cli::everywhere::command().try_get_matches_from(&words).expect_err("a wrong option");
-        (message(&error), help(&words))
+        (about_negatives(message(&error), &words), help(&words))
     }
 
     #[test]
@@ -76,6 +92,7 @@ mod tests {
             ("cloud clean", "not provided: --out <OUT>, <IN>...", "autoref-stream cloud clean --help"),
             ("dem align a.tif --to b.tif -o c --stabel x", "a similar argument exists: '--stable'", "dem align --help"),
             ("gcps converd", "convert", "--help"),
+            ("dem hillshade a.tif -o b.tif --z -1", "is written --z=-1", "dem hillshade --help"),
         ] {
             let (said, help) = refused(line);
             assert!(said.contains(holds), "{line}: {said}");

@@ -66,6 +66,12 @@ impl Area {
 
 const REMEDY: &str = "give an EPSG code (EPSG:25832), WKT, a PROJ string, or a file with one of them";
 
+/// Whether the system of this code counts in the unit of `reference`: GDAL leaves the code on a system in metres that a
+/// file gives another unit.
+fn counts_in_unit_of(reference: &SpatialRef, code: u32) -> bool {
+    SpatialRef::from_epsg(code).is_ok_and(|named| (named.linear_units() / reference.linear_units() - 1.0).abs() < 1e-9)
+}
+
 impl Crs {
     /// Reads an EPSG code ("EPSG:25832", "25832", "EPSG:25832+5941"), WKT, a PROJ string, an OGC URN, the short names
     /// of drone software ("WGS84 UTM 32N"), or the name of a file with one of them or of a raster that has one.
@@ -141,7 +147,8 @@ impl Crs {
                 .auth_name()
                 .filter(|name| name.eq_ignore_ascii_case("EPSG"))
                 .and_then(|_| reference.auth_code().ok())
-                .and_then(|code| u32::try_from(code).ok()),
+                .and_then(|code| u32::try_from(code).ok())
+                .filter(|code| kind == Kind::Geographic || counts_in_unit_of(reference, *code)),
             name: reference.name().unwrap_or_default(),
             kind,
             metres_per_unit: if kind == Kind::Geographic { 1.0 } else { reference.linear_units() },

@@ -105,7 +105,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         println!("Heights              {}", found.couple.heights);
     }
     println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
-    if let Some(warning) = warning(alignment) {
+    for warning in warnings(alignment, &found.couple) {
         println!("Warning              {warning}");
     }
     println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
@@ -113,13 +113,16 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The differences may spread no more than before.
-fn warning(found: &Alignment) -> Option<&'static str> {
+/// What a person should look at.
+fn warnings(found: &Alignment, couple: &Couple) -> Vec<String> {
+    /// The differences may spread no more than before.
     const NOTABLY: f64 = 1.05;
-    (found.nmad_after_m > NOTABLY * found.nmad_before_m + 1e-3).then_some(
+    let spread = (found.nmad_after_m > NOTABLY * found.nmad_before_m + 1e-3).then(|| {
         "the differences spread more than before: look at the models for spikes, and compare them before and after \
-         (dem compare)",
-    )
+         (dem compare)"
+            .to_string()
+    });
+    spread.into_iter().chain(couple.doubtful_units()).collect()
 }
 
 /// A number, or null where there is none.
@@ -181,7 +184,7 @@ fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
     put("stable_share", number(found.stable_share));
     put("common_cells", found.common_cells.into());
     put("iterations", found.iterations.into());
-    put("warnings", json!(warning(found).into_iter().collect::<Vec<_>>()));
+    put("warnings", json!(warnings(found, couple)));
     put("resampled", couple.projected.into());
     put("heights", couple.heights.to_string().into());
     put("output", args.out.display().to_string().into());

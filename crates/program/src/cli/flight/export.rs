@@ -92,7 +92,14 @@ pub fn files(
         let beside = views::Masks::new(flight.folder.clone(), None);
         let masks = if beside.files(&listed).len() == count { Masks::Beside } else { Masks::None };
         let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
-        files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
+        // Without points in the images there is nothing for them to do.
+        if points.iter().any(|p| !p.seen.is_empty()) {
+            files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
+        } else {
+            eprintln!(
+                "autoref-stream: no GCP is measured in an image: no commands for MicMac; name [gcps] observations"
+            );
+        }
     }
     Ok(files)
 }

@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use autoref_flight::Error;
 use autoref_flight::read::tables::CameraRow;
 use autoref_raster::crs::Crs;
+use autoref_raster::jpeg_end;
 use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
@@ -27,7 +28,8 @@ pub fn usable(
 ) -> Result<(Vec<String>, Vec<String>)> {
     let look = |name: &String| -> Result<((usize, usize), Grey)> {
         let path = folder.join(name);
-        let size = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?.raster_size();
+        let size = Dataset::open(&path).map_err(|e| autoref_raster::Error::gdal(&path, e))?.raster_size();
+        jpeg_end::check(&path)?;
         // A file that ends too early tells its size all the same.
         Ok((size, Grey::plain(folder, name, LARGEST_PX)?))
     };

@@ -417,7 +417,10 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         let plane = word.is_some_and(is_local);
         let stated = match (stated, line, crs) {
             (Some(crs), _, _) => Some(crs),
-            (None, Some(line), None) if !is_local(&line) => Some(Crs::parse(&line)?),
+            (None, Some(line), None) if !is_local(&line) => {
+                let first = || format!("{}: row 1", list.display());
+                Some(Crs::parse(&line).with_context(first)?)
+            }
             _ => None,
         };
         let mut points: Vec<ListPoint> = Vec::new();
@@ -469,7 +472,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
 fn settle_places(list: &Path, points: &mut [ListPoint], crs: Option<&Crs>) -> Result<()> {
     let mut places: Vec<[f64; 3]> = points.iter().map(|p| p.xyz).collect();
     for note in gcp::settle_places(list, &mut places, crs)? {
-        tracing::warn!("{note}");
+        tracing::warn!("{note}; --crs (local of a plane of your own) says how they are meant");
     }
     points.iter_mut().zip(places).for_each(|(point, place)| point.xyz = place);
     Ok(())

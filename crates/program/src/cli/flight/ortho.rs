@@ -76,6 +76,7 @@ pub struct OrthorectifyArgs {
 pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     let out = args.checked_output()?;
     output::check(&[&out], Existing::of_flag(args.overwrite))?;
+    args.resources.resources().check()?;
     let frame = open(&args.frame)?;
     let (columns, rows) = frame.raster_size();
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());

@@ -23,7 +23,9 @@ pub(in crate::cli) struct Dem {
 }
 
 pub(super) fn open(path: &Path) -> Result<Dataset> {
-    Dataset::open(path).map_err(|e| RasterError::gdal(path, e).into())
+    let dataset = Dataset::open(path).map_err(|e| RasterError::gdal(path, e))?;
+    autoref_raster::jpeg_end::check(path)?;
+    Ok(dataset)
 }
 
 /// In units of the map; no model of the ground is as fine.
