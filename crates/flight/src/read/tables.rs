@@ -123,57 +123,66 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let tail = [opk.then_some(4), opk.then_some(5), opk.then_some(6), None, None, None];
         (0, known.into_iter().chain(tail).collect())
     };
-    let mut rows = Vec::new();
+    let columns = Columns { name: name_at, at, cut, geographic };
+    let mut rows: Vec<CameraRow> = Vec::new();
     let mut firsts = std::collections::HashMap::new();
     for (row, line) in lines {
-        let f = fields(line, cut);
-        let value = |i: usize| -> Result<Option<f64>> {
-            let Some(text) = at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
-            decimal(text).map(Some).ok_or_else(|| {
-                Error::format(path, format!("row {row}"), format!("`{text}` is no number for {}", COLUMNS[i].0))
-            })
-        };
-        let name = f.get(name_at).filter(|n| !n.is_empty());
-        let name = name.ok_or_else(|| Error::format(path, format!("row {row}"), "the frame has no name"))?.clone();
-        let (Some(x), Some(y)) = (value(0)?, value(1)?) else {
-            return Err(Error::format(path, format!("row {row}"), "x or y is missing"));
-        };
-        let Some(z) = value(2)? else {
-            let what = format!("`{name}` has no height; the table wants one in a column `z` or `height`");
-            return Err(Error::format(path, format!("row {row}"), what));
-        };
-        let xyz = [x, y, z];
-        let off_earth = geographic && !(x.abs() <= 360.0 && y.abs() <= 90.0);
-        if off_earth || xyz.iter().any(|v| v.abs() >= FARTHEST) {
-            let what = format!("`{name}` stands at ({x}, {y}, {}), which is no place on Earth", xyz[2]);
+        let read = columns.row(line).map_err(|what| Error::format(path, format!("row {row}"), what))?;
+        if let Some(before) = firsts.insert(read.name.clone(), row) {
+            let what = format!("`{}` has row {before} already; a frame has one place: take one of them out", read.name);
             return Err(Error::format(path, format!("row {row}"), what));
         }
-        if let Some(before) = firsts.insert(name.clone(), row) {
-            let what = format!("`{name}` has row {before} already; a frame has one place: take one of them out");
-            return Err(Error::format(path, format!("row {row}"), what));
-        }
-        let opk = match (value(6)?, value(7)?, value(8)?) {
-            (Some(o), Some(p), Some(k)) => Some([o, p, k]),
-            _ => None,
-        };
-        rows.push(CameraRow {
-            name,
-            xyz,
-            geographic,
-            yaw_deg: value(3)?,
-            pitch_deg: value(4)?,
-            roll_deg: value(5)?,
-            omega_phi_kappa_deg: opk,
-            line: at[LINE].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
-            sigma_m: stated_sigmas([value(SIGMA)?, value(SIGMA + 1)?])
-                .map_err(|what| Error::format(path, format!("row {row}"), what))?,
-            taken_level: false,
-        });
+        rows.push(read);
     }
     if rows.is_empty() {
         return Err(Error::format(path, "the table", "has no rows"));
     }
     Ok(rows)
+}
+
+/// Where a camera table has what.
+struct Columns {
+    name: usize,
+    /// As in [`COLUMNS`].
+    at: Vec<Option<usize>>,
+    cut: Option<char>,
+    geographic: bool,
+}
+
+impl Columns {
+    /// The camera of a line; what is wrong with it as words.
+    fn row(&self, line: &str) -> std::result::Result<CameraRow, String> {
+        let f = fields(line, self.cut);
+        let value = |i: usize| -> std::result::Result<Option<f64>, String> {
+            let Some(text) = self.at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
+            decimal(text).map(Some).ok_or_else(|| format!("`{text}` is no number for {}", COLUMNS[i].0))
+        };
+        let name = f.get(self.name).filter(|n| !n.is_empty()).ok_or("the frame has no name")?.clone();
+        let (Some(x), Some(y)) = (value(0)?, value(1)?) else { return Err("x or y is missing".into()) };
+        let z = value(2)?
+            .ok_or_else(|| format!("`{name}` has no height; the table wants one in a column `z` or `height`"))?;
+        let xyz = [x, y, z];
+        let off_earth = self.geographic && !(x.abs() <= 360.0 && y.abs() <= 90.0);
+        if off_earth || xyz.iter().any(|v| v.abs() >= FARTHEST) {
+            return Err(format!("`{name}` stands at ({x}, {y}, {z}), which is no place on Earth"));
+        }
+        let omega_phi_kappa_deg = match (value(6)?, value(7)?, value(8)?) {
+            (Some(o), Some(p), Some(k)) => Some([o, p, k]),
+            _ => None,
+        };
+        Ok(CameraRow {
+            name,
+            xyz,
+            geographic: self.geographic,
+            yaw_deg: value(3)?,
+            pitch_deg: value(4)?,
+            roll_deg: value(5)?,
+            omega_phi_kappa_deg,
+            line: self.at[LINE].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
+            sigma_m: stated_sigmas([value(SIGMA)?, value(SIGMA + 1)?])?,
+            taken_level: false,
+        })
+    }
 }
 
 /// The columns of a line's name, and of the first deviation.
@@ -436,9 +445,9 @@ mod tests {
         let (path, _gone) = file("name;lat;lon;alt\na;78,5;15,25;900\n");
         let row = &cameras(&path).expect("a table")[0];
         assert_eq!((row.xyz, row.geographic), ([15.25, 78.5, 900.0], true));
-        let (path, _gone) = file("name,x,y\na,1,2\nb,1,3\na,5,2\n");
+        let (path, _gone) = file("name,x,y,z\na,1,2,3\nb,1,3,3\na,5,2,3\n");
         assert!(cameras(&path).expect_err("twice").to_string().contains("row 4: `a` has row 2 already"));
-        for (text, row) in [("name,x,y\na,1,2\nb,1e20,3\n", "row 3"), ("name,lon,lat,h\na,15,98,5\n", "row 2")] {
+        for (text, row) in [("name,x,y,z\na,1,2,3\nb,1e20,3,3\n", "row 3"), ("name,lon,lat,h\na,15,98,5\n", "row 2")] {
             let (path, _gone) = file(text);
             let said = cameras(&path).expect_err("nowhere").to_string();
             assert!(said.contains(row) && said.contains("no place on Earth"), "{said}");

@@ -423,30 +423,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
             }
             _ => None,
         };
-        let mut points: Vec<ListPoint> = Vec::new();
-        for p in measured {
-            let Some(xyz) = p.xyz else { continue };
-            match points.iter_mut().find(|q| q.name == p.name) {
-                Some(known) if known.xyz != xyz => bail!(
-                    "{}: `{}` has two places, {:?} and {xyz:?}; give it one, or two names",
-                    list.display(),
-                    known.name,
-                    known.xyz
-                ),
-                Some(known) => {
-                    known.seen.extend(p.pixel.map(|pixel| (p.image, pixel)));
-                    known.check |= p.check;
-                    known.sigma = std::array::from_fn(|k| known.sigma[k].or(p.sigma[k]));
-                }
-                None => points.push(ListPoint {
-                    name: p.name,
-                    xyz,
-                    sigma: p.sigma,
-                    check: p.check,
-                    seen: p.pixel.map(|pixel| (p.image, pixel)).into_iter().collect(),
-                }),
-            }
-        }
+        let mut points = gathered(list, measured)?;
         // A plane of one's own has no order that could be told.
         if !plane {
             settle_places(list, &mut points, stated.as_ref())?;
@@ -466,6 +443,35 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     }
     let crs = if crs.is_some_and(is_local) { None } else { read.crs };
     Ok(Control { points, crs, no_image_points, ..Control::default() })
+}
+
+/// Points of all rows that name them.
+fn gathered(list: &Path, measured: Vec<tables::ImagePoint>) -> Result<Vec<ListPoint>> {
+    let mut points: Vec<ListPoint> = Vec::new();
+    for p in measured {
+        let Some(xyz) = p.xyz else { continue };
+        match points.iter_mut().find(|q| q.name == p.name) {
+            Some(known) if known.xyz != xyz => bail!(
+                "{}: `{}` has two places, {:?} and {xyz:?}; give it one, or two names",
+                list.display(),
+                known.name,
+                known.xyz
+            ),
+            Some(known) => {
+                known.seen.extend(p.pixel.map(|pixel| (p.image, pixel)));
+                known.check |= p.check;
+                known.sigma = std::array::from_fn(|k| known.sigma[k].or(p.sigma[k]));
+            }
+            None => points.push(ListPoint {
+                name: p.name,
+                xyz,
+                sigma: p.sigma,
+                check: p.check,
+                seen: p.pixel.map(|pixel| (p.image, pixel)).into_iter().collect(),
+            }),
+        }
+    }
+    Ok(points)
 }
 
 /// East before north, on the map: what [`gcp::read`] does for lists of other kinds.
