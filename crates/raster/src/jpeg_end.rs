@@ -13,8 +13,8 @@ const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
 const MOST_SEGMENTS: usize = 10_000;
 const CHUNK_BYTES: u64 = 1 << 16;
 
-/// Where the compressed picture begins; `None` of what is no JPEG, and where the segments before the picture are broken,
-/// which the decoder tells.
+/// Where the compressed picture begins; `None` of what is no JPEG, and where the segments before the picture are
+/// broken, which the decoder tells.
 fn start_of_scan(file: &mut File) -> std::io::Result<Option<u64>> {
     let mut begin = [0; 2];
     file.read_exact(&mut begin)?;

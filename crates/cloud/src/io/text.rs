@@ -257,7 +257,7 @@ mod tests {
         let (mut batch, mut points) = (Batch::default(), 0);
         loop {
             reader.read(&mut batch, 2)?;
-            if batch.len() == 0 {
+            if batch.is_empty() {
                 return Ok((points, header.schema.fields.iter().map(|field| field.name.clone()).collect()));
             }
             points += batch.len();

@@ -145,7 +145,7 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
             "the name",
             "is none of a COLMAP model's files (cameras, images, points3D as .txt or .bin); give its cameras.txt or its folder",
         )),
-        _ if !path.exists() => Err(Error::io(path, "open", std::io::Error::from(std::io::ErrorKind::NotFound))),
+        _ if !path.exists() => Err(Error::format(path, "the name", "there is no such file or folder")),
         _ => Err(Error::format(
             path,
             "the name",
