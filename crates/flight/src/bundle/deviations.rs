@@ -76,8 +76,8 @@ impl Deviations {
         Deviations { ways: ways.collect(), factored, other_lens: OtherLens::of(problem, loss) }
     }
 
-    /// The terms that the lens lacks. `None` where it is as its model, or what they would change of the interiors is less
-    /// than what the clusters bear out.
+    /// The terms that the lens lacks. `None` where it is as its model, or what they would change of the interiors is
+    /// less than what the clusters bear out.
     pub fn missing_terms(&self) -> Option<MissingTerms> {
         let other = self.other_lens.as_ref()?;
         let of = |camera: usize| {
