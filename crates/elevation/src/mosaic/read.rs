@@ -157,7 +157,11 @@ impl Opened {
         let block_rows = dataset.rasterband(1).map_err(|e| Error::gdal(&source.path, e))?.block_size().1 as u64;
         // Rows of whole blocks, that none be decoded twice; windows too wide for those are cut first.
         if part.width * block_rows.min(part.height) > MOST_CELLS && window.width > 1 {
-            return self.read_side_by_side(source, mosaic, window, interpolation);
+            let Window { x, y, width, height } = window;
+            let west = Window::new(x, y, width / 2, height);
+            let east = Window::new(west.right(), y, width - west.width, height);
+            let mut half = |half: Window| Ok((half, self.read_reduced(source, mosaic, half, interpolation)?));
+            return Ok(side_by_side(half(west)?, half(east)?));
         }
         let rows = (MOST_CELLS / part.width).max(1);
         let strip_rows = if rows < block_rows { rows } else { rows / block_rows * block_rows };
@@ -173,25 +177,6 @@ impl Opened {
             y = end;
         }
         Ok(means.into_iter().flat_map(Means::finish).collect())
-    }
-
-    /// As [`Opened::read_reduced`], in two halves of the window.
-    fn read_side_by_side(
-        &mut self,
-        source: &Source,
-        mosaic: &Grid,
-        window: Window,
-        interpolation: Interpolation,
-    ) -> Result<Vec<f64>> {
-        let Window { x, y, width, height } = window;
-        let west = Window::new(x, y, width / 2, height);
-        let east = Window::new(west.right(), y, width - west.width, height);
-        let [west, east] = [west, east].map(|half| self.read_reduced(source, mosaic, half, interpolation));
-        let (west, east) = (west?, east?);
-        // Rows of all bands lie below each other.
-        let (left, right) = ((width / 2) as usize, (width - width / 2) as usize);
-        let lines = west.chunks_exact(left).zip(east.chunks_exact(right));
-        Ok(lines.flat_map(|(west, east)| west.iter().chain(east)).copied().collect())
     }
 
     /// What the cells of a source cost; infinite where nobody says.
@@ -222,6 +207,12 @@ impl Source {
             }
         }
     }
+}
+
+/// The values of two windows that lie beside each other, as one; rows of all bands lie below each other.
+fn side_by_side((west, left): (Window, Vec<f64>), (east, right): (Window, Vec<f64>)) -> Vec<f64> {
+    let lines = left.chunks_exact(west.width as usize).zip(right.chunks_exact(east.width as usize));
+    lines.flat_map(|(left, right)| left.iter().chain(right)).copied().collect()
 }
 
 /// The bands of a window; NaN where there is nothing.
