@@ -57,6 +57,14 @@ pub trait Detector: Sync {
     fn segment_beside(&self, piece: &Piece, _first: &Mask, mask: &mut Mask) {
         self.segment_piece(piece, mask);
     }
+    /// Block → Masks of this one and of the others, in their order: for those that have work in common.
+    fn segment_blocks(&self, block: &Block, masks: &mut [Mask]) {
+        let (first, rest) = masks.split_at_mut(1);
+        self.segment_block(block, &mut first[0]);
+        for (other, mask) in self.others().into_iter().zip(rest) {
+            other.segment_block(block, mask);
+        }
+    }
     /// What is done to the whole list at the end; it comes in raster order of the regions' first pixels.
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         list

@@ -1,9 +1,11 @@
 //! The examination of a place that answered: lines, extent, score.
 
+use super::extent::{NO_FLANKS, Rays, SMALLEST_SADDLE, extent, quarters, sample_at};
+use super::fifth_arm;
 use super::fit::{Fit, Sample, Start, fit};
-use super::grey::{Plane, level, mean_of_cell};
+use super::grey::{Plane, mean_of_cell};
 use super::response::{RINGS, Steps, direction};
-use super::{Motif, Scale, TargetDetector};
+use super::{Motif, Quarters, Scale, TargetDetector};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::segment::label::Region;
@@ -12,15 +14,13 @@ use autoref_raster::window::Window;
 use autoref_raster::{Patch, Pixels};
 use std::cell::OnceCell;
 
-/// Arms and quarters are followed this far from the middle, in sides of the largest target.
-pub const REACH_SIDES: f64 = 0.75;
 /// A fit takes about this many cells in radius; larger targets are halved first.
 const FIT_CELLS: f64 = 14.0;
 /// The last fit of a target that is believed may take this many.
 const POLISH_CELLS: f64 = 24.0;
 
-/// The side of a saddle's square is at least this share of the smallest asked for.
-const SMALLEST_SADDLE: f64 = 0.6;
+/// Share of the variance that fits to plates of print without a fifth arm leave over at most; cloth leaves more.
+const CLEAN: f64 = 0.0025;
 /// Before its fit has settled, a quarter need not reach farther than this share of the smallest.
 const SHARE: f64 = 0.8;
 
@@ -106,8 +106,17 @@ fn part(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels, reach: 
     pixels.part(&Window::new(x, y, window.right() - x, window.bottom() - y))
 }
 
-/// The best of the fits at the scales that answer clearly.
+/// The target at a place; crosses that are found too near a fifth arm are taken without the quarter where it lies.
 pub fn look(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> Option<(Seen, f64)> {
+    let (seen, score) = best(detector, region, pixels)?;
+    let Some(fifth) = detector.fifth.as_ref().filter(|_| score >= detector.min_score && seen.fit.misfit > CLEAN) else {
+        return Some((seen, score));
+    };
+    best(fifth, region, pixels).filter(|(open, _)| fifth_arm::drew(&seen, open)).or(Some((seen, score)))
+}
+
+/// The best of the fits at the scales that answer clearly.
+fn best(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> Option<(Seen, f64)> {
     let around = Around::new(detector, region, pixels);
     let mut answers = answers(detector, region, &around.near);
     // The fit is stable from about 1.7 bar widths; saddles are best seen on the largest ring that still answers.
@@ -121,15 +130,17 @@ pub fn look(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> 
             Motif::Saddle => two.1.total_cmp(&one.1).then(two.0.cmp(&one.0)),
         }
     });
-    answers
-        .iter()
-        .take(3)
-        .filter_map(|answer| measure(detector, &around, answer, region))
-        .map(|seen| {
-            let score = score(&seen.fit);
-            (seen, score)
-        })
-        .max_by(|a, b| a.1.total_cmp(&b.1))
+    // An open cross is one of several at each place, and most places are none.
+    let (most, in_vain) = if detector.one_open() { (2 * fifth_arm::WAYS, 1) } else { (3, 3) };
+    let mut found = Vec::new();
+    for (tried, answer) in answers.iter().take(most).enumerate() {
+        if tried >= in_vain && found.is_empty() {
+            break;
+        }
+        found.extend(measure(detector, &around, answer, region).map(|seen| (seen, score(&seen.fit))));
+    }
+    let best = found.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
+    best.filter(|(seen, _)| !detector.one_open() || fifth_arm::holds(seen))
 }
 
 /// Keeps the best of candidates that are the same target: nearer to each other than a third of their side.
@@ -170,21 +181,31 @@ fn answers(detector: &TargetDetector, region: &Region, patch: &Patch) -> Vec<Ans
         for &scale in detector.scales.iter().filter(|s| s.level == level) {
             let ring = &RINGS[scale.ring];
             let steps = Steps::new(&plane, ring);
-            let mut best = ((0, true, 0), 0, 0);
+            let ways = |at| match &detector.quarters {
+                Quarters::Clear => Vec::new(),
+                Quarters::OneOpen(discs) => discs[scale.ring].look(&plane, at, detector.least_at(scale)),
+            };
+            let mut best = ((0, true, 0), (0, 0));
             for (column, row) in cells(&plane, ring.reach, region.bounds, size) {
-                let seen = steps.strongest(column, row, detector.motif);
+                let seen = match &detector.quarters {
+                    Quarters::Clear => steps.strongest(column, row, detector.motif),
+                    Quarters::OneOpen(_) => ways((column, row)).first().copied().unwrap_or((0, true, 0)),
+                };
                 if seen.0 > best.0.0 {
-                    best = (seen, column, row);
+                    best = (seen, (column, row));
                 }
             }
-            let ((response, bright, sample), column, row) = best;
-            if response < detector.least {
+            let (first, (column, row)) = best;
+            if first.0 < detector.least_at(scale) {
                 continue;
             }
             let place = |cell: u64| (cell as f64 + 0.5) * size as f64;
             let (x, y) = (place(plane.x + column as u64), place(plane.y + row as u64));
-            let direction = direction(ring, sample, detector.motif);
-            found.push(Answer { scale, response, bright, direction, x, y });
+            let others = ways((column, row)).into_iter().skip(1);
+            found.extend(std::iter::once(first).chain(others).map(|(response, bright, sample)| {
+                let direction = direction(ring, sample, detector.motif);
+                Answer { scale, response, bright, direction, x, y }
+            }));
         }
     }
     found
@@ -226,9 +247,14 @@ fn measure(detector: &TargetDetector, around: &Around<'_>, answer: &Answer, regi
         return None;
     }
     let hopeful = |sketch: &Fit| may_become_plausible(detector, &around.near, sketch);
-    let rough = fit_at(detector, &around.near, start, view, FIT_CELLS, hopeful)?;
-    // The middle must be where the answer was, or the fit has run to something else.
-    let near = region.bounds.grown((radius / 2.0).ceil() as u64, &around.pixels.window());
+    let mut view = View::of(&around.near, start, view, FIT_CELLS)?;
+    if detector.one_open() {
+        fifth_arm::without_open_quarter(&mut view.samples, &view.start);
+    }
+    let rough = view.fit(detector, hopeful)?;
+    // The middle must be where the answer was, or the fit has run to something else; an open cross may answer beside.
+    let reach = if detector.one_open() { radius } else { radius / 2.0 };
+    let near = region.bounds.grown(reach.ceil() as u64, &around.pixels.window());
     let inside = rough.x >= near.x as f64
         && rough.y >= near.y as f64
         && rough.x <= near.right() as f64
@@ -248,6 +274,14 @@ fn measure(detector: &TargetDetector, around: &Around<'_>, answer: &Answer, regi
         Motif::Cross => (around.all(), None),
     };
     let (side_px, _) = known.or_else(|| extent(detector, around.all(), &rough))?;
+    let fit = polished(detector, patch, &rough, side_px)?;
+    let (side_px, evenness) = extent(detector, around.all(), &rough)?;
+    Some(Seen { fit, side_px, evenness })
+}
+
+/// The fit to as much of the target as is surely its own: arms to two widths (letters may stand beside them farther
+/// out), quarters to 0.7 of the way.
+fn polished(detector: &TargetDetector, patch: &Patch, rough: &Fit, side_px: f64) -> Option<Fit> {
     let again = Start {
         x: rough.x,
         y: rough.y,
@@ -256,20 +290,20 @@ fn measure(detector: &TargetDetector, around: &Around<'_>, answer: &Answer, regi
         blur: rough.blur,
         height: rough.height,
     };
-    // As much of the target as is surely its own: arms to two widths (letters may stand beside them farther out),
-    // quarters to 0.7 of the way.
-    let view = match motif {
+    let view = match detector.motif {
         Motif::Cross => (2.0 * again.width).min(0.45 * side_px),
         Motif::Saddle => (0.35 * side_px).min(48.0),
     };
-    let mut fit = fit_at(detector, patch, again, view.max(3.0), POLISH_CELLS, |_| true)?;
-    fit.covariance[0] += FLOOR_PX * FLOOR_PX;
-    fit.covariance[2] += FLOOR_PX * FLOOR_PX;
-    if !plausible(detector, &fit) {
-        return None;
+    let mut view = View::of(patch, again, view.max(3.0), POLISH_CELLS)?;
+    let mut floor = FLOOR_PX * FLOOR_PX;
+    if detector.one_open() {
+        fifth_arm::without_strip(&mut view.samples, &view.start, rough.ground + 0.5 * rough.height);
+        floor += (fifth_arm::TAPER * again.width).powi(2);
     }
-    let (side_px, evenness) = extent(detector, around.all(), &rough)?;
-    Some(Seen { fit, side_px, evenness })
+    let mut fit = view.fit(detector, |_| true)?;
+    fit.covariance[0] += floor;
+    fit.covariance[2] += floor;
+    plausible(detector, &fit).then_some(fit)
 }
 
 /// Two lines that cross at an angle that such targets have, with enough contrast.
@@ -313,7 +347,7 @@ fn quarters_begin(detector: &TargetDetector, patch: &Patch, start: &Start, radiu
     };
     let shortest = SHARE * shortest_quarter(detector);
     let rays = Rays::new(patch, &fit, shortest + 1.0);
-    (0..4).all(|k| rays.follow(turned(k), k % 2 == 0, 0.0, 0.8 * radius) >= shortest)
+    (0..4).all(|k| rays.follow(turned(k), k % 2 == 0, NO_FLANKS, 0.8 * radius) >= shortest)
 }
 
 /// How far the quarters of the smallest target reach along their middles.
@@ -327,7 +361,7 @@ fn shortest_quarter(detector: &TargetDetector) -> f64 {
 fn may_become_plausible(detector: &TargetDetector, patch: &Patch, sketch: &Fit) -> bool {
     const SLACK: f64 = 0.15;
     if detector.motif == Motif::Cross {
-        return true;
+        return !detector.one_open() || sketch.misfit <= fifth_arm::MOST_LEFT;
     }
     let shortest = SHARE * shortest_quarter(detector);
     // Steps that are fine beside so short a way, whatever the ring.
@@ -345,43 +379,57 @@ fn ends_near(detector: &TargetDetector, patch: &Patch, fit: &Fit) -> bool {
         < SMALLEST_SADDLE * detector.side_px.0
 }
 
-/// Fits inside a disc of `view` pixels about the start, in image pixels; gives up what is not `hopeful` on the way.
-fn fit_at(
-    detector: &TargetDetector,
-    patch: &Patch,
+/// The cells in a disc about the place where a fit starts.
+struct View {
+    samples: Vec<Sample>,
+    /// Pixels along the side of a cell.
+    scale: f64,
+    /// The patch's corner, pixels.
+    origin: (f64, f64),
     start: Start,
-    view: f64,
-    most_cells: f64,
-    hopeful: impl Fn(&Fit) -> bool,
-) -> Option<Fit> {
-    let mut size = 1u64;
-    while view / size as f64 > most_cells {
-        size *= 2;
+}
+
+impl View {
+    /// A disc of `radius` pixels about the start; a target cut by the image's edge or by nodata is no target.
+    fn of(patch: &Patch, start: Start, radius: f64, most_cells: f64) -> Option<View> {
+        let mut size = 1u64;
+        while radius / size as f64 > most_cells {
+            size *= 2;
+        }
+        let scale = size as f64;
+        let samples = samples(patch, (start.x, start.y), radius, size);
+        if (samples.len() as f64) < 0.75 * std::f64::consts::PI * (radius / scale).powi(2) {
+            return None;
+        }
+        let origin = (patch.window.x as f64, patch.window.y as f64);
+        let start = Start {
+            x: (start.x - origin.0) / scale,
+            y: (start.y - origin.1) / scale,
+            width: start.width / scale,
+            blur: (start.blur / scale).max(0.4),
+            ..start
+        };
+        Some(View { samples, scale, origin, start })
     }
-    let scale = size as f64;
-    let samples = samples(patch, (start.x, start.y), view, size);
-    // A target cut by the image's edge or by nodata is no target.
-    if (samples.len() as f64) < 0.75 * std::f64::consts::PI * (view / scale).powi(2) {
-        return None;
+
+    fn in_pixels(&self, fit: &Fit) -> Fit {
+        let scale = self.scale;
+        Fit {
+            x: self.origin.0 + fit.x * scale,
+            y: self.origin.1 + fit.y * scale,
+            widths: fit.widths.map(|w| w * scale),
+            blur: fit.blur * scale,
+            covariance: fit.covariance.map(|v| v * scale * scale),
+            ..*fit
+        }
     }
-    let (ox, oy) = (patch.window.x as f64, patch.window.y as f64);
-    let in_cells = Start {
-        x: (start.x - ox) / scale,
-        y: (start.y - oy) / scale,
-        width: start.width / scale,
-        blur: (start.blur / scale).max(0.4),
-        ..start
-    };
-    let in_pixels = |fit: &Fit| Fit {
-        x: ox + fit.x * scale,
-        y: oy + fit.y * scale,
-        widths: fit.widths.map(|w| w * scale),
-        blur: fit.blur * scale,
-        covariance: fit.covariance.map(|v| v * scale * scale),
-        ..*fit
-    };
-    let found = fit(detector.motif, &samples, in_cells, detector.skew, |sketch| hopeful(&in_pixels(sketch)))?;
-    Some(in_pixels(&found))
+
+    /// Fits in image pixels; gives up what is not `hopeful` on the way.
+    fn fit(&self, detector: &TargetDetector, hopeful: impl Fn(&Fit) -> bool) -> Option<Fit> {
+        let hopeful = |sketch: &Fit| hopeful(&self.in_pixels(sketch));
+        let found = fit(detector.motif, &self.samples, self.start, detector.skew, hopeful)?;
+        Some(self.in_pixels(&found))
+    }
 }
 
 /// Means of whole cells of `size` pixels within `view` of a place, in cells from the patch's corner.
@@ -399,109 +447,6 @@ fn samples(patch: &Patch, at: (f64, f64), view: f64, size: u64) -> Vec<Sample> {
         out.extend(mean_of_cell(patch, (u, v), size).map(|level| Sample { x, y, level }));
     }
     out
-}
-
-/// Rays from the middle of a fit, which are followed while they stay on their side of the middle level.
-struct Rays<'a> {
-    patch: &'a Patch,
-    fit: &'a Fit,
-    mid: f64,
-    step: f64,
-    longest: f64,
-    /// What is on the wrong side for no longer than this is passed over, pixels.
-    gap: f64,
-}
-
-impl<'a> Rays<'a> {
-    fn new(patch: &'a Patch, fit: &'a Fit, longest: f64) -> Rays<'a> {
-        let step = ((fit.widths[0] * fit.widths[1]).sqrt() / 8.0).clamp(0.5, 4.0);
-        Rays { patch, fit, mid: fit.ground + 0.5 * fit.height, step, longest, gap: 2.0 * step }
-    }
-
-    fn bright(&self, x: f64, y: f64) -> Option<bool> {
-        sample_at(self.patch, x, y, self.step).map(|v| (v > self.mid) == (self.fit.height > 0.0))
-    }
-
-    /// How far from the middle the target is bright (`on`) or not in a direction, and the contrary `flanks` pixels
-    /// beside (0: not asked for).
-    fn follow(&self, direction: f64, on: bool, flanks: f64, from: f64) -> f64 {
-        let (sin, cos) = direction.sin_cos();
-        let (mut last, mut r) = (from, from);
-        while r <= self.longest {
-            let (x, y) = (self.fit.x + r * cos, self.fit.y + r * sin);
-            let beside = |side: f64| flanks == 0.0 || self.bright(x - side * sin, y + side * cos) == Some(!on);
-            if self.bright(x, y) == Some(on) && beside(flanks) && beside(-flanks) {
-                last = r;
-            } else if r - last > self.gap.max(0.16 * r) {
-                break;
-            }
-            r += self.step;
-        }
-        last
-    }
-}
-
-/// How far the four quarters of a saddle reach along their middles: the bright two, the dark two.
-fn quarters(rays: &Rays<'_>) -> [f64; 4] {
-    let (fit, quarter) = (rays.fit, std::f64::consts::FRAC_PI_2);
-    let middle = (fit.angles[0] + fit.angles[1]) / 2.0;
-    [(0.0, true), (2.0, true), (1.0, false), (3.0, false)]
-        .map(|(turns, on)| rays.follow(middle + turns * quarter, on, 0.0, fit.blur.max(1.0)))
-}
-
-/// Side of the target and shortest over longest arm or quarter.
-///
-/// Along each arm of a cross both flanks are followed too: the arm ends with its plate. Of a saddle's quarters the pair
-/// that ends first counts, because ground of the other pair's brightness does not end it.
-fn extent(detector: &TargetDetector, patch: &Patch, fit: &Fit) -> Option<(f64, f64)> {
-    let rays = Rays::new(patch, fit, REACH_SIDES * detector.side_px.1);
-    let (low, high) = detector.side_px;
-    match detector.motif {
-        Motif::Cross => {
-            let width = (fit.widths[0] * fit.widths[1]).sqrt();
-            // Flanks two thirds of a width out: beyond the blurred border, before a letter's tape in most cases.
-            let arms = [0, 1].map(|i| {
-                let from = 0.5 * width;
-                let flank = 0.5 * fit.widths[i] + (1.2 * fit.blur).max(0.2 * width);
-                let from = from + flank;
-                [fit.angles[i], fit.angles[i] + std::f64::consts::PI].map(|a| rays.follow(a, true, flank, from))
-            });
-            let mut arms: Vec<f64> = arms.concat();
-            arms.sort_by(f64::total_cmp);
-            // A letter of tape beside an arm hides its end; the two longest and the shortest tell.
-            let side = arms[1] + arms[2].max(arms[3] * 0.8);
-            let possible = arms[0] > 1.15 * width && (0.7 * low..=1.4 * high).contains(&side);
-            possible.then(|| (side, arms[0] / arms[3]))
-        }
-        Motif::Saddle => {
-            let [a, b, c, d] = quarters(&rays);
-            // Half a diagonal is side/√2.
-            let side = std::f64::consts::SQRT_2 * a.min(b).min(c).min(d);
-            let evenness = (a.min(b) / a.max(b)).max(c.min(d) / c.max(d));
-            (SMALLEST_SADDLE * low..=1.5 * high).contains(&side).then_some((side, evenness))
-        }
-    }
-}
-
-/// Mean of the pixels in a square of about `size` about a place; `None` outside the patch or on nothing.
-fn sample_at(patch: &Patch, x: f64, y: f64, size: f64) -> Option<f64> {
-    let half = ((size - 1.0) / 2.0).max(0.0);
-    let column = |v: f64, start: u64, len: u64| {
-        let index = (v - start as f64).floor();
-        (index >= 0.0 && index < len as f64).then_some(index as u64)
-    };
-    let (w, h) = (patch.window.width, patch.window.height);
-    let (x0, x1) = (column(x - half, patch.window.x, w)?, column(x + half, patch.window.x, w)?);
-    let (y0, y1) = (column(y - half, patch.window.y, h)?, column(y + half, patch.window.y, h)?);
-    let (mut sum, mut n) = (0.0, 0.0);
-    for i in (y0..=y1).flat_map(|v| (x0..=x1).map(move |u| (v * w + u) as usize)) {
-        if !patch.valid[i] {
-            return None;
-        }
-        sum += level(patch.rgb[i], patch.white);
-        n += 1.0;
-    }
-    Some(sum / n)
 }
 
 /// Log-likelihood ratio of "target" against "something else that answered", natural logarithm.

@@ -6,6 +6,8 @@
 //! score (`examine`).
 
 mod examine;
+mod extent;
+mod fifth_arm;
 pub(crate) mod fit;
 pub(crate) mod grey;
 mod kernels;
@@ -22,9 +24,11 @@ use autoref_raster::{Block, Pixels, RasterInfo};
 pub use examine::Seen;
 #[cfg(feature = "coded")]
 pub(crate) use examine::once_each;
+use fifth_arm::Disc;
 pub use fit::Fit;
 use grey::Plane;
 use response::{RINGS, respond};
+use std::sync::Arc;
 
 /// What the middle of a target looks like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +37,16 @@ pub enum Motif {
     Saddle,
     /// Two bars that cross.
     Cross,
+}
+
+/// What must lie between the arms of a cross.
+#[derive(Clone)]
+enum Quarters {
+    /// The plate, in all four.
+    Clear,
+    /// The plate in three; the fourth may hold a strip of the plate's number that runs into the crossing. With the
+    /// discs of both rings.
+    OneOpen(Arc<[Disc; 2]>),
 }
 
 /// One scale that is looked at: level of halving and ring.
@@ -59,6 +73,7 @@ const MAX_LEVEL: u32 = 4;
 /// Finds black and white targets in a raster.
 pub struct TargetDetector {
     motif: Motif,
+    quarters: Quarters,
     /// Standard deviation of the angle between the lines about a right one, radians.
     skew: f64,
     side_px: (f64, f64),
@@ -68,6 +83,8 @@ pub struct TargetDetector {
     scales: Vec<Scale>,
     info: RasterInfo,
     finish: Profile,
+    /// Looks for crosses with a fifth arm in the same pass.
+    fifth: Option<Box<TargetDetector>>,
 }
 
 impl TargetDetector {
@@ -88,8 +105,9 @@ impl TargetDetector {
             }
         };
         let side_px = profile.side_range_px(gsd_m)?;
-        Ok(TargetDetector {
+        let detector = TargetDetector {
             motif,
+            quarters: Quarters::Clear,
             skew,
             side_px,
             least: (profile.target.min_contrast * 255.0).round() as u8,
@@ -97,13 +115,35 @@ impl TargetDetector {
             scales: scales(motif, side_px),
             info: info.clone(),
             finish: profile,
-        })
+            fifth: None,
+        };
+        let fifth = (motif == Motif::Cross).then(|| Box::new(detector.fifth_arm()));
+        let fifth = fifth.filter(|fifth| !fifth.scales.is_empty());
+        Ok(TargetDetector { fifth, ..detector })
+    }
+
+    /// The same for crosses with a fifth arm. Cells of single pixels, which are most of the work, are left to those
+    /// without: what is seen of the smallest plates lies in cells of two.
+    fn fifth_arm(&self) -> TargetDetector {
+        TargetDetector {
+            motif: self.motif,
+            quarters: Quarters::OneOpen(Arc::new(fifth_arm::discs())),
+            skew: self.skew,
+            side_px: self.side_px,
+            least: self.least,
+            min_score: self.min_score,
+            scales: self.scales.iter().copied().filter(|s| s.level > 0).collect(),
+            info: self.info.clone(),
+            finish: self.finish.clone(),
+            fifth: None,
+        }
     }
 
     /// For places where a target must be: half the contrast and a weak score are enough.
     pub fn relaxed(&self) -> TargetDetector {
         TargetDetector {
             motif: self.motif,
+            quarters: self.quarters.clone(),
             skew: self.skew,
             side_px: self.side_px,
             least: (self.least / 2).max(8),
@@ -111,12 +151,37 @@ impl TargetDetector {
             scales: self.scales.clone(),
             info: self.info.clone(),
             finish: self.finish.clone(),
+            fifth: self.fifth.as_ref().map(|fifth| Box::new(fifth.relaxed())),
         }
     }
 
     /// The measurements behind a candidate's score, with the score; `None` when nothing there can be a target.
     pub fn look(&self, region: &Region, pixels: &dyn Pixels) -> Option<(Seen, f64)> {
         examine::look(self, region, pixels)
+    }
+
+    /// Calls `each` with every row of grey cells, at every scale.
+    fn each_row(&self, block: &Block, mut each: impl FnMut(&Plane, Scale, usize)) {
+        let mut plane = Plane::of_block(block, &self.info);
+        for level in 0..=self.levels() {
+            if level > 0 {
+                plane = plane.halved();
+            }
+            for &scale in self.scales.iter().filter(|s| s.level == level) {
+                (0..plane.height).for_each(|row| each(&plane, scale, row));
+            }
+        }
+    }
+
+    /// Whether one quarter between the arms may be anything.
+    fn one_open(&self) -> bool {
+        matches!(self.quarters, Quarters::OneOpen(_))
+    }
+
+    /// Least response at a scale. Without a quarter leaves and roofs answer in the finest cells a few times as often
+    /// as in all others; there half as much again is asked for.
+    fn least_at(&self, scale: Scale) -> u8 {
+        if self.one_open() && scale.level < 2 { self.least.saturating_add(self.least / 2) } else { self.least }
     }
 
     /// Levels of halving that are needed.
@@ -146,20 +211,23 @@ fn scales(motif: Motif, (low, high): (f64, f64)) -> Vec<Scale> {
     all.min_by(|a, b| distance(a).total_cmp(&distance(b))).into_iter().collect()
 }
 
-/// Sets the pixels of all cells that answer.
-fn mark(plane: &Plane, scale: Scale, motif: Motif, least: u8, mask: &mut Mask) {
-    let ring = &RINGS[scale.ring];
-    let size = 1u64 << scale.level;
+/// Sets the pixels of all cells of a row that answer and are `wanted`, by their columns and rows.
+fn mark(
+    plane: &Plane,
+    scale: Scale,
+    row: usize,
+    answers: (&[u8], u8),
+    mask: &mut Mask,
+    wanted: impl Fn((usize, usize)) -> bool,
+) {
+    let (answers, least) = answers;
+    let (size, reach) = (1u64 << scale.level, RINGS[scale.ring].reach);
     let window = mask.window();
-    let mut out = Vec::new();
-    for row in 0..plane.height {
-        let len = respond(plane, ring, row, motif, &mut out);
-        for i in (0..len).filter(|&i| out[i] >= least) {
-            let (cell_x, cell_y) = (plane.x + (ring.reach + i) as u64, plane.y + row as u64);
-            for y in (cell_y * size).max(window.y)..((cell_y + 1) * size).min(window.bottom()) {
-                for x in (cell_x * size).max(window.x)..((cell_x + 1) * size).min(window.right()) {
-                    mask.set(x, y, true);
-                }
+    for i in (0..answers.len()).filter(|&i| answers[i] >= least && wanted((reach + i, row))) {
+        let (cell_x, cell_y) = (plane.x + (reach + i) as u64, plane.y + row as u64);
+        for y in (cell_y * size).max(window.y)..((cell_y + 1) * size).min(window.bottom()) {
+            for x in (cell_x * size).max(window.x)..((cell_x + 1) * size).min(window.right()) {
+                mask.set(x, y, true);
             }
         }
     }
@@ -171,15 +239,42 @@ impl Detector for TargetDetector {
     }
 
     fn segment_block(&self, block: &Block, mask: &mut Mask) {
-        let mut plane = Plane::of_block(block, &self.info);
-        for level in 0..=self.levels() {
-            if level > 0 {
-                plane = plane.halved();
+        let (mut out, mut open) = (Vec::new(), Vec::new());
+        self.each_row(block, |plane, scale, row| match &self.quarters {
+            Quarters::Clear => {
+                respond(plane, &RINGS[scale.ring], row, self.motif, &mut out);
+                mark(plane, scale, row, (&out, self.least), mask, |_| true);
             }
-            for &scale in self.scales.iter().filter(|s| s.level == level) {
-                mark(&plane, scale, self.motif, self.least, mask);
+            Quarters::OneOpen(discs) => {
+                fifth_arm::respond(plane, &RINGS[scale.ring], row, &mut out, &mut open);
+                let least = self.least_at(scale);
+                mark(plane, scale, row, (&open, least), mask, |at| discs[scale.ring].answers(plane, at, least));
             }
-        }
+        });
+    }
+
+    /// The fifth arms are sought where the crosses are, for little more.
+    fn segment_blocks(&self, block: &Block, masks: &mut [Mask]) {
+        let (Some(fifth), [first, second]) = (&self.fifth, &mut *masks) else {
+            return self.segment_block(block, &mut masks[0]);
+        };
+        let Quarters::OneOpen(discs) = &fifth.quarters else { return self.segment_block(block, first) };
+        let (mut out, mut open) = (Vec::new(), Vec::new());
+        self.each_row(block, |plane, scale, row| {
+            let ring = &RINGS[scale.ring];
+            if fifth.scales.contains(&scale) {
+                fifth_arm::respond(plane, ring, row, &mut out, &mut open);
+                let least = fifth.least_at(scale);
+                mark(plane, scale, row, (&open, least), second, |at| discs[scale.ring].answers(plane, at, least));
+            } else {
+                respond(plane, ring, row, self.motif, &mut out);
+            }
+            mark(plane, scale, row, (&out, self.least), first, |_| true);
+        });
+    }
+
+    fn others(&self) -> Vec<&dyn Detector> {
+        self.fifth.iter().map(|fifth| fifth.as_ref() as &dyn Detector).collect()
     }
 
     fn gate(&self, region: &Region) -> bool {
@@ -187,7 +282,7 @@ impl Detector for TargetDetector {
     }
 
     fn patch_margin_px(&self) -> u64 {
-        (examine::REACH_SIDES * self.side_px.1).ceil() as u64 + self.halo_px()
+        (extent::REACH_SIDES * self.side_px.1).ceil() as u64 + self.halo_px()
     }
 
     fn largest_mark_px(&self) -> u64 {

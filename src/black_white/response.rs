@@ -66,31 +66,38 @@ pub const RINGS: [Ring; 2] = [
 ];
 
 /// Rows of samples on the ring about the cells `from..from + len` of a row.
-struct Around<'a> {
-    ring: [&'a [u8]; 16],
-    centre: &'a [u8],
+pub struct Around<'a> {
+    pub ring: [&'a [u8]; 16],
+    pub centre: &'a [u8],
+}
+
+impl<'a> Around<'a> {
+    /// `None` too near the upper or lower edge.
+    pub fn of_row(plane: &'a Plane, ring: &Ring, row: usize) -> Option<Around<'a>> {
+        let reach = ring.reach;
+        if row < reach || row + reach >= plane.height || plane.width <= 2 * reach {
+            return None;
+        }
+        let len = plane.width - 2 * reach;
+        let slice = |(dx, dy): (i32, i32)| {
+            let start = (reach as i32 + dx) as usize;
+            &plane.row((row as i32 + dy) as usize)[start..start + len]
+        };
+        Some(Around { ring: ring.offsets.map(slice), centre: slice((0, 0)) })
+    }
 }
 
 /// Responses of the cells of row `row` that are at least the ring's reach from the plane's edge; `out[i]` is that of
 /// column `reach + i`. Returns how many there are: 0 too near the upper or lower edge.
 pub fn respond(plane: &Plane, ring: &Ring, row: usize, motif: Motif, out: &mut Vec<u8>) -> usize {
     out.clear();
-    let reach = ring.reach;
-    if row < reach || row + reach >= plane.height || plane.width <= 2 * reach {
-        return 0;
-    }
-    let len = plane.width - 2 * reach;
-    out.resize(len, 0);
-    let slice = |(dx, dy): (i32, i32)| {
-        let start = (reach as i32 + dx) as usize;
-        &plane.row((row as i32 + dy) as usize)[start..start + len]
-    };
-    let around = Around { ring: ring.offsets.map(slice), centre: slice((0, 0)) };
+    let Some(around) = Around::of_row(plane, ring, row) else { return 0 };
+    out.resize(around.centre.len(), 0);
     match motif {
         Motif::Cross => cross(&around, out),
         Motif::Saddle => saddle(&around, out),
     }
-    len
+    out.len()
 }
 
 /// Four arms at quarter turns and the middle on one side, what lies between them on the other.
@@ -203,7 +210,7 @@ impl<'a> Steps<'a> {
 /// The direction of an arm of a cross, or of the middle of a bright quarter of a saddle, of which [`Steps::strongest`]
 /// has the sample.
 pub fn direction(ring: &Ring, sample: usize, motif: Motif) -> f64 {
-    let (a, b) = (ring.offsets[sample], ring.offsets[sample + 1]);
+    let (a, b) = (ring.offsets[sample], ring.offsets[(sample + 1) % 16]);
     match motif {
         Motif::Cross => f64::from(a.1).atan2(f64::from(a.0)),
         Motif::Saddle => f64::from(a.1 + b.1).atan2(f64::from(a.0 + b.0)),

@@ -478,8 +478,8 @@ impl Worker<'_> {
         let info = self.source.info();
         let mut regions: Vec<TileRegions> = {
             let _span = tracing::info_span!(parent: self.span, "segment").entered();
+            self.detector.segment_blocks(block, masks);
             let label = |(detector, mask): (&&dyn Detector, &mut Mask)| {
-                detector.segment_block(block, mask);
                 labeller.label(mask, tile.core, info.bounds(), |region| detector.gate(region))
             };
             self.layers.iter().zip(masks).map(label).collect()
