@@ -19,6 +19,8 @@ pub enum Kind {
     Hourglass,
     /// White cross on black.
     Cross,
+    /// The same with the strip of a number that runs into the crossing.
+    FifthArm,
 }
 
 pub fn photo(name: &str) -> Option<Picture> {
@@ -48,6 +50,12 @@ fn colour(kind: Kind, u: f64, v: f64) -> (bool, bool) {
         // Two black triangles on a white plate.
         Kind::Hourglass => (inside, v.abs() < 1.2 * u.abs()),
         Kind::Cross => (inside, u.abs() < 0.07 || v.abs() < 0.07),
+        Kind::FifthArm => {
+            let (sin, cos) = 0.7f64.sin_cos();
+            let (along, beside) = (cos * u + sin * v, cos * v - sin * u);
+            let strip = (0.0..0.4).contains(&along) && beside.abs() < 0.05;
+            (inside, strip || u.abs() < 0.07 || v.abs() < 0.07)
+        }
     }
 }
 
@@ -64,7 +72,7 @@ pub fn plant_targets(
     let pitch = 150;
     for gy in (20..ground.height.saturating_sub(pitch)).step_by(pitch) {
         for gx in (20..ground.width.saturating_sub(pitch)).step_by(pitch) {
-            let least = if kind == Kind::Cross { 30.0 } else { 14.0 };
+            let least = if matches!(kind, Kind::Cross | Kind::FifthArm) { 30.0 } else { 14.0 };
             let drawn = least * (60.0f64 / least).powf(random.unit());
             let side = side.unwrap_or(drawn);
             let blur = 0.7 + 0.7 * random.unit();

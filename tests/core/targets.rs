@@ -41,6 +41,7 @@ fn planted_targets_are_found_and_centred() {
         (Kind::Checker, "black-white-checker", 0.98),
         (Kind::Hourglass, "black-white-hourglass", 0.90),
         (Kind::Cross, "black-white-cross", 0.97),
+        (Kind::FifthArm, "black-white-cross", 0.95),
     ] {
         let (mut planted, mut hits, mut squares, mut normalised) = (0, 0, 0.0, Vec::new());
         for (number, cover) in ["photos/construction_caliterra.jpg", "photos/savanna_oam.tif"].iter().enumerate() {
@@ -65,10 +66,10 @@ fn planted_targets_are_found_and_centred() {
         }
         let rmse = (squares / (2.0 * f64::from(hits))).sqrt();
         let z2 = normalised.iter().map(|z| z * z).sum::<f64>() / normalised.len() as f64;
-        println!("{profile}: {hits} of {planted}, RMSE {rmse:.3} px, normalised variance {z2:.2}");
-        assert!(f64::from(hits) >= recall * planted as f64, "{profile}: {hits} of {planted}");
-        assert!(rmse < 0.1, "{profile}: RMSE {rmse}");
-        assert!((0.5..2.0).contains(&z2), "{profile}: {z2}");
+        println!("{kind:?}: {hits} of {planted}, RMSE {rmse:.3} px, normalised variance {z2:.2}");
+        assert!(f64::from(hits) >= recall * planted as f64, "{kind:?}: {hits} of {planted}");
+        assert!(rmse < 0.1, "{kind:?}: RMSE {rmse}");
+        assert!((0.5..2.0).contains(&z2), "{kind:?}: {z2}");
     }
 }
 
@@ -97,8 +98,13 @@ fn no_tiling_changes_a_target() {
         [(stripe + 8.0 * random.gauss()) as u8; 3]
     });
     let ground = Picture { width, height, rgb: rgb.collect() };
-    for (kind, profile) in [(Kind::Checker, "black-white-checker"), (Kind::Cross, "black-white-cross")] {
-        let (picture, truth) = plant_targets(&ground, kind, None, &mut Random(3));
+    let kinds = [
+        (Kind::Checker, "black-white-checker", None),
+        (Kind::Cross, "black-white-cross", None),
+        (Kind::FifthArm, "black-white-cross", Some(50.0)),
+    ];
+    for (kind, profile, side) in kinds {
+        let (picture, truth) = plant_targets(&ground, kind, side, &mut Random(3));
         let source = memory(&picture);
         let whole = find(&source, &builtin(profile), 4000, 1);
         assert!(whole.len() * 10 >= truth.len() * 8, "{profile}: {} of {}", whole.len(), truth.len());
