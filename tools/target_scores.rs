@@ -64,9 +64,13 @@ impl Detector for Spy<'_> {
 }
 
 fn main() {
-    let kinds = [targets::Kind::Checker, targets::Kind::Hourglass, targets::Kind::Cross];
-    for (kind, profile) in kinds.into_iter().zip(["black-white-checker", "black-white-hourglass", "black-white-cross"])
-    {
+    let kinds = [
+        (targets::Kind::Checker, "black-white-checker"),
+        (targets::Kind::Hourglass, "black-white-hourglass"),
+        (targets::Kind::Cross, "black-white-cross"),
+        (targets::Kind::FifthArm, "black-white-cross"),
+    ];
+    for (kind, profile) in kinds {
         for (number, name) in targets::COVERS.iter().enumerate() {
             let Some(picture) = targets::photo(name) else { continue };
             for planted in [true, false] {
