@@ -19,24 +19,24 @@ pub struct Couple {
     /// A is seen through a projection: its cells are resampled.
     pub projected: bool,
     pub heights: HeightDatum,
+    /// Models whose heights are taken for metres though their map counts in something else, as words.
+    pub doubtful_units: Vec<String>,
     _warped: Option<tempfile::TempPath>,
 }
 
-impl Couple {
-    /// Models whose heights are taken for metres though their map counts in something else.
-    pub fn doubtful_units(&self) -> Vec<String> {
-        let doubt = |(letter, model): (&str, &Model)| {
-            let crs = model.crs().filter(|crs| !crs.is_geographic() && crs.metres_per_unit() != 1.0)?;
-            model.unit_name().is_none().then(|| {
-                format!(
-                    "{letter} names no unit of its heights, and its map counts in {}: they are taken for metres; name \
-                     their unit with gdal_edit.py -units",
-                    crs.unit_name()
-                )
-            })
-        };
-        [("A", &self.a), ("B", &self.b)].into_iter().filter_map(doubt).collect()
-    }
+/// Models whose heights are taken for metres though their map counts in something else.
+fn doubtful_units(a: &Model, b: &Model) -> Vec<String> {
+    let doubt = |(letter, model): (&str, &Model)| {
+        let crs = model.crs().filter(|crs| !crs.is_geographic() && crs.metres_per_unit() != 1.0)?;
+        model.unit_name().is_none().then(|| {
+            format!(
+                "{letter} names no unit of its heights, and its map counts in {}: they are taken for metres; name their \
+                 unit with gdal_edit.py -units",
+                crs.unit_name()
+            )
+        })
+    };
+    [("A", a), ("B", b)].into_iter().filter_map(doubt).collect()
 }
 
 /// What the heights of a couple count from.
@@ -92,6 +92,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     let (ma, mb) = (Model::open(a)?, Model::open(b)?);
     check_units(&ma, &mb)?;
     check_named(&ma, &mb)?;
+    let doubtful_units = doubtful_units(&ma, &mb);
     let (va, vb) = (vertical(ma.wkt()), vertical(mb.wkt()));
     if va.is_some() != vb.is_some() {
         let (with, without) = if va.is_some() { (a, b) } else { (b, a) };
@@ -106,12 +107,12 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         (Some(from), Some(to)) if from.wkt() != to.wkt() && !same_reference(ma.wkt(), mb.wkt()) => {
             (from.clone(), to.clone())
         }
-        _ => return Ok(Couple { a: ma, b: mb, projected: false, heights: common, _warped: None }),
+        _ => return Ok(Couple { a: ma, b: mb, projected: false, heights: common, doubtful_units, _warped: None }),
     };
     let together = |e: Error| match e {
         Error::Usage { what, remedy } => {
             // Models have no list whose datum could be given otherwise.
-            let remedy = match remedy.split_once(", give the points in their own datum") {
+            let remedy = match remedy.split_once(", or give the points in their own datum") {
                 Some((install, _)) => format!("{install}, or bring one model to the other's datum first"),
                 None => remedy,
             };
@@ -126,7 +127,14 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         (Model::open(&warped)?.in_unit_of(&ma), Some(warped))
     };
     let (Some(va), Some(vb)) = (va, vb) else {
-        return Ok(Couple { a: ma, b: mb, projected: warped.is_some(), heights: common, _warped: warped });
+        return Ok(Couple {
+            a: ma,
+            b: mb,
+            projected: warped.is_some(),
+            heights: common,
+            doubtful_units,
+            _warped: warped,
+        });
     };
     let lift = Lift::of(&ma.grid(), &from, &to).map_err(together)?;
     let (low, high) = lift.range_m();
@@ -142,7 +150,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         };
         (ma.lifted(lift), heights)
     };
-    Ok(Couple { a, b: mb, projected: warped.is_some(), heights, _warped: warped })
+    Ok(Couple { a, b: mb, projected: warped.is_some(), heights, doubtful_units, _warped: warped })
 }
 
 /// Do the map coordinates of a grid stay what they are in the other system?

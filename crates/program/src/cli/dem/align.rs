@@ -122,7 +122,7 @@ fn warnings(found: &Alignment, couple: &Couple) -> Vec<String> {
          (dem compare)"
             .to_string()
     });
-    spread.into_iter().chain(couple.doubtful_units()).collect()
+    spread.into_iter().chain(couple.doubtful_units.clone()).collect()
 }
 
 /// A number, or null where there is none.
