@@ -28,8 +28,8 @@ pub(crate) fn block_rows(width: u64) -> u64 {
 }
 
 /// Bytes of a row of the blocks that are written.
-pub(crate) fn written_row_bytes(width: u64) -> u64 {
-    width.next_multiple_of(BLOCK_PX) * block_rows(width) * CELL_BYTES
+fn written_row_bytes(width: u64, height: u64) -> u64 {
+    width.next_multiple_of(BLOCK_PX) * block_rows(width).min(height) * CELL_BYTES
 }
 
 /// What becomes of the rows that are read.
@@ -62,12 +62,12 @@ impl RowCache {
         if dataset.driver().short_name() == "VRT" {
             down = down.max(BELOW_VIRTUAL);
         }
-        let width = dataset.raster_size().0 as u64;
-        let read_bytes =
-            width.next_multiple_of(across.max(1) as u64) * down as u64 * u64::from(band.band_type().bytes());
+        let (width, height) = (dataset.raster_size().0 as u64, dataset.raster_size().1 as u64);
+        let down = (down as u64).min(height);
+        let read_bytes = width.next_multiple_of(across.max(1) as u64) * down * u64::from(band.band_type().bytes());
         let row_bytes = match purpose {
             Use::Followed => 0,
-            Use::Copied => written_row_bytes(width),
+            Use::Copied => written_row_bytes(width, height),
         };
         // The rows that are computed and those that are written; what is copied lies beside the cache.
         let cache_bytes = read_bytes + 2 * row_bytes;
