@@ -15,6 +15,7 @@ mod ply;
 mod ply_write;
 mod text;
 mod text_head;
+mod text_line;
 
 use std::path::Path;
 

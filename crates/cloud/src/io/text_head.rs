@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Seek};
 use std::path::Path;
 
-use super::text::{next_line, number, words};
+use super::text_line::{next_line, number, words};
 use crate::error::{Error, Result};
 use crate::schema::{Kind, Schema};
 

@@ -1,0 +1,122 @@
+//! Lines of a table of text, and the numbers in them.
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+const MOST_LINE_BYTES: u64 = 1 << 16;
+
+/// Calls `take` with each word of a line, up to the first that it does not take.
+fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> Option<()> {
+    let mut bare = |word: &'a str| take(word.trim_matches('"'));
+    match [';', '\t', ','].into_iter().find(|cut| line.contains(*cut)) {
+        // Tables in columns have blanks beside their tabs.
+        Some('\t') => line.split('\t').map(str::trim).filter(|word| !word.is_empty()).try_for_each(|word| {
+            if word.contains(' ') { word.split_whitespace().try_for_each(&mut bare) } else { bare(word) }
+        }),
+        // Some programs end every row with the separator.
+        Some(cut) => line.strip_suffix(cut).unwrap_or(line).split(cut).try_for_each(|word| bare(word.trim())),
+        None => line.split_whitespace().try_for_each(bare),
+    }
+}
+
+/// The number that a word is.
+pub(super) fn number(word: &str) -> Option<f64> {
+    word.parse().ok().or_else(|| word.contains(',').then(|| word.replacen(',', ".", 1).parse().ok()).flatten())
+}
+
+pub(super) fn words(line: &str) -> Vec<&str> {
+    let mut words = Vec::new();
+    each_word(line, |word| {
+        words.push(word);
+        Some(())
+    });
+    words
+}
+
+/// Appends the numbers of a row, the bytes of each; answers how many. `None` where a word is no number.
+pub(super) fn numbers(line: &str, raw: &mut Vec<u8>) -> Option<usize> {
+    let mut count = 0;
+    each_word(line, |word| {
+        raw.extend_from_slice(&number(word)?.to_le_bytes());
+        count += 1;
+        Some(())
+    })?;
+    Some(count)
+}
+
+/// What [`numbers`] does, in one pass over the bytes, of nearly every row of nearly every table: plain numbers between
+/// blanks or between commas. `None` of all others, whatever they are.
+pub(super) fn plain_numbers(line: &[u8], raw: &mut Vec<u8>) -> Option<usize> {
+    let (mut rest, mut count, mut commas) = (line.trim_ascii(), 0, None);
+    while !rest.is_empty() {
+        let is_sign = |byte: &u8| matches!(byte, b'0'..=b'9' | b'.' | b'-' | b'+' | b'e' | b'E');
+        let length = rest.iter().position(|byte| !is_sign(byte)).unwrap_or(rest.len());
+        let number: f64 = std::str::from_utf8(&rest[..length]).ok()?.parse().ok()?;
+        raw.extend_from_slice(&number.to_le_bytes());
+        count += 1;
+        let between = &rest[length..];
+        if between.is_empty() {
+            break;
+        }
+        rest = between.trim_ascii_start();
+        let here = rest.first() == Some(&b',');
+        if *commas.get_or_insert(here) != here || (!here && rest.len() == between.len()) {
+            return None;
+        }
+        if here {
+            rest = rest[1..].trim_ascii_start();
+            // Tabs come before commas; an empty word is left to the rules.
+            if rest.is_empty() || line.contains(&b'\t') {
+                return None;
+            }
+        }
+    }
+    Some(count)
+}
+
+/// Reads the next line into `bytes`; `false` at the end of the file.
+pub(super) fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64, bytes: &mut Vec<u8>) -> Result<bool> {
+    bytes.clear();
+    let read = file.take(MOST_LINE_BYTES).read_until(b'\n', bytes).map_err(|e| Error::io(path, "read", e))?;
+    *line += u64::from(read > 0);
+    if read as u64 == MOST_LINE_BYTES || bytes.contains(&0) {
+        let what = "this is neither LAS, LAZ, PLY, E57 nor a table of text";
+        return Err(Error::format(path, format!("line {line}"), what));
+    }
+    Ok(read > 0)
+}
+
+/// The content of a line; what is no UTF-8 is replaced.
+pub(super) fn text_of(bytes: &mut Vec<u8>) -> &str {
+    if let Cow::Owned(text) = String::from_utf8_lossy(bytes) {
+        *bytes = text.into_bytes();
+    }
+    content(bytes)
+}
+
+/// The next line with content, in `bytes`.
+pub(super) fn next_line<'a>(
+    path: &Path,
+    file: &mut BufReader<File>,
+    line: &mut u64,
+    bytes: &'a mut Vec<u8>,
+) -> Result<Option<&'a str>> {
+    loop {
+        if !read_line(path, file, line, bytes)? {
+            return Ok(None);
+        }
+        if !text_of(bytes).is_empty() {
+            return Ok(Some(content(bytes)));
+        }
+    }
+}
+
+/// A line without what surrounds its words.
+fn content(bytes: &[u8]) -> &str {
+    let text = std::str::from_utf8(bytes).expect("what was no UTF-8 was replaced");
+    text.trim_start_matches('\u{feff}').trim()
+}
