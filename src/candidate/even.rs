@@ -9,7 +9,7 @@ use super::examine::{Around, Evidence, LEAST_CONTRAST, Looks, growth, settle, un
 use super::fit::{Fit, Form};
 use super::gates::moments_rectangle;
 use super::local::{Growth, Local};
-use super::paint_share::{Across, best_fit, plateau, ring_ground};
+use super::paint_share::{Across, best_fit};
 use super::scene::{RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
@@ -80,7 +80,7 @@ impl Looks<'_> {
         if !is_compact(self.region) {
             return None;
         }
-        let across = Across::between(&ring_ground(scene)?, plateau(scene));
+        let across = Across::between(scene.ring_ground()?, scene.plateau());
         let against = Against { contrast: across.contrast, local: false };
         if across.contrast < LEAST_CONTRAST {
             return None;
@@ -95,7 +95,7 @@ impl Looks<'_> {
         if first.contrast < GOOD_CONTRAST {
             return None;
         }
-        let paint = plateau(scene);
+        let paint = scene.plateau();
         let grown = match whole::whole(scene, paint) {
             Whole::Grown(own) => Some(own),
             _ => None,
@@ -110,8 +110,8 @@ impl Looks<'_> {
                 return None;
             }
             let scene = scene.with_own(own.clone(), &own.or(&scene.other));
-            let paint = plateau(&scene);
-            let against_ring = ring_ground(&scene).map(|ground| Across::between(&ground, paint)).and_then(|across| {
+            let paint = scene.plateau();
+            let against_ring = scene.ring_ground().map(|ground| Across::between(&ground, paint)).and_then(|across| {
                 let against = Against { contrast: across.contrast, local: false };
                 let seen = across.contrast >= GOOD_CONTRAST;
                 seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &ANYWHERE)).flatten()
@@ -134,7 +134,7 @@ impl Looks<'_> {
         limits: &Limits,
     ) -> Option<Evidence> {
         let shape = self.profile.shape;
-        let mut evidence = unfitted(self.region, plateau(scene), self.classifier, self.profile);
+        let mut evidence = unfitted(self.region, scene.plateau(), self.classifier, self.profile);
         (evidence.contrast, evidence.local) = (against.contrast, against.local);
         evidence.area_px = scene.own.count() as f64;
         let fit = best_fit(scene, shares, shape, 1.0 / against.contrast, f64::INFINITY)?;

@@ -10,12 +10,12 @@ use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
-use super::figure::{Figure, figure};
+use super::figure::{Figure, figure, may_be_figure};
 use super::fit::Fit;
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
 use super::local::{Growth, Local};
-use super::paint_share::{Across, best_fit, plateau, ring_ground};
+use super::paint_share::{Across, best_fit};
 use super::pixel_set::PixelSet;
 use super::scene::{OwnPaint, RING_PX, Scene};
 use super::score::{Populations, score};
@@ -89,19 +89,26 @@ pub fn examine(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    match figure_of(region, pixels, classifier, profile) {
+    let patch = near(pixels, region);
+    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
+    match figure_of(&scene, region, pixels, classifier, profile) {
         Figure::Is(candidate) => return Some(*candidate),
         Figure::Elsewhere => return None,
         Figure::No => {}
     }
-    let patch = near(pixels, region);
-    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
     examine_whole(&scene, pixels, region, classifier, profile, gates)
 }
 
-/// Whether a region is a painted figure, or a part of one.
-pub(super) fn figure_of(region: &Region, pixels: &dyn Pixels, classifier: &Classifier, profile: &Profile) -> Figure {
-    if profile.examine.centre != CentreMode::Fit || profile.filters != Filters::default() {
+/// Whether a region is a painted figure, or a part of one; `scene` is what lies near it.
+pub(super) fn figure_of(
+    scene: &Scene<'_>,
+    region: &Region,
+    pixels: &dyn Pixels,
+    classifier: &Classifier,
+    profile: &Profile,
+) -> Figure {
+    let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
+    if !fits || !may_be_figure(scene) {
         return Figure::No;
     }
     let patch = pixels.whole();
@@ -199,7 +206,7 @@ impl Looks<'_> {
     /// The evidence of the whole mark that `seen` is a part of, or that with even light; else `first`, with what it
     /// leaves open.
     fn widened(&self, first: Evidence, seen: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
-        let grown = whole::whole(seen, plateau(seen));
+        let grown = whole::whole(seen, seen.plateau());
         let own = match &grown {
             Whole::Grown(own) => own.clone(),
             _ => seen.own.clone(),
@@ -233,7 +240,7 @@ impl Looks<'_> {
             return Some(best);
         }
         let mark = seen.with_own(own, &seen.paint());
-        let shaded = shadow::grown_into_shade(&mark, plateau(&mark))
+        let shaded = shadow::grown_into_shade(&mark, mark.plateau())
             .filter(|own| self.may_be_mark(own, seen.patch))
             .map(|own| seen.with_own(own, &seen.paint()))
             .and_then(|whole| shadow::relit(&whole).map(|relit| (whole, relit)));
@@ -256,7 +263,7 @@ impl Looks<'_> {
         let (even, width, height) = (&relit.even, mark.width, mark.height);
         let paint = PixelSet::of_bits(&self.classifier.paint_bits(&even.rgb), width, height).and(&mark.valid);
         let scene = Scene::of_pixels(even, mark.own.clone(), &paint.or(&mark.own));
-        let own = match whole::whole(&scene, plateau(&scene)) {
+        let own = match whole::whole(&scene, scene.plateau()) {
             Whole::Grown(own) => own,
             _ => scene.own.clone(),
         };
@@ -271,7 +278,7 @@ impl Looks<'_> {
             let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
             return widen(best, [open, 0.0, open]);
         }
-        let texture = ring_ground(&scene).map(|ground| ground.covariance);
+        let texture = scene.ring_ground().map(|ground| ground.covariance);
         let joint = evidence
             .fit
             .as_ref()
@@ -425,7 +432,7 @@ fn look_again(
     classifier: &Classifier,
     profile: &Profile,
 ) -> Option<Evidence> {
-    let first = plateau(scene);
+    let first = scene.plateau();
     let seen = Local::of(scene, first, RING_PX);
     let grown = match seen.as_ref().map_or(Growth::Whole, Local::grow) {
         Growth::Beaten => return None,
@@ -438,7 +445,7 @@ fn look_again(
     let (scene, paint, seen) = match &grown {
         None => (scene, first, seen),
         Some(grown) => {
-            let paint = plateau(grown);
+            let paint = grown.plateau();
             (grown, paint, Local::of(grown, paint, RING_PX))
         }
     };
@@ -461,9 +468,9 @@ pub(super) fn measure_scene(
     classifier: &Classifier,
     profile: &Profile,
 ) -> Evidence {
-    let plateau = plateau(scene);
+    let plateau = scene.plateau();
     let mut evidence = unfitted(region, plateau, classifier, profile);
-    let Some(ground) = ring_ground(scene) else { return evidence };
+    let Some(ground) = scene.ring_ground() else { return evidence };
     let across = Across::between(&ground, plateau);
     evidence.contrast = across.contrast;
     if profile.examine.centre == CentreMode::Fit {
@@ -539,8 +546,8 @@ pub(super) fn settle(
         if let Some(other) = fit_in_linear_light(scene, evidence.local, shape) {
             (place, spread) = place.averaged_with(&best, &other);
         }
-        evidence.refined = ring_ground(scene).and_then(|ground| {
-            refine(scene, &around.pixels.whole(), around.classifier, &best, (plateau(scene), &ground))
+        evidence.refined = scene.ring_ground().and_then(|ground| {
+            refine(scene, &around.pixels.whole(), around.classifier, &best, (scene.plateau(), &ground))
         });
         if let Some(refined) = &evidence.refined {
             place = place.refined(&best, spread, refined);
@@ -554,12 +561,12 @@ pub(super) fn settle(
 /// The fit to shares of paint in linear light, in which lenses mix; it weighs bright and dark ground otherwise.
 fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<Fit> {
     let scene = scene.in_linear_light();
-    let plateau = plateau(&scene);
+    let plateau = scene.plateau();
     let (shares, contrast) = if local {
         let seen = Local::of(&scene, plateau, RING_PX)?;
         (seen.shares(), seen.contrast)
     } else {
-        let across = Across::between(&ring_ground(&scene)?, plateau);
+        let across = Across::between(scene.ring_ground()?, plateau);
         (across.shares(&scene), across.contrast)
     };
     best_fit(&scene, &shares, shape, 1.0 / contrast.max(1.0), f64::INFINITY)

@@ -14,7 +14,7 @@ use nalgebra::{Matrix2, Vector2};
 use super::Candidate;
 use super::examine::LEAST_CONTRAST;
 use super::hull::{convex_hull, edges, twice_area};
-use super::paint_share::{Across, plateau, ring_ground};
+use super::paint_share::Across;
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
 use super::score::RING_LOOK;
@@ -60,6 +60,27 @@ pub(super) enum Figure {
     Elsewhere,
 }
 
+/// Whether the scene's own paint may be a figure, of the ground right beside it alone: nearly all that has a paint's
+/// colour stands out too little, or is a blob that nothing touches.
+pub(super) fn may_be_figure(scene: &Scene<'_>) -> bool {
+    /// Paint beyond the scene takes a little of the ring away.
+    const SLACK: f64 = 0.9;
+    let mut touching = scene.other.and(&scene.own.grown(touch_px(&scene.own)));
+    while let Some(first) = touching.first() {
+        let piece = scene.other.piece(first);
+        // How large it is is not seen here.
+        if piece.at_edge() {
+            return true;
+        }
+        touching = touching.minus(&piece);
+    }
+    let stands_out = |ground| Across::between(ground, scene.plateau()).contrast >= SLACK * LEAST_CONTRAST;
+    with_other_field(scene) != scene.own
+        || scene.own.count() >= LEAST_AREA_PX
+            && scene.ring_ground().is_some_and(stands_out)
+            && filled(&scene.own, scene.width) <= MOST_FILL
+}
+
 /// Whether the scene's own paint, with what touches it, is a figure.
 pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
     let all = with_other_field(scene);
@@ -84,13 +105,17 @@ pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
 /// stands for itself.
 fn with_other_field(scene: &Scene<'_>) -> PixelSet {
     let own = scene.own.count() as f64;
-    let touch_px = (TOUCH_OF_SIDE * own.sqrt()).clamp(TOUCH_PX.0, TOUCH_PX.1) as usize;
-    let near = scene.other.and(&scene.own.grown(touch_px));
+    let near = scene.other.and(&scene.own.grown(touch_px(&scene.own)));
     let Some(first) = near.first() else { return scene.own.clone() };
     let piece = scene.other.piece(first);
     let size = piece.count() as f64;
     let alike = size < MOST_UNLIKE * own && (own < MOST_UNLIKE * size || piece.at_edge());
     if alike && near.minus(&piece).is_empty() { scene.own.or(&piece) } else { scene.own.clone() }
+}
+
+/// How far from a field paint touches it.
+fn touch_px(field: &PixelSet) -> usize {
+    (TOUCH_OF_SIDE * (field.count() as f64).sqrt()).clamp(TOUCH_PX.0, TOUCH_PX.1) as usize
 }
 
 /// The share of its convex hull that a set fills: 1 when all pixels whose middle lies in the hull are there (G. Pick,
@@ -117,8 +142,8 @@ fn common_divisor(a: i64, b: i64) -> i64 {
 
 /// The figure's middle, when it is one.
 fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<Candidate> {
-    let paint = plateau(scene);
-    let across = Across::between(&ring_ground(scene)?, paint);
+    let paint = scene.plateau();
+    let across = Across::between(scene.ring_ground()?, paint);
     if across.contrast < LEAST_CONTRAST {
         return None;
     }
@@ -243,7 +268,12 @@ impl Picture<'_> {
 
     /// The middle about which the shares turn onto themselves, by Gauss and Newton from `middle`.
     fn turned_half(&self, places: &[Vector2<f64>], mut middle: Vector2<f64>) -> Option<Turned> {
+        /// Near its middle a figure is alike already; most else is not, and the way to the middle is long.
+        const LEAST_AT_START: f64 = 0.5;
         let start = middle;
+        if self.correlation(places, |p| 2.0 * start - p)? < LEAST_AT_START {
+            return None;
+        }
         let mut normal = Matrix2::zeros();
         let mut square = 0.0;
         for _ in 0..ROUNDS {

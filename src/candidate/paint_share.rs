@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::fit::{Fit, Form, Priors, fit, start_cost};
 use super::kernels::{Sample, Samples};
-use super::scene::{Ground, RING_PX, Scene};
+use super::scene::{Ground, Scene};
 use crate::profile::Shape;
 
 /// The fit sees this far outside the region.
@@ -13,21 +13,6 @@ const FIT_REACH_PX: usize = 4;
 const FIT_DEPTH_PX: usize = 6;
 /// The fit starts from the centroid of what is so near.
 const START_REACH_PX: usize = 2;
-
-/// The ground in the ring around the region.
-pub(super) fn ring_ground(scene: &Scene<'_>) -> Option<Ground> {
-    scene.statistics(&scene.ring(RING_PX)).or_else(|| {
-        // Crowded or cut off: whatever is near and not paint.
-        scene.statistics(&scene.valid.minus(&scene.own.grown(1)).minus(&scene.other))
-    })
-}
-
-/// Colour of the paint where it is least mixed: the mean over the deepest pixels of the region.
-pub(super) fn plateau(scene: &Scene<'_>) -> Vector3<f64> {
-    // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
-    let core = [2, 1].into_iter().map(|depth_px| scene.own.shrunk(depth_px)).find(|core| !core.is_empty());
-    scene.median_colour(core.as_ref().unwrap_or(&scene.own))
-}
 
 /// Fisher's direction from ground to paint.
 pub(super) struct Across {

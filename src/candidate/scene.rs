@@ -1,5 +1,7 @@
 //! Geometry and colour statistics of the small window around one candidate.
 
+use std::cell::OnceCell;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::pixel_set::PixelSet;
@@ -46,6 +48,9 @@ pub(crate) struct Scene<'a> {
     scale: f64,
     /// Colours are given in linear light.
     linear: bool,
+    /// Worked out when first asked for: every look asks for them.
+    plateau: OnceCell<Vector3<f64>>,
+    ring_ground: OnceCell<Option<Ground>>,
 }
 
 impl<'a> Scene<'a> {
@@ -88,7 +93,8 @@ impl<'a> Scene<'a> {
     fn among(patch: &'a Patch, own: PixelSet, paint: &PixelSet, valid: PixelSet) -> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let scale = 255.0 / f64::from(patch.white);
-        Scene { patch, width, height, other: paint.minus(&own), own, valid, scale, linear: false }
+        let (plateau, ring_ground) = Default::default();
+        Scene { patch, width, height, other: paint.minus(&own), own, valid, scale, linear: false, plateau, ring_ground }
     }
 
     /// Paint of whatever mark.
@@ -103,18 +109,42 @@ impl<'a> Scene<'a> {
             // The same numbers: bytes are on the scale already.
             let beyond = |v: u16| linear_from_srgb(f64::from(v) / 255.0);
             let light = |v: u16| linear_of_bytes().get(usize::from(v)).copied().unwrap_or_else(|| beyond(v));
-            return Vector3::from(samples.map(|v| 255.0 * light(v)));
+            let [r, g, b] = samples;
+            return Vector3::new(255.0 * light(r), 255.0 * light(g), 255.0 * light(b));
         }
-        let c = samples.map(|sample| f64::from(sample) * self.scale);
+        let [r, g, b] = samples;
+        let on_scale = |v: u16| f64::from(v) * self.scale;
+        let colour = Vector3::new(on_scale(r), on_scale(g), on_scale(b));
         if self.linear {
-            return Vector3::from(c.map(|v| 255.0 * linear_from_srgb(v / 255.0)));
+            return colour.map(|v| 255.0 * linear_from_srgb(v / 255.0));
         }
-        Vector3::from(c)
+        colour
     }
 
     /// The same scene with its colours in linear light, still on the scale 0..=255.
     pub fn in_linear_light(&self) -> Scene<'a> {
-        Scene { linear: true, ..self.clone() }
+        let (plateau, ring_ground) = Default::default();
+        Scene { linear: true, plateau, ring_ground, ..self.clone() }
+    }
+
+    /// Colour of the paint where it is least mixed: the median over the deepest pixels of the region.
+    pub fn plateau(&self) -> Vector3<f64> {
+        *self.plateau.get_or_init(|| {
+            // A region two pixels deep has a core of one or a few; three deep, everything from the third ring on.
+            let core = [2, 1].into_iter().map(|depth_px| self.own.shrunk(depth_px)).find(|core| !core.is_empty());
+            self.median_colour(core.as_ref().unwrap_or(&self.own))
+        })
+    }
+
+    /// The ground in the ring around the region.
+    pub fn ring_ground(&self) -> Option<&Ground> {
+        let ground = self.ring_ground.get_or_init(|| {
+            self.statistics(&self.ring(RING_PX)).or_else(|| {
+                // Crowded or cut off: whatever is near and not paint.
+                self.statistics(&self.valid.minus(&self.own.grown(1)).minus(&self.other))
+            })
+        });
+        ground.as_ref()
     }
 
     /// Samples of the pixels of a set, as the file has them.

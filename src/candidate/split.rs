@@ -29,13 +29,13 @@ pub fn examine_parts(
     profile: &Profile,
     gates: &Gates,
 ) -> Vec<Candidate> {
-    match figure_of(region, pixels, classifier, profile) {
+    let inner = near(pixels, region);
+    let Some(scene) = Scene::new(region, &inner, classifier, OwnPaint::Piece) else { return Vec::new() };
+    match figure_of(&scene, region, pixels, classifier, profile) {
         Figure::Is(candidate) => return vec![*candidate],
         Figure::Elsewhere => return Vec::new(),
         Figure::No => {}
     }
-    let inner = near(pixels, region);
-    let Some(scene) = Scene::new(region, &inner, classifier, OwnPaint::Piece) else { return Vec::new() };
     let single = gates.single(region);
     let whole = single.then(|| examine_whole(&scene, pixels, region, classifier, profile, gates)).flatten();
     let middles = middles(&scene, region, classifier, profile, gates.mark_side_px().0);

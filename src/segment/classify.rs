@@ -165,7 +165,8 @@ impl Classifier {
     }
 
     fn accepts(&self, colour: [u8; 3]) -> bool {
-        (0..3).all(|c| colour[c] >= self.least[c]) && self.table.get(colour)
+        let [r, g, b] = self.least;
+        colour[0] >= r && colour[1] >= g && colour[2] >= b && self.table.get(colour)
     }
 
     /// Which of a window's pixels are paint: `colours` red, green, blue as the file has them, `valid` where there is
@@ -209,10 +210,21 @@ impl Classifier {
         match row.samples {
             Samples::U8(samples) if self.white == 255 && self.sample == SampleType::U8 => {
                 self.of_samples.row(samples, row.pixel_stride, row.len, bits);
-                self.refine(bits, |i| {
+                // Without a detour over wider samples: of ground in the paint's colours every pixel comes here.
+                let [r, g, b] = self.rgb;
+                let colour = |i: usize| {
                     let pixel = &samples[i * row.pixel_stride..];
-                    (self.rgb.map(|b| u16::from(pixel[b])), self.alpha.map(|a| u16::from(pixel[a])))
-                });
+                    [pixel[r], pixel[g], pixel[b]]
+                };
+                let nodata = self.nodata.and_then(|v| u8::try_from(v).ok());
+                match (self.alpha, nodata) {
+                    (None, None) if self.least == [0; 3] => keep(bits, |i| self.table.get(colour(i))),
+                    (alpha, nodata) => keep(bits, |i| {
+                        let transparent = alpha.is_some_and(|a| samples[i * row.pixel_stride + a] == 0);
+                        let colour = colour(i);
+                        !transparent && nodata.is_none_or(|n| colour != [n; 3]) && self.accepts(colour)
+                    }),
+                }
             }
             Samples::U8(samples) => self.classify_wide(row.len, bits, |i| {
                 let pixel = &samples[i * row.pixel_stride..];
@@ -261,13 +273,11 @@ impl Classifier {
 /// Clears the set bits of pixels that are not `wanted`.
 fn keep(bits: &mut [u64], wanted: impl Fn(usize) -> bool) {
     for (w, word) in bits.iter_mut().enumerate() {
-        let mut left = *word;
+        let mut left = std::mem::take(word);
         while left != 0 {
             let bit = left.trailing_zeros();
             left &= left - 1;
-            if !wanted(w * 64 + bit as usize) {
-                *word &= !(1 << bit);
-            }
+            *word |= u64::from(wanted(w * 64 + bit as usize)) << bit;
         }
     }
 }
