@@ -3,11 +3,11 @@
 //! Source: `include/XML_GEN/ParamChantierPhotogram.xml` and the sources of MicMac; pixels are taken as MicMac counts
 //! them.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::affinity::{Affinity, SizeIn};
 use super::{Photograph, Reconstruction};
 use crate::camera::{Camera, Parameter, PixelPolynomial};
 use crate::error::{Error, Result, read_text};
@@ -22,11 +22,24 @@ pub struct Orientation {
     pub camera_file: Option<String>,
     /// The image that MMVII names in the file.
     pub image: Option<String>,
-    /// A camera written inside the orientation.
+    /// A camera written inside the orientation, in the plane of its calibration.
     pub camera: Option<Camera>,
-    /// Point on the ground and its pixel.
+    /// Point on the ground and its place in the plane of its calibration: pixels, of scanned film millimetres.
     pub checks: Vec<([f64; 3], [f64; 2])>,
     pub tolerance_px: f64,
+    /// What `camera` is beside its values, and from its plane to pixels.
+    inside: Option<Calibration>,
+    to_pixels: Affinity,
+}
+
+/// A camera as its file has it.
+#[derive(Clone, Debug)]
+struct Calibration {
+    camera: Camera,
+    /// Size and places count in millimetres of film until an orientation says which pixels they are.
+    on_film: bool,
+    /// `<OrIntGlob>` turns an axis of the image over.
+    mirrored: bool,
 }
 
 /// Whether a folder holds orientations.
@@ -52,32 +65,32 @@ fn orientation_files(folder: &Path) -> Vec<(PathBuf, String)> {
     files
 }
 
+/// Whether a file is called like an orientation.
+pub fn is_orientation_name(path: &Path) -> bool {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    name.starts_with("Orientation-") || name.starts_with("Ori-PerspCentral-")
+}
+
 /// All orientations of a folder with their cameras. Ties are not in such files.
 ///
 /// # Errors
 /// When a file is broken or names a camera that is not there.
 pub fn read_orientations(folder: &Path) -> Result<Reconstruction> {
     let mut all = Reconstruction::default();
-    let mut known: HashMap<PathBuf, usize> = HashMap::new();
+    // Of one file there are as many cameras as ways from its plane to pixels.
+    let mut known: Vec<(PathBuf, Affinity, usize)> = Vec::new();
     for (file, image) in orientation_files(folder) {
         let orientation = read_orientation(&file)?;
-        let camera = match (&orientation.camera, &orientation.camera_file) {
-            (Some(camera), _) => {
-                all.cameras.push(camera.clone());
-                all.cameras.len() - 1
+        let place = camera_place(&file, &orientation)?;
+        let seen = known.iter().find(|(at, by, _)| place.as_ref() == Some(at) && *by == orientation.to_pixels);
+        let camera = match seen {
+            Some((_, _, camera)) => *camera,
+            None => {
+                all.cameras.push(camera_in_pixels(&file, &orientation, place.as_deref())?);
+                let camera = all.cameras.len() - 1;
+                known.extend(place.map(|at| (at, orientation.to_pixels, camera)));
+                camera
             }
-            (None, Some(name)) => {
-                let at = find_camera(&file, name)?;
-                match known.get(&at) {
-                    Some(i) => *i,
-                    None => {
-                        all.cameras.push(read_camera(&at)?);
-                        known.insert(at, all.cameras.len() - 1);
-                        all.cameras.len() - 1
-                    }
-                }
-            }
-            (None, None) => return Err(Error::format(&file, "<FileInterne>", "no camera is named")),
         };
         let name = orientation.image.unwrap_or(image);
         all.photographs.push(Photograph { name, camera, pose: orientation.pose });
@@ -86,6 +99,42 @@ pub fn read_orientations(folder: &Path) -> Result<Reconstruction> {
         return Err(Error::format(folder, "the folder", "there is no Orientation-*.xml and no Ori-PerspCentral-*.xml"));
     }
     Ok(all)
+}
+
+/// Where the camera of an orientation lies, unless it is written inside.
+fn camera_place(file: &Path, orientation: &Orientation) -> Result<Option<PathBuf>> {
+    match (&orientation.inside, &orientation.camera_file) {
+        (Some(_), _) => Ok(None),
+        (None, Some(name)) => find_camera(file, name).map(Some),
+        (None, None) => Err(Error::format(file, "<FileInterne>", "no camera is named")),
+    }
+}
+
+/// The camera of an orientation in pixels of its image; `place` is that of its file.
+fn camera_in_pixels(file: &Path, orientation: &Orientation, place: Option<&Path>) -> Result<Camera> {
+    const AFFINITY: &str = "OrIntImaM2C";
+    let calibration = match (place, &orientation.inside) {
+        (Some(at), _) => read_calibration(at)?,
+        (None, Some(inside)) => inside.clone(),
+        (None, None) => return Err(Error::format(file, "<FileInterne>", "no camera is named")),
+    };
+    let by = orientation.to_pixels;
+    if calibration.mirrored || by.mirrors() {
+        let (at, element) = if by.mirrors() { (file, AFFINITY) } else { (place.unwrap_or(file), "OrIntGlob") };
+        let what = "turns the image over against the axes that the rotation is of; orient with images as they are seen";
+        return Err(Error::format(at, format!("<{element}>"), what));
+    }
+    if calibration.on_film && by == Affinity::IDENTITY {
+        return Err(on_film(file));
+    }
+    by.to_pixels(file, AFFINITY, &calibration.camera, SizeIn::Plane)
+}
+
+/// Millimetres of which nothing says what pixels they are.
+fn on_film(path: &Path) -> Error {
+    let what =
+        "counts in millimetres of film; an orientation has its pixels: give an Orientation-*.xml with <OrIntImaM2C>";
+    Error::format(path, "<ScannedAnalogik>", what)
 }
 
 /// The camera's file: as named, then below the orientation's parent, then beside the orientation.
@@ -140,6 +189,11 @@ pub fn read_orientation(path: &Path) -> Result<Orientation> {
             let rotation = outer
                 .find("ParamRotation")
                 .ok_or_else(|| Error::format(path, "<Externe>", "there is no <ParamRotation>"))?;
+            if rotation.find("CodageAngulaire").is_some() {
+                let what = "angles are not read; write the rotation as <CodageMatr> with its rows <L1>, <L2>, <L3>, as \
+                            MicMac's commands write it";
+                return Err(Error::format(path, "<CodageAngulaire>", what));
+            }
             numbers::<3>(path, rotation, l)
         })
         .collect::<Result<_>>()?;
@@ -156,17 +210,17 @@ pub fn read_orientation(path: &Path) -> Result<Orientation> {
     }
     let tolerance_px =
         conic.find("Verif").and_then(|v| v.find("Tol")).and_then(Element::numbers).and_then(|n| n.first().copied());
-    let camera = match conic.find("Interne") {
-        Some(inner) => Some(v1_camera(path, inner)?),
-        None => None,
-    };
+    let inside = conic.find("Interne").map(|inner| v1_camera(path, inner)).transpose()?;
+    let to_pixels = conic.find("OrIntImaM2C").map(|affinity| Affinity::read(path, affinity)).transpose()?;
     Ok(Orientation {
         pose: Pose { rotation: rotation(path, to_world)?.transpose(), centre },
         camera_file: conic.find("FileInterne").map(|f| f.word().to_string()),
         image: None,
-        camera,
+        camera: inside.as_ref().map(|c| c.camera.clone()),
         checks,
         tolerance_px: tolerance_px.unwrap_or(1e-3),
+        inside,
+        to_pixels: to_pixels.unwrap_or(Affinity::IDENTITY),
     })
 }
 
@@ -194,17 +248,38 @@ fn mmvii_orientation(path: &Path, pose: &Element) -> Result<Orientation> {
         camera: None,
         checks: Vec::new(),
         tolerance_px: 1e-3,
+        inside: None,
+        to_pixels: Affinity::IDENTITY,
     })
 }
 
-/// Reads `AutoCal*.xml`, `Calib*.xml` (v1) or `Calib-PerspCentral-*.xml` (MMVII).
+/// Reads `AutoCal*.xml`, `Calib*.xml` (v1) or `Calib-PerspCentral-*.xml` (MMVII), in the plane that the file counts in:
+/// pixels, where `<OrIntGlob>` leads to them; of scanned film millimetres.
 ///
 /// # Errors
-/// When the XML is broken or holds a model of distortion that is not read.
+/// When the XML is broken, holds a model of distortion that is not read, or an affinity that no camera holds.
 pub fn read_camera(path: &Path) -> Result<Camera> {
+    Ok(read_calibration(path)?.camera)
+}
+
+/// The camera of a file in pixels: a calibration's, or that which an orientation has or names.
+///
+/// # Errors
+/// Those of [`read_camera`] and [`read_orientation`]; a calibration of film alone, whose pixels are not known.
+pub fn read_camera_in_pixels(path: &Path) -> Result<Camera> {
+    let root = Element::read(path)?;
+    if root.find("OrientationConique").is_some() || root.find("CameraPose").is_some() {
+        let orientation = read_orientation(path)?;
+        return camera_in_pixels(path, &orientation, camera_place(path, &orientation)?.as_deref());
+    }
+    let calibration = read_calibration(path)?;
+    if calibration.on_film { Err(on_film(path)) } else { Ok(calibration.camera) }
+}
+
+fn read_calibration(path: &Path) -> Result<Calibration> {
     let root = Element::read(path)?;
     if let Some(inner) = root.find("InternalCalibration") {
-        return mmvii_camera(path, inner);
+        return Ok(Calibration { camera: mmvii_camera(path, inner)?, on_film: false, mirrored: false });
     }
     let inner = root.find("CalibrationInternConique").ok_or_else(|| {
         Error::format(path, "the root", "there is neither <CalibrationInternConique> nor <InternalCalibration>")
@@ -224,7 +299,7 @@ fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-fn v1_camera(path: &Path, inner: &Element) -> Result<Camera> {
+fn v1_camera(path: &Path, inner: &Element) -> Result<Calibration> {
     let f = one(path, inner, "F")?;
     let pp = numbers::<2>(path, inner, "PP")?;
     let size = numbers::<2>(path, inner, "SzIm")?;
@@ -241,7 +316,15 @@ fn v1_camera(path: &Path, inner: &Element) -> Result<Camera> {
             v1_distortion(path, &mut camera, model, i)?;
         }
     }
-    Ok(camera)
+    let is_true = |element: &Element, name: &str| element.find(name).is_some_and(|e| matches!(e.word(), "true" | "1"));
+    let Some(global) = inner.find("OrIntGlob") else {
+        return Ok(Calibration { camera, on_film: is_true(inner, "ScannedAnalogik"), mirrored: false });
+    };
+    let stated = Affinity::read(path, global)?;
+    let to_pixels = if is_true(global, "C2M") { stated.inverse() } else { Some(stated) };
+    let to_pixels = to_pixels.ok_or_else(|| Error::format(path, "<OrIntGlob>", "its two axes are one; correct it"))?;
+    let camera = to_pixels.to_pixels(path, "OrIntGlob", &camera, SizeIn::Pixels)?;
+    Ok(Calibration { camera, on_film: false, mirrored: to_pixels.mirrors() })
 }
 
 fn v1_distortion(path: &Path, camera: &mut Camera, model: &Element, index: usize) -> Result<()> {
@@ -370,7 +453,9 @@ pub fn read_ground_points(path: &Path) -> Result<Vec<GroundPoint>> {
             elements.extend(measures.children.iter().filter(|c| c.name == "el"));
         }
         for e in elements {
-            let sigma = e.find("__Opt__Sigma2").and_then(Element::numbers).filter(|n| n.len() == 6);
+            // Variances: MMVII calls them by either name.
+            let variances = e.find("__Opt__Sigma2").or_else(|| e.find("Sigma2"));
+            let sigma = variances.and_then(Element::numbers).filter(|n| n.len() == 6);
             points.push(GroundPoint {
                 name: e.find("Name").map_or("", Element::word).to_string(),
                 xyz: numbers(path, e, "Pt")?,

@@ -1,5 +1,6 @@
 //! Reading what other programs wrote: cameras, poses, tie points and points measured in images.
 
+mod affinity;
 pub mod colmap;
 pub mod micmac;
 pub mod opensfm;
@@ -132,12 +133,16 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
         Some("json") => opensfm::read(path),
-        Some("xml") if !path.exists() || micmac::is_orientation_folder(folder) => micmac::read_orientations(folder),
+        // An orientation stands for its folder, as a file of COLMAP's model does; no other file does.
+        Some("xml") if micmac::is_orientation_name(path) && micmac::is_orientation_folder(folder) => {
+            micmac::read_orientations(folder)
+        }
+        _ if !path.exists() => Err(Error::format(path, "the name", "there is no such file or folder")),
         Some("xml") => Err(Error::format(
             path,
             "the name",
-            "is none of MicMac's orientations (Orientation-*.xml, Ori-*.xml), and none lies beside it; XML of Metashape and \
-             others is not read: export the block as COLMAP's model",
+            "is none of MicMac's orientations (Orientation-*.xml, Ori-PerspCentral-*.xml); give their folder; XML of Metashape \
+             and others is not read: export the block as COLMAP's model",
         )),
         Some("bin" | "txt") if colmap::is_name(path) => colmap::read(folder),
         Some("bin" | "txt") if path.exists() => Err(Error::format(
@@ -145,7 +150,6 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
             "the name",
             "is none of a COLMAP model's files (cameras, images, points3D as .txt or .bin); give its cameras.txt or its folder",
         )),
-        _ if !path.exists() => Err(Error::format(path, "the name", "there is no such file or folder")),
         _ => Err(Error::format(
             path,
             "the name",
