@@ -175,3 +175,51 @@ fn resect_tells_what_cannot_be() {
         assert!(notes.contains("below all points") || notes.contains("do not trust"), "{notes}");
     }
 }
+
+/// A file that `--camera` names is that camera, or refused: what lies beside it is another's.
+#[test]
+fn a_camera_file_is_read_or_refused() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let (model, gcps) = (place.at("model"), place.at("gcps.txt"));
+    let resect = |camera: &Path| {
+        let some = ["flight", "resect", "f2.png", "--gcps", text(&gcps), "--camera", text(camera), "--json"];
+        autoref(&some, None, &[])
+    };
+    let own = place.at("cameras.json");
+    let some = ["flight", "adjust", text(&model), "--gcps", text(&gcps), "--free", "none", "-o", text(&own)];
+    expect(&autoref(&some, None, &[]), 0, &[]);
+    let output = resect(&own);
+    expect(&output, 0, &[]);
+    let (f_px, truth) = (json(&output)["f_px"].as_f64(), place.flight.model.cameras[0].f_px());
+    assert!(f_px.is_some_and(|f| (f - truth).abs() < 1e-6), "{f_px:?}");
+    // OpenDroneMap's file of the same name has cameras and no frames.
+    let lens = |width: u32| {
+        format!(
+            r#"{{"v2 a": {{"projection_type": "brown", "width": {width}, "height": 480, "focal_x": 1.25, "focal_y": 1.25}}}}"#
+        )
+    };
+    std::fs::create_dir(place.at("odm")).expect("a folder");
+    let output = resect(&place.write("odm/cameras.json", &lens(480)));
+    expect(&output, 0, &[]);
+    assert_eq!(json(&output)["f_px"].as_f64(), Some(600.0));
+    expect(&resect(&place.write("odm/cameras.json", &lens(0))), 2, &["cameras.json", "`v2 a`", "width"]);
+    // A calibration that is not read, beside an orientation whose camera is.
+    std::fs::create_dir(place.at("Ori")).expect("a folder");
+    let calibration = |model: &str| {
+        format!(
+            "<CalibrationInternConique><KnownConv>eConvApero_DistM2C</KnownConv><PP>240 240</PP><F>500</F>\
+             <SzIm>480 480</SzIm><CalibDistortion>{model}</CalibDistortion></CalibrationInternConique>"
+        )
+    };
+    place.write("Ori/AutoCal.xml", &calibration("<ModNoDist/>"));
+    place.write(
+        "Ori/Orientation-f2.png.xml",
+        "<OrientationConique><FileInterne>AutoCal.xml</FileInterne><Externe><Centre>0 0 0</Centre><ParamRotation>\
+         <CodageMatr><L1>1 0 0</L1><L2>0 1 0</L2><L3>0 0 1</L3></CodageMatr></ParamRotation></Externe>\
+         </OrientationConique>",
+    );
+    expect(&resect(&place.at("Ori/Orientation-f2.png.xml")), 0, &[]);
+    let fish = "<ModUnif><TypeModele>eModele_FishEye_10_5_5</TypeModele></ModUnif>";
+    expect(&resect(&place.write("Ori/Fish.xml", &calibration(fish))), 2, &["Fish.xml", "eModele_FishEye_10_5_5"]);
+}

@@ -65,35 +65,8 @@ fn one(path: &Path, root: &Value) -> Result<Reconstruction> {
     let mut result = Reconstruction::default();
     let mut cameras: HashMap<&str, usize> = HashMap::new();
     for (name, c) in root.get("cameras").and_then(Value::as_object).into_iter().flatten() {
-        let place = format!("camera `{name}`");
-        let size = [number(path, c, "width", &place)?, number(path, c, "height", &place)?];
-        let s = size[0].max(size[1]);
-        let kind = c.get("projection_type").and_then(Value::as_str).unwrap_or("perspective");
-        let optional = |key: &str| c.get(key).and_then(Value::as_f64).unwrap_or(0.0);
-        let f = if c.get("focal_x").is_some() {
-            number(path, c, "focal_x", &place)?
-        } else {
-            number(path, c, "focal", &place)?
-        };
-        if !(f > 0.0 && s > 0.0) {
-            return Err(Error::format(path, place, "focal length and size must be positive"));
-        }
-        let pp = [size[0] / 2.0 + optional("c_x") * s, size[1] / 2.0 + optional("c_y") * s];
-        let mut camera = Camera::pinhole(name.as_str(), size, f * s, pp);
-        camera.set(Parameter::Aspect, c.get("focal_y").and_then(Value::as_f64).map_or(1.0, |fy| fy / f));
-        use Parameter::{K1, K2, K3, K4, K5, K6, P1, P2};
-        for (key, slot) in
-            [("k1", K1), ("k2", K2), ("k3", K3), ("k4", K4), ("k5", K5), ("k6", K6), ("p1", P1), ("p2", P2)]
-        {
-            camera.set(slot, optional(key));
-        }
-        camera.projection = match kind {
-            "perspective" | "brown" | "simple_radial" | "radial" => Projection::Perspective,
-            "fisheye" | "fisheye_opencv" => Projection::Fisheye,
-            other => return Err(Error::format(path, place, format!("the projection `{other}` is not supported"))),
-        };
         cameras.insert(name, result.cameras.len());
-        result.cameras.push(camera);
+        result.cameras.push(lens(path, name, c)?);
     }
     for (name, shot) in root.get("shots").and_then(Value::as_object).into_iter().flatten() {
         let place = format!("shot `{name}`");
@@ -112,6 +85,52 @@ fn one(path: &Path, root: &Value) -> Result<Reconstruction> {
         }
     }
     Ok(result)
+}
+
+/// A camera as OpenSfM writes it.
+fn lens(path: &Path, name: &str, c: &Value) -> Result<Camera> {
+    let place = format!("camera `{name}`");
+    let size = [number(path, c, "width", &place)?, number(path, c, "height", &place)?];
+    let s = size[0].max(size[1]);
+    let kind = c.get("projection_type").and_then(Value::as_str).unwrap_or("perspective");
+    let optional = |key: &str| c.get(key).and_then(Value::as_f64).unwrap_or(0.0);
+    let f = if c.get("focal_x").is_some() {
+        number(path, c, "focal_x", &place)?
+    } else {
+        number(path, c, "focal", &place)?
+    };
+    if !(f > 0.0 && size.iter().all(|side| *side > 0.0)) {
+        let what = "focal length, width and height must be positive; correct them";
+        return Err(Error::format(path, place, what));
+    }
+    let pp = [size[0] / 2.0 + optional("c_x") * s, size[1] / 2.0 + optional("c_y") * s];
+    let mut camera = Camera::pinhole(name, size, f * s, pp);
+    camera.set(Parameter::Aspect, c.get("focal_y").and_then(Value::as_f64).map_or(1.0, |fy| fy / f));
+    use Parameter::{K1, K2, K3, K4, K5, K6, P1, P2};
+    for (key, slot) in [("k1", K1), ("k2", K2), ("k3", K3), ("k4", K4), ("k5", K5), ("k6", K6), ("p1", P1), ("p2", P2)]
+    {
+        camera.set(slot, optional(key));
+    }
+    camera.projection = match kind {
+        "perspective" | "brown" | "simple_radial" | "radial" => Projection::Perspective,
+        "fisheye" | "fisheye_opencv" => Projection::Fisheye,
+        other => return Err(Error::format(path, place, format!("the projection `{other}` is not supported"))),
+    };
+    Ok(camera)
+}
+
+/// The cameras of a file that has no frames: OpenSfM's `camera_models.json`, OpenDroneMap's `cameras.json`; `None` of
+/// any other JSON.
+///
+/// # Errors
+/// When the JSON is broken, or one of the cameras.
+pub fn lenses(path: &Path) -> Result<Option<Vec<Camera>>> {
+    let root = json(path)?;
+    let is_lens = |c: &Value| c.get("projection_type").is_some() && c.get("width").is_some();
+    match root.as_object().filter(|all| !all.is_empty() && all.values().all(is_lens)) {
+        Some(all) => all.iter().map(|(name, c)| lens(path, name, c)).collect::<Result<_>>().map(Some),
+        None => Ok(None),
+    }
 }
 
 fn ties(path: &Path, root: &Value, tracks: &Path, result: &Reconstruction) -> Result<Vec<TiePoint>> {

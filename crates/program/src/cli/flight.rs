@@ -60,7 +60,8 @@ struct ResectArgs {
     frame: PathBuf,
     #[command(flatten)]
     points: lists::PointArgs,
-    /// The camera: MicMac's AutoCal or Calib XML, COLMAP's cameras.txt, or any reconstruction that has the frame.
+    /// The camera: MicMac's AutoCal, Calib or Orientation XML, COLMAP's cameras.txt, or any reconstruction that has the
+    /// frame, a cameras.json of this program for one.
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
     /// Focal length in pixels; without it and without --camera it is sought (four points or more).
@@ -301,18 +302,25 @@ fn set_interior(camera: &mut Camera, f_px: Option<f64>, pp_px: Option<&[f64]>, d
     Ok(())
 }
 
-/// A camera from a file: MicMac's calibration, or that of a frame of a reconstruction.
+/// A camera from a file: MicMac's calibration or orientation, or that of a frame of a reconstruction.
 fn camera_file(path: &Path, name: &str) -> Result<Camera> {
-    if path.extension().is_some_and(|e| e == "xml") && path.is_file() {
-        return match read::micmac::read_camera(path) {
-            Ok(camera) => Ok(camera),
-            Err(first) => of_frame(&read::reconstruction(path).map_err(|_| first)?, name, path),
-        };
+    // A file that is named is read or refused: what lies beside it may be of another camera.
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("xml")) && path.is_file() {
+        return Ok(read::micmac::read_camera_in_pixels(path)?);
     }
-    let alone = |stem: &str| path.file_stem().is_some_and(|s| s == stem) && path.is_file();
+    let is_one_of = |names: &[&str]| path.file_name().is_some_and(|n| names.iter().any(|name| n == *name));
     let folder = path.parent().unwrap_or(Path::new(""));
-    if alone("cameras") && !["bin", "txt"].iter().any(|e| folder.join(format!("images.{e}")).exists()) {
+    if is_one_of(&["cameras.txt", "cameras.bin"])
+        && path.is_file()
+        && !["bin", "txt"].iter().any(|e| folder.join(format!("images.{e}")).exists())
+    {
         let cameras = read::colmap::cameras(folder)?;
+        return of_frame(&Reconstruction { cameras, ..Reconstruction::default() }, name, path);
+    }
+    if path.extension().is_some_and(|e| e == "json")
+        && path.is_file()
+        && let Some(cameras) = read::opensfm::lenses(path)?
+    {
         return of_frame(&Reconstruction { cameras, ..Reconstruction::default() }, name, path);
     }
     of_frame(&read::reconstruction(path)?, name, path)
@@ -322,7 +330,10 @@ fn of_frame(model: &Reconstruction, name: &str, path: &Path) -> Result<Camera> {
     match (model.find(name), model.cameras.as_slice()) {
         (Some(i), _) => Ok(model.cameras[model.photographs[i].camera].clone()),
         (None, [only]) => Ok(only.clone()),
-        _ => bail!("{}: has no frame `{name}` and more than one camera", path.display()),
+        _ => bail!(
+            "{}: has no frame `{name}` and more than one camera; name a file with that of the frame",
+            path.display()
+        ),
     }
 }
 
