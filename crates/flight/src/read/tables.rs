@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::FARTHEST;
 use super::titles::{
-    COLUMNS, Heading, IMAGES, NAMES, PIXEL_X, PIXEL_Y, column_at, fields, is_geographic, names_angles, separator,
-    titles_of,
+    ANGLES, COLUMNS, Heading, IMAGES, NAMES, PIXEL_X, PIXEL_Y, column_at, degrees_of, fields, is_geographic,
+    names_angles, separator, titles_of,
 };
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
@@ -80,11 +80,12 @@ impl CameraRow {
     }
 }
 
-/// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names), or
-/// without one rows of `name x y z` with `yaw`, with `omega phi kappa`, or alone.
+/// Reads a camera table: a heading row that names the columns, in any order (docs/flight.md lists the names; angles are
+/// degrees unless their titles say gon or rad), or without one rows of `name x y z` with `yaw`, with `omega phi kappa`,
+/// or alone; or OpenDroneMap's image geolocation file in longitude and latitude.
 ///
 /// # Errors
-/// When a row has no name, or a coordinate is missing or no number.
+/// When a row has no name, a coordinate is missing or no number, or angles are in a unit that is not read.
 pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     let text = read_text(path)?;
     let lines = text.trim_start_matches('\u{feff}').lines().enumerate().map(|(i, l)| (i + 1, l.trim()));
@@ -94,12 +95,13 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         return Err(Error::format(path, "the table", "is empty"));
     };
     // A heading may be a comment, as Metashape writes it.
-    let heading = comments
-        .iter()
-        .map(|(_, l)| Heading::of(l.trim_start_matches('#').trim_start()))
-        .find(Heading::names_places)
-        .unwrap_or_else(|| Heading::of(first));
-    if Heading::of(first).names_places() {
+    let of_comment = |(_, l): &(usize, &str)| Heading::of(l.trim_start_matches('#').trim_start());
+    let heading = match geolocation(path, first)? {
+        Some(heading) => heading,
+        None => comments.iter().map(of_comment).find(Heading::names_places).unwrap_or_else(|| Heading::of(first)),
+    };
+    let of_opendronemap = is_crs(first);
+    if of_opendronemap || Heading::of(first).names_places() {
         lines.remove(0);
     }
     if let Some((row, _)) = comments.iter().find(|(_, l)| names_angles(l)).filter(|_| !heading.names_places()) {
@@ -123,7 +125,13 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
         let tail = [opk.then_some(4), opk.then_some(5), opk.then_some(6), None, None, None];
         (0, known.into_iter().chain(tail).collect())
     };
-    let columns = Columns { name: name_at, at, cut, geographic };
+    let mut degrees = [1.0; ANGLES.end];
+    for (i, factor) in degrees.iter_mut().enumerate().filter(|(i, _)| ANGLES.contains(i) && heading.names_places()) {
+        if let Some(field) = at[i].and_then(|c| heading.fields.get(c)) {
+            *factor = degrees_of(field).map_err(|what| Error::format(path, "the heading", what))?;
+        }
+    }
+    let columns = Columns { name: name_at, at, cut, geographic, degrees, of_opendronemap };
     let mut rows: Vec<CameraRow> = Vec::new();
     let mut firsts = std::collections::HashMap::new();
     for (row, line) in lines {
@@ -140,6 +148,30 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     Ok(rows)
 }
 
+/// Whether a line is a coordinate reference system, as OpenDroneMap's files begin.
+fn is_crs(line: &str) -> bool {
+    let line = line.to_lowercase();
+    ["epsg:", "+proj=", "+init=", "wgs84 utm", "wgs 84 / utm"].iter().any(|word| line.starts_with(word))
+}
+
+/// The columns of OpenDroneMap's image geolocation file, which begins with its system; `None` of other tables. Source:
+/// OpenDroneMap's documentation, "Image Geolocation Files".
+fn geolocation(path: &Path, first: &str) -> Result<Option<Heading>> {
+    let line = first.to_lowercase();
+    let geographic = line == "epsg:4326" || line.starts_with("+proj=longlat") && line.contains("wgs84");
+    match is_crs(first) {
+        false => Ok(None),
+        true if geographic => Ok(Some(Heading::of("name lon lat z yaw pitch roll sigma_m sigma_height_m"))),
+        true => {
+            let what = format!(
+                "`{first}`: a camera table counts in the system of the flight (--crs, or crs in FLIGHT.toml); write \
+                 `name x y z yaw pitch roll sigma_m sigma_height_m` instead of it, as far as there are columns"
+            );
+            Err(Error::format(path, "the first line", what))
+        }
+    }
+}
+
 /// Where a camera table has what.
 struct Columns {
     name: usize,
@@ -147,6 +179,10 @@ struct Columns {
     at: Vec<Option<usize>>,
     cut: Option<char>,
     geographic: bool,
+    /// That one of a column's angles counts; 1 of the other columns.
+    degrees: [f64; ANGLES.end],
+    /// Three angles of 0 are none.
+    of_opendronemap: bool,
 }
 
 impl Columns {
@@ -155,7 +191,9 @@ impl Columns {
         let f = fields(line, self.cut);
         let value = |i: usize| -> std::result::Result<Option<f64>, String> {
             let Some(text) = self.at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
-            decimal(text).map(Some).ok_or_else(|| format!("`{text}` is no number for {}", COLUMNS[i].0))
+            let factor = self.degrees.get(i).copied().unwrap_or(1.0);
+            let read = decimal(text).ok_or_else(|| format!("`{text}` is no number for {}", COLUMNS[i].0))?;
+            Ok(Some(if factor == 1.0 { read } else { read * factor }))
         };
         let name = f.get(self.name).filter(|n| !n.is_empty()).ok_or("the frame has no name")?.clone();
         let (Some(x), Some(y)) = (value(0)?, value(1)?) else { return Err("x or y is missing".into()) };
@@ -170,13 +208,15 @@ impl Columns {
             (Some(o), Some(p), Some(k)) => Some([o, p, k]),
             _ => None,
         };
+        let none = self.of_opendronemap && (3..6).all(|i| matches!(value(i), Ok(None | Some(0.0))));
+        let angle = |i: usize| if none { Ok(None) } else { value(i) };
         Ok(CameraRow {
             name,
             xyz,
             geographic: self.geographic,
-            yaw_deg: value(3)?,
-            pitch_deg: value(4)?,
-            roll_deg: value(5)?,
+            yaw_deg: angle(3)?,
+            pitch_deg: angle(4)?,
+            roll_deg: angle(5)?,
             omega_phi_kappa_deg,
             line: self.at[LINE].and_then(|c| f.get(c)).filter(|t| !t.is_empty()).cloned(),
             sigma_m: stated_sigmas([value(SIGMA)?, value(SIGMA + 1)?])?,
@@ -357,7 +397,7 @@ fn named(points: &[ImagePoint], xyz: Option<[f64; 3]>) -> String {
 mod tests {
     use super::*;
 
-    fn file(text: &str) -> (std::path::PathBuf, impl Drop) {
+    fn file(text: &str) -> (std::path::PathBuf, impl Drop + use<>) {
         struct Gone(std::path::PathBuf);
         impl Drop for Gone {
             fn drop(&mut self) {
@@ -393,13 +433,59 @@ mod tests {
         assert_eq!((row.xyz, row.yaw_deg, row.omega_phi_kappa_deg), ([1.0, 2.0, 3.0], Some(40.0), None));
         let (path, _gone) = file("# Label,X1,Y1,Z1,Yaw,Pitch,Roll\na.tif,1,2,3,40,5,6\n");
         assert!(cameras(&path).expect_err("angles of what").to_string().contains("row 1, the heading"));
-        // Radians are nothing that is read as degrees.
-        let (path, _gone) = file("images,x,y,z,yaw_rad,yaw (rad)\na.tif,1,2,3,0.7,0.7\n");
-        assert_eq!(cameras(&path).expect("read")[0].yaw_deg, None);
         let (path, _gone) = file("GCP Name,Images,Pixel X,Pixel_Y\nP1,a.tif,10.5,20\n");
         let (_, points) = image_points(&path).expect("read");
         let first = &points[0];
         assert_eq!((&*first.name, &*first.image, first.pixel), ("P1", "a.tif", Some([10.5, 20.0])));
+    }
+
+    #[test]
+    fn angles_count_in_the_unit_of_their_titles() {
+        let titles = |unit: &str| ["omega", "phi", "kappa"].map(|angle| unit.replace('?', angle)).join(",");
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        for (unit, whole) in [
+            ("? [gon]", 400.0),
+            ("?_gon", 400.0),
+            ("? (rad)", std::f64::consts::TAU),
+            ("?_rad", std::f64::consts::TAU),
+            ("? [deg]", 360.0),
+            ("?_deg", 360.0),
+            ("? [°]", 360.0),
+            ("?", 360.0),
+        ] {
+            let row = [0.01, -0.02, 0.4].map(|part| (part * whole).to_string()).join(",");
+            let (path, _gone) = file(&format!("name,x,y,z,{}\na,1,2,3,{row}\n", titles(unit)));
+            let read = cameras(&path).expect("read")[0].omega_phi_kappa_deg.expect("three angles");
+            assert!(near(read, [3.6, -7.2, 144.0]), "{unit}: {read:?}");
+        }
+        let (path, _gone) = file("name,x,y,z,yaw [gon],pitch_rad,roll\na,1,2,3,100,-1,2\n");
+        let row = &cameras(&path).expect("read")[0];
+        let read = [row.yaw_deg, row.pitch_deg, row.roll_deg].map(|angle| angle.expect("stated"));
+        assert!(near(read, [90.0, (-1f64).to_degrees(), 2.0]), "{read:?}");
+        // Half of Europe calls a degree so, the other half a gon.
+        for (unit, word) in [("?(grad)", "omega(grad)"), ("?_grad", "omega_grad"), ("? [mrad]", "`mrad`")] {
+            let (path, _gone) = file(&format!("name,x,y,z,{}\na,1,2,3,4,5,6\n", titles(unit)));
+            let said = cameras(&path).expect_err("which").to_string();
+            assert!(said.contains("the heading") && said.contains(word) && said.contains("gon or"), "{said}");
+        }
+    }
+
+    #[test]
+    fn geolocation_of_opendronemap_is_a_camera_table() {
+        let (path, _gone) = file("EPSG:4326\na.jpg 10.5 60.25 120 30 -80 1.5 0.03 0.05\nb.jpg 10.6 60.25 121 0 0 0\n");
+        let rows = cameras(&path).expect("read");
+        assert_eq!((rows[0].xyz, rows[0].geographic), ([10.5, 60.25, 120.0], true));
+        assert_eq!(
+            (rows[0].yaw_deg, rows[0].roll_deg, rows[0].sigma_m),
+            (Some(30.0), Some(1.5), [Some(0.03), Some(0.05)])
+        );
+        // Its angles are 0 where there are none.
+        assert_eq!((rows[1].yaw_deg, rows[1].sigma_m, rows.len()), (None, [None; 2], 2));
+        for first in ["EPSG:32616", "WGS84 UTM 16N", "+proj=utm +zone=16 +datum=WGS84"] {
+            let (path, _gone) = file(&format!("{first}\na.jpg 482751.3 1557416.2 1154.9\n"));
+            let said = cameras(&path).expect_err("of which system").to_string();
+            assert!(said.contains(first) && said.contains("--crs") && said.contains("name x y z"), "{said}");
+        }
     }
 
     #[test]

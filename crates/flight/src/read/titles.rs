@@ -124,12 +124,12 @@ pub(super) const COLUMNS: [(&str, &[&str]); 12] = [
             "gpsheight",
         ],
     ),
-    ("yaw", &["yaw", "heading", "azimuth", "azimut", "yawdeg", "direction"]),
-    ("pitch", &["pitch", "pitchdeg", "elevationangle"]),
-    ("roll", &["roll", "rolldeg"]),
-    ("omega", &["omega", "omegadeg"]),
-    ("phi", &["phi", "phideg"]),
-    ("kappa", &["kappa", "kappadeg"]),
+    ("yaw", &["yaw", "heading", "azimuth", "azimut", "direction"]),
+    ("pitch", &["pitch", "elevationangle"]),
+    ("roll", &["roll"]),
+    ("omega", &["omega"]),
+    ("phi", &["phi"]),
+    ("kappa", &["kappa"]),
     ("line", &["line", "strip", "flightline", "run"]),
     ("sigma_m", &["sigmam", "sigma"]),
     ("sigma_height_m", &["sigmaheightm", "sigmah", "sigmaheight"]),
@@ -138,13 +138,61 @@ pub(super) const COLUMNS: [(&str, &[&str]); 12] = [
 pub(super) const PIXEL_X: [&str; 7] = ["px", "u", "imx", "pixelx", "imagex", "col", "column"];
 pub(super) const PIXEL_Y: [&str; 7] = ["py", "v", "imy", "pixely", "imagey", "row", "line"];
 
-/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians stay, so
-/// that nobody takes them for degrees.
+/// The columns of angles in [`COLUMNS`], from yaw to kappa.
+pub(super) const ANGLES: std::ops::Range<usize> = 3..9;
+
+/// A title without case, blanks, lines and unit: `Photo Name` is `photoname`, `Yaw (deg)` is `yaw`. Radians of what is
+/// no angle stay, so that nobody takes them for degrees.
 fn title(text: &str) -> String {
-    let text = text.to_lowercase();
-    let is_unit = |unit: &str| !unit.contains("rad");
-    let bare = text.split_once(['(', '[']).filter(|(_, unit)| is_unit(unit)).map_or(text.as_str(), |(bare, _)| bare);
-    bare.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect()
+    title_and_unit(text).0
+}
+
+/// A title as [`title`] has it, and the unit that it states: in brackets, or of an angle behind its name.
+fn title_and_unit(text: &str) -> (String, String) {
+    let lower = text.to_lowercase();
+    let tidy = |words: &str| words.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect::<String>();
+    let is_angle = |bare: &str| COLUMNS[ANGLES].iter().any(|(_, titles)| titles.contains(&bare));
+    if let Some((bare, unit)) = lower.split_once(['(', '[']) {
+        let (bare, unit) = (tidy(bare), unit.trim_end_matches([')', ']', ' ']).trim());
+        if is_angle(&bare) || !unit.contains("rad") {
+            return (bare, unit.to_string());
+        }
+    }
+    let whole = tidy(&lower);
+    let angles = COLUMNS[ANGLES].iter().flat_map(|(_, titles)| *titles);
+    let longest = angles.filter(|name| whole.starts_with(**name)).max_by_key(|name| name.len());
+    match longest.and_then(|name| Some((name, whole.strip_prefix(name)?))).filter(|(_, unit)| is_unit(unit)) {
+        Some((name, unit)) => ((*name).to_string(), unit.to_string()),
+        None => (whole, String::new()),
+    }
+}
+
+const DEGREES: [&str; 6] = ["", "deg", "degs", "degree", "degrees", "decimaldegrees"];
+const GON: [&str; 2] = ["gon", "gons"];
+const RADIANS: [&str; 4] = ["rad", "rads", "radian", "radians"];
+/// `grad` is a gon to some, a degree to others.
+const GRAD: [&str; 5] = ["grad", "grads", "grade", "grader", "gradians"];
+
+fn is_unit(unit: &str) -> bool {
+    [&DEGREES[..], &GON, &RADIANS, &GRAD].iter().any(|units| units.contains(&unit))
+}
+
+/// Degrees that one of a column's angles counts, by its title; what is wrong with the unit as words.
+pub(super) fn degrees_of(field: &str) -> Result<f64, String> {
+    let (_, unit) = title_and_unit(field);
+    let bare: String = unit.chars().filter(|c| c.is_alphabetic()).collect();
+    match bare.as_str() {
+        u if RADIANS.contains(&u) => Ok(1f64.to_degrees()),
+        u if GON.contains(&u) => Ok(0.9),
+        u if GRAD.contains(&u) => Err(format!(
+            "`{}`: `{unit}` is a gon (0.9 degrees) to some, a degree to others; write gon or deg",
+            field.trim()
+        )),
+        u if !DEGREES.contains(&u) && ["rad", "gon", "mil", "min", "sec"].iter().any(|word| u.contains(word)) => {
+            Err(format!("`{}`: angles in `{unit}` are not read; give deg, gon or rad", field.trim()))
+        }
+        _ => Ok(1.0),
+    }
 }
 
 pub(super) fn titles_of(line: &str) -> Vec<String> {
@@ -154,11 +202,13 @@ pub(super) fn titles_of(line: &str) -> Vec<String> {
 /// Titles of columns.
 pub(super) struct Heading {
     pub(super) heads: Vec<String>,
+    /// As the line has them.
+    pub(super) fields: Vec<String>,
 }
 
 impl Heading {
     pub(super) fn of(line: &str) -> Self {
-        Heading { heads: titles_of(line) }
+        Heading { heads: titles_of(line), fields: fields(line, separator(line)) }
     }
 
     /// Whether there are an x and a y among them.
