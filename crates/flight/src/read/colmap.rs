@@ -16,7 +16,7 @@ use crate::error::{Error, Result, read_bytes, read_text};
 use crate::pose::Pose;
 
 /// Name, number of parameters, in the order of COLMAP's ids.
-const MODELS: [(&str, usize); 13] = [
+const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
     ("SIMPLE_RADIAL", 4),
@@ -30,7 +30,14 @@ const MODELS: [(&str, usize); 13] = [
     ("THIN_PRISM_FISHEYE", 12),
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
     ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 ];
+/// What to do about a model that is not read.
+const REMEDY: &str = "run COLMAP with OPENCV or SIMPLE_RADIAL, a fisheye with OPENCV_FISHEYE";
 
 /// Whether a file is called like one of a model's.
 pub fn is_name(path: &Path) -> bool {
@@ -78,7 +85,7 @@ fn holds_model(path: &Path) -> bool {
 /// The reason as words when the model is unknown or not supported.
 pub fn camera(name: &str, model: &str, size: [f64; 2], p: &[f64]) -> Result<Camera, String> {
     use Parameter::{Aspect, D1, D2, D3, K1, K2, K3, K4, P1, P2};
-    let count = MODELS.iter().find(|m| m.0 == model).ok_or(format!("the model `{model}` is not known"))?.1;
+    let count = MODELS.iter().find(|m| m.0 == model).ok_or(format!("the model `{model}` is not known; {REMEDY}"))?.1;
     if p.len() != count || p.iter().any(|v| !v.is_finite()) || p[0] <= 0.0 {
         return Err(format!("{model} has {count} parameters, the first a positive focal length"));
     }
@@ -98,7 +105,7 @@ pub fn camera(name: &str, model: &str, size: [f64; 2], p: &[f64]) -> Result<Came
         }
         "SIMPLE_RADIAL_FISHEYE" => fish(single(p[0], p[1], p[2]).with(K1, p[3])),
         "RADIAL_FISHEYE" => fish(single(p[0], p[1], p[2]).with(K1, p[3]).with(K2, p[4])),
-        _ => return Err(format!("the model {model} is not supported; run COLMAP with OPENCV or SIMPLE_RADIAL")),
+        _ => return Err(format!("the model {model} is not supported; {REMEDY}")),
     })
 }
 
@@ -228,9 +235,9 @@ fn binary(folder: &Path, parts: Parts) -> Result<Raw> {
         let id = u64::from(b.u32()?);
         let model = b.u32()? as usize;
         let size = [b.u64()? as f64, b.u64()? as f64];
-        let (name, count) = *MODELS
-            .get(model)
-            .ok_or_else(|| Error::format(&path, format!("camera {id}"), format!("model {model} is not known")))?;
+        let (name, count) = *MODELS.get(model).ok_or_else(|| {
+            Error::format(&path, format!("camera {id}"), format!("model {model} is not known; {REMEDY}"))
+        })?;
         let parameters: Vec<f64> = (0..count).map(|_| b.f64()).collect::<Result<_>>()?;
         let camera = camera(&id.to_string(), name, size, &parameters)
             .map_err(|e| Error::format(&path, format!("camera {id}"), e))?;
@@ -413,4 +420,25 @@ pub fn text_model(model: &Reconstruction) -> Result<[(&'static str, Vec<u8>); 3]
         writeln!(images, "{}", row.join(" ")).expect(WRITTEN);
     }
     Ok([("cameras.txt", cameras), ("images.txt", images), ("points3D.txt", points)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn models_that_are_not_read_have_a_remedy() {
+        for (name, count) in MODELS {
+            let parameters = vec![100.0; count];
+            let size = [200.0, 200.0];
+            match camera("1", name, size, &parameters) {
+                Ok(read) => assert_eq!(read.size_px, size, "{name}"),
+                Err(said) => assert!(said.contains(name) && said.contains("run COLMAP with"), "{said}"),
+            }
+        }
+        for name in ["FISHEYE", "SIMPLE_FISHEYE", "DIVISION", "SIMPLE_DIVISION", "EUCM", "EQUIRECTANGULAR"] {
+            assert!(MODELS.iter().any(|m| m.0 == name), "{name}");
+        }
+        assert!(camera("1", "NEW", [200.0; 2], &[1.0]).expect_err("unknown").contains("run COLMAP with"));
+    }
 }
