@@ -34,6 +34,11 @@ fn init_writes_what_solve_reads_and_refuses_what_is_not_there() {
     expect(&init(&frames, &broken, &gcps, "a.toml"), 2, &["broken.csv", "row 2", "`two`"]);
     std::fs::create_dir(place.at("empty")).expect("a folder");
     expect(&init(&place.at("empty"), &table, &gcps, "a.toml"), 2, &["empty", "no frames"]);
+    for option in ["--check", "--observations"] {
+        let out = place.at("a.toml");
+        let some = ["flight", "init", text(&frames), "--cameras", text(&table), option, "G0", "-o", text(&out)];
+        expect(&autoref(&some, None, &[]), 2, &[option, "--gcps"]);
+    }
     assert!(!place.at("a.toml").exists());
 }
 

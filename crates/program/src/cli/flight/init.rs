@@ -141,9 +141,15 @@ fn check_table(args: &InitArgs, folder: &Path, names: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a list of GCPs that is not there, and check points that it does not have.
+/// Refuses a list of GCPs that is not there, check points that it does not have, and words about a list without one.
 fn check_points(args: &InitArgs) -> Result<()> {
-    let Some(list) = &args.gcps else { return Ok(()) };
+    let Some(list) = &args.gcps else {
+        let given = [("check", !args.check.is_empty()), ("observations", args.observations.is_some())];
+        return match given.into_iter().find(|(_, given)| *given) {
+            Some((option, _)) => bail!("--{option} without a list of points; name it with --gcps"),
+            None => Ok(()),
+        };
+    };
     if !list.is_file() {
         bail!("{}: is not there", list.display());
     }
