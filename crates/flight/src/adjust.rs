@@ -1,6 +1,7 @@
 //! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
 //! as weighted observations, blunders named, check points compared.
 
+mod astray;
 mod datum;
 mod outcome;
 mod positions;
@@ -10,6 +11,7 @@ mod snooping;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use self::astray::Astray;
 pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
@@ -86,7 +88,7 @@ pub struct Blunder {
     pub gcp: String,
     /// Photograph, or `None` when the point on the ground is wrong.
     pub photograph: Option<usize>,
-    /// Estimated error: pixels (x, y) or metres (x, y, z).
+    /// Estimated error: pixels (x, y) or metres (x, y, z); nothing of an image point that its camera looks away from.
     pub by: Vec<f64>,
     /// Its size in units of its own standard deviation.
     pub test: f64,
@@ -142,6 +144,23 @@ const SCREENINGS: usize = 5;
 /// When the datum is not fixed: fewer than three GCPs seen in two photographs each and no rough poses. When the block
 /// collapses: a focal length that is not positive.
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
+    let astray = astray::frames(model, points);
+    if astray.is_empty() {
+        return adjust_all(model, points, options, &[]);
+    }
+    let (model, points) = astray::without(&astray, model, points);
+    let mut found = adjust_all(&model, &points, options, &astray)?;
+    found.photographs.retain(|p| astray.iter().all(|a| a.frame != p.photograph));
+    Ok(found)
+}
+
+/// Of a block without what was measured in frames that are `astray`.
+fn adjust_all(
+    model: &Reconstruction,
+    points: &[GroundPoint],
+    options: &AdjustOptions,
+    astray: &[Astray],
+) -> Result<Adjustment> {
     let mut notes = model.notes.clone();
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
     let move_by = placing(model, &control, &options.rough)?;
@@ -168,6 +187,7 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
     screened.screen(&mut problem, ties, screening::MONSTROUS);
     for _ in 0..SCREENINGS {
         snooping::hold(&mut problem, ties, &control);
+        snooping::hold_frames(&mut problem);
         solve(&mut problem, &robust)?;
         let passed_by = screened.screen_rays(&mut problem, ties, screening::GROSS);
         if !screened.screen(&mut problem, ties, screening::GROSS) && !passed_by {
@@ -206,6 +226,7 @@ pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOp
             "check the coordinates and the CRS of the table and of the list, and the focal length",
         ));
     }
+    notes.extend(snooping::unfixed(&problem, &world, astray));
     notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
     let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
     notes.extend(deviations.as_ref().and_then(|d| snooping::missing_terms(&problem, d)));

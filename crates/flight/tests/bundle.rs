@@ -490,3 +490,83 @@ fn gross_errors_of_precise_points_bend_nothing() {
         }
     }
 }
+
+/// A frame that looks the other way keeps no GCP from placing the block, and bends nothing.
+#[test]
+fn a_frame_with_a_wrong_pose_is_set_aside() {
+    let mut draw = Draw(61);
+    for ties in [0, 150] {
+        let (truth, mut points) = block(&mut draw, 8, ties, 14);
+        let mut model = truth.clone();
+        noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
+        let turned = Rotation3::from_axis_angle(&Vector3::y_axis(), 2.5).matrix() * model.photographs[3].pose.rotation;
+        model.photographs[3].pose.rotation = turned;
+        let options = AdjustOptions { interior: Vec::new(), ..AdjustOptions::default() };
+        let found = adjust(&shaken(&mut draw, &model), &points, &options).expect("the others place the block");
+        let frames: Vec<usize> = found.photographs.iter().map(|p| p.photograph).collect();
+        assert_eq!(frames, [0, 1, 2, 4, 5, 6, 7], "{ties} ties");
+        for p in &found.photographs {
+            let sigma = p.covariance.expect("fixed").diagonal().fixed_rows::<3>(3).sum().sqrt();
+            let off = (p.pose.centre - truth.photographs[p.photograph].pose.centre).norm();
+            assert!(off < 4.0 * sigma, "f{}: {off} of {sigma}", p.photograph);
+        }
+        assert!(found.blunders.is_empty(), "{:?}", found.blunders);
+        let named = |note: &&String| note.starts_with("f3: set aside") && note.contains("flight resect");
+        assert_eq!((found.notes.len(), found.notes.iter().filter(named).count()), (1, 1), "{:?}", found.notes);
+    }
+}
+
+/// Where the ties say that a frame stands right, it is its GCPs that were measured wrong.
+#[test]
+fn a_frame_whose_ties_fit_stays() {
+    let mut draw = Draw(64);
+    let (mut model, mut points) = block(&mut draw, 8, 150, 14);
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
+    let wrong = points.iter_mut().flat_map(|p| &mut p.seen).filter(|(frame, _)| *frame == 3);
+    wrong.for_each(|(_, at)| at[0] += if at[0] < 900.0 { 600.0 } else { -600.0 });
+    let options = AdjustOptions { interior: Vec::new(), ..AdjustOptions::default() };
+    let found = adjust(&shaken(&mut draw, &model), &points, &options).expect("adjusted");
+    assert_eq!(found.photographs.len(), 8, "{:?}", found.notes);
+    assert!(found.blunders.iter().any(|b| b.photograph == Some(3)), "{:?}", found.blunders);
+}
+
+/// One frame without any image point, and one with a single one, take no deviation from the others.
+#[test]
+fn frames_that_nothing_fixes_are_named() {
+    let mut draw = Draw(62);
+    let (truth, mut points) = block(&mut draw, 6, 0, 14);
+    let mut model = truth.clone();
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
+    let mut left = 1;
+    for p in &mut points {
+        p.seen.retain(|(frame, _)| match frame {
+            0 => false,
+            5 => std::mem::take(&mut left) == 1,
+            _ => true,
+        });
+    }
+    let options = AdjustOptions { interior: Vec::new(), ..AdjustOptions::default() };
+    let found = adjust(&shaken(&mut draw, &model), &points, &options).expect("adjusted");
+    let stated: Vec<bool> = found.photographs.iter().map(|p| p.covariance.is_some()).collect();
+    assert_eq!(stated, [false, true, true, true, true, false], "{:?}", found.notes);
+    assert!(found.points.iter().all(|p| p.covariance.is_some()));
+    assert!(found.notes.len() == 1 && found.notes[0].contains(": f0, f5;"), "{:?}", found.notes);
+}
+
+/// Three GCPs in two photographs each, of which one looks the other way: it is not the GCPs that are missing.
+#[test]
+fn a_block_that_cannot_be_placed_says_why() {
+    let mut draw = Draw(63);
+    let (mut model, mut points) = block(&mut draw, 3, 0, 3);
+    for (p, frames) in points.iter_mut().zip([[0, 1], [1, 2], [0, 1]]) {
+        p.seen.retain(|(frame, _)| frames.contains(frame));
+        assert_eq!(p.seen.len(), 2);
+    }
+    let turned = Rotation3::from_axis_angle(&Vector3::y_axis(), 3.0).matrix() * model.photographs[1].pose.rotation;
+    model.photographs[1].pose.rotation = turned;
+    let said = adjust(&model, &points, &AdjustOptions::default()).expect_err("nothing places it").to_string();
+    assert!(said.contains("of 3 GCPs") && said.contains("the rays of 0 meet") && said.contains("that of f1"), "{said}");
+    points.truncate(2);
+    let said = adjust(&model, &points, &AdjustOptions::default()).expect_err("too few").to_string();
+    assert!(said.contains("2 GCPs are seen in two photographs or more; 3 are needed"), "{said}");
+}

@@ -131,6 +131,9 @@ fn adjust_says_what_is_wrong_with_its_input() {
     expect(&adjust(&model, &gcps, &["--free", "q9"]), 2, &["q9"]);
     expect(&adjust(&place.at("nothing"), &gcps, &[]), 2, &["nothing"]);
     expect(&adjust(&model, &place.at("nothing.txt"), &[]), 2, &["nothing.txt"]);
+    let far = place.write("far.txt", &(place.flight.gcp_list() + "1e300 2000 5 10 10 f0.png G9\n"));
+    let row = format!("row {}", place.flight.gcp_list().lines().count() + 1);
+    expect(&adjust(&model, &far, &[]), 2, &["far.txt", &row, "1e300", "no place"]);
     // Two GCPs do not place a block: it ran, and there is no result.
     let few: String = place
         .flight

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{GroundPoint, Role, RoughPose};
+use super::{GroundPoint, Role, RoughPose, astray};
 use crate::error::{Error, Result};
 use crate::intersect::{datum, intersect_seen};
 use crate::pose::{Pose, Similarity};
@@ -22,6 +22,7 @@ pub struct OnGround {
 /// # Errors
 /// When neither points nor poses fix the datum.
 pub fn on_ground(model: &Reconstruction, points: &[GroundPoint], rough: &[Option<RoughPose>]) -> Result<OnGround> {
+    let (model, points) = &astray::without(&astray::frames(model, points), model, points);
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
     let similarity = placing(model, &control, rough)?;
     let left = |p: &GroundPoint| {
@@ -48,15 +49,33 @@ pub(super) fn placing(
     if move_by.is_none() {
         move_by = by_rough_poses(model, rough);
     }
-    move_by.ok_or_else(|| {
-        Error::no_result(
-            format!(
-                "{} GCPs are seen in two photographs or more and off one line; 3 are needed to place the block",
-                from.len()
-            ),
-            "measure more GCPs in the images, or give rough positions and directions with --cameras",
-        )
-    })
+    move_by.ok_or_else(|| unplaced(model, control, from.len()))
+}
+
+/// Why the GCPs, of which the rays of so many meet, do not place the block.
+fn unplaced(model: &Reconstruction, control: &[&GroundPoint], meeting: usize) -> Error {
+    const MORE: &str = "measure more GCPs in the images, or give rough positions and directions with --cameras";
+    let several: Vec<&&GroundPoint> = control.iter().filter(|p| p.seen.len() >= 2).collect();
+    if several.len() == meeting || several.len() < 3 {
+        let line = if meeting >= 3 { ", and they lie on one line" } else { "" };
+        let what = format!("{} GCPs are seen in two photographs or more{line}", several.len());
+        return Error::no_result(format!("{what}; 3 are needed to place the block, off one line"), MORE);
+    }
+    let mut counts = vec![0; model.photographs.len()];
+    for p in several.iter().filter(|p| intersect_seen(model, &p.seen).is_none()) {
+        p.seen.iter().for_each(|(frame, _)| counts[*frame] += 1);
+    }
+    // The first of equals.
+    let most = (0..counts.len()).max_by_key(|i| (counts[*i], std::cmp::Reverse(*i)));
+    let name = most.map_or("", |i| model.photographs[i].name.as_str());
+    Error::no_result(
+        format!(
+            "of {} GCPs that two photographs or more show, the rays of {meeting} meet in front of the cameras; 3 are \
+             needed to place the block, off one line",
+            several.len()
+        ),
+        format!("check the poses of the frames, that of {name} first, or leave such frames out"),
+    )
 }
 
 /// Positions that spread in two directions; else positions and directions together: the rotation is the middle of the

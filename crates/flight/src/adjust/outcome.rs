@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::snooping::is_held;
 use super::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder, GroundPoint, Role};
 use crate::bundle::{Deviations, Problem, Summary};
 use crate::intersect::intersect_seen;
@@ -46,7 +47,7 @@ pub(super) fn outcome(
         .map(|(i, f)| AdjustedCamera {
             photograph: i,
             pose: f.pose,
-            covariance: deviations.as_ref().map(|d| d.frame(i)),
+            covariance: deviations.as_ref().filter(|_| !is_held(f)).map(|d| d.frame(i)),
             rms_px: root_mean(residuals.by_frame[i]),
             ties: residuals.by_frame[i].1,
         })

@@ -147,10 +147,11 @@ impl Screened {
             }
         };
         let image = |o: &Observation| {
-            let by = problem.residual(o).map_or([f64::NAN; 2], |r| [-r[0], -r[1]]);
+            // Behind the camera a point is seen nowhere, and no number of pixels mends that.
+            let by = problem.residual(o).map(|r| vec![-r[0], -r[1]]).unwrap_or_default();
             let name = control[o.point - ties].name.clone();
-            let test = by[0].hypot(by[1]) / o.sigma_px;
-            Blunder { gcp: name, photograph: Some(o.frame), by: by.to_vec(), test }
+            let test = if by.is_empty() { f64::INFINITY } else { by[0].hypot(by[1]) / o.sigma_px };
+            Blunder { gcp: name, photograph: Some(o.frame), by, test }
         };
         self.surveys.iter().map(survey).chain(self.images.iter().map(image)).collect()
     }

@@ -2,9 +2,12 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
+use super::astray::Astray;
 use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
-use crate::bundle::{Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, factor, solve};
+use crate::bundle::{
+    BundleFrame, Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, factor, solve,
+};
 use crate::camera::Parameter;
 use crate::error::Result;
 use crate::read::Reconstruction;
@@ -35,13 +38,14 @@ pub(super) fn snoop(
     let solving = Options { loss: LOSS, ..Options::default() };
     let mut blunders = Vec::new();
     loop {
+        hold(problem, ties, control);
+        hold_frames(problem);
         let before = problem.clone();
         let summary = solve(problem, &solving)?;
         // Out there the tests' straight lines hold no more: what is wrong shows where the block stood before.
         if let Some(index) = driver(&before, problem, ties) {
             *problem = before;
             screened.set_aside(problem, index);
-            hold(problem, ties, control);
             continue;
         }
         let factored = factor(problem, solving.loss);
@@ -57,7 +61,6 @@ pub(super) fn snoop(
                 problem.observations.remove(index);
             }
         }
-        hold(problem, ties, control);
     }
 }
 
@@ -89,6 +92,47 @@ pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint])
             problem.points[i].survey = Some((at, Vector3::repeat(1e6)));
         }
     }
+}
+
+/// What holds a frame that too little was measured in: metres that nobody states, by which it is known, and radians.
+const HELD_M: f64 = 9_999.0;
+const HELD_RAD: f64 = 10.0;
+
+/// A frame of which its image points and priors leave something open leaves the unknowns determined by wide priors,
+/// and loses them when its image points come back.
+pub(super) fn hold_frames(problem: &mut Problem) {
+    let mut known = vec![0; problem.frames.len()];
+    problem.observations.iter().for_each(|o| known[o.frame] += 2);
+    for (frame, known) in problem.frames.iter_mut().zip(known) {
+        frame.position = frame.position.filter(|(_, sigma)| sigma.x != HELD_M);
+        frame.direction = frame.direction.filter(|(_, sigma)| *sigma < HELD_RAD);
+        let stated = 3 * (usize::from(frame.position.is_some()) + usize::from(frame.direction.is_some()));
+        if known + stated < 6 {
+            let pose = frame.pose;
+            frame.position.get_or_insert((pose.centre, Vector3::repeat(HELD_M)));
+            frame.direction.get_or_insert((pose.rotation, HELD_RAD));
+        }
+    }
+}
+
+/// Whether nothing but [`hold_frames`] says where a frame is.
+pub(super) fn is_held(frame: &BundleFrame) -> bool {
+    frame.position.is_some_and(|(_, sigma)| sigma.x == HELD_M)
+}
+
+/// Frames that nothing fixes: what is said of them is what the reconstruction says.
+pub(super) fn unfixed(problem: &Problem, world: &Reconstruction, astray: &[Astray]) -> Option<String> {
+    let held = problem.frames.iter().enumerate().filter(|(_, frame)| is_held(frame)).map(|(i, _)| i);
+    let held = held.filter(|i| astray.iter().all(|a| a.frame != *i));
+    let names: Vec<&str> = held.map(|i| world.photographs[i].name.as_str()).collect();
+    let first = names.iter().take(5).copied().collect::<Vec<_>>().join(", ");
+    let more = if names.len() > 5 { format!(" and {} more", names.len() - 5) } else { String::new() };
+    (!names.is_empty()).then(|| {
+        format!(
+            "fewer than three image points fix these frames, which stay where the reconstruction has them and have no \
+             standard deviations: {first}{more}; measure GCPs in them"
+        )
+    })
 }
 
 /// A lens that is not as its model, where that is what the deviations of its interior come from, or where no interior

@@ -298,6 +298,7 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
                 (Some(x), Some(y), Some(z)) => Some([value(x)?, value(y)?, value(z)?]),
                 _ => None,
             };
+            on_a_map(path, *row, xyz)?;
             let word = |c: Option<usize>| c.and_then(|c| f.get(c)).cloned().unwrap_or_default();
             let name = match word(name) {
                 n if n.is_empty() => named(&points, xyz),
@@ -333,6 +334,7 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         }
         let v: Vec<f64> = (0..5).map(|c| number(path, *row, &f, c)).collect::<Result<_>>()?;
         let xyz = Some([v[0], v[1], v[2]]);
+        on_a_map(path, *row, xyz)?;
         let (name, check) = name_and_role(&f.get(6).cloned().unwrap_or_else(|| named(&points, xyz)), "");
         let (image, pixel) = (f.get(5).cloned().unwrap_or_default(), Some([v[3] + first_px, v[4] + first_px]));
         points.push(ImagePoint { image, name, xyz, pixel, check, sigma: [None; 3] });
@@ -341,6 +343,17 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         return Err(Error::format(path, "the list", "has no rows"));
     }
     Ok((crs.filter(|_| !heading), points))
+}
+
+/// Refuses a place beyond all maps.
+fn on_a_map(path: &Path, row: usize, xyz: Option<[f64; 3]>) -> Result<()> {
+    match xyz.filter(|xyz| !xyz.iter().all(|v| v.abs() < FARTHEST)) {
+        Some([x, y, z]) => {
+            let what = format!("the point lies at ({x:e}, {y:e}, {z:e}), which is no place; correct it");
+            Err(Error::format(path, format!("row {row}"), what))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Whether the titles of a table name places in images.

@@ -138,7 +138,10 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
         .blunders
         .iter()
         .map(|b| match b.photograph {
-            Some(i) => json!({"gcp": b.gcp, "frame": name(i), "by_px": list(&b.by), "test": number(b.test)}),
+            Some(i) => {
+                let by = if b.by.is_empty() { Value::Null } else { list(&b.by) };
+                json!({"gcp": b.gcp, "frame": name(i), "by_px": by, "test": number(b.test)})
+            }
             None => json!({"gcp": b.gcp, "frame": null, "by_m": list(&b.by), "test": number(b.test)}),
         })
         .collect();
@@ -266,6 +269,9 @@ pub fn say(document: &Value, already: &[String]) {
         for b in rows("blunders") {
             let (gcp, test) = (b["gcp"].as_str().unwrap_or_default(), fixed(&b["test"], 1));
             match b["frame"].as_str() {
+                Some(frame) if b["by_px"].is_null() => {
+                    eprintln!("blunder: GCP {gcp} in {frame}: the camera looks away from it");
+                }
                 Some(frame) => {
                     eprintln!("blunder: GCP {gcp} in {frame} by ({}) px, {test} sigma", several(&b["by_px"], 1));
                 }

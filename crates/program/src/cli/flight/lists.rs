@@ -331,6 +331,15 @@ pub fn load(
     if control.points.is_empty() {
         bail!("{}: there are no points", list.display());
     }
+    let far = |point: &&ListPoint| !point.xyz.iter().all(|v| v.abs() < read::FARTHEST);
+    if let Some(point) = control.points.iter().find(far) {
+        let [x, y, z] = point.xyz;
+        bail!(
+            "{}: the point `{}` lies at ({x:e}, {y:e}, {z:e}), which is no place; correct it",
+            list.display(),
+            point.name
+        );
+    }
     let fine = |pixel: &[f64; 2]| pixel.iter().all(|v| v.abs() < read::FARTHEST);
     for point in &control.points {
         if let Some((image, [x, y])) = point.seen.iter().find(|(_, pixel)| !fine(pixel)) {
