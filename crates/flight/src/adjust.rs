@@ -174,6 +174,7 @@ fn adjust_all(
     let (mut problem, kept) = build(&world, &control, options);
     let ties = kept.len();
     let dropped_ties = world.ties.len() - ties;
+    notes.extend(snooping::hold_interiors(&mut problem));
     let tie_observations = problem.observations.iter().filter(|o| o.point < ties).count();
 
     // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested;

@@ -553,6 +553,29 @@ fn frames_that_nothing_fixes_are_named() {
     assert!(found.notes.len() == 1 && found.notes[0].contains(": f0, f5;"), "{:?}", found.notes);
 }
 
+/// Each frame has a camera of its own: one without an image point, one with three, leave f and k1 of the others free.
+#[test]
+fn interiors_that_nothing_fixes_are_held() {
+    let mut draw = Draw(65);
+    let (truth, mut points) = block(&mut draw, 6, 0, 24);
+    let mut model = truth.clone();
+    model.cameras = (0..6).map(|i| Camera { name: format!("c{i}"), ..truth.cameras[0].clone() }).collect();
+    (0..6).for_each(|i| model.photographs[i].camera = i);
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
+    let mut left = 0;
+    for p in &mut points {
+        p.seen.retain(|(frame, _)| {
+            left += usize::from(*frame == 5);
+            *frame != 0 && (*frame != 5 || left <= 3)
+        });
+    }
+    let found = adjust(&shaken(&mut draw, &model), &points, &AdjustOptions::default()).expect("adjusted");
+    let free: Vec<usize> = found.interior_sigmas.iter().map(Vec::len).collect();
+    assert_eq!(free, [0, 2, 2, 2, 2, 0], "{:?}", found.notes);
+    assert!(found.notes.iter().any(|n| n.contains("is held") && n.contains(": c5;")), "{:?}", found.notes);
+    assert!(found.photographs[1..].iter().all(|p| p.covariance.is_some()), "{:?}", found.notes);
+}
+
 /// Three GCPs in two photographs each, of which one looks the other way: it is not the GCPs that are missing.
 #[test]
 fn a_block_that_cannot_be_placed_says_why() {

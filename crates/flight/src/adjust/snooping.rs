@@ -6,7 +6,8 @@ use super::astray::Astray;
 use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
 use crate::bundle::{
-    BundleFrame, Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, factor, solve,
+    BundleFrame, Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, Treatment, factor,
+    solve,
 };
 use crate::camera::Parameter;
 use crate::error::Result;
@@ -115,6 +116,41 @@ pub(super) fn hold_frames(problem: &mut Problem) {
     }
 }
 
+/// An interior that its frames' image points leave open once their poses have taken theirs is held, and named where
+/// there are any: the free terms of one camera would leave all unknowns undetermined.
+pub(super) fn hold_interiors(problem: &mut Problem) -> Option<String> {
+    let mut measured = vec![0usize; problem.frames.len()];
+    problem.observations.iter().for_each(|o| measured[o.frame] += 2);
+    let mut held = Vec::new();
+    for (i, camera) in problem.cameras.iter_mut().enumerate() {
+        let own = || problem.frames.iter().zip(&measured).filter(|(frame, _)| frame.camera == i);
+        let spare = |(frame, measured): (&BundleFrame, &usize)| {
+            let stated = 3 * (usize::from(frame.position.is_some()) + usize::from(frame.direction.is_some()));
+            (measured + stated).saturating_sub(6)
+        };
+        let free = camera.treatment.iter().filter(|t| **t == Treatment::Free).count();
+        if own().map(spare).sum::<usize>() >= free {
+            continue;
+        }
+        camera.treatment.iter_mut().filter(|t| **t == Treatment::Free).for_each(|t| *t = Treatment::Held);
+        if own().any(|(_, measured)| *measured > 0) {
+            held.push(camera.camera.name.clone());
+        }
+    }
+    (!held.is_empty()).then(|| {
+        format!(
+            "the interior orientation of these cameras is held, as too few image points fix it: {}; measure more GCPs",
+            some_of(&held)
+        )
+    })
+}
+
+/// The first names of a list, and how many more there are.
+fn some_of(names: &[String]) -> String {
+    let first = names[..names.len().min(5)].join(", ");
+    if names.len() > 5 { format!("{first} and {} more", names.len() - 5) } else { first }
+}
+
 /// Whether nothing but [`hold_frames`] says where a frame is.
 pub(super) fn is_held(frame: &BundleFrame) -> bool {
     frame.position.is_some_and(|(_, sigma)| sigma.x == HELD_M)
@@ -124,13 +160,12 @@ pub(super) fn is_held(frame: &BundleFrame) -> bool {
 pub(super) fn unfixed(problem: &Problem, world: &Reconstruction, astray: &[Astray]) -> Option<String> {
     let held = problem.frames.iter().enumerate().filter(|(_, frame)| is_held(frame)).map(|(i, _)| i);
     let held = held.filter(|i| astray.iter().all(|a| a.frame != *i));
-    let names: Vec<&str> = held.map(|i| world.photographs[i].name.as_str()).collect();
-    let first = names.iter().take(5).copied().collect::<Vec<_>>().join(", ");
-    let more = if names.len() > 5 { format!(" and {} more", names.len() - 5) } else { String::new() };
+    let names: Vec<String> = held.map(|i| world.photographs[i].name.clone()).collect();
     (!names.is_empty()).then(|| {
         format!(
             "fewer than three image points fix these frames, which stay where the reconstruction has them and have no \
-             standard deviations: {first}{more}; measure GCPs in them"
+             standard deviations: {}; measure GCPs in them",
+            some_of(&names)
         )
     })
 }
