@@ -134,6 +134,12 @@ fn adjust_says_what_is_wrong_with_its_input() {
     let far = place.write("far.txt", &(place.flight.gcp_list() + "1e300 2000 5 10 10 f0.png G9\n"));
     let row = format!("row {}", place.flight.gcp_list().lines().count() + 1);
     expect(&adjust(&model, &far, &[]), 2, &["far.txt", &row, "1e300", "no place"]);
+    // A point above a camera that looks down is seen nowhere: no number of pixels says by how much it is wrong.
+    let above = place.write("above.txt", &(place.flight.gcp_list() + "1100 2000 90000 240 240 f2.png G9\n"));
+    let output = autoref(&["flight", "adjust", text(&model), "--gcps", text(&above)], None, &[]);
+    expect(&output, 0, &["blunder: GCP G9 in f2.png: the camera looks away from it"]);
+    assert!(!said(&output).contains("(-"), "{}", said(&output));
+    assert!(json(&adjust(&model, &above, &[]))["blunders"][0]["by_px"].is_null());
     // Two GCPs do not place a block: it ran, and there is no result.
     let few: String = place
         .flight

@@ -203,6 +203,9 @@ fn a_camera_file_is_read_or_refused() {
     let output = resect(&place.write("odm/cameras.json", &lens(480)));
     expect(&output, 0, &[]);
     assert_eq!(json(&output)["f_px"].as_f64(), Some(600.0));
+    let odm = place.at("odm/cameras.json");
+    let some = ["flight", "adjust", text(&odm), "--gcps", text(&gcps)];
+    expect(&autoref(&some, None, &[]), 2, &["cameras.json", "no frames", "--camera,"]);
     expect(&resect(&place.write("odm/cameras.json", &lens(0))), 2, &["cameras.json", "`v2 a`", "width"]);
     // A calibration that is not read, beside an orientation whose camera is.
     std::fs::create_dir(place.at("Ori")).expect("a folder");

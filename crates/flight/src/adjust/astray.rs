@@ -23,8 +23,8 @@ pub(super) struct Astray {
 }
 
 /// Frames that more than half of their GCPs, and three at least, contradict: most rays of such a point meet elsewhere.
-/// Not those whose ties fit: there the GCPs are wrong. None where that is half of the frames and more: nothing says then
-/// which are wrong.
+/// Not those whose ties fit: there the GCPs are wrong. None where that is half of the frames and more: nothing says
+/// then which are wrong.
 pub(super) fn frames(model: &Reconstruction, points: &[GroundPoint]) -> Vec<Astray> {
     let mut counts = vec![(0, 0); model.photographs.len()];
     for p in points.iter().filter(|p| p.role == Role::Control && p.seen.len() >= FEWEST) {

@@ -47,7 +47,11 @@ pub fn read(path: &Path) -> Result<Reconstruction> {
     };
     let shots = |r: &&Value| r.get("shots").and_then(Value::as_object).map_or(0, serde_json::Map::len);
     let Some(best) = all.iter().max_by_key(|r| shots(r)).filter(|r| shots(r) > 0) else {
-        return Err(Error::format(path, "the root", "there are no shots; is this OpenSfM's reconstruction.json?"));
+        let what = match lenses(path)? {
+            Some(_) => "has cameras and no frames; give it as --camera, and where the frames stand as --cameras",
+            None => "there are no shots; is this OpenSfM's reconstruction.json?",
+        };
+        return Err(Error::format(path, "the root", what));
     };
     let mut result = one(path, best)?;
     if all.len() > 1 {
