@@ -123,11 +123,16 @@ fn distance(candidate: &Candidate, expected: &Expected) -> f64 {
     (candidate.centre.x - expected.position.x).hypot(candidate.centre.y - expected.position.y)
 }
 
-/// Index of the candidate closest to the expected place, within its radius.
+/// Index of the candidate closest to the expected place, within its radius. A centre that is known less well than the
+/// place where it is looked for is none.
 fn nearest<'a>(candidates: impl Iterator<Item = &'a Candidate>, expected: &Expected) -> Option<usize> {
+    let is_known = |candidate: &Candidate| {
+        candidate.covariance_px2.is_none_or(|[xx, _, yy]| xx.max(yy) <= expected.radius_px * expected.radius_px)
+    };
     candidates
-        .map(|candidate| distance(candidate, expected))
         .enumerate()
+        .filter(|(_, candidate)| is_known(candidate))
+        .map(|(index, candidate)| (index, distance(candidate, expected)))
         .filter(|(_, distance)| *distance <= expected.radius_px)
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(index, _)| index)
@@ -158,4 +163,25 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
     let others = detector.others().into_iter().flat_map(found);
     candidates.extend(others.filter(|candidate| !standing.any_like(candidate)));
     Ok(candidates)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_centre_that_is_known_less_well_than_its_place_is_none() {
+        let at = |x: f64, sigma_px: f64| Candidate {
+            covariance_px2: Some([sigma_px * sigma_px, 0.0, 0.01]),
+            ..Candidate::at(PixelPoint { x, y: 50.0 })
+        };
+        let expected = Expected { gcp: 0, position: PixelPoint { x: 50.0, y: 50.0 }, radius_px: 6.0 };
+        assert_eq!(nearest([at(51.0, 334.0), at(52.0, 0.3)].iter(), &expected), Some(1));
+        assert_eq!(nearest([at(51.0, 334.0)].iter(), &expected), None);
+        assert_eq!(
+            nearest([Candidate::at(expected.position)].iter(), &expected),
+            Some(0),
+            "of a list without deviations"
+        );
+    }
 }

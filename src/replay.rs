@@ -168,6 +168,7 @@ fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<Fou
         log10_false_alarms: recorded.log10_false_alarms.unwrap_or(0.0),
         log10_whole_false_alarms: recorded.log10_false_alarms.unwrap_or(0.0),
         noise_px: solution.rmse_px,
+        deviation_px: solution.rmse_px,
         gcps_in_image: marks.len() + check_marks.len() + not_found.len(),
     };
     let evidence = Solved { pattern, runner_up: None, effort: Effort::default(), names: None };

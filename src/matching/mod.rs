@@ -103,6 +103,9 @@ pub struct Pattern {
     pub log10_whole_false_alarms: f64,
     /// 1σ of a coordinate of the pairs about the similarity, pixels.
     pub noise_px: f64,
+    /// The same of all pairs alike and without bounds; the search asks for it, files do not hold it.
+    #[serde(skip)]
+    pub deviation_px: f64,
     /// GCPs that the similarity puts inside the image.
     pub gcps_in_image: usize,
 }

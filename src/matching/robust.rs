@@ -23,6 +23,11 @@ const SUSPECT_LOG10: f64 = -2.0;
 /// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then,
 /// because marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
 const REPETITION_LOG10: f64 = -4.0;
+/// Of a rival's marks the best pattern must join so many to be compared with it mark by mark; fewer say nothing.
+const SHARED_MARKS: f64 = 0.8;
+const FEWEST_SHARED: usize = 5;
+/// Marks agree no better than this, pixels.
+const LEAST_DEVIATION_PX: f64 = 0.1;
 /// Above this many candidates the best-scored are tried alone first, ...
 const GUIDED_ABOVE: usize = 6000;
 const GUIDED_FIRST: usize = 2000;
@@ -108,16 +113,20 @@ pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
 
 impl RobustMatcher {
     /// Whether the best pattern is rare enough, by itself and beside the runner-up.
-    fn believes(&self, best: &Pattern, runner_up: Option<&Pattern>) -> bool {
+    fn believes(&self, found: &Found, gcps: usize) -> bool {
+        let Some(best) = &found.best else { return false };
         let limit = self.max_false_alarms.log10();
         let unlike = |other: &Pattern| {
             let suspect = other.log10_false_alarms <= SUSPECT_LOG10;
             let repeats = other.log10_false_alarms <= REPETITION_LOG10;
             let rarer = other.log10_false_alarms.min(0.0) - best.log10_false_alarms;
             let gap = if suspect { (-limit).max(RUNNER_UP_GAP) } else { RUNNER_UP_GAP };
-            rarer >= gap && (!repeats || best.pairs.len() > 2 * other.pairs.len())
+            let told = !repeats
+                || best.pairs.len() > 2 * other.pairs.len()
+                || log10_closer_by_chance(best, other, gcps) <= limit;
+            rarer >= gap && told
         };
-        best.log10_false_alarms <= limit && runner_up.is_none_or(unlike)
+        best.log10_false_alarms <= limit && found.runner_up.as_ref().is_none_or(unlike)
     }
 
     /// Believes the best pattern, or says why not.
@@ -126,10 +135,11 @@ impl RobustMatcher {
             pairs: pattern.pairs.iter().map(|&(c, g)| (c, control[g])).collect(),
             ..pattern
         };
+        let believed = self.believes(&found, control.len());
         let (best, runner_up) = (found.best.map(restore), found.runner_up.map(restore));
         let limit = self.max_false_alarms.log10();
         if let Some(pattern) = &best
-            && self.believes(pattern, runner_up.as_ref())
+            && believed
         {
             return MatchOutcome::Solved(Box::new(Solved {
                 pattern: pattern.clone(),
@@ -140,6 +150,30 @@ impl RobustMatcher {
         }
         MatchOutcome::NoMatch(Box::new(explain(candidates, control, best, runner_up, found.effort, limit)))
     }
+}
+
+/// log₁₀ of the number of patterns that would lie on a rival's marks as closely as `best` does if the rival were true;
+/// 0 where that says nothing. A pattern on these marks follows from the two of the list's GCPs that it lays on two of
+/// them.
+///
+/// A layout that is nearly regular (two rows along a road) fits itself when it is moved on by a place, to the
+/// irregularity of its rows; the true place fits to the centring of the marks. If the rival is true, its deviations are
+/// all the noise there is, and whatever else lies on its marks deviates by no less. That n marks do by a share ρ of it
+/// has at most the probability (ρ²·e^(1 − ρ²))^(n − 2) (H. Chernoff, "A measure of asymptotic efficiency for tests of
+/// a hypothesis based on the sum of observations", 1952, for χ² with 2n − 4 degrees of freedom).
+fn log10_closer_by_chance(best: &Pattern, rival: &Pattern, gcps: usize) -> f64 {
+    let joined = |candidate: usize| best.pairs.iter().any(|pair| pair.0 == candidate);
+    let shared = rival.pairs.iter().filter(|pair| joined(pair.0)).count();
+    let share2 = (best.deviation_px.max(LEAST_DEVIATION_PX) / rival.deviation_px).powi(2);
+    if shared < FEWEST_SHARED
+        || (shared as f64) < SHARED_MARKS * rival.pairs.len() as f64
+        || share2.is_nan()
+        || share2 >= 1.0
+    {
+        return 0.0;
+    }
+    let ln_chance = (shared as f64 - 2.0) * (share2.ln() + 1.0 - share2);
+    (gcps as f64).powi(2).log10() + ln_chance / std::f64::consts::LN_10
 }
 
 /// What a search has done of what it may do, counted as hypotheses: what a long list adds to each of them is in it, and
@@ -258,7 +292,7 @@ impl RobustMatcher {
         for rung in rungs {
             let ranked = &ranked[..rung];
             let mut found = self.search(&some(ranked), gcps, (priors, heeded), log10_searches, early);
-            if found.best.as_ref().is_some_and(|best| self.believes(best, found.runner_up.as_ref())) {
+            if self.believes(&found, gcps.len()) {
                 for pattern in found.best.iter_mut().chain(found.runner_up.iter_mut()) {
                     pattern.pairs.iter_mut().for_each(|pair| pair.0 = ranked[pair.0]);
                 }

@@ -2,6 +2,7 @@
 
 use crate::matching::Pattern;
 use crate::matching::evidence::{LEVELS_PX, Line, evidence_of, spread_from_pair};
+use crate::matching::far::root_mean_square;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
@@ -178,8 +179,17 @@ impl Search<'_> {
         let told = |k: usize| k == a || k == b || spread_from_pair(self.gcps[a], self.gcps[b], self.gcps[k]) <= extent;
         let going_by = pairs.iter().copied().filter(|&(_, k)| told(k)).collect();
         let log10_whole_false_alarms = whole;
-        let pattern =
-            Pattern { pairs, similarity, log10_false_alarms, log10_whole_false_alarms, noise_px, gcps_in_image };
+        let placed: Vec<Pair> = pairs.iter().map(|&(candidate, gcp)| self.pair(candidate, gcp)).collect();
+        let deviation_px = root_mean_square(&similarity, &placed);
+        let pattern = Pattern {
+            pairs,
+            similarity,
+            log10_false_alarms,
+            log10_whole_false_alarms,
+            noise_px,
+            deviation_px,
+            gcps_in_image,
+        };
         Some((pattern, going_by))
     }
 }
