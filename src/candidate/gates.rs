@@ -1,7 +1,7 @@
 //! The cheap gates: what a region's integers alone can rule out. They follow the limits of the 2016 prototype (Scripts
 //! A.9 and A.55), computed from exact moments instead of pixels.
 
-use crate::profile::Profile;
+use crate::profile::{Profile, Shape};
 use crate::segment::label::Region;
 use autoref_raster::error::Result;
 
@@ -12,12 +12,18 @@ pub struct Gates {
     side: (u64, u64),
     eccentricity: (f64, f64),
     tightness: (f64, f64),
+    /// Least tightness of what is about as wide as it is high: thin crosses that lie along the pixels.
+    thin_tightness: f64,
     area_per_perimeter: (f64, f64),
     mark_side_px: (f64, f64),
     /// Largest area of one mark; `area.1` may be that of several that touch.
     single_area: u64,
 }
 
+/// A cross of 40 px with arms of 5 px fills 0.23 of its bounds, one with arms of 3 px 0.14.
+const THIN_TIGHTNESS: f64 = 0.12;
+/// Eccentricity of a thin figure at most: of lines and borders, which are as thin, it is larger.
+const THIN_ECCENTRICITY: f64 = 0.5;
 /// How many marks that touch are looked at as one region when the profile asks for it.
 const MOST_TOUCHING: u64 = 16;
 
@@ -42,11 +48,13 @@ impl Gates {
         } else {
             (single_area, max_side, 0.97, 0.25)
         };
+        let may_be_thin = g.min_tightness.is_none() && matches!(profile.shape, Shape::Any | Shape::Cross);
         Ok(Gates {
             area: (g.min_area_px.unwrap_or(((low * low / 6.0).floor() as u64).max(3)), area),
             side: (g.min_side_px.unwrap_or(if low >= 3.0 { 2 } else { 1 }), side),
             eccentricity: (g.min_eccentricity.unwrap_or(0.0), g.max_eccentricity.unwrap_or(eccentricity)),
             tightness: (g.min_tightness.unwrap_or(tightness), g.max_tightness.unwrap_or(1.0)),
+            thin_tightness: if may_be_thin { THIN_TIGHTNESS } else { f64::INFINITY },
             area_per_perimeter: (
                 g.min_area_per_perimeter_px.unwrap_or(0.0),
                 g.max_area_per_perimeter_px.unwrap_or(f64::INFINITY),
@@ -98,10 +106,12 @@ impl Gates {
             return false;
         }
         let tightness = region.area as f64 / (w * h) as f64;
-        if tightness < self.tightness.0 || tightness > self.tightness.1 {
+        if tightness < self.tightness.0.min(self.thin_tightness) || tightness > self.tightness.1 {
             return false;
         }
-        (self.eccentricity.0..=self.eccentricity.1).contains(&eccentricity(region))
+        let eccentricity = eccentricity(region);
+        (self.eccentricity.0..=self.eccentricity.1).contains(&eccentricity)
+            && (tightness >= self.tightness.0 || eccentricity <= THIN_ECCENTRICITY)
     }
 }
 
@@ -198,6 +208,13 @@ mod tests {
         assert!(!gates.region(&full(1, 1)), "a speck");
         let hollow = region(Window::new(0, 0, 40, 40), |x, y| x == 0 || y == 0 || x == 39 || y == 39);
         assert!(!gates.region(&hollow));
+        let cross = |wide: u64, far: u64| {
+            let arm = |v: u64| v.abs_diff(20) <= wide / 2;
+            region(Window::new(0, 0, far, 41), move |x, y| arm(x) || arm(y))
+        };
+        assert!(gates.region(&cross(4, 41)), "arms of 5 px along the pixels");
+        assert!(gates.region(&cross(2, 41)), "arms of 3 px");
+        assert!(!gates.region(&cross(2, 62)), "kerbs that cross");
         assert!(eccentricity(&full(8, 8)) < 1e-6);
     }
 
