@@ -17,6 +17,7 @@ pub mod convert;
 mod csv_list;
 mod geojson;
 mod headerless;
+mod image_crs;
 mod kof;
 pub mod odm;
 mod ogr;

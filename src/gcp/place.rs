@@ -29,7 +29,15 @@ pub(super) fn check(
     options: &GcpOptions,
     notes: &mut Vec<String>,
 ) -> Result<()> {
-    let Some(crs) = crs else { return refuse_absurd(path, points) };
+    let Some(crs) = crs else {
+        if options.fix_axes {
+            notes.push(format!(
+                "{}: --fix-axes exchanged nothing: without a CRS nothing shows the order",
+                path.display()
+            ));
+        }
+        return refuse_absurd(path, points);
+    };
     if options.fix_axes && !points.is_empty() && !are_exchanged(points, crs, options.image.as_ref()) {
         notes.push(format!("{}: --fix-axes found nothing to exchange", path.display()));
     } else if are_exchanged(points, crs, options.image.as_ref()) {
@@ -70,7 +78,11 @@ fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreferenc
     if all(&|e, n| crs.covers(e, n) == Some(false)) {
         return all(&|e, n| crs.covers(n, e) == Some(true));
     }
-    let Some(centre) = image.and_then(centre_of) else { return false };
+    let Some(image) = image else { return false };
+    if are_exchanged_on(points, crs, image) {
+        return true;
+    }
+    let Some(centre) = centre_of(image) else { return false };
     let away = |e: f64, n: f64| {
         let (longitude, latitude) = crs.longitude_latitude(e, n)?;
         let turn = (longitude - centre.0 + 180.0).rem_euclid(360.0) - 180.0;
@@ -79,10 +91,22 @@ fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreferenc
     all(&|e, n| away(e, n).is_none_or(|deg| deg > FAR_DEG)) && all(&|e, n| away(n, e).is_some_and(|deg| deg < NEAR_DEG))
 }
 
+/// Whether all points lie on the image with their coordinates exchanged, and none as it stands. Told only in the
+/// image's own CRS.
+fn are_exchanged_on(points: &[RawPoint], crs: &Crs, image: &ImageGeoreference) -> bool {
+    if !Crs::parse(&image.crs_wkt).is_ok_and(|own| own.label() == crs.label()) {
+        return false;
+    }
+    let holds = |easting: f64, northing: f64| image.holds(crs, MapPoint { easting, northing });
+    points.iter().all(|p| {
+        let (e, n) = (p.gcp.easting, p.gcp.northing);
+        holds(e, n) == Some(false) && holds(n, e) == Some(true)
+    })
+}
+
 /// Longitude and latitude of the middle of an image.
 fn centre_of(image: &ImageGeoreference) -> Option<(f64, f64)> {
-    let middle = PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 };
-    let MapPoint { easting, northing } = image.transform.apply(middle);
+    let MapPoint { easting, northing } = image.middle()?;
     Crs::parse(&image.crs_wkt).ok()?.longitude_latitude(easting, northing)
 }
 
@@ -149,7 +173,7 @@ pub(super) fn refuse_elsewhere(
 
 /// What would bring all points into the CRS's area of use, or onto the image: feet, the zone's number before the
 /// eastings, leading digits left out.
-fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
+pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
     const ZONE_M: f64 = 1e6;
     // International and US survey feet are the same here.
     const FOOT_M: f64 = 0.3048;
@@ -177,9 +201,7 @@ fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeorefer
         let count = points.len() as f64;
         let mean = |of: &dyn Fn(&RawPoint) -> f64| points.iter().map(of).sum::<f64>() / count;
         let wanted = (e - mean(&|p| p.gcp.easting), n - mean(&|p| p.gcp.northing));
-        let corner = image.transform.apply(PixelPoint { x: 0.0, y: 0.0 });
-        let middle =
-            image.transform.apply(PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 });
+        let (corner, middle) = (image.transform?.apply(PixelPoint { x: 0.0, y: 0.0 }), image.middle()?);
         let reach = (corner.easting - middle.easting).hypot(corner.northing - middle.northing);
         if let Some(digits) = leading_digits(wanted, reach.min(2_000.0)) {
             return Some(format!("they would lie on the image with {digits}"));
@@ -202,8 +224,7 @@ pub fn leading_digits(wanted_m: (f64, f64), agrees_m: f64) -> Option<String> {
 
 /// The middle of an image in another CRS.
 fn centre_in(image: &ImageGeoreference, crs: &Crs) -> Option<(f64, f64)> {
-    let middle = PixelPoint { x: image.size_px.0 as f64 / 2.0, y: image.size_px.1 as f64 / 2.0 };
-    let MapPoint { easting, northing } = image.transform.apply(middle);
+    let MapPoint { easting, northing } = image.middle()?;
     let mut point = [Coordinate { x: easting, y: northing, height: None }];
     Crs::parse(&image.crs_wkt).ok()?.transform(&mut point, crs, f64::INFINITY).ok()?;
     Some((point[0].x, point[0].y))

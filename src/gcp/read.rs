@@ -7,7 +7,7 @@ use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::{Reproject, WorkingCrs};
-use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, kof, odm, ogr, place, qgis, text, xml};
+use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, image_crs, kof, odm, ogr, place, qgis, text, xml};
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
@@ -28,7 +28,7 @@ const OGR: [&str; 18] = [
 /// What the caller says about the list.
 #[derive(Clone, Debug)]
 pub struct GcpOptions {
-    /// CRS of the coordinates, overriding what the file says.
+    /// CRS of the coordinates, overriding what the file says; `local` for local metres.
     pub crs: Option<String>,
     /// CRS to bring them, or the result, into.
     pub to_crs: Option<String>,
@@ -73,7 +73,8 @@ impl Default for GcpOptions {
 #[derive(Clone, Debug)]
 pub struct ImageGeoreference {
     pub crs_wkt: String,
-    pub transform: GeoTransform,
+    /// `None` when it does not say where it lies.
+    pub transform: Option<GeoTransform>,
     pub size_px: (u64, u64),
 }
 
@@ -235,6 +236,7 @@ pub(super) fn settled(
     check_points(path, &points, &mut notes)?;
     let degrees = |points: &[RawPoint]| within_degrees(points) || latitude_first(points);
     let stated = match (crs_override, crs) {
+        (Some(crs), _) if is_local_word(crs) => None,
         (Some(crs), _) => Some(Crs::parse(crs)?),
         (None, CrsClaim::Unclear(error)) => return Err(error),
         (None, CrsClaim::Known(crs)) => Some(crs),
@@ -250,22 +252,10 @@ pub(super) fn settled(
 }
 
 fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
-    let image_crs = options.image.as_ref();
     let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref())?;
-
     let source = match stated {
         Some(crs) => Some(crs),
-        None => match image_crs.map(|image| crs_of_image(path, &points, image, &mut notes)).transpose()?.flatten() {
-            Some(crs) => Some(crs),
-            None => {
-                refuse_degrees(path, &points)?;
-                notes.push(format!(
-                    "{} names no coordinate reference system: its coordinates are taken as local metres; give --crs",
-                    path.display()
-                ));
-                None
-            }
-        },
+        None => unnamed(path, &points, options, &mut notes)?,
     };
     if let Some(crs) = &source {
         refuse_no_degrees(path, &points, crs)?;
@@ -284,6 +274,29 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
         list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
     }
     Ok(list)
+}
+
+/// The CRS of a list that names none: the image's, or local metres (`None`).
+fn unnamed(path: &Path, points: &[RawPoint], options: &GcpOptions, notes: &mut Vec<String>) -> Result<Option<Crs>> {
+    if options.crs.as_deref().is_some_and(is_local_word) {
+        return Ok(None);
+    }
+    if let Some(image) = &options.image
+        && let Some(crs) = image_crs::adopt(path, points, image, notes)?
+    {
+        return Ok(Some(crs));
+    }
+    refuse_degrees(path, points)?;
+    notes.push(format!(
+        "{} names no coordinate reference system: its coordinates are taken as local metres; give --crs",
+        path.display()
+    ));
+    Ok(None)
+}
+
+/// What `--crs` says of coordinates that are local metres.
+fn is_local_word(crs: &str) -> bool {
+    crs.trim().eq_ignore_ascii_case("local")
 }
 
 fn choose(path: &Path, mut points: Vec<RawPoint>, options: &GcpOptions) -> Result<Vec<Gcp>> {
@@ -320,7 +333,7 @@ fn enter(
             None => Ok(GcpList { gcps, crs: None, working_crs: WorkingCrs::local(), notes }),
             Some(_) => Err(Error::usage(
                 format!("{}: --to-crs needs to know where the coordinates come from", path.display()),
-                "give --crs too",
+                "give the --crs that they are in",
             )),
         };
     };
@@ -365,7 +378,7 @@ fn latitude_first(points: &[RawPoint]) -> bool {
 }
 
 /// Points within one metre of each other are no survey: they are degrees without a CRS.
-fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
+pub(super) fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
     let small = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 180.0);
     let spread = |f: fn(&Gcp) -> f64| {
         let values = points.iter().map(|p| f(&p.gcp));
@@ -498,27 +511,4 @@ fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> 
         )),
         None => Ok(()),
     }
-}
-
-/// The image's CRS, when the points lie where the image says it is.
-fn crs_of_image(
-    path: &Path,
-    points: &[RawPoint],
-    image: &ImageGeoreference,
-    notes: &mut Vec<String>,
-) -> Result<Option<Crs>> {
-    let crs = Crs::parse(&image.crs_wkt)?;
-    let (width, height) = (image.size_px.0 as f64, image.size_px.1 as f64);
-    let reach = 1000.0 / crs.metres_per_unit() / image.transform.scale();
-    let near = |p: &&RawPoint| {
-        image.transform.invert(p.gcp.position()).is_some_and(|pixel| {
-            (-width - reach..=2.0 * width + reach).contains(&pixel.x)
-                && (-height - reach..=2.0 * height + reach).contains(&pixel.y)
-        })
-    };
-    if crs.is_geographic() || crs.is_local() || points.iter().filter(near).count() * 2 < points.len() {
-        return Ok(None);
-    }
-    notes.push(format!("{} names no CRS: it was taken to be the image's, {}", path.display(), crs.title()));
-    Ok(Some(crs))
 }

@@ -39,6 +39,33 @@ pub fn world_file(transform: &GeoTransform) -> String {
     format!("{}\n{}\n{}\n{}\n{}\n{}\n", g[1], g[4], g[2], g[5], centre.0, centre.1)
 }
 
+/// What an `.aux.xml` says of coordinates that are local metres. Without it GDAL joins the transform to the CRS that
+/// the image has.
+pub const LOCAL_METRES: &str =
+    "LOCAL_CS[\"local metres\",UNIT[\"metre\",1],AXIS[\"Easting\",EAST],AXIS[\"Northing\",NORTH]]";
+
+/// The CRS that an `.aux.xml` beside `image` needs: that of the transform; else, where the image has one itself, the
+/// local one.
+///
+/// # Errors
+/// When GDAL cannot open the image.
+pub(super) fn crs_beside(image: &Path, page: usize, crs: Option<&Crs>) -> Result<Option<Crs>> {
+    match crs {
+        Some(crs) => Ok(Some(crs.clone())),
+        None if has_crs(image, page)? => Crs::parse(LOCAL_METRES).map(Some),
+        None => Ok(None),
+    }
+}
+
+/// Whether GDAL finds a CRS in the image or beside it.
+///
+/// # Errors
+/// When GDAL cannot open the image.
+pub(super) fn has_crs(image: &Path, page: usize) -> Result<bool> {
+    let (_, dataset) = autoref_raster::open_dataset(image, page)?;
+    Ok(!dataset.projection().is_empty())
+}
+
 /// The `.aux.xml`. What an existing one holds besides CRS, transform and GCPs (statistics, histograms) is kept.
 ///
 /// # Errors

@@ -235,6 +235,29 @@ impl WriteRequest {
         Ok(())
     }
 
+    /// Refuses a world file alone for local coordinates beside an image that has a CRS: it names none, so that GDAL
+    /// would read it in the image's.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] with the remedy; when the image cannot be opened.
+    pub fn check_local(&self, crs: Option<&Crs>) -> Result<()> {
+        if crs.is_some() || !self.wants(Output::World) || self.wants(Output::Aux) {
+            return Ok(());
+        }
+        for part in self.parts()? {
+            if sidecar::has_crs(&part.path, self.page)? {
+                return Err(Error::usage(
+                    format!(
+                        "{} has a CRS, in which a world file of local coordinates would be read",
+                        part.path.display()
+                    ),
+                    "add aux to --write, which says that they are local, or give the --crs of the list",
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// Makes every file under a temporary name and adds it to the transaction. Nothing is in place before
     /// [`Transaction::commit`]. Returns warnings in plain words.
     ///
@@ -251,6 +274,7 @@ impl WriteRequest {
         })?;
         let crs = result.crs.as_deref().map(Crs::parse).transpose()?;
         let crs = crs.as_ref();
+        self.check_local(crs)?;
         let mut warnings = Vec::new();
         let parts = self.parts()?;
         for &kind in &self.kinds {
@@ -307,7 +331,8 @@ impl WriteRequest {
         } else {
             let existing = bounded::read_to_string(file, "an .aux.xml", bounded::TEXT_BYTES).ok();
             let existing = existing.as_deref().map(|text| (file.as_path(), text));
-            let aux = sidecar::aux_xml(transform, crs, existing)?;
+            let crs = sidecar::crs_beside(&part.path, self.page, crs)?;
+            let aux = sidecar::aux_xml(transform, crs.as_ref(), existing)?;
             transaction.stage_bytes(file, aux.as_bytes())?;
         }
         Ok(Vec::new())

@@ -69,6 +69,43 @@ fn exchanged_columns_are_told_before_the_image_is_read_and_mended_on_request() {
     answers(&run(&["--fix-axes"]), 0, &["Matched", "were exchanged in all points"]);
 }
 
+/// A transform of other coordinates beside an image that has a CRS would be read in that CRS, far off.
+#[test]
+fn a_list_without_a_crs_lies_on_an_image_that_has_one_or_is_refused() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.iter().cloned());
+    let run = |list: &str, extra: &[&str]| {
+        program(dir, &[&["a.tif", "--gcps", list, "--no-report", "--overwrite"], extra].concat())
+    };
+    answers(&run("l.csv", &ZONE_32), 0, &["Matched"]);
+    let georeference = || std::fs::read_to_string(dir.join("a.tif.aux.xml")).expect("the georeference");
+    let before = georeference();
+    std::fs::remove_file(dir.join("a.autoref.json")).expect("a result");
+    let moved = |name: &str, by: (f64, f64)| {
+        list(dir, name, TITLES, rows.iter().map(|(name, e, n)| (name.clone(), e + by.0, n + by.1)));
+    };
+    moved("zone.csv", (32e6, 0.0));
+    moved("cut.csv", (-500_000.0, -7_000_000.0));
+    moved("elsewhere.csv", (-299_400.0, 7_560.0));
+    list(dir, "x.csv", TITLES, rows.iter().map(|(name, e, n)| (name.clone(), *n, *e)));
+    for (name, word) in [
+        ("zone.csv", "zone's number 32"),
+        ("cut.csv", "+500000 in all eastings"),
+        ("elsewhere.csv", "km from where the image says it is"),
+        ("x.csv", "--fix-axes"),
+    ] {
+        answers(&run(name, &[]), 2, &[name, word]);
+        assert!(!dir.join("a.autoref.json").exists(), "{name}: the image was looked at");
+    }
+    answers(&run("elsewhere.csv", &[]), 2, &["the list names no CRS", "EPSG:25832", "--crs local"]);
+    assert_eq!(georeference(), before, "a mistake was written");
+    answers(&run("x.csv", &["--fix-axes"]), 0, &["Matched", "taken to be the image's", "were exchanged"]);
+    answers(&run("cut.csv", &["--crs", "local", "--write", "world"]), 2, &["add aux"]);
+    answers(&run("cut.csv", &["--crs", "local"]), 0, &["Matched"]);
+    assert!(georeference().contains("LOCAL_CS"), "{}", georeference());
+}
+
 #[test]
 fn points_in_nowhere_are_set_aside_by_name() {
     let (folder, rows) = workplace();
@@ -77,7 +114,10 @@ fn points_in_nowhere_are_set_aside_by_name() {
     list(dir, "f.csv", TITLES, rows.iter().cloned().chain(more));
     let run = program(dir, &[&["a.tif", "--gcps", "f.csv", "--no-report"], &ZONE_32[..]].concat());
     answers(&run, 0, &["Matched", "set aside", "NOWHERE, AFAR"]);
-    // Without a system nothing tells where a point may be, but numbers end somewhere.
+    // Without a system, which the run before has given the image, nothing tells where a point may be, but numbers end
+    // somewhere.
+    std::fs::remove_file(dir.join("a.tif.aux.xml")).expect("the georeference");
+    std::fs::remove_file(dir.join("a.tfw")).expect("the world file");
     answers(&program(dir, &["a.tif", "--gcps", "f.csv", "--no-report", "--overwrite"]), 2, &["NOWHERE", "row 11"]);
     // A list that lies elsewhere as a whole has another system.
     list(dir, "e.csv", TITLES, rows.iter().map(|(name, e, n)| (name.clone(), e + 3_000_000.0, *n)));

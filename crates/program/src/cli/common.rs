@@ -173,7 +173,8 @@ pub struct GcpArgs {
     #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
     // Asked for by `path`: a replay takes the points of the result.
     pub gcps: Option<PathBuf>,
-    /// CRS of the list (EPSG code, WKT, PROJ string or a file with one). Default: what the list says, else the image's.
+    /// CRS of the list (EPSG code, WKT, PROJ string, a file with one, or `local` for local metres). Default: what the
+    /// list says, else the image's where the points lie on it.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
     pub crs: Option<String>,
     /// CRS of the outputs, when it is not that of the points.

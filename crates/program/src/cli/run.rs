@@ -138,6 +138,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     drop(opening);
     let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    request.check_local(list.crs.as_ref())?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
     let report = args.report.wanted().then(|| report::path(&json));

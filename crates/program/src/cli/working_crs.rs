@@ -91,7 +91,7 @@ impl WorkingCrsArgs {
 pub fn of_image(info: &RasterInfo) -> Option<ImageGeoreference> {
     Some(ImageGeoreference {
         crs_wkt: info.crs_wkt.clone().filter(|wkt| !wkt.is_empty())?,
-        transform: info.geotransform?,
+        transform: info.geotransform,
         size_px: (info.width, info.height),
     })
 }
