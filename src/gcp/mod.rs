@@ -15,6 +15,7 @@
 mod accuracy_list;
 pub mod convert;
 mod csv_list;
+mod dxf;
 mod geojson;
 mod headerless;
 mod image_crs;

@@ -9,7 +9,7 @@ use gdal::vector::{
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::{Gcp, csv_list, titles as known_titles};
+use crate::gcp::{Gcp, csv_list, dxf, titles as known_titles};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -26,20 +26,25 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     }
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
     let open_options = autoref_raster::vector_options(path);
-    let dataset = Dataset::open_ex(&name, DatasetOptions { open_flags: flags, open_options, ..Default::default() })
-        .map_err(|_| {
-            Error::unsupported(
-                path,
-                "no list of points that this program or GDAL's OGR reads",
-                "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
-            )
-        })?;
-    let index = layer(path, &dataset, wanted)?;
+    let options = DatasetOptions { open_flags: flags, open_options, ..Default::default() };
+    let dataset = dxf::with_blocks_whole(|| Dataset::open_ex(&name, options)).map_err(|_| {
+        Error::unsupported(
+            path,
+            "no list of points that this program or GDAL's OGR reads",
+            "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
+        )
+    })?;
+    let is_drawing = dataset.driver().short_name() == "DXF";
+    let wanted_layer = wanted.filter(|name| !name.eq_ignore_ascii_case(dxf::ENTITIES));
+    let index = layer(path, &dataset, if is_drawing { Some(dxf::ENTITIES) } else { wanted })?;
     let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
     let crs = match layer.spatial_ref().and_then(|reference| reference.to_wkt().ok()) {
         Some(wkt) if !wkt.is_empty() => CrsClaim::Known(Crs::parse(&wkt)?),
         _ => CrsClaim::None,
     };
+    if is_drawing {
+        return dxf::read(path, &mut layer, crs, wanted_layer);
+    }
     let titles: Vec<String> = layer.defn().fields().map(|field| field.name()).collect();
     if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
         return table(path, &mut layer, titles);
@@ -106,7 +111,8 @@ fn text(value: Option<FieldValue>) -> String {
     }
 }
 
-fn fields(feature: &Feature<'_>) -> Vec<String> {
+/// The values of a feature as text, empty where none was set.
+pub(super) fn fields(feature: &Feature<'_>) -> Vec<String> {
     let set = |i: usize| feature.field_as_string(i).ok().flatten().is_some_and(|text| !text.is_empty());
     // A number that was never set reads as 0, as text it is empty.
     let value = |i: usize| if set(i) { text(feature.field(i).ok().flatten()) } else { String::new() };

@@ -16,6 +16,7 @@ mod architecture;
 mod detection;
 mod diagnosis;
 mod examples;
+mod gcp_drawings;
 mod gcp_lists;
 mod matching;
 mod mutations;
