@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::text::{self, SEPARATORS};
+use super::text::{self, SEPARATORS, Separator};
 use super::titles::{NAMES, find, tidy};
+use super::units::Unit;
 use crate::gcp::Gcp;
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
@@ -62,6 +63,18 @@ pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
     Ok(notes)
 }
 
+/// The separator that finds a name and an error in the header, since titles have blanks in them; else the one that cuts
+/// it into most titles.
+fn separator_of(header: &str) -> Separator {
+    let finds = |separator: &Separator| {
+        let titles: Vec<String> = text::split(header, *separator).iter().map(|title| tidy(title)).collect();
+        let errors = [&SIGMAS[..], &SIGMAS_E, &SIGMAS_H].concat();
+        find(&titles, NAMES).is_some() && find(&titles, &errors).is_some()
+    };
+    let most = || SEPARATORS.into_iter().max_by_key(|&separator| text::split(header, separator).len());
+    SEPARATORS.into_iter().find(finds).or_else(most).expect("there are separators")
+}
+
 fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
     let lines = text::lines(text);
     let mut lines = lines.iter().filter(|line| !line.is_comment());
@@ -69,12 +82,10 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
         return Err(Error::format(path, "row 1", "the file holds no header and no points"));
     };
     let header_row = header.row;
-    // The separator that cuts the header into most titles.
-    let cut = SEPARATORS
-        .into_iter()
-        .max_by_key(|&separator| text::split(header.text, separator).len())
-        .expect("there are separators");
-    let titles: Vec<String> = text::split(header.text, cut).iter().map(|title| tidy(title)).collect();
+    let cut = separator_of(header.text);
+    let written = text::split(header.text, cut);
+    let titles: Vec<String> = written.iter().map(|title| tidy(title)).collect();
+    let unit = |column: usize| Unit::of_title(&written[column]).map_or(1.0, |unit| unit.metres);
     let find = |names: &[&str]| find(&titles, names);
     let Some(name) = find(NAMES) else {
         return Err(Error::format(path, format!("row {header_row}"), "no column of names; call one `name`"));
@@ -93,9 +104,9 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
             let fields = text::split(line.text, cut);
             let number = |column: Option<usize>| -> Result<Option<f64>> {
                 let text = column.and_then(|c| fields.get(c)).map(|t| t.trim()).filter(|t| !t.is_empty());
-                let Some(text) = text else { return Ok(None) };
-                text::number(text).filter(|v| *v >= 0.0).map(Some).ok_or_else(|| {
-                    Error::format(path, format!("row {row}"), format!("`{text}` is no error in metres of at least 0"))
+                let Some((column, text)) = column.zip(text) else { return Ok(None) };
+                text::number(text).filter(|v| *v >= 0.0).map(|v| Some(v * unit(column))).ok_or_else(|| {
+                    Error::format(path, format!("row {row}"), format!("`{text}` is no error of at least 0"))
                 })
             };
             let name = fields.get(name).map(|t| t.trim_matches('"').trim().to_string()).unwrap_or_default();

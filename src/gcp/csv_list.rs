@@ -13,6 +13,7 @@ use crate::gcp::titles::{
     CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_SIGMA_HEIGHTS,
     SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, tidy,
 };
+use crate::gcp::units::{TitledUnits, Unit};
 use crate::gcp::{Gcp, GcpRole, headerless};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::coords::PixelPoint;
@@ -172,7 +173,7 @@ fn with_header(
         stated => stated,
     };
     let mut list = RawList::new(points, crs);
-    list.order = columns.order;
+    columns.tell(&mut list);
     list.notes.extend(guessed.map(|what| format!("{}: {what}", path.display())));
     list.notes.extend(columns.unclear().map(|what| format!("{}: {what}", path.display())));
     if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
@@ -199,6 +200,14 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 }
 
 impl Columns {
+    /// What the titles say of all points.
+    pub(super) fn tell(&self, list: &mut RawList) {
+        list.order = self.order;
+        list.titled_degrees = self.geographic;
+        let title = |column: usize| self.titles[column].as_str();
+        list.units = TitledUnits::of(title(self.easting), title(self.northing), self.height.map(title));
+    }
+
     /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's,
     /// or a title that was passed over has such a word in it ("Høyde-navn").
     fn unclear(&self) -> Option<String> {
@@ -252,12 +261,16 @@ impl Columns {
             })
         };
         let optional = |column: Option<usize>, what: &str| column.map_or(Ok(None), |c| read(c, what));
+        let unit = |column: Option<usize>| {
+            let titled = column.and_then(|c| Unit::of_title(self.titles.get(c)?));
+            titled.map_or(1.0, |unit| unit.metres)
+        };
         let sigma = |column: Option<usize>, what: &str| match optional(column, what)? {
             Some(sigma) if sigma < 0.0 => {
                 Err(Error::format(path, &place, format!("the {what} {sigma} is negative; it is a standard deviation")))
             }
             // Zero is what programs write for "unknown".
-            sigma => Ok(sigma.filter(|s| *s > 0.0)),
+            sigma => Ok(sigma.filter(|s| *s > 0.0).map(|s| s * unit(column))),
         };
         let said = |column: Option<usize>| column.and_then(text).map(str::to_lowercase);
         let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");

@@ -29,6 +29,7 @@ mod read;
 mod select;
 pub(crate) mod text;
 mod titles;
+mod units;
 mod working_crs;
 mod xml;
 

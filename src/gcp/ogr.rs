@@ -136,7 +136,7 @@ fn table(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Resu
     }
     let crs = if columns.geographic { CrsClaim::Known(Crs::from_epsg(4326)?) } else { CrsClaim::None };
     let mut list = RawList::new(points, crs);
-    list.order = columns.order;
+    columns.tell(&mut list);
     Ok(list)
 }
 

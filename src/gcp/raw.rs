@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::gcp::Gcp;
+use crate::gcp::units::TitledUnits;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
@@ -67,11 +68,22 @@ pub(super) struct RawList {
     /// The format says longitude, latitude when nothing else is said (GeoJSON).
     pub may_be_degrees: bool,
     pub order: ColumnOrder,
+    /// Titles say longitude and latitude.
+    pub titled_degrees: bool,
+    pub units: TitledUnits,
     pub notes: Vec<String>,
 }
 
 impl RawList {
     pub fn new(points: Vec<RawPoint>, crs: CrsClaim) -> Self {
-        RawList { points, crs, may_be_degrees: false, order: ColumnOrder::Stated, notes: Vec::new() }
+        RawList {
+            points,
+            crs,
+            may_be_degrees: false,
+            order: ColumnOrder::Stated,
+            titled_degrees: false,
+            units: TitledUnits::default(),
+            notes: Vec::new(),
+        }
     }
 }

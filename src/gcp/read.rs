@@ -232,7 +232,7 @@ pub(super) fn settled(
     raw: RawList,
     crs_override: Option<&str>,
 ) -> Result<(Vec<RawPoint>, Option<Crs>, Vec<String>)> {
-    let RawList { mut points, crs, may_be_degrees, order, mut notes } = raw;
+    let RawList { mut points, crs, may_be_degrees, order, titled_degrees, mut notes, .. } = raw;
     check_points(path, &points, &mut notes)?;
     let degrees = |points: &[RawPoint]| within_degrees(points) || latitude_first(points);
     let stated = match (crs_override, crs) {
@@ -246,12 +246,29 @@ pub(super) fn settled(
     settle_order(path, &mut points, order, stated.as_ref(), &mut notes);
     if let Some(crs) = &stated {
         refuse_no_degrees(path, &points, crs)?;
+        if titled_degrees && !crs.is_geographic() && !crs.is_local() && degrees(&points) {
+            return Err(titles_of_degrees(path, crs));
+        }
     }
     refuse_geocentric(path, &points)?;
     Ok((points, stated, notes))
 }
 
-fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
+fn titles_of_degrees(path: &Path, crs: &Crs) -> Error {
+    let label = crs.epsg().map_or_else(|| "the projected one".to_string(), |code| format!("EPSG:{code}"));
+    Error::format(
+        path,
+        "the header",
+        format!(
+            "its titles say longitude and latitude, which are degrees, but {} has none; give --crs EPSG:4326 (or the \
+             datum of the survey) for the list, and --to-crs {label} for what is written",
+            crs.title()
+        ),
+    )
+}
+
+fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList> {
+    let units = std::mem::take(&mut raw.units);
     let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref())?;
     let source = match stated {
         Some(crs) => Some(crs),
@@ -260,6 +277,7 @@ fn finish(path: &Path, raw: RawList, options: &GcpOptions) -> Result<GcpList> {
     if let Some(crs) = &source {
         refuse_no_degrees(path, &points, crs)?;
     }
+    units.apply(path, &mut points, source.as_ref(), &mut notes)?;
     place::check(path, &mut points, source.as_ref(), options, &mut notes)?;
     let gcps = choose(path, points, options)?;
     if gcps.len() > MOST_POINTS {

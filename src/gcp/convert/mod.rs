@@ -266,8 +266,10 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
             ));
         }
     };
-    let (raw, from) = read::parse(input, options.layer.as_deref(), options.from)?;
-    let (points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
+    let (mut raw, from) = read::parse(input, options.layer.as_deref(), options.from)?;
+    let units = std::mem::take(&mut raw.units);
+    let (mut points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
+    units.apply(input, &mut points, crs.as_ref(), &mut notes)?;
     if points.is_empty() {
         return Err(Error::format(input, "the list", "it holds no points"));
     }

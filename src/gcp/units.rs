@@ -1,0 +1,137 @@
+//! Units that titles of columns name: `Easting (ft)`, `sigma E [mm]`.
+
+use std::path::Path;
+
+use crate::gcp::raw::RawPoint;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+const FOOT_M: f64 = 0.3048;
+const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
+
+/// A unit of length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Unit {
+    pub metres: f64,
+    name: &'static str,
+}
+
+impl Unit {
+    /// What stands in the brackets of a title; `None` where that is no length.
+    pub fn of_title(title: &str) -> Option<Unit> {
+        let lower = title.to_lowercase();
+        let (_, rest) = lower.split_once(['[', '('])?;
+        let inner = rest.split([']', ')']).next()?;
+        let word: String = inner.chars().filter(|c| !" ._-".contains(*c)).collect();
+        let unit = |metres: f64, name: &'static str| Some(Unit { metres, name });
+        match word.as_str() {
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" | "millimètre" | "millimètres" => {
+                unit(0.001, "millimetres")
+            }
+            "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" | "centimètre" | "centimètres"
+            | "zentimeter" => unit(0.01, "centimetres"),
+            "m" | "meter" | "meters" | "metre" | "metres" | "mètre" | "mètres" | "metro" | "metros" | "metri" => {
+                unit(1.0, "metres")
+            }
+            "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" | "kilomètre" | "kilomètres" => {
+                unit(1000.0, "kilometres")
+            }
+            "usft" | "ftus" | "ussft" | "sft" | "usfoot" | "usfeet" | "ussurveyfoot" | "ussurveyfeet"
+            | "surveyfeet" => unit(US_SURVEY_FOOT_M, "US survey feet"),
+            "ift" | "intft" | "ftint" | "internationalfoot" | "internationalfeet" => unit(FOOT_M, "international feet"),
+            "ft" | "foot" | "feet" | "fuß" | "fuss" | "pied" | "pieds" | "fot" => unit(FOOT_M, "feet"),
+            _ => None,
+        }
+    }
+
+    /// Whether it is the unit of this length; feet without a word may be of either kind.
+    fn is(self, metres: f64) -> bool {
+        let same = |m: f64| (m / metres - 1.0).abs() < 1e-7;
+        same(self.metres) || (self.name == "feet" && same(US_SURVEY_FOOT_M))
+    }
+}
+
+/// The units that the titles of a table name for its coordinates.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TitledUnits {
+    /// Of easting and northing, with the title.
+    pub plan: [Option<(Unit, String)>; 2],
+    pub height: Option<(Unit, String)>,
+}
+
+impl TitledUnits {
+    /// Of the columns with these titles.
+    pub fn of(easting: &str, northing: &str, height: Option<&str>) -> Self {
+        let titled = |title: &str| Unit::of_title(title).map(|unit| (unit, title.trim().to_string()));
+        TitledUnits { plan: [titled(easting), titled(northing)], height: height.and_then(titled) }
+    }
+
+    /// Brings local coordinates into metres, and heights into the unit of the CRS; says so in `notes`.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the titles say another unit than the CRS counts in, or two.
+    pub fn apply(
+        &self,
+        path: &Path,
+        points: &mut [RawPoint],
+        crs: Option<&Crs>,
+        notes: &mut Vec<String>,
+    ) -> Result<()> {
+        let plan = self.plan_unit(path)?;
+        let height_unit_m = match crs {
+            Some(crs) => {
+                self.refuse_other(path, crs)?;
+                crs.height_metres_per_unit().unwrap_or_else(|| crs.metres_per_unit())
+            }
+            None => 1.0,
+        };
+        let mut scale = |factor: f64, of: fn(&mut RawPoint) -> Option<&mut f64>| {
+            points.iter_mut().filter_map(of).for_each(|value| *value *= factor);
+        };
+        if let (None, Some(unit)) = (crs, plan.filter(|unit| !unit.is(1.0))) {
+            scale(unit.metres, |p| Some(&mut p.gcp.easting));
+            scale(unit.metres, |p| Some(&mut p.gcp.northing));
+            notes.push(format!("{}: its titles say {}: coordinates were brought to metres", path.display(), unit.name));
+        }
+        // Heights without a unit of their own have that of the coordinates beside them.
+        let height = self.height.as_ref().map(|(unit, _)| *unit).or(plan.filter(|_| crs.is_none()));
+        if let Some(unit) = height.filter(|unit| !unit.is(height_unit_m)) {
+            scale(unit.metres / height_unit_m, |p| p.gcp.height.as_mut());
+            let to = if height_unit_m == 1.0 { "metres" } else { "the unit of its CRS" };
+            notes.push(format!("{}: its heights are in {}: they were brought to {to}", path.display(), unit.name));
+        }
+        Ok(())
+    }
+
+    /// Of both coordinates.
+    fn plan_unit(&self, path: &Path) -> Result<Option<Unit>> {
+        let [easting, northing] = &self.plan;
+        if let (Some((a, first)), Some((b, second))) = (easting, northing)
+            && a != b
+        {
+            let what = format!("`{first}` and `{second}` name two units; both coordinates need the same one");
+            return Err(Error::format(path, "the header", what));
+        }
+        Ok(easting.as_ref().or(northing.as_ref()).map(|(unit, _)| *unit))
+    }
+
+    fn refuse_other(&self, path: &Path, crs: &Crs) -> Result<()> {
+        let unit_m = crs.metres_per_unit();
+        let other = self.plan.iter().flatten().find(|(unit, _)| !unit.is(unit_m));
+        match other.filter(|_| !crs.is_geographic()) {
+            Some((unit, title)) => Err(Error::format(
+                path,
+                "the header",
+                format!(
+                    "the title `{title}` says {}, but {} counts in {} of {unit_m} m; give the --crs that counts in \
+                     {}, or correct the title",
+                    unit.name,
+                    crs.title(),
+                    crs.unit_name(),
+                    unit.name
+                ),
+            )),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! What titles and systems say of coordinates: units, degrees, and axes that are exchanged or turned.
+
+use autoref_stream::gcp::{self, GcpList, GcpOptions};
+
+fn read(text: &str, options: &GcpOptions) -> Result<GcpList, String> {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("l.csv");
+    std::fs::write(&path, text).expect("writable");
+    gcp::read(&path, options).map_err(|e| e.to_string())
+}
+
+fn within(crs: &str) -> GcpOptions {
+    GcpOptions { crs: Some(crs.into()), ..GcpOptions::default() }
+}
+
+#[track_caller]
+fn refused(text: &str, options: &GcpOptions, words: &[&str]) {
+    let error = read(text, options).expect_err("a mistake");
+    for word in words {
+        assert!(error.contains(word), "no `{word}` in: {error}");
+    }
+}
+
+#[test]
+fn units_of_titles_are_applied() {
+    let rows = "A,1000,2000,10\nB,1100,2000,11\n";
+    let feet = 1200.0 / 3937.0;
+    for (unit, metres) in [
+        ("m", 1.0),
+        ("mm", 0.001),
+        ("cm", 0.01),
+        ("km", 1000.0),
+        ("ft", 0.3048),
+        ("US ft", feet),
+        ("ftUS", feet),
+        ("Fuß", 0.3048),
+        ("mètres", 1.0),
+        ("WGS84", 1.0),
+    ] {
+        let list = read(&format!("name,Easting ({unit}),Northing [{unit}],Elev\n{rows}"), &GcpOptions::default());
+        let list = list.unwrap_or_else(|e| panic!("{e}"));
+        let (b, expected) = (&list.gcps[1], (1100.0 * metres, 2000.0 * metres));
+        assert!((b.easting - expected.0).abs() < 1e-9 && (b.northing - expected.1).abs() < 1e-9, "{unit}: {b:?}");
+        assert!((b.height.expect("a height") - 11.0 * metres).abs() < 1e-9, "{unit}: {b:?}");
+        assert_eq!(
+            list.notes.iter().any(|n| n.contains("brought to metres")),
+            metres != 1.0,
+            "{unit}: {:?}",
+            list.notes
+        );
+    }
+    let titles = "name,Easting (m),Northing (m),H (ft),sigma E (mm),sigma N (mm)";
+    let utm = &format!("{titles}\nA,570400,7032500,100,3,4\nB,570420,7032500,100,3,4\n");
+    let a = &read(utm, &within("EPSG:25832")).expect("readable").gcps[0];
+    assert!((a.sigma_m.expect("one") - 0.003_535_534).abs() < 1e-9, "{:?}", a.sigma_m);
+    assert!((a.height.expect("one") - 30.48).abs() < 1e-9, "{:?}", a.height);
+}
+
+#[test]
+fn units_that_contradict_the_system_are_refused() {
+    let rows = "A,980000,200000\nB,980100,200000\n";
+    refused(
+        &format!("name,Easting (m),Northing (m)\n{rows}"),
+        &within("EPSG:2263"),
+        &["`Easting (m)`", "EPSG:2263", "--crs"],
+    );
+    refused(&format!("name,Easting (m),Northing (ft)\n{rows}"), &GcpOptions::default(), &["two units"]);
+    // Feet may be of the kind that the system counts in.
+    for unit in ["ft", "US survey feet"] {
+        let list = read(&format!("name,Easting ({unit}),Northing ({unit})\n{rows}"), &within("EPSG:2263"));
+        let list = list.unwrap_or_else(|e| panic!("{e}"));
+        assert!((list.gcps[0].easting - 980_000.0 * 1200.0 / 3937.0).abs() < 1e-6, "{unit}: {:?}", list.gcps[0]);
+    }
+    let utm = "name,Easting (ft),Northing (ft)\nA,570400,7032500\nB,570420,7032500\n";
+    refused(utm, &within("EPSG:25832"), &["`Easting (ft)`", "feet"]);
+}
+
+#[test]
+fn a_table_of_errors_may_be_in_millimetres() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let table = folder.path().join("errors.csv");
+    std::fs::write(&table, "name,sigma (mm)\nA,5\nB,7\n").expect("writable");
+    let options = GcpOptions { accuracy: Some(table), ..within("EPSG:25832") };
+    let list = read("name,easting,northing\nA,570400,7032500\nB,570420,7032500\n", &options).expect("readable");
+    assert_eq!(list.gcps.iter().map(|g| g.sigma_m).collect::<Vec<_>>(), [Some(0.005), Some(0.007)]);
+}
+
+#[test]
+fn titles_of_degrees_are_no_projected_coordinates() {
+    let rows = "A,63.41,10.38\nB,63.42,10.39\n";
+    let text = format!("name,lat,lon\n{rows}");
+    refused(&text, &within("EPSG:25832"), &["degrees", "--crs EPSG:4326", "--to-crs EPSG:25832"]);
+    let options = GcpOptions { to_crs: Some("EPSG:25832".into()), ..GcpOptions::default() };
+    assert!(read(&text, &options).is_ok());
+}
