@@ -25,7 +25,7 @@ const FAR_DEG: f64 = 5.0;
 pub(super) fn check(
     path: &Path,
     points: &mut Vec<RawPoint>,
-    crs: Option<&Crs>,
+    (crs, target): (Option<&Crs>, Option<&Crs>),
     options: &GcpOptions,
     notes: &mut Vec<String>,
 ) -> Result<()> {
@@ -38,14 +38,20 @@ pub(super) fn check(
         }
         return refuse_absurd(path, points);
     };
-    if options.fix_axes && !points.is_empty() && !are_exchanged(points, crs, options.image.as_ref()) {
+    let shown_in = if are_exchanged(points, crs, options.image.as_ref()) {
+        Some(crs)
+    } else {
+        target.filter(|target| are_exchanged_for(points, crs, target))
+    };
+    let axes = if crs.is_geographic() { "longitude and latitude" } else { "easting and northing" };
+    if options.fix_axes && !points.is_empty() && shown_in.is_none() {
         notes.push(format!("{}: --fix-axes found nothing to exchange", path.display()));
-    } else if are_exchanged(points, crs, options.image.as_ref()) {
+    } else if let Some(shown_in) = shown_in {
         if !options.fix_axes {
-            return Err(exchanged(path, points.len(), crs));
+            return Err(exchanged(path, points.len(), shown_in, axes));
         }
         points.iter_mut().for_each(|p| std::mem::swap(&mut p.gcp.easting, &mut p.gcp.northing));
-        notes.push(format!("{}: easting and northing were exchanged in all points (--fix-axes)", path.display()));
+        notes.push(format!("{}: {axes} were exchanged in all points (--fix-axes)", path.display()));
     }
     if !options.keep_outside {
         set_aside(path, points, crs, options.image.as_ref(), notes)?;
@@ -104,18 +110,31 @@ fn are_exchanged_on(points: &[RawPoint], crs: &Crs, image: &ImageGeoreference) -
     })
 }
 
+/// Whether all degrees lie outside the area of use of the CRS that is asked for, and inside when they are exchanged.
+fn are_exchanged_for(points: &[RawPoint], crs: &Crs, target: &Crs) -> bool {
+    let covers = |e: f64, n: f64| {
+        let (longitude, latitude) = crs.longitude_latitude(e, n)?;
+        target.covers_degrees(longitude, latitude)
+    };
+    crs.is_geographic()
+        && points.iter().all(|p| {
+            let (e, n) = (p.gcp.easting, p.gcp.northing);
+            covers(e, n) == Some(false) && covers(n, e) == Some(true)
+        })
+}
+
 /// Longitude and latitude of the middle of an image.
 fn centre_of(image: &ImageGeoreference) -> Option<(f64, f64)> {
     let MapPoint { easting, northing } = image.middle()?;
     Crs::parse(&image.crs_wkt).ok()?.longitude_latitude(easting, northing)
 }
 
-fn exchanged(path: &Path, points: usize, crs: &Crs) -> Error {
+fn exchanged(path: &Path, points: usize, crs: &Crs, axes: &str) -> Error {
     Error::format(
         path,
         "the coordinates",
         format!(
-            "all {points} points lie where they cannot be in {}, and right with easting and northing exchanged; exchange the \
+            "all {points} points lie where they cannot be in {}, and right with {axes} exchanged; exchange the \
              columns, or give --fix-axes",
             crs.title()
         ),
@@ -206,6 +225,12 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
         if let Some(digits) = leading_digits(wanted, reach.min(2_000.0)) {
             return Some(format!("they would lie on the image with {digits}"));
         }
+    }
+    if all(&|e, n| (-e, -n)) {
+        return Some("they would lie in it with a minus sign before both coordinates".to_string());
+    }
+    if all(&|e, n| (-n, -e)) {
+        return Some("they would lie in it with a minus sign before both coordinates, and these exchanged".to_string());
     }
     let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
     all(&feet).then(|| "they would lie in it if they were feet, brought to metres".to_string())

@@ -7,7 +7,9 @@ use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::{Reproject, WorkingCrs};
-use crate::gcp::{Gcp, GcpRole, accuracy_list, csv_list, geojson, image_crs, kof, odm, ogr, place, qgis, text, xml};
+use crate::gcp::{
+    Gcp, GcpRole, accuracy_list, csv_list, geojson, image_crs, kof, odm, ogr, place, qgis, text, working_crs, xml,
+};
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
@@ -243,6 +245,9 @@ pub(super) fn settled(
         (None, CrsClaim::None) if may_be_degrees && degrees(&points) => Some(Crs::from_epsg(4326)?),
         (None, CrsClaim::None) => None,
     };
+    if let Some(crs) = &stated {
+        working_crs::refuse_mirror_image(crs, "--crs")?;
+    }
     settle_order(path, &mut points, order, stated.as_ref(), &mut notes);
     if let Some(crs) = &stated {
         refuse_no_degrees(path, &points, crs)?;
@@ -278,7 +283,8 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
         refuse_no_degrees(path, &points, crs)?;
     }
     units.apply(path, &mut points, source.as_ref(), &mut notes)?;
-    place::check(path, &mut points, source.as_ref(), options, &mut notes)?;
+    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
+    place::check(path, &mut points, (source.as_ref(), target.as_ref()), options, &mut notes)?;
     let gcps = choose(path, points, options)?;
     if gcps.len() > MOST_POINTS {
         return Err(Error::unsupported(
@@ -287,7 +293,7 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
             "choose those of this image with --names, or cut the list to its area",
         ));
     }
-    let mut list = enter(path, gcps, source, options, notes)?;
+    let mut list = enter(path, gcps, (source, target), options, notes)?;
     if let Some(table) = &options.accuracy {
         list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
     }
@@ -341,11 +347,10 @@ fn choose(path: &Path, mut points: Vec<RawPoint>, options: &GcpOptions) -> Resul
 fn enter(
     path: &Path,
     mut gcps: Vec<Gcp>,
-    source: Option<Crs>,
+    (source, target): (Option<Crs>, Option<Crs>),
     options: &GcpOptions,
     mut notes: Vec<String>,
 ) -> Result<GcpList> {
-    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
     let Some(source) = source else {
         return match target {
             None => Ok(GcpList { gcps, crs: None, working_crs: WorkingCrs::local(), notes }),

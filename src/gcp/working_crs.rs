@@ -6,6 +6,8 @@ use crate::gcp::Gcp;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
+use autoref_solve::Pair;
+use autoref_solve::similarity::fit_equal_weights;
 
 /// When `--to-crs` is applied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,6 +30,72 @@ pub struct WorkingCrs {
     /// System of the outputs, when it is another.
     to: Option<Crs>,
     worst_accuracy_m: f64,
+    bend: Option<Bend>,
+}
+
+/// How far the CRS of the fit departs from that of the points as a map of the same ground, when it is another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bend {
+    /// What the best similarity between the two leaves at the points, root mean square.
+    pub rms_m: f64,
+    points: String,
+    fit: String,
+}
+
+impl Bend {
+    /// In metres, from the points in both systems.
+    fn between(points: &[Gcp], (from, to): (&Crs, &Crs), reached: &[Gcp]) -> Option<Bend> {
+        let pair = |(a, b): (&Gcp, &Gcp)| Pair {
+            // Pixels count downwards.
+            pixel: PixelPoint { x: a.easting * from.metres_per_unit(), y: -a.northing * from.metres_per_unit() },
+            covariance_px2: None,
+            map: MapPoint { easting: b.easting * to.metres_per_unit(), northing: b.northing * to.metres_per_unit() },
+            survey_sigma_m: None,
+        };
+        let pairs: Vec<Pair> = points.iter().zip(reached).map(pair).collect();
+        let similarity = fit_equal_weights(&pairs)?;
+        let left = |pair: &Pair| {
+            let map = similarity.apply(pair.pixel);
+            (map.easting - pair.map.easting).powi(2) + (map.northing - pair.map.northing).powi(2)
+        };
+        let rms_m = (pairs.iter().map(left).sum::<f64>() / pairs.len() as f64).sqrt();
+        Some(Bend { rms_m, points: from.title(), fit: to.title() })
+    }
+
+    /// Whether residuals of this size come of it.
+    pub fn explains(&self, rmse_m: f64) -> bool {
+        const LEAST_M: f64 = 0.003;
+        const LEAST_SHARE: f64 = 0.5;
+        self.rms_m > LEAST_M && self.rms_m > LEAST_SHARE * rmse_m
+    }
+
+    /// The cause in a line, and the remedy.
+    pub fn note(&self) -> String {
+        format!(
+            "the image does not lie in {} without being stretched: over these points that departs from {} by {:.3} m \
+             (RMS); give --reproject after, which fits in {} and then brings the transform over",
+            self.fit, self.points, self.rms_m, self.points
+        )
+    }
+}
+
+/// Axes that count south and west make every list the mirror image of its marks, in either order of the columns.
+///
+/// # Errors
+/// [`Error::Usage`] with the system that counts east and north.
+pub(super) fn refuse_mirror_image(crs: &Crs, option: &str) -> Result<()> {
+    if !crs.is_mirror_image() {
+        return Ok(());
+    }
+    let upright = if crs.epsg() == Some(8352) { "EPSG:8353" } else { "EPSG:5514" };
+    let remedy = if crs.name().contains("Krovak") {
+        format!(
+            "give {option} {upright}, which counts east and north: easting = −Y (westing), northing = −X (southing)"
+        )
+    } else {
+        format!("give a {option} that counts east and north")
+    };
+    Err(Error::usage(format!("{} counts south, then west, which is the mirror image of a map", crs.title()), remedy))
 }
 
 /// A transform as the outputs have it.
@@ -42,7 +110,14 @@ pub struct Delivered {
 impl WorkingCrs {
     /// Local coordinates in metres.
     pub fn local() -> Self {
-        WorkingCrs { crs: None, metres_per_unit: 1.0, height_metres_per_unit: 1.0, to: None, worst_accuracy_m: 0.0 }
+        WorkingCrs {
+            crs: None,
+            metres_per_unit: 1.0,
+            height_metres_per_unit: 1.0,
+            to: None,
+            worst_accuracy_m: 0.0,
+            bend: None,
+        }
     }
 
     /// Brings surveyed points into metres, in place; says what was done in `notes`.
@@ -70,7 +145,12 @@ impl WorkingCrs {
             None if source.is_geographic() => utm_of_mean(path, gcps, &source, notes)?,
             None => source.clone(),
         };
+        for crs in [Some(&fit_crs), target.as_ref()].into_iter().flatten() {
+            refuse_mirror_image(crs, "--to-crs")?;
+        }
+        let plane = plane_of(path, gcps, &source).filter(|_| fit_crs != source && before(&target).is_some());
         change(path, gcps, &source, &fit_crs, worst_accuracy_m, notes)?;
+        let bend = plane.and_then(|(crs, points)| Bend::between(&points, (&crs, &fit_crs), gcps));
         let unit = fit_crs.metres_per_unit();
         let height_unit = fit_crs.height_metres_per_unit().unwrap_or(unit);
         if (unit - 1.0).abs() > 1e-12 {
@@ -95,8 +175,14 @@ impl WorkingCrs {
             height_metres_per_unit: height_unit,
             to,
             worst_accuracy_m,
+            bend,
         };
         Ok((working, output))
+    }
+
+    /// How far the fit's CRS bends what is straight in that of the points.
+    pub fn bend(&self) -> Option<&Bend> {
+        self.bend.as_ref()
     }
 
     /// Whether outputs differ from the fit.
@@ -162,6 +248,17 @@ impl WorkingCrs {
         )];
         Ok(Delivered { transform, departure_px, notes })
     }
+}
+
+/// The points as they would be fitted without another CRS, and the CRS of that.
+fn plane_of(path: &Path, gcps: &[Gcp], source: &Crs) -> Option<(Crs, Vec<Gcp>)> {
+    let mut points = gcps.to_vec();
+    if !source.is_geographic() {
+        return Some((source.clone(), points));
+    }
+    let utm = utm_of_mean(path, gcps, source, &mut Vec::new()).ok()?;
+    change(path, &mut points, source, &utm, f64::INFINITY, &mut Vec::new()).ok()?;
+    Some((utm, points))
 }
 
 /// Longitude and latitude are never fitted.

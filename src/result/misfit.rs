@@ -77,8 +77,8 @@ impl Misfit {
     pub fn verdict(&self) -> String {
         match self {
             Misfit::Stretched { rmse_px, affine_px } => format!(
-                "solved, but the image is stretched or sheared: residuals of {rmse_px:.1} px, {affine_px:.1} px with \
-                 --model affine"
+                "solved, but the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, \
+                 {affine_px:.1} px with --model affine"
             ),
             Misfit::Bad { rmse_px, .. } => {
                 format!("solved, but the points fit badly ({rmse_px:.1} px): do not trust it before you know why")

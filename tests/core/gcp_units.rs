@@ -1,6 +1,6 @@
 //! What titles and systems say of coordinates: units, degrees, and axes that are exchanged or turned.
 
-use autoref_stream::gcp::{self, GcpList, GcpOptions};
+use autoref_stream::gcp::{self, GcpList, GcpOptions, Reproject};
 
 fn read(text: &str, options: &GcpOptions) -> Result<GcpList, String> {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -92,4 +92,45 @@ fn titles_of_degrees_are_no_projected_coordinates() {
     refused(&text, &within("EPSG:25832"), &["degrees", "--crs EPSG:4326", "--to-crs EPSG:25832"]);
     let options = GcpOptions { to_crs: Some("EPSG:25832".into()), ..GcpOptions::default() };
     assert!(read(&text, &options).is_ok());
+}
+
+#[test]
+fn exchanged_degrees_are_told_by_the_system_that_is_asked_for() {
+    let text = "name,lon,lat\nA,63.41,10.38\nB,63.42,10.39\n";
+    let options = GcpOptions { to_crs: Some("EPSG:25832".into()), ..GcpOptions::default() };
+    refused(text, &options, &["longitude and latitude exchanged", "--fix-axes"]);
+    let mended = read(text, &GcpOptions { fix_axes: true, ..options }).expect("mended");
+    assert!((mended.gcps[0].easting - 569_000.0).abs() < 2_000.0, "{:?}", mended.gcps[0]);
+    assert!(
+        mended.notes.iter().any(|note| note.contains("longitude and latitude were exchanged")),
+        "{:?}",
+        mended.notes
+    );
+}
+
+#[test]
+fn axes_that_mirror_the_ground_are_refused_with_those_that_do_not() {
+    let text = "cislo;Y;X\nA;744941.190;1044996.551\nB;744967.612;1044990.543\n";
+    for code in ["EPSG:5513", "EPSG:2065"] {
+        refused(text, &within(code), &["south, then west", "EPSG:5514", "−Y"]);
+    }
+    refused(text, &within("EPSG:5514"), &["minus sign before both"]);
+    let upright = "cislo;Y;X\nA;-744941.190;-1044996.551\nB;-744967.612;-1044990.543\n";
+    assert!(read(upright, &within("EPSG:5514")).is_ok());
+}
+
+#[test]
+fn a_system_that_stretches_the_ground_is_known() {
+    let text = "name,easting,northing\nA,569000,7033000\nB,569060,7033000\nC,569060,7033045\nD,569000,7033045\n";
+    let bend = |to: &str, reproject: Reproject| {
+        let options = GcpOptions { to_crs: Some(to.into()), reproject, ..within("EPSG:25832") };
+        read(text, &options).expect("readable").working_crs.bend().cloned()
+    };
+    for to in ["EPSG:3035", "EPSG:3857"] {
+        let bent = bend(to, Reproject::Before).expect("another system");
+        assert!(bent.explains(bent.rms_m) && bent.note().contains("--reproject after"), "{to}: {bent:?}");
+        assert_eq!(bend(to, Reproject::After), None);
+    }
+    let neighbour = bend("EPSG:25833", Reproject::Before).expect("another system");
+    assert!(!neighbour.explains(neighbour.rms_m), "{neighbour:?}");
 }

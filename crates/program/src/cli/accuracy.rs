@@ -62,7 +62,13 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     solved.accuracy = Some(statement);
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
     let misfit = result.solved().and_then(|solved| Misfit::of(solved, &result.candidates));
-    result.warnings.extend(misfit.map(|misfit| misfit.note()));
+    let rmse_m = result.solved().map_or(0.0, |solved| solved.fit.rmse_m);
+    let bend = list.working_crs.bend().filter(|bend| bend.explains(rmse_m));
+    let note = match (bend, misfit) {
+        (Some(bend), None | Some(Misfit::Stretched { .. })) => Some(bend.note()),
+        (_, misfit) => misfit.map(|misfit| misfit.note()),
+    };
+    result.warnings.extend(note);
 }
 
 /// Check points that lie in the image and are in no figure: a test is as good as what it leaves out.

@@ -246,6 +246,20 @@ impl Crs {
         Some(area.contains(longitude, latitude, 2.0))
     }
 
+    /// Whether a longitude and latitude, degrees, lie where the system is meant to be used, give or take two degrees.
+    pub fn covers_degrees(&self, longitude: f64, latitude: f64) -> Option<bool> {
+        Some(self.area?.contains(longitude, latitude, 2.0))
+    }
+
+    /// Whether its axes count south, then west (Krovak's): a map in them is the mirror image of the ground.
+    pub fn is_mirror_image(&self) -> bool {
+        SpatialRef::from_wkt(&self.wkt).ok().is_some_and(|mut reference| {
+            reference.set_axis_mapping_strategy(AxisMappingStrategy::AuthorityCompliant);
+            reference.axis_orientation("PROJCS", 0).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_South)
+                && reference.axis_orientation("PROJCS", 1).is_ok_and(|o| o == gdal_sys::OGRAxisOrientation::OAO_West)
+        })
+    }
+
     fn spatial_ref(&self) -> Result<SpatialRef> {
         let mut reference =
             SpatialRef::from_wkt(&self.wkt).map_err(|e| Error::usage(e.to_string(), "use another --crs"))?;
@@ -402,6 +416,13 @@ mod tests {
             let message = Crs::parse(code).expect_err(code).to_string();
             assert!(message.contains(word), "{message}");
         }
+    }
+
+    #[test]
+    fn axes_that_mirror_the_ground_are_known() {
+        let mirrored = [2065, 5513, 5514, 2054, 25832, 2193];
+        let found = mirrored.map(|code| Crs::from_epsg(code).expect("known").is_mirror_image());
+        assert_eq!(found, [true, true, false, false, false, false], "{mirrored:?}");
     }
 
     #[test]
