@@ -437,6 +437,13 @@ impl Profile {
         BUILTIN.iter().map(|(name, _)| *name).chain(paint::names()).collect()
     }
 
+    /// Names of the shipped profiles that this build can look for: coded targets need the feature `coded`.
+    fn usable_names() -> Vec<&'static str> {
+        let is_usable =
+            |name: &&str| cfg!(feature = "coded") || Profile::builtin(name).is_none_or(|profile| profile.tag.is_none());
+        Profile::names().into_iter().filter(is_usable).collect()
+    }
+
     /// A shipped profile.
     pub fn builtin(name: &str) -> Option<Profile> {
         let Some((_, text)) = BUILTIN.iter().find(|(n, _)| *n == name) else { return paint::by_name(name) };
@@ -455,7 +462,7 @@ impl Profile {
         if !path.exists() {
             return Err(Error::usage(
                 format!("no profile and no file is called \"{name_or_path}\""),
-                format!("shipped profiles are {}", Profile::names().join(", ")),
+                format!("shipped profiles are {}", Profile::usable_names().join(", ")),
             ));
         }
         let text = bounded::read_to_string(path, "a profile", bounded::TEXT_BYTES)?;

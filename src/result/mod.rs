@@ -227,6 +227,16 @@ impl Serialize for RunResult {
     }
 }
 
+/// What a file is that was given for a result and is no text.
+fn no_text(bytes: &[u8]) -> String {
+    const REMEDY: &str = "give the NAME.autoref.json that a run has written";
+    let is_image = match bytes {
+        [0xFF, 0xD8, ..] | [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => true,
+        other => other.starts_with(b"\x89PNG") || other.get(4..8) == Some(b"jP  "),
+    };
+    format!("it is {}, no result; {REMEDY}", if is_image { "an image" } else { "no text" })
+}
+
 impl RunResult {
     pub fn status(&self) -> Status {
         match self.outcome {
@@ -290,7 +300,8 @@ impl RunResult {
     /// [`Error::Io`] when the file cannot be read, [`Error::Format`] when it is no such document,
     /// [`Error::Unsupported`] when it is of a later version.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = bounded::read_to_string(path, "a result", bounded::DOCUMENT_BYTES)?;
+        let bytes = bounded::read(path, "a result", bounded::DOCUMENT_BYTES)?;
+        let text = String::from_utf8(bytes).map_err(|e| Error::format(path, "its content", no_text(e.as_bytes())))?;
         let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());
         let value: serde_json::Value =
             serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), format!("no JSON: {e}")))?;

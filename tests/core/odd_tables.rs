@@ -10,7 +10,7 @@ const POINTS: [(&str, f64, f64, f64); 3] = [
 ];
 
 /// Titles of name, easting, northing and height.
-const TITLES: [[&str; 4]; 18] = [
+const TITLES: [[&str; 4]; 26] = [
     ["name", "easting", "northing", "height"],
     ["Point ID", "East", "North", "Elevation"],
     ["Name", "E (m)", "N (m)", "H (m)"],
@@ -29,6 +29,14 @@ const TITLES: [[&str; 4]; 18] = [
     ["Nimi", "Itä", "Pohjoinen", "Korkeus"],
     ["Nome", "Est", "Nord", "Quota"],
     ["Naam", "Oost", "Noord", "Hoogte"],
+    ["PNr", "Rechtswert", "Hochwert", "Höhe"],
+    ["Pkt", "Rechtswert", "Hochwert", "Höhe"],
+    ["Nummer", "Ostwert", "Nordwert", "Höhe"],
+    ["Marke", "Ostwert", "Nordwert", "Höhe"],
+    ["Point#", "East", "North", "Elev"],
+    ["Target", "East", "North", "Z"],
+    ["Ponto", "Este", "Norte", "Cota"],
+    ["Название", "X", "Y", "Z"],
 ];
 
 struct Form {

@@ -194,6 +194,18 @@ fn a_table_of_candidates_from_a_german_spreadsheet_is_read() {
     assert_eq!(solve("c.csv"), solve("de.csv"));
 }
 
+#[test]
+fn an_image_is_no_result_and_a_list_has_a_format() {
+    let (folder, _) = workplace();
+    let dir = folder.path();
+    answers(&program(dir, &["apply", "a.tif"]), 2, &["a.tif", "an image, no result", ".autoref.json"]);
+    answers(&program(dir, &["detect", "a.tif", "-o", "x.foo"]), 2, &["x.foo", ".csv or .geojson"]);
+    assert!(!dir.join("x.foo").exists(), "a list of no format was written");
+    let unknown = program(dir, &["detect", "a.tif", "--profile", "organe"]);
+    answers(&unknown, 2, &["organe", "orange"]);
+    assert_eq!(said(&unknown).contains("apriltag"), cfg!(feature = "coded"), "{}", said(&unknown));
+}
+
 /// Another image of the same name in the working directory is not touched.
 #[test]
 fn apply_finds_the_image_beside_the_result() {

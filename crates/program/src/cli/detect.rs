@@ -1,9 +1,10 @@
 //! `autoref-stream detect`: the candidates of an image as a list.
 
-use autoref_raster::atomic::Existing;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use autoref_raster::Error;
+use autoref_raster::atomic::Existing;
 use autoref_stream::georef::candidate_list;
 use autoref_stream::pipeline::scan;
 use clap::Args;
@@ -39,7 +40,25 @@ pub struct DetectArgs {
     pub read: ReadArgs,
 }
 
+/// Whether the list is GeoJSON, by its name.
+///
+/// # Errors
+/// When the name ends in something else than the formats that are written.
+fn is_geojson(output: &Path) -> anyhow::Result<bool> {
+    // Standard output and devices have no end.
+    let Some(end) = output.extension().map(|end| end.to_string_lossy().to_lowercase()) else { return Ok(false) };
+    match end.as_str() {
+        "geojson" | "json" => Ok(true),
+        "csv" => Ok(false),
+        _ => {
+            let what = format!("the name {} does not say which format to write", output.display());
+            Err(Error::usage(what, "end it with .csv or .geojson").into())
+        }
+    }
+}
+
 pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
+    let geojson = is_geojson(&args.output)?;
     if args.output.as_os_str() != "-" {
         autoref_raster::atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     }
@@ -47,8 +66,6 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
     let found = scan(prepared.source.as_ref(), &prepared.plan, prepared.detector.as_detector(), &bar)?;
     bar.finish();
-    let geojson =
-        args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("geojson") || e.eq_ignore_ascii_case("json"));
     let mut text = Vec::new();
     if geojson {
         candidate_list::write_geojson(&found.candidates, &mut text)?;

@@ -65,7 +65,7 @@ pub mod write;
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     max_term_width = 110,
-    after_help = "Examples:\n  autoref-stream e6.tif --gcps e6.geojson --tile 4096\n  autoref-stream e6.tif --gcps list.csv --crs EPSG:25832 --gsd 0.03 --out results\n\nExit codes: 0 solved, 1 ran but not solved (nothing but the JSON was written), 2 error."
+    after_help = "Examples:\n  autoref-stream e6.tif --gcps e6.geojson --tile 4096\n  autoref-stream e6.tif --gcps list.csv --crs EPSG:25832 --gsd 0.03 --out results\n\nExit codes: 0 solved, 1 ran but not solved (only the JSON and the report were written), 2 error."
 )]
 pub struct Cli {
     #[command(subcommand)]
