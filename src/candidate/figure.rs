@@ -35,8 +35,11 @@ const MOST_FILL: f64 = 0.94;
 /// How far beyond the paint the shares are compared.
 const BESIDE_PX: usize = 2;
 /// Correlation of the shares of paint with themselves turned by half a turn, and by a quarter.
-const LEAST_HALF: f64 = 0.95;
-const LEAST_QUARTER: f64 = 0.9;
+const STRICT: Alike = Alike { half: 0.95, quarter: 0.9 };
+/// The same of what leaves so much of its hull bare that no worn square or disc does: crosses sprayed by hand, with
+/// irregular arms.
+const SPRAYED: Alike = Alike { half: 0.85, quarter: 0.75 };
+const MOST_FILL_SPRAYED: f64 = 0.8;
 /// The quarter turn is looked at so far out, as a share of the farthest paint: a chequer's corners have nothing to turn
 /// into.
 const QUARTER_REACH: f64 = 0.7;
@@ -51,6 +54,17 @@ const ROUNDS: usize = 8;
 const MOST_MOVED_PX: f64 = 2.0;
 /// So far from the patch's edge shares are still told, wherever the middle moves.
 const SHOWN_PX: f64 = 2.0 * MOST_MOVED_PX + 2.0;
+
+struct Alike {
+    half: f64,
+    quarter: f64,
+}
+
+impl Alike {
+    fn is_at_least(&self, least: &Alike) -> bool {
+        self.half >= least.half && self.quarter >= least.quarter
+    }
+}
 
 /// What a region is a part of.
 pub(super) enum Figure {
@@ -85,19 +99,26 @@ pub(super) fn may_be_figure(scene: &Scene<'_>) -> bool {
 pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
     let all = with_other_field(scene);
     let alone = all == scene.own;
-    if all.count() < LEAST_AREA_PX || scene.own.at_edge() || filled(&all, scene.width) > MOST_FILL {
+    if all.count() < LEAST_AREA_PX || scene.own.at_edge() {
+        return Figure::No;
+    }
+    let fill = filled(&all, scene.width);
+    if fill > MOST_FILL {
         return Figure::No;
     }
     // Of a large chequer the patch of one field shows only a part of the other: the middle is where they meet.
     let start = if all.at_edge() { meeting(&scene.own, &all, scene.width) } else { centroid(&all, scene.width) };
     let whole = scene.with_own(all.clone(), &scene.paint());
-    let Some(candidate) = symmetric(&whole, &scene.own, start) else { return Figure::No };
+    let Some((seen, candidate)) = symmetric(&whole, &scene.own, start) else { return Figure::No };
+    let is_figure = seen.is_at_least(&STRICT);
+    let may_be_sprayed = alone && fill <= MOST_FILL_SPRAYED && seen.is_at_least(&SPRAYED);
     let stands = alone || all.first() == scene.own.first();
     let likely = candidate.score.is_some_and(|score| score >= profile.examine.min_score);
-    if stands && likely && matches!(profile.shape, Shape::Any | Shape::Cross) {
-        Figure::Is(Box::new(candidate))
-    } else {
-        Figure::Elsewhere
+    let wanted = matches!(profile.shape, Shape::Any | Shape::Cross);
+    match is_figure {
+        _ if (is_figure || may_be_sprayed) && stands && likely && wanted => Figure::Is(Box::new(candidate)),
+        true => Figure::Elsewhere,
+        false => Figure::No,
     }
 }
 
@@ -140,8 +161,8 @@ fn common_divisor(a: i64, b: i64) -> i64 {
     if b == 0 { a } else { common_divisor(b, a % b) }
 }
 
-/// The figure's middle, when it is one.
-fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<Candidate> {
+/// The middle of what may be a figure, and how alike it is to itself.
+fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<(Alike, Candidate)> {
     let paint = scene.plateau();
     let across = Across::between(scene.ring_ground()?, paint);
     if across.contrast < LEAST_CONTRAST {
@@ -171,14 +192,11 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
         let d = p - turned.middle;
         turned.middle + Vector2::new(-d.y, d.x)
     })?;
-    if turned.correlation < LEAST_HALF || quarter.abs() < LEAST_QUARTER {
-        return None;
-    }
     let score = RING_LOOK.score(across.contrast, turned.rms, 0.0);
     let region = region_of(&scene.own, scene.patch)?;
     let window = &scene.patch.window;
     let byte = [paint[0], paint[1], paint[2]].map(|v| v.clamp(0.0, 255.0).round() as u8);
-    Some(Candidate {
+    let candidate = Candidate {
         centre: PixelPoint { x: window.x as f64 + turned.middle.x, y: window.y as f64 + turned.middle.y },
         covariance_px2: Some(turned.covariance_px2),
         score: Some(score),
@@ -187,7 +205,8 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
         elevation_m: None,
         code: None,
         paint: Some(byte),
-    })
+    };
+    Some((Alike { half: turned.correlation, quarter: quarter.abs() }, candidate))
 }
 
 fn centroid(set: &PixelSet, width: usize) -> Vector2<f64> {
@@ -266,6 +285,29 @@ impl Picture<'_> {
         (scatter > 0.0).then(|| sum(|x, y| x * y) / scatter)
     }
 
+    /// Scatter of the sum by which what does not meet itself pulls at the middle. An irregular outline errs together
+    /// over a part of an arm: places near each other are taken together, by a weight that falls to 0 (T. G. Conley,
+    /// "GMM estimation with cross sectional dependence", 1999, equation 3.15, with a round cone for a weight).
+    fn pull(&self, places: &[Vector2<f64>], middle: Vector2<f64>) -> Option<Matrix2<f64>> {
+        /// The weight reaches so far, as a share of the figure's half width.
+        const REACH: f64 = 0.6;
+        let half = places.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
+        let pulls: Vec<(Vector2<f64>, Vector2<f64>)> = places
+            .iter()
+            .map(|p| {
+                let q = 2.0 * middle - p;
+                Some((*p, -2.0 * self.slope(q)? * (self.at(*p)? - self.at(q)?)))
+            })
+            .collect::<Option<_>>()?;
+        let mut scatter = Matrix2::zeros();
+        for (k, (p, pull)) in pulls.iter().enumerate() {
+            let near = |other: &Vector2<f64>| (1.0 - (p - other).norm() / (REACH * half)).max(0.0);
+            let beside = pulls[k + 1..].iter().map(|(other, pull)| pull * near(other)).sum::<Vector2<f64>>();
+            scatter += pull * pull.transpose() + pull * beside.transpose() + beside * pull.transpose();
+        }
+        Some(scatter)
+    }
+
     /// The middle about which the shares turn onto themselves, by Gauss and Newton from `middle`.
     fn turned_half(&self, places: &[Vector2<f64>], mut middle: Vector2<f64>) -> Option<Turned> {
         /// Near its middle a figure is alike already; most else is not, and the way to the middle is long.
@@ -300,8 +342,14 @@ impl Picture<'_> {
         }
         let correlation = self.correlation(places, |p| 2.0 * middle - p)?;
         let mean_square = square / places.len() as f64;
+        let inverse = normal.try_inverse()?;
         // Each two places are compared twice.
-        let inverse = normal.try_inverse()? * (2.0 * TOGETHER * mean_square);
+        let by_noise = inverse * (2.0 * TOGETHER * mean_square);
+        // What both halves of an irregular outline have in common pulls too, and is not seen: of crosses that were
+        // drawn with wavy arms three times what is.
+        let irregular = ((1.0 - correlation) / (1.0 - STRICT.half)).min(1.0);
+        let by_outline = inverse * (2.0 * (1.0 + 3.0 * irregular) * self.pull(places, middle)?) * inverse;
+        let inverse = if by_outline.trace() > by_noise.trace() { by_outline } else { by_noise };
         let least = LEAST_SIGMA_PX * LEAST_SIGMA_PX;
         Some(Turned {
             middle,
