@@ -111,7 +111,7 @@ impl Looks<'_> {
             }
             let scene = scene.with_own(own.clone(), &own.or(&scene.other));
             let paint = scene.plateau();
-            let against_ring = scene.ring_ground().map(|ground| Across::between(&ground, paint)).and_then(|across| {
+            let against_ring = scene.ring_ground().map(|ground| Across::between(ground, paint)).and_then(|across| {
                 let against = Against { contrast: across.contrast, local: false };
                 let seen = across.contrast >= GOOD_CONTRAST;
                 seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &ANYWHERE)).flatten()

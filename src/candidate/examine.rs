@@ -471,7 +471,7 @@ pub(super) fn measure_scene(
     let plateau = scene.plateau();
     let mut evidence = unfitted(region, plateau, classifier, profile);
     let Some(ground) = scene.ring_ground() else { return evidence };
-    let across = Across::between(&ground, plateau);
+    let across = Across::between(ground, plateau);
     evidence.contrast = across.contrast;
     if profile.examine.centre == CentreMode::Fit {
         fit_shape(&mut evidence, scene, around, || across.shares(scene), profile);
@@ -547,7 +547,7 @@ pub(super) fn settle(
             (place, spread) = place.averaged_with(&best, &other);
         }
         evidence.refined = scene.ring_ground().and_then(|ground| {
-            refine(scene, &around.pixels.whole(), around.classifier, &best, (scene.plateau(), &ground))
+            refine(scene, &around.pixels.whole(), around.classifier, &best, (scene.plateau(), ground))
         });
         if let Some(refined) = &evidence.refined {
             place = place.refined(&best, spread, refined);
