@@ -1,6 +1,6 @@
 //! Why nothing is believed, in plain words.
 
-use crate::matching::{Effort, Evidence, Pattern};
+use crate::matching::{Effort, Evidence, Pattern, Priors};
 
 /// Plain words on why nothing is believed.
 pub(super) fn explain(
@@ -8,10 +8,11 @@ pub(super) fn explain(
     control: &[usize],
     best: Option<Pattern>,
     runner_up: Option<Pattern>,
-    effort: Effort,
-    limit: f64,
+    (effort, limit): (Effort, f64),
+    priors: &Priors,
 ) -> Evidence {
     let mut advice = Vec::new();
+    let open = open_questions(priors);
     let reason = if candidates < 3 {
         advice.push(
             "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
@@ -23,11 +24,9 @@ pub(super) fn explain(
     } else if let Some(best) = &best {
         let beaten = best.log10_false_alarms <= limit;
         if beaten {
-            advice.push(
-                "the list or the image shows a figure that repeats: give the direction of north (--north-up), the --gsd, or \
-                 only the points that can be in the image (--names), each of them once"
-                    .to_string(),
-            );
+            let mut help = open.clone();
+            help.push("only the points that can be in the image (--names), each of them once");
+            advice.push(format!("the list or the image shows a figure that repeats: give {}", help.join(", or ")));
         }
         let rival = runner_up.as_ref().filter(|_| beaten).map_or(String::new(), |other| {
             format!(
@@ -43,7 +42,9 @@ pub(super) fn explain(
             scientific(best.log10_false_alarms),
         )
     } else if control.len() == 3 {
-        advice.push("give --gsd and --north-up, or a fourth point".to_string());
+        let mut help = open.clone();
+        help.push("a fourth point");
+        advice.push(format!("give {}", help.join(", or ")));
         format!("three points cannot prove a pattern among {candidates} candidates without other knowledge")
     } else {
         format!(
@@ -53,10 +54,21 @@ pub(super) fn explain(
     if advice.is_empty() {
         advice
             .push("more marks in the image, or fewer false candidates (a stricter --profile, --mark-size)".to_string());
-        advice
-            .push("the ground sample distance, if known (--gsd), and the direction of north (--north-up)".to_string());
+        if !open.is_empty() {
+            advice.push(format!("if they are known: {}", open.join(" and ")));
+        }
     }
     Evidence { reason, advice, best, runner_up, effort, diagnoses: Vec::new() }
+}
+
+/// What the search has not been told and would be helped by.
+fn open_questions(priors: &Priors) -> Vec<&'static str> {
+    /// A scale known less well was guessed.
+    const KNOWN: f64 = 2.0;
+    let scale = priors.gsd_m_per_px.is_none_or(|(least, most)| most > KNOWN * least);
+    let scale = scale.then_some("the ground sample distance (--gsd)");
+    let north = priors.rotation_deg.is_none().then_some("the direction of north (--north-up)");
+    scale.into_iter().chain(north).collect()
 }
 
 /// 10^x for people.

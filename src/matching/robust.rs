@@ -70,7 +70,7 @@ impl Matcher for RobustMatcher {
         let labels = Labels::new(gcps);
         if Names::new(&all, &labels, &control).is_none() {
             let found = self.search_guided(candidates, &positions, priors, None);
-            return self.decide(found, candidates.len(), &control);
+            return self.decide(found, candidates.len(), &control, priors);
         }
         // With the names and without them: two chances for a false alarm.
         let twice = RobustMatcher { tries: 2.0 * self.tries, ..self.clone() };
@@ -78,12 +78,12 @@ impl Matcher for RobustMatcher {
         let names = found.names;
         let limit = self.max_false_alarms.log10() - self.tries.log10();
         if names.is_some_and(|names| names.log10_false_alarms <= limit)
-            && let solved @ MatchOutcome::Solved(_) = twice.decide(found, candidates.len(), &control)
+            && let solved @ MatchOutcome::Solved(_) = twice.decide(found, candidates.len(), &control, priors)
         {
             return solved;
         }
         let found = twice.search_guided(candidates, &positions, priors, None);
-        let mut outcome = twice.decide(found, candidates.len(), &control);
+        let mut outcome = twice.decide(found, candidates.len(), &control, priors);
         if let MatchOutcome::NoMatch(evidence) = &mut outcome {
             evidence.advice.push(unheeded(names));
         }
@@ -130,7 +130,7 @@ impl RobustMatcher {
     }
 
     /// Believes the best pattern, or says why not.
-    pub(super) fn decide(&self, found: Found, candidates: usize, control: &[usize]) -> MatchOutcome {
+    pub(super) fn decide(&self, found: Found, candidates: usize, control: &[usize], priors: &Priors) -> MatchOutcome {
         let restore = |pattern: Pattern| Pattern {
             pairs: pattern.pairs.iter().map(|&(c, g)| (c, control[g])).collect(),
             ..pattern
@@ -148,7 +148,7 @@ impl RobustMatcher {
                 names: found.names,
             }));
         }
-        MatchOutcome::NoMatch(Box::new(explain(candidates, control, best, runner_up, found.effort, limit)))
+        MatchOutcome::NoMatch(Box::new(explain(candidates, control, best, runner_up, (found.effort, limit), priors)))
     }
 }
 
