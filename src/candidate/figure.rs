@@ -115,10 +115,12 @@ pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
     let stands = alone || all.first() == scene.own.first();
     let likely = candidate.score.is_some_and(|score| score >= profile.examine.min_score);
     let wanted = matches!(profile.shape, Shape::Any | Shape::Cross);
-    match is_figure {
-        _ if (is_figure || may_be_sprayed) && stands && likely && wanted => Figure::Is(Box::new(candidate)),
-        true => Figure::Elsewhere,
-        false => Figure::No,
+    if (is_figure || may_be_sprayed) && stands && likely && wanted {
+        Figure::Is(Box::new(candidate))
+    } else if is_figure {
+        Figure::Elsewhere
+    } else {
+        Figure::No
     }
 }
 
@@ -181,7 +183,7 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     if places.len() < LEAST_AREA_PX {
         return None;
     }
-    let turned = picture.turned_half(&places, start)?;
+    let turned = picture.turned_half(&places, start).filter(|turned| turned.correlation >= SPRAYED.half)?;
     let reach = part.iter().map(|i| (centre_of(i, scene.width) - turned.middle).norm()).fold(0.0, f64::max);
     let look_px = (QUARTER_REACH * reach).min(border_distance(scene, turned.middle) - 1.5);
     if look_px < LEAST_QUARTER_REACH * reach {

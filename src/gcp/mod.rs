@@ -29,7 +29,7 @@ mod read;
 mod select;
 pub(crate) mod text;
 mod titles;
-mod units;
+pub(crate) mod units;
 mod working_crs;
 mod xml;
 

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::gcp::raw::RawPoint;
 use crate::gcp::read::{GcpOptions, ImageGeoreference};
+use crate::gcp::units::FOOT_M;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
@@ -195,7 +196,6 @@ pub(super) fn refuse_elsewhere(
 pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
     const ZONE_M: f64 = 1e6;
     // International and US survey feet are the same here.
-    const FOOT_M: f64 = 0.3048;
     let all = |place: &dyn Fn(f64, f64) -> (f64, f64)| {
         points.iter().all(|p| {
             let (e, n) = place(p.gcp.easting, p.gcp.northing);

@@ -21,15 +21,12 @@ mod rows;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
+pub use crate::gcp::units::{FOOT_M, US_SURVEY_FOOT_M};
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::{Coordinate, Crs};
-
-/// Metres in an international foot, and in a US survey foot.
-pub const FOOT_M: f64 = 0.3048;
-pub const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
 
 /// Explanations that chance produces once in a hundred lists are mentioned as possible; rarer ones may be claimed.
 pub const POSSIBLE_LOG10: f64 = -2.0;
