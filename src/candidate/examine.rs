@@ -151,7 +151,8 @@ fn measure_whole(
         return found;
     }
     let even = looks.on_rough_ground(scene, around).or_else(|| looks.even_anywhere(scene, around, found.as_ref()?));
-    even.or_else(|| if profile.examine.even { looks.uneven(scene, around) } else { None }).or(found)
+    let uneven = || if profile.examine.even { looks.uneven(scene, around) } else { None };
+    even.or_else(uneven).or_else(|| looks.by_inside(scene, around)).or(found)
 }
 
 /// Whether evidence is of an even inside, where the profile asks for it; a look with a score of its own has settled it.

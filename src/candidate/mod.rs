@@ -21,6 +21,7 @@ mod figure;
 pub mod fit;
 pub mod gates;
 mod hull;
+pub(crate) mod inside;
 mod jpeg_fit;
 mod jpeg_steps;
 pub mod kernels;

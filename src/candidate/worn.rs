@@ -246,7 +246,7 @@ fn by_score(a: &Evidence, b: &Evidence) -> std::cmp::Ordering {
 
 /// Distance of a colour from the line between ground and fresh paint, in L\*a\*b\*; samples 0..=255. Wear mixes the two
 /// as a picture stores them, to the accuracy that matters here.
-fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 {
+pub(super) fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 {
     const STEPS: u32 = 40;
     let lab = |c: Vector3<f64>| lab_from_srgb([c[0], c[1], c[2]].map(|v| (v / 255.0).clamp(0.0, 1.0)));
     let (fresh, seen) = (Vector3::from(fresh.map(f64::from)), lab(*paint));
@@ -256,7 +256,7 @@ fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 
 
 /// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller
 /// of these.
-fn compactness(region: &Region) -> (f64, f64) {
+pub(super) fn compactness(region: &Region) -> (f64, f64) {
     let (rectangle_px, [larger, smaller]) = moments_rectangle(region);
     (region.area as f64 / rectangle_px.max(0.012), larger / smaller.max(1e-6))
 }

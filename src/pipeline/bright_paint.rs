@@ -6,7 +6,7 @@
 
 use crate::candidate::pixel_set::PixelSet;
 use crate::candidate::split::region_of;
-use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
+use crate::candidate::{Candidate, Gates, examine, inside, patch_margin_px};
 use crate::detector::Detector;
 use crate::pipeline::paint::{classify_piece, outline_of};
 use crate::profile::Profile;
@@ -43,8 +43,8 @@ impl BrightPaint {
         }
     }
 
-    /// Whether what the whole profile sees there may be a mark itself: then that decides. Of other things in about the
-    /// paint's colour the brightest part is any shape.
+    /// Whether what the whole profile sees there may be a mark itself: then that decides, unless the bright part is
+    /// very even inside. Of other things in about the paint's colour the brightest part is any shape.
     fn is_decided_outside(&self, region: &Region, pixels: &dyn Pixels) -> bool {
         /// Ground goes on beyond the patch on so many of its sides, at least; a thing beside which there is other
         /// ground does not.
@@ -108,13 +108,12 @@ impl Detector for BrightPaint {
     }
 
     fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        if self.is_decided_outside(region, pixels) {
-            return None;
-        }
-        examine(region, pixels, &self.classifier, &self.profile, &self.gates)
+        let look = if self.is_decided_outside(region, pixels) { inside::examine } else { examine };
+        look(region, pixels, &self.classifier, &self.profile, &self.gates)
     }
 
     fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-        outline_of(examine::measure(region, pixels, &self.classifier, &self.profile, &self.gates)?)
+        let look = if self.is_decided_outside(region, pixels) { inside::measure } else { examine::measure };
+        outline_of(look(region, pixels, &self.classifier, &self.profile, &self.gates)?)
     }
 }

@@ -180,7 +180,7 @@ impl Profile {
     /// fitted, and of white and any paint at once.
     pub(crate) fn least_in_full_light(&self) -> Option<[u8; 3]> {
         /// Share of the light.
-        const LEAST_LIGHT: f64 = 0.8;
+        const LEAST_LIGHT: f64 = 0.86;
         /// Bands that are nearly as bright as the brightest.
         const BRIGHT_BAND: f64 = 0.95;
         if !self.is_one_plain_paint() {
