@@ -25,6 +25,9 @@ use autoref_raster::Pixels;
 /// What a region must have to be asked more: of its sums alone.
 const LEAST_FILL: f64 = 0.93;
 const MOST_ELONGATION: f64 = 2.2;
+/// The same of the part of a mark that the mask shows, before it is grown.
+const LEAST_PART_FILL: f64 = 0.4;
+const MOST_PART_ELONGATION: f64 = 4.5;
 /// In deviations of the ground.
 const LEAST_CONTRAST: f64 = 6.0;
 /// In L\*a\*b\*.
@@ -128,7 +131,7 @@ impl Worn {
     /// Whether a region may be one mark, from its integers alone.
     pub fn gate(&self, region: &Region) -> bool {
         let (fill, elongation) = compactness(region);
-        self.gates.region(region) && fill >= LEAST_FILL && elongation <= MOST_ELONGATION
+        self.gates.region(region) && fill >= LEAST_PART_FILL && elongation <= MOST_PART_ELONGATION
     }
 
     /// The candidate of a region that looks like a worn or blurred mark.
