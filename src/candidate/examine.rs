@@ -232,8 +232,7 @@ impl Looks<'_> {
                 });
                 grown.filter(|grown| self.score(grown) >= least).unwrap_or_else(|| {
                     let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(&own, seen.width));
-                    let (dx, dy) = (ax - bx, ay - by);
-                    widen(first, [dx * dx, dx * dy, dy * dy])
+                    widen(first, apart(ax - bx, ay - by))
                 })
             }
         };
@@ -291,10 +290,10 @@ impl Looks<'_> {
                 let window = &mark.patch.window;
                 let at = (window.x as f64 + joint.x, window.y as f64 + joint.y);
                 // Two ways to the same centre: where they part, neither is trusted.
-                let (dx, dy) = (at.0 - evidence.centre.0, at.1 - evidence.centre.1);
+                let open = apart(at.0 - evidence.centre.0, at.1 - evidence.centre.1);
                 evidence.centre = at;
                 evidence.covariance_px2 = joint.covariance_px2;
-                widen(evidence, [dx * dx, dx * dy, dy * dy].map(|d| DOUBT * d))
+                widen(evidence, open.map(|d| DOUBT * d))
             }
             None => {
                 let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;
@@ -333,6 +332,14 @@ fn widen(mut evidence: Evidence, open_px2: [f64; 3]) -> Evidence {
         *own += open;
     }
     evidence
+}
+
+/// What two centres that lie so far apart leave open: most of it along the line that joins them.
+fn apart(dx: f64, dy: f64) -> [f64; 3] {
+    /// Share of the squared distance that is open in every direction: neither centre need lie on that line.
+    const ASIDE: f64 = 0.15;
+    let aside = ASIDE * (dx * dx + dy * dy);
+    [dx * dx + aside, dx * dy, dy * dy + aside]
 }
 
 /// Mean of a set's pixels.

@@ -132,6 +132,10 @@ fn cut_side([a, b]: [f64; 2], angle_rad: f64, variance_px2: f64) -> [f64; 3] {
     /// Marks that are cut, of all that are put out.
     const OFTEN: f64 = 0.05;
     const LONGER_TAIL: f64 = 1.15;
+    /// What lacks more of its longer side than this may be no cut square: its angle is nobody's either, and with each
+    /// further share this multiple of it is open in every direction.
+    const MOST_CUT: f64 = 0.2;
+    const ASIDE: f64 = 2.0;
     let d = (a - b).abs();
     let sd = LONGER_TAIL * (8.0 * variance_px2).sqrt();
     let by_error = (1.0 - OFTEN) * (2.0 / std::f64::consts::PI).sqrt() / sd * (-0.5 * (d / sd).powi(2)).exp();
@@ -139,7 +143,8 @@ fn cut_side([a, b]: [f64; 2], angle_rad: f64, variance_px2: f64) -> [f64; 3] {
     let variance = by_loss / (by_loss + by_error) * (d / 2.0).powi(2);
     let along = if a < b { angle_rad } else { angle_rad + std::f64::consts::FRAC_PI_2 };
     let (sin, cos) = along.sin_cos();
-    [variance * cos * cos, variance * sin * cos, variance * sin * sin]
+    let aside = variance * ASIDE * (d / a.max(b) - MOST_CUT).max(0.0);
+    [variance * cos * cos + aside, variance * sin * cos, variance * sin * sin + aside]
 }
 
 /// How much edges lie at 45° to the pixel grid, where every pixel of an edge errs alike: 1 exactly so, less the further
