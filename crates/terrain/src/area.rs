@@ -3,26 +3,29 @@
 //! The mask is read as runs, row by row; runs that touch along a side are united (4-neighbours). This is
 //! `scipy.ndimage.label` with its default structure, and `skimage.morphology.remove_small_objects(…, connectivity=1)`.
 
-use autoref_raster::error::Result;
-use autoref_raster::window::Window;
-
 use crate::bits::BitMask;
-use crate::plane::Plane;
 
+/// Pixels `start..end` of a row.
 #[derive(Clone, Copy)]
-struct Run {
-    row: u32,
-    start: u32,
-    end: u32,
+pub(crate) struct Run {
+    pub row: u32,
+    pub start: u32,
+    pub end: u32,
+}
+
+impl Run {
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.end - self.start)
+    }
 }
 
 /// The areas of a mask, as runs of pixels with the area that each belongs to.
 pub struct Areas {
-    runs: Vec<Run>,
+    pub(crate) runs: Vec<Run>,
     /// Root of each run's area after [`Areas::of`].
-    root: Vec<u32>,
+    pub(crate) root: Vec<u32>,
     /// Pixels of the area, at its root.
-    pixels: Vec<u64>,
+    pub(crate) pixels: Vec<u64>,
 }
 
 impl Areas {
@@ -53,7 +56,7 @@ impl Areas {
         let mut pixels = vec![0; runs.len()];
         for i in 0..runs.len() {
             let root = find(&mut parent, i as u32);
-            pixels[root as usize] += u64::from(runs[i].end - runs[i].start);
+            pixels[root as usize] += runs[i].pixels();
         }
         Areas { runs, root: parent, pixels }
     }
@@ -103,38 +106,6 @@ pub fn flip_small(mask: &mut BitMask, value: bool, share: f64) {
     areas.smaller_than(least, |y, start, end| mask.fill_run(y, start, end, !value));
 }
 
-/// Turns the masked areas over to keep whose mean of `votes` (0 mask … 255 keep) is above `limit`. Pixels outside
-/// `valid` take no part; an area of such pixels alone stays.
-///
-/// # Errors
-/// When the plane cannot be read.
-pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, valid: &BitMask, limit: f64) -> Result<()> {
-    let areas = Areas::of(mask, false);
-    let mut sums = vec![(0u64, 0u64); areas.runs.len()];
-    let mut line = Vec::new();
-    let mut row = None;
-    for (run, &root) in areas.runs.iter().zip(&areas.root) {
-        if row != Some(run.row) {
-            line = votes.read(&Window::new(0, u64::from(run.row), votes.width() as u64, 1))?;
-            row = Some(run.row);
-        }
-        let (sum, count) = &mut sums[root as usize];
-        for x in run.start as usize..run.end as usize {
-            if valid.get(x, run.row as usize) {
-                *sum += u64::from(line[x]);
-                *count += 1;
-            }
-        }
-    }
-    for (run, &root) in areas.runs.iter().zip(&areas.root) {
-        let (sum, count) = sums[root as usize];
-        if sum as f64 > limit * count as f64 {
-            mask.fill_run(run.row as usize, run.start as usize, run.end as usize, true);
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -171,19 +142,6 @@ mod tests {
             }
         }
         out
-    }
-
-    #[test]
-    fn areas_masked_without_much_evidence_are_kept() {
-        // Three areas: votes 30, votes 110, and one that holds nothing.
-        let masked = |x: usize| matches!(x % 10, 2..=5);
-        let mut mask = BitMask::from_fn(30, 4, |x, _| !masked(x));
-        let valid = BitMask::from_fn(30, 4, |x, _| x < 20);
-        let mut votes = Plane::new(30, 4, 1000).expect("a plane");
-        let values: Vec<u8> = (0..120).map(|i| if i % 30 < 10 { 30 } else { 110 }).collect();
-        votes.write(&Window::new(0, 0, 30, 4), &values).expect("written");
-        keep_doubtful(&mut mask, &votes, &valid, 102.0).expect("read");
-        assert_eq!([3, 13, 23].map(|x| mask.get(x, 2)), [false, true, false]);
     }
 
     proptest! {

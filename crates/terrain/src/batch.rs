@@ -385,6 +385,13 @@ fn report(
             100.0 * unlike
         ));
     }
+    if let Some(share) = classes.kept_though_even.filter(|share| *share > EVEN_SHARE) {
+        warnings.push(format!(
+            "an even area along the upper border is kept, {:.0} % of the frame: if it is sky, teach it with --sample or \
+             --teach",
+            100.0 * share
+        ));
+    }
     if let Some(row) = horizon(&classes.keep) {
         warnings.push(format!("horizon found: nothing is kept above row {}", row * reduced.factor));
     }
@@ -407,6 +414,9 @@ fn report(
         fingerprint,
     }
 }
+
+/// Kept in an even area along the upper border: a greater share of the frame is warned of.
+const EVEN_SHARE: f64 = 0.1;
 
 /// The first row with ground, when at least a twentieth of the rows above hold none and most columns begin so. Ground
 /// under a sky reaches both sides of the frame; a margin all around does not let it.

@@ -4,12 +4,13 @@ use autoref_raster::error::Result;
 use autoref_raster::window::{TileGrid, Window};
 use rayon::prelude::*;
 
-use crate::area::{flip_small, keep_doubtful};
+use crate::area::flip_small;
 use crate::bits::BitMask;
 use crate::clean::{Cleaning, clean};
 use crate::entropy::{RADIUS_PX, entropy};
 use crate::features::{FEATURES, FrameScale, Measured};
 use crate::forest::Forest;
+use crate::judge::{keep_doubtful, kept_though_even, mask_clouds};
 use crate::knn::Neighbours;
 use crate::model::{CORE_PX, frame_scale, measured};
 use crate::plane::Plane;
@@ -37,17 +38,14 @@ pub enum Cleaner {
     Thesis(Cleaning),
     /// None: the classes as they are.
     Nothing,
-    /// Masked areas whose mean vote is above [`DOUBT_LIMIT`] are kept, then areas under this share of the image change
-    /// class, background first.
+    /// Masked areas are judged whole, clouds in a sky masked; then areas under this share of the image change class,
+    /// background first.
     Areas(f64),
 }
 
 /// A pixel with more of 255 votes is ground at first: 0.55, so that what is half sure makes areas that are then judged
 /// whole.
 const KEEP_ABOVE: u8 = 140;
-
-/// A masked area with a greater mean vote, of 255, is ground: 0.35.
-pub const DOUBT_LIMIT: f64 = 90.0;
 
 /// Between these probabilities, of 255, a pixel is unsure.
 pub const UNSURE: std::ops::RangeInclusive<u8> = 77..=178;
@@ -65,6 +63,15 @@ pub struct Classes {
     pub probability: Option<Plane>,
     /// Share of the frame that is far from all that was taught, where the method knows.
     pub unlike: Option<f64>,
+    /// Share of the frame that is kept in an even area along the upper border, where the method has votes.
+    pub kept_though_even: Option<f64>,
+}
+
+/// What one tile tells: votes, fineness where areas are judged by it, and what is far from all that was taught.
+struct Told {
+    votes: Vec<u8>,
+    fineness: Vec<u8>,
+    seen: Seen,
 }
 
 /// Classifies every pixel and cleans the classes.
@@ -83,21 +90,24 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
         Some(_) => Some(Plane::new(width, height, memory_bytes)?),
         None => None,
     };
+    let mut fineness = match (&scale, cleaner) {
+        (Some(_), Cleaner::Areas(_)) => Some(Plane::new(width, height, memory_bytes)?),
+        _ => None,
+    };
     let mut seen = Seen::default();
     let grid = TileGrid::new(width as u64, height as u64, CORE_PX, CORE_PX, 0);
     let threads = rayon::current_num_threads() as u64;
     for first in (0..grid.len()).step_by(threads as usize) {
         let ids: Vec<u64> = (first..(first + threads).min(grid.len())).collect();
-        let done: Vec<Result<(Window, Vec<u8>, Seen)>> = ids
+        let done: Vec<Result<(Window, Told)>> = ids
             .into_par_iter()
             .map(|id| {
                 let core = grid.tile(id).core;
-                let (votes, seen) = votes(reduced, classifier, scale.as_ref(), &core)?;
-                Ok((core, votes, seen))
+                Ok((core, told(reduced, classifier, scale.as_ref(), &core)?))
             })
             .collect();
         for one in done {
-            let (core, votes, here) = one?;
+            let (core, Told { votes, fineness: fine, seen: here }) = one?;
             seen.add(here);
             for (i, &vote) in votes.iter().enumerate() {
                 let x = core.x as usize + i % core.width as usize;
@@ -110,6 +120,9 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
             if let Some(plane) = &mut probability {
                 plane.write(&core, &votes)?;
             }
+            if let Some(plane) = &mut fineness {
+                plane.write(&core, &fine)?;
+            }
         }
     }
     // What holds nothing is no ground; it must not be closed over either.
@@ -121,8 +134,9 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
         Cleaner::Thesis(cleaning) => clean(keep, cleaning),
         Cleaner::Nothing => keep,
         Cleaner::Areas(share) => {
-            if let Some(votes) = &probability {
-                keep_doubtful(&mut keep, votes, &reduced.valid, DOUBT_LIMIT)?;
+            if let (Some(votes), Some(fineness)) = (&probability, &fineness) {
+                keep_doubtful(&mut keep, votes, fineness, &reduced.valid)?;
+                mask_clouds(&mut keep);
             }
             flip_small(&mut keep, false, *share);
             flip_small(&mut keep, true, *share);
@@ -131,24 +145,24 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     };
     keep.and(&reduced.valid);
     let unlike = scale.map(|_| seen.share());
-    Ok(Classes { keep, unsure, probability, unlike })
+    let even = probability.as_ref().map(|votes| kept_though_even(&keep, votes, &reduced.valid)).transpose()?;
+    Ok(Classes { keep, unsure, probability, unlike, kept_though_even: even })
 }
 
-/// Probability of keep, 0…255, of the pixels of `core`, and how many of those that were looked at are far from what was
-/// taught.
-fn votes(
-    reduced: &Reduced,
-    classifier: &Classifier,
-    scale: Option<&FrameScale>,
-    core: &Window,
-) -> Result<(Vec<u8>, Seen)> {
+/// What the pixels of `core` tell: the probability of keep, 0…255, and how many of those that were looked at are far
+/// from what was taught.
+fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, core: &Window) -> Result<Told> {
     if let (Classifier::Forest(learned), Some(scale)) = (classifier, scale) {
         let margin = VOTE_RADIUS_PX * VOTE_PASSES;
         let (measured, _) = measured(&reduced.grey, core, margin)?;
         let votes: Vec<u8> =
             (0..measured.width * measured.height).map(|i| vote(&learned.forest, scale, &measured, i)).collect();
         let seen = look(&learned.known, reduced, scale, &measured, core);
-        return Ok((smooth_votes(&votes, measured.width, measured.height), seen));
+        let inner = |y: usize| {
+            (y + margin) * measured.width + margin..(y + margin) * measured.width + margin + core.width as usize
+        };
+        let fineness = (0..core.height as usize).flat_map(|y| measured.fineness()[inner(y)].iter().copied()).collect();
+        return Ok(Told { votes: smooth_votes(&votes, measured.width, measured.height), fineness, seen });
     }
     let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
     let read = core.grown(RADIUS_PX as u64, &bounds);
@@ -167,7 +181,7 @@ fn votes(
             out.push(if kept { 255 } else { 0 });
         }
     }
-    Ok((out, Seen::default()))
+    Ok(Told { votes: out, fineness: Vec::new(), seen: Seen::default() })
 }
 
 /// Looks at the lattice's pixels in `core` that show something.

@@ -15,6 +15,7 @@ pub mod explain;
 pub mod features;
 mod fill;
 pub mod forest;
+pub mod judge;
 pub mod knn;
 mod labelled;
 pub mod light;
