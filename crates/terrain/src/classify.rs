@@ -30,6 +30,8 @@ pub enum Classifier {
 pub struct Learned {
     pub forest: Forest<FEATURES>,
     pub known: Known,
+    /// A person taught, too.
+    pub taught: bool,
 }
 
 /// What cleans the classes.
@@ -90,8 +92,11 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
         Some(_) => Some(Plane::new(width, height, memory_bytes)?),
         None => None,
     };
-    let mut fineness = match (&scale, cleaner) {
-        (Some(_), Cleaner::Areas(_)) => Some(Plane::new(width, height, memory_bytes)?),
+    // Areas are judged by their texture as long as nobody taught.
+    let mut fineness = match (classifier, cleaner) {
+        (Classifier::Forest(learned), Cleaner::Areas(_)) if !learned.taught => {
+            Some(Plane::new(width, height, memory_bytes)?)
+        }
         _ => None,
     };
     let mut seen = Seen::default();
@@ -134,8 +139,8 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
         Cleaner::Thesis(cleaning) => clean(keep, cleaning),
         Cleaner::Nothing => keep,
         Cleaner::Areas(share) => {
-            if let (Some(votes), Some(fineness)) = (&probability, &fineness) {
-                keep_doubtful(&mut keep, votes, fineness, &reduced.valid)?;
+            if let Some(votes) = &probability {
+                keep_doubtful(&mut keep, votes, fineness.as_ref(), &reduced.valid)?;
                 mask_clouds(&mut keep);
             }
             flip_small(&mut keep, false, *share);

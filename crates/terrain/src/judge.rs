@@ -15,21 +15,26 @@ use crate::bits::BitMask;
 use crate::plane::Plane;
 
 /// The greatest mean vote, of 255, of an area that stays masked: 82 where its mean Laplacian and gradient are equal,
-/// 3.25 more for each ⅟₂₈ octave that the Laplacian is greater, 96 more for the whole upper border, within 40 and 130.
+/// 3.25 more for each ⅟₂₈ octave that the Laplacian is greater, at most 100; 96 more for the whole upper border; within
+/// 40 and 130.
 ///
 /// Source: a logistic regression on 303 areas of 50 places, each judged by a forest that its place did not teach;
-/// rounded, and moved by 10 to the side of the mask.
+/// rounded, and moved by 10 to the side of the mask. The bounds are chosen.
 const LIMIT: f64 = 82.0;
 const LIMIT_A_STEP: f64 = 3.25;
+const LIMIT_AWAY_FROM_THE_BORDER: f64 = 100.0;
 const LIMIT_UPPER_BORDER: f64 = 96.0;
 const LIMITS: [f64; 2] = [40.0, 130.0];
+
+/// The same where one of the flight's frames was taught: 0.35. Its votes know this ground, whatever its texture.
+const LIMIT_TAUGHT: f64 = 90.0;
 
 /// Fineness of equal Laplacian and gradient, as `features` writes ratios.
 const EQUAL: f64 = 128.0;
 
 fn limit(fineness: f64, upper_border: f64) -> f64 {
-    let limit = LIMIT + LIMIT_A_STEP * (fineness - EQUAL) + LIMIT_UPPER_BORDER * upper_border;
-    limit.clamp(LIMITS[0], LIMITS[1])
+    let by_texture = (LIMIT + LIMIT_A_STEP * (fineness - EQUAL)).min(LIMIT_AWAY_FROM_THE_BORDER);
+    (by_texture + LIMIT_UPPER_BORDER * upper_border).clamp(LIMITS[0], LIMITS[1])
 }
 
 /// What is summed over an area.
@@ -42,26 +47,28 @@ struct Sums {
 }
 
 /// Turns the masked areas over to keep whose mean of `votes` (0 mask … 255 keep) is above what their mean `fineness`
-/// and their share of the upper border allow. Pixels outside `valid` take no part; an area of such pixels alone stays.
+/// and their share of the upper border allow; without `fineness`, above what is taught allows. Pixels outside `valid`
+/// take no part; an area of such pixels alone stays.
 ///
 /// # Errors
 /// When a plane cannot be read.
-pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, fineness: &Plane, valid: &BitMask) -> Result<()> {
+pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, fineness: Option<&Plane>, valid: &BitMask) -> Result<()> {
     let areas = Areas::of(mask, false);
     let mut sums = vec![Sums::default(); areas.runs.len()];
-    let (mut vote, mut fine) = (Vec::new(), Vec::new());
+    let (mut vote, mut fine) = (Vec::new(), None);
     let mut row = None;
     for (run, &root) in areas.runs.iter().zip(&areas.root) {
         if row != Some(run.row) {
             let window = Window::new(0, u64::from(run.row), votes.width() as u64, 1);
-            (vote, fine) = (votes.read(&window)?, fineness.read(&window)?);
+            vote = votes.read(&window)?;
+            fine = fineness.map(|plane| plane.read(&window)).transpose()?;
             row = Some(run.row);
         }
         let sum = &mut sums[root as usize];
         for x in run.start as usize..run.end as usize {
             if valid.get(x, run.row as usize) {
                 sum.votes += u64::from(vote[x]);
-                sum.fineness += u64::from(fine[x]);
+                sum.fineness += fine.as_ref().map_or(0, |fine| u64::from(fine[x]));
                 sum.pixels += 1;
             }
         }
@@ -76,7 +83,11 @@ pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, fineness: &Plane, valid:
             continue;
         }
         let pixels = sum.pixels as f64;
-        if sum.votes as f64 / pixels > limit(sum.fineness as f64 / pixels, sum.upper_border as f64 / width) {
+        let limit = match fineness {
+            Some(_) => limit(sum.fineness as f64 / pixels, sum.upper_border as f64 / width),
+            None => LIMIT_TAUGHT,
+        };
+        if sum.votes as f64 / pixels > limit {
             mask.fill_run(run.row as usize, run.start as usize, run.end as usize, true);
         }
     }
@@ -225,8 +236,11 @@ mod tests {
         let valid = BitMask::from_fn(40, 4, |x, _| x < 30);
         let votes = plane(40, 4, |x, _| if x < 10 { 30 } else { 70 });
         let fineness = plane(40, 4, |x, _| if x < 20 { 115 } else { 135 });
-        keep_doubtful(&mut keep, &votes, &fineness, &valid).expect("read");
+        let mut taught = keep.clone();
+        keep_doubtful(&mut keep, &votes, Some(&fineness), &valid).expect("read");
         assert_eq!([3, 13, 23, 33].map(|x| keep.get(x, 2)), [false, true, false, false]);
+        keep_doubtful(&mut taught, &votes, None, &valid).expect("read");
+        assert_eq!([3, 13, 23, 33].map(|x| taught.get(x, 2)), [false; 4]);
     }
 
     #[test]
@@ -236,7 +250,7 @@ mod tests {
         let valid = BitMask::from_fn(20, 6, |_, _| true);
         for (below, kept) in [(0, false), (1, true)] {
             let mut keep = BitMask::from_fn(20, 6, |_, y| y < below || y > 3);
-            keep_doubtful(&mut keep, &votes, &fineness, &valid).expect("read");
+            keep_doubtful(&mut keep, &votes, Some(&fineness), &valid).expect("read");
             assert_eq!(keep.get(9, 2), kept);
         }
     }
