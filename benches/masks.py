@@ -2,21 +2,23 @@
 """Masks against polygons drawn by hand, for every pair of a teaching and a judged frame of one flight.
 
     python3 benches/masks.py target/fast/autoref-stream DATA [auto thesis-2017 threshold forest] > masks.csv
+    python3 benches/masks.py target/fast/autoref-stream FOLDER held-out > held_out.csv
 
 DATA holds oblique_svalbard, film and frames; the polygons are in crates/terrain/tests/polygons. "shipped" teaches nothing.
 `forest` is a random forest on local deviation and gradient at three scales and smoothed entropy with the thesis's cleaning,
 by scikit-learn, SciPy and OpenCV. Only what a polygon names is judged; all-keep is the share of ground among that.
+The second call judges auto on the photographs of crates/terrain/tests/held_out, which lie in FOLDER and teach nothing.
 """
 import csv, json, os, subprocess, sys, tempfile
 import cv2, numpy as np
 
-HERE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../crates/terrain/tests/polygons")
+TESTS = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../crates/terrain/tests")
 FLIGHTS = [["KR1_uv", "KR1_plume"], ["japan_52", "japan_88", "japan_92"], ["ngi_182", "ngi_184"], ["odm_18", "odm_136"], ["unbc_114"]]
 CLASSES = {"keep": 1, "mask": 0, "unknown": 255}
 
 
-def read_truth(name, data):
-    polygons = json.load(open(os.path.join(HERE, name + ".geojson")))
+def read_truth(name, data, folder="polygons"):
+    polygons = json.load(open(os.path.join(TESTS, folder, name + ".geojson")))
     path = os.path.join(data, polygons["frame"])
     grey = cv2.imread(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     truth = np.full(grey.shape, 255, np.uint8)
@@ -84,10 +86,26 @@ def prototype(taught, judged):
     return cv2.resize(mask, judged[1].shape[::-1], interpolation=cv2.INTER_NEAREST)
 
 
+def held_out(program, data):
+    """Accuracy, balanced, … of auto on each photograph that took no part."""
+    names = sorted(name[:-8] for name in os.listdir(os.path.join(TESTS, "held_out")) if name.endswith(".geojson"))
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            path, _, truth = read_truth(name, data, "held_out")
+            command = [program, "mask", path, "-o", folder, "--method", "auto", "--overwrite", "--quiet"]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            stem = os.path.splitext(os.path.basename(path))[0]
+            mask = cv2.imread(f"{folder}/{stem}_Masq.tif", cv2.IMREAD_UNCHANGED)
+            yield ["shipped", name, "auto"] + [f"{v:.3f}" for v in scores(mask, truth)]
+
+
 def main():
     program, data, methods = sys.argv[1], sys.argv[2], sys.argv[3:] or ["auto", "thesis-2017", "threshold", "forest"]
     out = csv.writer(sys.stdout)
     out.writerow("taught,judged,method,accuracy,balanced,keep_precision,keep_recall,mask_precision,mask_recall,all_keep".split(","))
+    if methods == ["held-out"]:
+        out.writerows(held_out(program, data))
+        return
     with tempfile.TemporaryDirectory() as folder:
         for flight in FLIGHTS:
             frames = {name: read_truth(name, data) for name in flight}
