@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::FARTHEST;
 use super::titles::{
     ANGLES, COLUMNS, Heading, IMAGES, NAMES, PIXEL_X, PIXEL_Y, column_at, degrees_of, fields, is_geographic,
-    names_angles, separator, titles_of,
+    names_angles, no_more_cells, separator, titles_of,
 };
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
@@ -131,7 +131,9 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
             *factor = degrees_of(field).map_err(|what| Error::format(path, "the heading", what))?;
         }
     }
-    let columns = Columns { name: name_at, at, cut, geographic, degrees, of_opendronemap };
+    // OpenDroneMap has further columns without titles.
+    let most = if of_opendronemap { usize::MAX } else { heads.len() };
+    let columns = Columns { name: name_at, at, cut, geographic, degrees, of_opendronemap, most };
     let mut rows: Vec<CameraRow> = Vec::new();
     let mut firsts = std::collections::HashMap::new();
     for (row, line) in lines {
@@ -183,12 +185,15 @@ struct Columns {
     degrees: [f64; ANGLES.end],
     /// Three angles of 0 are none.
     of_opendronemap: bool,
+    /// Cells that a row can have.
+    most: usize,
 }
 
 impl Columns {
     /// The camera of a line; what is wrong with it as words.
     fn row(&self, line: &str) -> std::result::Result<CameraRow, String> {
         let f = fields(line, self.cut);
+        no_more_cells(&f, self.most, self.cut)?;
         let value = |i: usize| -> std::result::Result<Option<f64>, String> {
             let Some(text) = self.at[i].and_then(|c| f.get(c)).filter(|t| !t.is_empty()) else { return Ok(None) };
             let factor = self.degrees.get(i).copied().unwrap_or(1.0);
@@ -293,6 +298,7 @@ pub fn image_points(path: &Path) -> Result<(Option<String>, Vec<ImagePoint>)> {
         let ground = (column_at(&heads, 0), column_at(&heads, 1), column_at(&heads, 2));
         for (row, line) in &lines[1..] {
             let f = fields(line, head_cut);
+            no_more_cells(&f, heads.len(), head_cut).map_err(|what| Error::format(path, format!("row {row}"), what))?;
             let value = |c: usize| number(path, *row, &f, c);
             let xyz = match ground {
                 (Some(x), Some(y), Some(z)) => Some([value(x)?, value(y)?, value(z)?]),
@@ -433,6 +439,14 @@ mod tests {
         }
         let (path, _gone) = file("name,lat,lon,Ellipsoidal height\na.tif,1,2,3\n");
         assert_eq!(cameras(&path).expect("read")[0].xyz[2], 3.0);
+    }
+
+    #[test]
+    fn rows_with_more_cells_than_titles_are_refused() {
+        let (path, _gone) = file("name,x,y,z,omega,phi,kappa\na.tif,500000,5,4500000,5,664,0,0,0,0\n");
+        assert!(cameras(&path).is_err_and(|e| e.to_string().contains("row 2 10 cells in 7 columns, as from numbers")));
+        let (path, _gone) = file("name,image,px,py\nP,a.tif,10,5,20,5\n");
+        assert!(image_points(&path).is_err_and(|e| e.to_string().contains("6 cells in 4 columns")));
     }
 
     #[test]

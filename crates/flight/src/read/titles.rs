@@ -32,6 +32,20 @@ pub(super) fn fields(line: &str, cut: Option<char>) -> Vec<String> {
     all
 }
 
+/// A row with more cells than columns was cut where it should not be; what is wrong as words.
+pub(super) fn no_more_cells(fields: &[String], columns: usize, cut: Option<char>) -> Result<(), String> {
+    let cells = fields.iter().rposition(|field| !field.is_empty()).map_or(0, |at| at + 1);
+    if cells <= columns {
+        return Ok(());
+    }
+    let cause = match cut {
+        Some(',') => "numbers with decimal commas: quote them, or put semicolons between the columns",
+        Some(_) => "the separator within a cell: quote such cells",
+        None => "blanks within a cell: quote such cells",
+    };
+    Err(format!("{cells} cells in {columns} columns, as from {cause}"))
+}
+
 /// Titles of the column that names the frames, as [`title`] has them.
 pub(super) const NAMES: [&str; 18] = [
     "name",
