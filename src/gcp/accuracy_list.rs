@@ -85,7 +85,7 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
     let cut = separator_of(header.text);
     let written = text::split(header.text, cut);
     let titles: Vec<String> = written.iter().map(|title| tidy(title)).collect();
-    let unit = |column: usize| Unit::of_title(&written[column]).map_or(1.0, |unit| unit.metres);
+    let unit = |column: usize| Unit::of_accuracy(&written[column]).map_or(1.0, |unit| unit.metres);
     let find = |names: &[&str]| find(&titles, names);
     let Some(name) = find(NAMES) else {
         return Err(Error::format(path, format!("row {header_row}"), "no column of names; call one `name`"));

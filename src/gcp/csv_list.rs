@@ -7,6 +7,8 @@
 
 use std::path::Path;
 
+use crate::gcp::angle::{Letter, angle, letter};
+use crate::gcp::marks::{Cell, Marks};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::titles::{
@@ -14,7 +16,7 @@ use crate::gcp::titles::{
     SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, tidy,
 };
 use crate::gcp::units::{TitledUnits, Unit};
-use crate::gcp::{Gcp, GcpRole, headerless};
+use crate::gcp::{Gcp, GcpRole, headerless, heights};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
@@ -40,7 +42,12 @@ pub(super) struct Columns {
     pub doubled: Option<String>,
     pub geographic: bool,
     pub order: ColumnOrder,
+    /// Of easting, northing and height.
+    pub marks: Marks,
 }
+
+/// A row of a table, cut.
+pub(super) type Row<'a> = (&'a Line<'a>, Vec<String>);
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     let Some(first) = lines.iter().find(|line| !line.is_comment()) else {
@@ -53,7 +60,7 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     match header(lines) {
         Some((at, separator, columns)) => with_header(path, lines, at, separator, columns),
         None if has_numbers(first.text) => headerless::parse(path, lines),
-        None => Err(no_header(path, first)),
+        None => refuse_open_quote(path, first).and(Err(no_header(path, first))),
     }
 }
 
@@ -74,7 +81,7 @@ fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
 }
 
 fn has_numbers(line: &str) -> bool {
-    SEPARATORS.iter().any(|&separator| split(line, separator).iter().filter(|f| text::angle(f).is_some()).count() >= 2)
+    SEPARATORS.iter().any(|&separator| split(line, separator).iter().filter(|f| angle(f).is_some()).count() >= 2)
 }
 
 fn no_header(path: &Path, line: &Line<'_>) -> Error {
@@ -129,6 +136,7 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         geographic,
         order,
         titles,
+        marks: Marks::default(),
     })
 }
 
@@ -143,24 +151,20 @@ fn with_header(
         let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
         return Err(Error::format(path, lines[at].place(), what));
     }
-    let mut guessed = None;
-    if columns.name.is_none()
-        && let Some(likely) = columns.likely_name
-    {
-        let mut seen = std::collections::HashSet::new();
-        let mut rows = lines[at + 1..].iter().filter(|line| !line.is_comment());
-        let differs = rows.all(|line| {
-            let name = split(line.text, separator).into_iter().nth(likely).filter(|name| !name.trim().is_empty());
-            name.is_some_and(|name| seen.insert(name))
-        });
-        columns.name = differs.then_some(likely);
-        if differs {
-            guessed = Some(format!("names are taken from the column `{}`", columns.titles[likely].trim()));
-        }
+    let rows: Vec<Row<'_>> = lines[at + 1..]
+        .iter()
+        .filter(|line| !line.is_comment())
+        .map(|line| (line, split(line.text, separator)))
+        .collect();
+    for row in &rows {
+        refuse_open_quote(path, row.0)?;
+        refuse_more_cells(path, row, columns.titles.len(), separator)?;
     }
+    let guessed = columns.guess_name(&rows);
+    let of_marks = columns.settle_marks(path, &rows)?;
     let mut points = Vec::new();
-    for line in lines[at + 1..].iter().filter(|line| !line.is_comment()) {
-        points.push(columns.point(path, line.place(), &split(line.text, separator), &line.row.to_string())?);
+    for (line, fields) in &rows {
+        points.push(columns.point(path, line.place(), fields, &line.row.to_string())?);
     }
     let mut stated = coordinate_system_comment(path, &lines[..at])?;
     if let (CrsClaim::None, Some(column), Some(point)) = (&stated, columns.crs, points.first())
@@ -174,7 +178,7 @@ fn with_header(
     };
     let mut list = RawList::new(points, crs);
     columns.tell(&mut list);
-    list.notes.extend(guessed.map(|what| format!("{}: {what}", path.display())));
+    list.notes.extend(of_marks.into_iter().chain(guessed).map(|what| format!("{}: {what}", path.display())));
     list.notes.extend(columns.unclear().map(|what| format!("{}: {what}", path.display())));
     if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
         list.notes.push(format!(
@@ -184,6 +188,32 @@ fn with_header(
         ));
     }
     Ok(list)
+}
+
+/// A quote that opens a cell and is not closed takes the columns behind it into the cell.
+pub(super) fn refuse_open_quote(path: &Path, line: &Line<'_>) -> Result<()> {
+    if !text::is_open_after(line.text, text::Quote::Closed) {
+        return Ok(());
+    }
+    Err(Error::format(path, line.place(), "a quote (\") opens a cell and is not closed; close it, or take it away"))
+}
+
+/// A row with more cells than there are titles was cut where it should not be.
+fn refuse_more_cells(path: &Path, (line, fields): &Row<'_>, titles: usize, separator: Separator) -> Result<()> {
+    let cells = fields.iter().rposition(|field| !field.is_empty()).map_or(0, |at| at + 1);
+    if cells <= titles {
+        return Ok(());
+    }
+    let cause = match separator {
+        Separator::Letter(',') => {
+            "numbers with decimal commas, or other commas in a cell: quote such cells, or put semicolons between the \
+             columns"
+        }
+        Separator::Letter(_) => "the separator within a cell: quote such cells",
+        Separator::Blanks => "blanks within a cell: put semicolons between the columns",
+    };
+    let what = format!("{cells} cells under {titles} titles, as from {cause}; a column of its own needs a title");
+    Err(Error::format(path, line.place(), what))
 }
 
 /// Metashape writes "#CoordinateSystem: WKT" above its header.
@@ -200,6 +230,33 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 }
 
 impl Columns {
+    /// Takes the column whose title may be a name's, if its values tell the points apart; says so.
+    fn guess_name(&mut self, rows: &[Row<'_>]) -> Option<String> {
+        let likely = self.likely_name.filter(|_| self.name.is_none())?;
+        let mut seen = std::collections::HashSet::new();
+        let differs = rows.iter().all(|(_, fields)| {
+            let name = fields.get(likely).filter(|name| !name.trim().is_empty());
+            name.is_some_and(|name| seen.insert(name))
+        });
+        self.name = differs.then_some(likely);
+        differs.then(|| format!("names are taken from the column `{}`", self.titles[likely].trim()))
+    }
+
+    /// Finds out what points and commas in the coordinates stand for; says what is not plain. Degrees have no thousands.
+    pub(super) fn settle_marks(&mut self, path: &Path, rows: &[Row<'_>]) -> Result<Option<String>> {
+        if self.geographic {
+            return Ok(None);
+        }
+        let columns = [Some(self.easting), Some(self.northing), self.height];
+        let cells = rows.iter().flat_map(|(line, fields)| {
+            let texts = columns.into_iter().flatten().filter_map(|column| fields.get(column));
+            texts.map(|text| Cell { place: line.place(), text })
+        });
+        let (marks, note) = Marks::of(path, cells)?;
+        self.marks = marks;
+        Ok(note)
+    }
+
     /// What the titles say of all points.
     pub(super) fn tell(&self, list: &mut RawList) {
         list.order = self.order;
@@ -248,21 +305,30 @@ impl Columns {
     /// One point from the fields of a row; `number` stands in for a name.
     pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
         let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
-        let read = |column: usize, what: &str| -> Result<Option<f64>> {
-            let Some(text) = text(column) else { return Ok(None) };
-            let value = if self.geographic { text::angle(text) } else { text::number(text) };
-            value.map(Some).ok_or_else(|| {
-                Error::format(path, &place, format!("`{text}` is no number for the {what}; correct or remove the row"))
-            })
+        let no_number = |text: &str, what: &str| {
+            Error::format(path, &place, format!("`{text}` is no number for the {what}; correct or remove the row"))
         };
-        let required = |column: usize, what: &str| -> Result<f64> {
-            read(column, what)?.ok_or_else(|| {
-                Error::format(path, &place, format!("the {what} is missing; complete or remove the row"))
-            })
+        let required = |column: usize, what: &str, own: Letter| -> Result<f64> {
+            let Some(text) = text(column) else {
+                return Err(Error::format(path, &place, format!("the {what} is missing; complete or remove the row")));
+            };
+            if self.geographic {
+                self.refuse_other_letter(path, &place, (column, text), own)?;
+            }
+            let value = if self.geographic { angle(text) } else { self.marks.number(text) };
+            value.ok_or_else(|| no_number(text, what))
         };
-        let optional = |column: Option<usize>, what: &str| column.map_or(Ok(None), |c| read(c, what));
+        let height = match self.height.and_then(text) {
+            Some(text) if heights::says_none(text) => Some(f64::NAN),
+            Some(text) => Some(self.marks.number(text).ok_or_else(|| no_number(text, "height"))?),
+            None => None,
+        };
+        let optional = |column: Option<usize>, what: &str| match column.and_then(text) {
+            Some(text) => text::number(text).map(Some).ok_or_else(|| no_number(text, what)),
+            None => Ok(None),
+        };
         let unit = |column: Option<usize>| {
-            let titled = column.and_then(|c| Unit::of_title(self.titles.get(c)?));
+            let titled = column.and_then(|c| Unit::of_accuracy(self.titles.get(c)?));
             titled.map_or(1.0, |unit| unit.metres)
         };
         let sigma = |column: Option<usize>, what: &str| match optional(column, what)? {
@@ -278,11 +344,12 @@ impl Columns {
             || said(self.check).is_some_and(|text| yes(&text))
             // A marker that is switched off in Metashape is a check point.
             || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
+        let [east, north] = if self.geographic { ["longitude", "latitude"] } else { ["easting", "northing"] };
         let gcp = Gcp {
             name: without_apostrophe(self.name.and_then(text).unwrap_or(number)).to_string(),
-            easting: required(self.easting, if self.geographic { "longitude" } else { "easting" })?,
-            northing: required(self.northing, if self.geographic { "latitude" } else { "northing" })?,
-            height: optional(self.height, "height")?,
+            easting: required(self.easting, east, Letter::Longitude)?,
+            northing: required(self.northing, north, Letter::Latitude)?,
+            height,
             sigma_m: match (sigma(self.sigma[0], "accuracy")?, sigma(self.sigma[1], "accuracy")?) {
                 (Some(e), Some(n)) => Some(((e * e + n * n) / 2.0).sqrt()),
                 (one, other) => one.or(other),
@@ -293,6 +360,24 @@ impl Columns {
         let attributes: Vec<(String, String)> =
             self.titles.iter().cloned().zip(fields.iter().map(|field| without_apostrophe(field).to_owned())).collect();
         Ok(RawPoint { pixels: seen(&attributes), ..RawPoint { attributes, ..RawPoint::bare(gcp, place) } })
+    }
+}
+
+impl Columns {
+    /// A letter of direction that is of the other axis, or of no certain one.
+    fn refuse_other_letter(&self, path: &Path, place: &str, (column, text): (usize, &str), own: Letter) -> Result<()> {
+        let title = self.titles.get(column).map_or("", |title| title.trim());
+        let what = match letter(text) {
+            Some(Letter::EastOrWest) => {
+                format!("the O of `{text}` is east in some languages and west in others; write E or W")
+            }
+            Some(other) if other != own => format!(
+                "`{text}` stands under `{title}`, and its letter belongs to the other coordinate; exchange the titles, \
+                 or correct the letter"
+            ),
+            _ => return Ok(()),
+        };
+        Err(Error::format(path, place, what))
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use crate::gcp::csv_list::Columns;
-use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList};
+use crate::gcp::csv_list::{Columns, Row, is_check, refuse_open_quote};
+use crate::gcp::marks::Marks;
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use autoref_raster::error::{Error, Result};
 
@@ -18,13 +19,18 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
             (good, SEPARATORS.len() - SEPARATORS.iter().position(|s| *s == separator).expect("one of them"))
         })
         .expect("there are several");
-    let table: Vec<(&Line<'_>, Vec<String>)> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
-    let Some(shape) = table.iter().find_map(|(_, fields)| Shape::of(fields)) else {
+    let mut table: Vec<Row<'_>> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
+    for (line, _) in &table {
+        refuse_open_quote(path, line)?;
+    }
+    let kept = drop_empty_columns(&mut table);
+    let Some(shape) = Shape::of_table(&table) else {
         let line = rows.first().map_or("row 1".into(), |line| line.place());
         return Err(Error::format(path, line, "no point: a name, two coordinates and perhaps a height are expected"));
     };
     let numbered = shape.first_is_a_number && shape.first_is_a_name(&table);
-    let columns = shape.columns(numbered, &table);
+    let mut columns = shape.columns(numbered, &table);
+    let of_marks = columns.settle_marks(path, &table)?;
     let mut points = Vec::new();
     for (line, fields) in &table {
         if fields.len() <= columns.easting.max(columns.northing) {
@@ -34,14 +40,81 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
                 format!("`{}` is no point: {} columns are expected as in the rows before", line.text, shape.fields),
             ));
         }
-        let mut point = columns.point(path, line.place(), fields, &line.row.to_string())?;
-        point.gcp.name = point.gcp.name.trim_end_matches(':').to_string();
-        points.push(point);
+        points.push(columns.point(path, line.place(), fields, &line.row.to_string())?);
     }
+    if points.iter().all(|point| point.gcp.name.ends_with(':')) {
+        points.iter_mut().for_each(|point| point.gcp.name.truncate(point.gcp.name.trim_end_matches(':').len()));
+    }
+    refuse_no_heights(path, &points, separator)?;
     let mut list = RawList::new(points, CrsClaim::None);
     list.order = ColumnOrder::Assumed;
-    list.notes.extend(shape.left_over(&columns).map(|what| format!("{}: {what}", path.display())));
+    let notes = [of_marks, shape.left_over(&columns, &kept), words_of_check_points(&columns, &kept, &table)];
+    list.notes.extend(notes.into_iter().flatten().map(|what| format!("{}: {what}", path.display())));
     Ok(list)
+}
+
+/// Takes away the columns in which no row has anything; returns which are left.
+fn drop_empty_columns(table: &mut [Row<'_>]) -> Vec<usize> {
+    let widest = table.iter().map(|(_, fields)| fields.len()).max().unwrap_or(0);
+    let mut filled = vec![false; widest];
+    for (_, fields) in table.iter() {
+        fields.iter().enumerate().filter(|(_, field)| !field.is_empty()).for_each(|(at, _)| filled[at] = true);
+    }
+    for (_, fields) in table.iter_mut() {
+        let mut is_filled = filled.iter();
+        fields.retain(|_| *is_filled.next().expect("as many as the widest row has"));
+    }
+    (0..widest).filter(|&at| filled[at]).collect()
+}
+
+/// What lies beyond all ground in every row is no height: the columns are others than they seem.
+fn refuse_no_heights(path: &Path, points: &[RawPoint], separator: Separator) -> Result<()> {
+    /// Higher than any ground, in feet too.
+    const NO_HEIGHT: f64 = 100_000.0;
+    /// Of the Earth: coordinates that count from its centre are refused as such.
+    const RADII_M: std::ops::Range<f64> = 6.33e6..6.4e6;
+    let is_none = |p: &RawPoint| {
+        p.gcp.height.is_some_and(|h| {
+            (NO_HEIGHT..1e9).contains(&h.abs()) && !RADII_M.contains(&p.gcp.easting.hypot(p.gcp.northing).hypot(h))
+        })
+    };
+    match points.first() {
+        Some(first) if points.iter().all(is_none) => {
+            let commas = match separator {
+                Separator::Letter(',') => ", or quote numbers with decimal commas",
+                _ => "",
+            };
+            Err(Error::format(
+                path,
+                &first.place,
+                format!(
+                    "there is no header, and {}, {} and {} cannot be easting, northing and height; take away what \
+                     stands before and between the coordinates{commas}, or give the columns titles",
+                    first.gcp.easting,
+                    first.gcp.northing,
+                    first.gcp.height.expect("all have one")
+                ),
+            ))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Codes such as `CP` may be a surveyor's own: only a title makes a column one of roles.
+fn words_of_check_points(columns: &Columns, kept: &[usize], table: &[Row<'_>]) -> Option<String> {
+    let unused = |at: &usize| ![columns.name, Some(columns.easting), Some(columns.northing)].contains(&Some(*at));
+    let word = |at: usize| {
+        let fields = table.iter().filter_map(move |(_, fields)| fields.get(at));
+        fields.filter(|field| is_check(field)).map(String::as_str)
+    };
+    let at = (0..kept.len()).filter(unused).find(|&at| word(at).next().is_some())?;
+    Some(format!(
+        "`{}` in column {} of {} rows makes no check point without the title `role`; give the columns titles, or name \
+         the check points with --check",
+        word(at).next()?,
+        kept[at] + 1,
+        word(at).count()
+    ))
 }
 
 fn fields(line: &str, separator: Separator) -> Vec<String> {
@@ -77,8 +150,15 @@ impl Shape {
         (numbers >= 2).then_some(Shape { fields: fields.len(), first_number, numbers, first_is_a_number })
     }
 
+    /// Of names some may be numbers: where most rows have a name that is none, these show where the coordinates begin.
+    fn of_table(table: &[Row<'_>]) -> Option<Shape> {
+        let shapes = || table.iter().filter_map(|(_, fields)| Shape::of(fields));
+        let named = || shapes().filter(|shape| !shape.first_is_a_number);
+        if named().count() * 2 > table.len() { named().next() } else { shapes().next() }
+    }
+
     /// Whether the first of only numbers is a running number: four or more numbers, or whole numbers beside decimals.
-    fn first_is_a_name(&self, table: &[(&Line<'_>, Vec<String>)]) -> bool {
+    fn first_is_a_name(&self, table: &[Row<'_>]) -> bool {
         let whole =
             |field: Option<&String>| field.is_some_and(|f| !f.is_empty() && f.bytes().all(|b| b.is_ascii_digit()));
         let running = table.iter().all(|(_, fields)| whole(fields.first()));
@@ -100,7 +180,7 @@ impl Shape {
     }
 
     /// Three columns behind a height are no accuracies but colours, when all their numbers are whole and some large.
-    fn has_colours(&self, left: usize, table: &[(&Line<'_>, Vec<String>)]) -> bool {
+    fn has_colours(&self, left: usize, table: &[Row<'_>]) -> bool {
         let last = self.first_number + self.numbers;
         let whole = |field: &String| field.parse::<u8>().ok();
         let mut most = 0;
@@ -113,16 +193,35 @@ impl Shape {
         left == 6 && all && most > 20
     }
 
-    /// What of a row no column took.
-    fn left_over(&self, columns: &Columns) -> Option<String> {
-        let used = [columns.name, Some(columns.easting), Some(columns.northing), columns.height, columns.role];
+    /// What of a row no column took; `kept` are the places that the columns have in the file.
+    fn left_over(&self, columns: &Columns, kept: &[usize]) -> Option<String> {
+        let used = [columns.name, Some(columns.easting), Some(columns.northing), columns.height];
         let used: Vec<usize> = used.into_iter().chain(columns.sigma).chain([columns.sigma_height]).flatten().collect();
-        let left: Vec<String> =
-            (0..self.fields).filter(|at| !used.contains(at)).map(|at| (at + 1).to_string()).collect();
+        let left: Vec<String> = (0..self.fields.min(kept.len()))
+            .filter(|at| !used.contains(at))
+            .map(|at| (kept[at] + 1).to_string())
+            .collect();
         (!left.is_empty()).then(|| format!("there is no header, and column {} was not used", left.join(", ")))
     }
 
-    fn columns(&self, numbered: bool, table: &[(&Line<'_>, Vec<String>)]) -> Columns {
+    /// How many small whole numbers (a zone, a code) stand before two that alone can be coordinates.
+    fn codes(first: usize, left: usize, table: &[Row<'_>]) -> usize {
+        const SMALLEST_COORDINATE: f64 = 10_000.0;
+        let is_code =
+            |field: Option<&String>| field.is_some_and(|f| f.len() <= 3 && f.bytes().all(|b| b.is_ascii_digit()));
+        let is_coordinate = |field: Option<&String>| {
+            field.and_then(|f| text::number(f)).is_some_and(|v| v.abs() >= SMALLEST_COORDINATE)
+        };
+        let fit = |codes: usize| {
+            table.iter().all(|(_, fields)| {
+                let at = |i: usize| fields.get(first + i);
+                (0..codes).all(|i| is_code(at(i))) && is_coordinate(at(codes)) && is_coordinate(at(codes + 1))
+            })
+        };
+        (1..=2).filter(|codes| left >= codes + 2).find(|&codes| fit(codes)).unwrap_or(0)
+    }
+
+    fn columns(&self, numbered: bool, table: &[Row<'_>]) -> Columns {
         let first = if numbered { 1 } else { self.first_number };
         let left = self.numbers - usize::from(numbered);
         let behind = self.first_number + self.numbers;
@@ -132,7 +231,8 @@ impl Shape {
             () if self.fields > behind => Some(behind),
             () => None,
         };
-        let role = (self.fields > behind && name != Some(behind)).then_some(behind);
+        let codes = Shape::codes(first, left, table);
+        let (first, left) = (first + codes, left - codes);
         let extra = |i: usize| (left > i).then_some(first + i);
         let (sigma, sigma_height) = match left {
             6 if self.has_colours(left, table) => ([None; 2], None),
@@ -149,12 +249,13 @@ impl Shape {
             height: extra(2),
             sigma,
             sigma_height,
-            role,
+            role: None,
             check: None,
             enabled: None,
             crs: None,
             geographic: false,
             order: ColumnOrder::Assumed,
+            marks: Marks::default(),
         }
     }
 }

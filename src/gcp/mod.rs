@@ -13,13 +13,16 @@
 //! ```
 
 mod accuracy_list;
+mod angle;
 pub mod convert;
 mod csv_list;
 mod dxf;
 mod geojson;
 mod headerless;
+mod heights;
 mod image_crs;
 mod kof;
+mod marks;
 pub mod odm;
 mod ogr;
 mod place;

@@ -174,6 +174,10 @@ fn point(
     let columns = csv_list::columns(titles).expect("the placeholders are among the titles");
     let mut point = columns.point(path, place, &row, &number.to_string())?;
     point.attributes.truncate(own.len());
+    // No spreadsheet wrote an apostrophe here.
+    if let Some(name) = columns.name.and_then(|column| own.get(column)).filter(|name| !name.is_empty()) {
+        point.gcp.name.clone_from(name);
+    }
     let height = geometry_type_has_z(geometry.geometry_type()).then_some(z);
     point.gcp = Gcp { easting: x, northing: y, height: height.or(point.gcp.height), ..point.gcp };
     Ok(point)

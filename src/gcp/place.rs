@@ -17,6 +17,8 @@ const NEAR_DEG: f64 = 1.0;
 /// ... and, as they stand, the points lie this far off.
 const FAR_DEG: f64 = 5.0;
 
+const FEET: &str = "they would lie in it if they were feet, brought to metres";
+
 /// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
 /// that mends it and the caller asked for it.
 ///
@@ -179,14 +181,23 @@ pub(super) fn refuse_elsewhere(
     if points.is_empty() || points.iter().any(|p| crs.covers(p.gcp.easting, p.gcp.northing) != Some(false)) {
         return Ok(());
     }
+    let how = inside_otherwise(points, crs, image);
+    // To keep feet where they lie as metres would help nobody.
+    let remedy = if how.as_deref() == Some(FEET) && !way_out.is_empty() {
+        "call the columns `Easting (US ft)` and `Northing (US ft)`, or `(ift)` where they are international feet, or \
+         give a --crs that counts in feet"
+            .to_owned()
+    } else {
+        format!("give the --crs that they are in{way_out}")
+    };
     Err(Error::format(
         path,
         "the coordinates",
         format!(
-            "all {} points lie outside the area of use of {}{}; give the --crs that they are in{way_out}",
+            "all {} points lie outside the area of use of {}{}; {remedy}",
             points.len(),
             crs.title(),
-            inside_otherwise(points, crs, image).map_or(String::new(), |how| format!(" ({how})"))
+            how.map_or(String::new(), |how| format!(" ({how})"))
         ),
     ))
 }
@@ -233,7 +244,7 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
         return Some("they would lie in it with a minus sign before both coordinates, and these exchanged".to_string());
     }
     let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
-    all(&feet).then(|| "they would lie in it if they were feet, brought to metres".to_string())
+    all(&feet).then(|| FEET.to_string())
 }
 
 /// What, added to all coordinates, is about as much as wanted (east, north) when only leading digits are changed: whole

@@ -8,7 +8,8 @@ use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::{Reproject, WorkingCrs};
 use crate::gcp::{
-    Gcp, GcpRole, accuracy_list, csv_list, geojson, image_crs, kof, odm, ogr, place, qgis, text, working_crs, xml,
+    Gcp, GcpRole, accuracy_list, csv_list, geojson, heights, image_crs, kof, odm, ogr, place, qgis, text, working_crs,
+    xml,
 };
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
@@ -235,7 +236,8 @@ pub(super) fn settled(
     crs_override: Option<&str>,
 ) -> Result<(Vec<RawPoint>, Option<Crs>, Vec<String>)> {
     let RawList { mut points, crs, may_be_degrees, order, titled_degrees, mut notes, .. } = raw;
-    check_points(path, &points, &mut notes)?;
+    heights::drop_missing(path, &mut points, &mut notes);
+    check_points(path, &mut points, &mut notes)?;
     let degrees = |points: &[RawPoint]| within_degrees(points) || latitude_first(points);
     let stated = match (crs_override, crs) {
         (Some(crs), _) if is_local_word(crs) => None,
@@ -368,11 +370,12 @@ fn enter(
     Ok(GcpList { gcps, crs: Some(crs), working_crs, notes })
 }
 
-/// Duplicate names are an error, duplicate places a note.
-fn check_points(path: &Path, points: &[RawPoint], notes: &mut Vec<String>) -> Result<()> {
+/// Duplicate names are an error, duplicate places a note; of rows that are alike in all they say one is enough.
+fn check_points(path: &Path, points: &mut Vec<RawPoint>, notes: &mut Vec<String>) -> Result<()> {
+    drop_repeated(path, points, notes);
     let mut names = std::collections::HashMap::new();
     let mut places = std::collections::HashMap::new();
-    for point in points {
+    for point in points.iter() {
         let gcp = &point.gcp;
         if !gcp.easting.is_finite() || !gcp.northing.is_finite() {
             return Err(Error::format(path, &point.place, format!("point `{}` has no finite coordinates", gcp.name)));
@@ -389,6 +392,28 @@ fn check_points(path: &Path, points: &[RawPoint], notes: &mut Vec<String>) -> Re
         }
     }
     Ok(())
+}
+
+/// Keeps the first of rows that say the same.
+fn drop_repeated(path: &Path, points: &mut Vec<RawPoint>, notes: &mut Vec<String>) {
+    let mut firsts: std::collections::HashMap<&str, &RawPoint> = std::collections::HashMap::new();
+    let mut repeats = Vec::new();
+    for (index, point) in points.iter().enumerate() {
+        let first = firsts.entry(&point.gcp.name).or_insert(point);
+        let says_the_same =
+            first.gcp == point.gcp && first.attributes == point.attributes && first.pixels == point.pixels;
+        if !std::ptr::eq(*first, point) && says_the_same {
+            let what = format!("{} says the same as {} and was passed over", point.place, first.place);
+            repeats.push((index, what));
+        }
+    }
+    if let Some((_, what)) = repeats.first() {
+        let more = if repeats.len() > 1 { format!("; so were {} more rows", repeats.len() - 1) } else { String::new() };
+        notes.push(format!("{}: {what}{more}", path.display()));
+    }
+    let repeats: std::collections::HashSet<usize> = repeats.into_iter().map(|(index, _)| index).collect();
+    let mut index = 0..;
+    points.retain(|_| !repeats.contains(&index.next().expect("it never ends")));
 }
 
 fn within_degrees(points: &[RawPoint]) -> bool {
@@ -506,6 +531,25 @@ fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
              example with `cs2cs EPSG:4978 EPSG:32633`",
         )),
         _ => Ok(()),
+    }
+}
+
+/// No latitude is larger than 90 degrees.
+///
+/// # Errors
+/// [`Error::Format`] with the first point that has one.
+pub(super) fn refuse_beyond_poles(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
+    let is_degrees = crs.is_geographic() && !crs.unit_name().to_lowercase().contains("grad");
+    match points.iter().find(|p| is_degrees && p.gcp.northing.abs() > 90.0) {
+        Some(bad) => Err(Error::format(
+            path,
+            &bad.place,
+            format!(
+                "no latitude is {}; correct it, or exchange the columns of longitude and latitude",
+                bad.gcp.northing
+            ),
+        )),
+        None => Ok(()),
     }
 }
 

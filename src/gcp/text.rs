@@ -85,10 +85,11 @@ pub(super) fn lines(text: &str) -> Vec<Line<'_>> {
 /// there.
 fn last_row(text: &str, start: usize, ends: &[usize]) -> usize {
     const MOST_ROWS: usize = 50;
-    let (mut open, mut from) = (false, start);
+    let (mut quote, mut from) = (Quote::Closed, start);
     for (row, &end) in ends.iter().take(MOST_ROWS).enumerate() {
-        open = is_open_after(&text[from..end], open);
-        if !open {
+        if is_open_after(&text[from..end], quote) {
+            quote = Quote::Open;
+        } else {
             return row;
         }
         from = end + 1;
@@ -96,8 +97,16 @@ fn last_row(text: &str, start: usize, ends: &[usize]) -> usize {
     0
 }
 
+/// Whether a line begins within a quoted cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Quote {
+    Closed,
+    Open,
+}
+
 /// Whether a quote that began a cell is open at the end of the line.
-fn is_open_after(line: &str, mut open: bool) -> bool {
+pub(super) fn is_open_after(line: &str, before: Quote) -> bool {
+    let mut open = before == Quote::Open;
     let mut begin = true;
     let mut letters = line.chars().peekable();
     while let Some(letter) = letters.next() {
@@ -190,32 +199,6 @@ pub(super) fn number(text: &str) -> Option<f64> {
     canonical.parse().ok().filter(|value: &f64| looks && value.is_finite())
 }
 
-/// An angle: decimal degrees, or degrees, minutes and seconds with signs or letters of direction.
-pub(super) fn angle(text: &str) -> Option<f64> {
-    if let Some(value) = number(text) {
-        return Some(value);
-    }
-    let upper = text.trim().to_uppercase();
-    let negative = upper.starts_with('-') || upper.ends_with(['S', 'W']) || upper.starts_with(['S', 'W']);
-    let parts: Vec<f64> = upper
-        .split(|c: char| !(c.is_ascii_digit() || c == '.' || c == ','))
-        .filter(|part| !part.is_empty())
-        .map(|part| part.replace(',', ".").parse().ok())
-        .collect::<Option<_>>()?;
-    let known = |c: char| c.is_ascii_digit() || ".,+-°º˚'′’\"″” NSEWØO".contains(c);
-    let marked = upper.contains(['°', 'º', '˚', '\'', '′']) || upper.ends_with(['N', 'S', 'E', 'W']);
-    if !marked
-        || !upper.chars().all(known)
-        || parts.is_empty()
-        || parts.len() > 3
-        || parts[1..].iter().any(|p| *p >= 60.0)
-    {
-        return None;
-    }
-    let value = parts.iter().rev().fold(0.0, |sum, part| sum / 60.0 + part);
-    Some(if negative { -value } else { value })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -286,16 +269,5 @@ mod tests {
         for text in ["", "P1", "nan", "inf", "1-2", "12m", "86 7032516", "80,3 1", "12..5", "1,2,3", "1.2.3,4"] {
             assert_eq!(number(text), None, "{text}");
         }
-    }
-
-    #[test]
-    fn angles_in_degrees_minutes_and_seconds() {
-        let close = |text: &str, value: f64| assert!((angle(text).expect(text) - value).abs() < 1e-12, "{text}");
-        close("63.4305", 63.4305);
-        close("63°25'48.36\"N", 63.4301);
-        close("10° 23' 42\" W", -10.395);
-        close("63 25.5 N", 63.425);
-        assert_eq!(angle("63°75'N"), None);
-        assert_eq!(angle("north"), None);
     }
 }

@@ -56,6 +56,33 @@ pub(super) const NAMES: &[&str] = &[
     "nom du repere",
     // MicMac's description of its columns, `#F=N X Y Z`.
     "f=n",
+    "designation",
+    "désignation",
+    "designación",
+    "nokta",
+    "nokta no",
+    "nokta adı",
+    "nokta adi",
+    "pont",
+    "pontszám",
+    "pontnév",
+    "pontnev",
+    "点名",
+    "点番号",
+    "測点",
+    "測点名",
+    "点号",
+    "имя",
+    "имя точки",
+    "точка",
+    "номер",
+    "номер точки",
+    "название точки",
+    "№",
+    "όνομα",
+    "ονομα",
+    "σημείο",
+    "σημειο",
 ];
 /// Titles that say which is which.
 pub(super) const EASTINGS: &[&str] = &[
@@ -85,6 +112,25 @@ pub(super) const EASTINGS: &[&str] = &[
     "itä",
     "oost",
     "leste",
+    "grid easting",
+    "grid east",
+    "grid e",
+    "doğu",
+    "dogu",
+    "sağa",
+    "saga",
+    "sağa değer",
+    "kelet",
+    "keleti",
+    "東",
+    "東距",
+    "東座標",
+    "восток",
+    "восточное",
+    "ανατολή",
+    "ανατολη",
+    "ανατολικά",
+    "ανατολικα",
 ];
 pub(super) const NORTHINGS: &[&str] = &[
     "northing",
@@ -107,6 +153,26 @@ pub(super) const NORTHINGS: &[&str] = &[
     "norr",
     "pohjoinen",
     "noord",
+    "grid northing",
+    "grid north",
+    "grid n",
+    "kuzey",
+    "yukarı",
+    "yukari",
+    "yukarı değer",
+    "észak",
+    "eszak",
+    "északi",
+    "eszaki",
+    "北",
+    "北距",
+    "北座標",
+    "север",
+    "северное",
+    "βορράς",
+    "βορρας",
+    "βόρεια",
+    "βορεια",
 ];
 /// Titles that do not: x is north in some countries.
 pub(super) const XS: &[&str] = &["x", "geo x", "coord x", "x m", "mapx", "x coordinate", "xcoord", "pos x", "point x"];
@@ -147,11 +213,76 @@ pub(super) const HEIGHTS: &[&str] = &[
     "élévation",
     "hauteur",
     "altezza",
+    "ell height",
+    "ellipsoid height",
+    "ell h",
+    "ellipsoidische höhe",
+    "orthometric height",
+    "orthometric elevation",
+    "altitude ortométrica",
+    "altitude ortometrica",
+    "altitud ortométrica",
+    "altitud ortometrica",
+    "altura ortométrica",
+    "altura ortometrica",
+    "altura elipsoidal",
+    "altitude elipsoidal",
+    "altitude geométrica",
+    "altitude geometrica",
+    "altitud elipsoidal",
+    "altitude orthométrique",
+    "altitude ellipsoïdale",
+    "quota ortometrica",
+    "quota ellissoidica",
+    "yükseklik",
+    "yukseklik",
+    "kot",
+    "magasság",
+    "magassag",
+    "標高",
+    "楕円体高",
+    "высота",
+    "отметка",
+    "υψόμετρο",
+    "υψομετρο",
+    "ύψος",
+    "υψος",
 ];
-pub(super) const LONGITUDES: &[&str] =
-    &["lon", "long", "longitude", "lng", "lengdegrad", "longitude deg", "lon deg", "länge", "laenge", "longitud"];
-pub(super) const LATITUDES: &[&str] =
-    &["lat", "latitude", "breddegrad", "latitude deg", "lat deg", "breite", "latitud"];
+pub(super) const LONGITUDES: &[&str] = &[
+    "lon",
+    "long",
+    "longitude",
+    "lng",
+    "lengdegrad",
+    "longitude deg",
+    "lon deg",
+    "länge",
+    "laenge",
+    "longitud",
+    "boylam",
+    "hosszúság",
+    "földrajzi hosszúság",
+    "経度",
+    "долгота",
+    "γεωγραφικό μήκος",
+    "γεωγραφικο μηκος",
+];
+pub(super) const LATITUDES: &[&str] = &[
+    "lat",
+    "latitude",
+    "breddegrad",
+    "latitude deg",
+    "lat deg",
+    "breite",
+    "latitud",
+    "enlem",
+    "szélesség",
+    "földrajzi szélesség",
+    "緯度",
+    "широта",
+    "γεωγραφικό πλάτος",
+    "γεωγραφικο πλατος",
+];
 pub(super) const SIGMAS: &[&str] = &[
     "sigma m",
     "sigma",
@@ -163,6 +294,9 @@ pub(super) const SIGMAS: &[&str] = &[
     "horizontal accuracy",
     "hrms",
     "incertitude plani",
+    "accuracy x/y",
+    "accuracy x/y/z",
+    "accuracy xy",
 ];
 /// Accuracies of each coordinate.
 pub(super) const SIGMA_EASTS: &[&str] =
@@ -181,6 +315,8 @@ pub(super) const SIGMA_HEIGHTS: &[&str] = &[
     "std z",
     "elevation rms",
     "incertitude alti",
+    "accuracy x/y/z",
+    "accuracy z/altitude",
 ];
 /// Titles so short that they mean an accuracy of the height beside those of both coordinates only.
 pub(super) const SHORT_SIGMA_HEIGHTS: &[&str] = &["sz", "sh", "iz"];
@@ -198,12 +334,23 @@ pub(super) fn tidy(title: &str) -> String {
 /// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves, and "E_GNSS" as
 /// what stands before the system.
 pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
-    let whole = |title: &String, name: &str| title == name || title.split('/').any(|half| half.trim() == name);
+    // The halves of "Accuracy X/Y" are no coordinates.
+    let is_accuracy = |title: &str| ["accuracy", "sigma", "std", "error"].iter().any(|word| title.starts_with(word));
+    let whole = |title: &String, name: &str| {
+        title == name || (!is_accuracy(title) && title.split('/').any(|half| half.trim() == name))
+    };
     let among = |is: &dyn Fn(&String, &str) -> bool| {
         names.iter().find_map(|name| titles.iter().position(|title| is(title, name)))
     };
     // A title that is the word alone wins over one with a system beside it.
-    among(&whole).or_else(|| among(&|title, name| without_system(title) == Some(name)))
+    among(&whole)
+        .or_else(|| among(&|title, name| without_system(title) == Some(name)))
+        .or_else(|| among(&|title, name| is_accuracy(title) && without_unit(title) == Some(name)))
+}
+
+/// "sigma mm" without its unit.
+fn without_unit(title: &str) -> Option<&str> {
+    title.rsplit_once(' ').filter(|(_, unit)| matches!(*unit, "mm" | "cm" | "m")).map(|(head, _)| head)
 }
 
 /// A title of two words less the one that names what the coordinates were measured with or in.

@@ -45,6 +45,18 @@ impl Unit {
         }
     }
 
+    /// Of an accuracy: also the last word of its title (`sigma_mm`).
+    pub fn of_accuracy(title: &str) -> Option<Unit> {
+        let lower = title.trim().to_lowercase();
+        let last = lower.rsplit(['_', ' ', '-']).next().filter(|word| matches!(*word, "mm" | "cm"));
+        Unit::of_title(title).or_else(|| Unit::of_title(&format!("({})", last?)))
+    }
+
+    /// Whether its length is certain: feet without a word are of one kind or the other, nine metres apart in a northing.
+    fn is_certain(self) -> bool {
+        self.name != "feet"
+    }
+
     /// Whether it is the unit of this length; feet without a word may be of either kind.
     fn is(self, metres: f64) -> bool {
         let same = |m: f64| (m / metres - 1.0).abs() < 1e-7;
@@ -67,10 +79,12 @@ impl TitledUnits {
         TitledUnits { plan: [titled(easting), titled(northing)], height: height.and_then(titled) }
     }
 
-    /// Brings local coordinates into metres, and heights into the unit of the CRS; says so in `notes`.
+    /// Brings local coordinates, and those of a CRS that counts in metres, into metres, and heights into the unit of the
+    /// CRS; says so in `notes`.
     ///
     /// # Errors
-    /// [`Error::Format`] when the titles say another unit than the CRS counts in, or two.
+    /// [`Error::Format`] when the titles say two units, feet of no certain kind, or another unit than a CRS counts in that
+    /// does not count in metres.
     pub fn apply(
         &self,
         path: &Path,
@@ -89,13 +103,13 @@ impl TitledUnits {
         let mut scale = |factor: f64, of: fn(&mut RawPoint) -> Option<&mut f64>| {
             points.iter_mut().filter_map(of).for_each(|value| *value *= factor);
         };
-        if let (None, Some(unit)) = (crs, plan.filter(|unit| !unit.is(1.0))) {
+        if let Some(unit) = plan.filter(|unit| crs.is_none_or(in_metres) && !unit.is(1.0)) {
             scale(unit.metres, |p| Some(&mut p.gcp.easting));
             scale(unit.metres, |p| Some(&mut p.gcp.northing));
             notes.push(format!("{}: its titles say {}: coordinates were brought to metres", path.display(), unit.name));
         }
         // Heights without a unit of their own have that of the coordinates beside them.
-        let height = self.height.as_ref().map(|(unit, _)| *unit).or(plan.filter(|_| crs.is_none()));
+        let height = self.height.as_ref().map(|(unit, _)| *unit).or(plan.filter(|_| crs.is_none_or(in_metres)));
         if let Some(unit) = height.filter(|unit| !unit.is(height_unit_m)) {
             scale(unit.metres / height_unit_m, |p| p.gcp.height.as_mut());
             let to = if height_unit_m == 1.0 { "metres" } else { "the unit of its CRS" };
@@ -119,7 +133,17 @@ impl TitledUnits {
     fn refuse_other(&self, path: &Path, crs: &Crs) -> Result<()> {
         let unit_m = crs.metres_per_unit();
         let other = self.plan.iter().flatten().find(|(unit, _)| !unit.is(unit_m));
-        match other.filter(|_| !crs.is_geographic()) {
+        let stays = |unit: &Unit| !(in_metres(crs) && unit.is_certain());
+        match other.filter(|(unit, _)| !crs.is_geographic() && stays(unit)) {
+            Some((_, title)) if in_metres(crs) => Err(Error::format(
+                path,
+                "the header",
+                format!(
+                    "the title `{title}` says feet of no certain kind, but {} counts in metres; write `(US ft)` or \
+                     `(ift)` in the titles, or give the --crs that counts in feet",
+                    crs.title()
+                ),
+            )),
             Some((unit, title)) => Err(Error::format(
                 path,
                 "the header",
@@ -135,4 +159,9 @@ impl TitledUnits {
             None => Ok(()),
         }
     }
+}
+
+/// Whether it is a map in metres.
+fn in_metres(crs: &Crs) -> bool {
+    !crs.is_geographic() && crs.metres_per_unit() == 1.0
 }

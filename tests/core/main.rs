@@ -32,4 +32,5 @@ mod tags;
 mod targets;
 mod thesis;
 mod tile_invariance;
+mod unclear_lists;
 mod words;

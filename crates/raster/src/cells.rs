@@ -2,9 +2,10 @@
 
 use std::borrow::Cow;
 
-/// Whether a spreadsheet would take the text of a cell for a formula.
+/// Whether a spreadsheet would take the text of a cell for a formula, also behind apostrophes, which would be taken for
+/// [`no_formula`]'s.
 fn is_formula(text: &str) -> bool {
-    text.starts_with(['=', '+', '-', '@', '\t', '\r'])
+    text.trim_start_matches('\'').starts_with(['=', '+', '-', '@', '\t', '\r'])
 }
 
 /// A text as a cell of a table that a spreadsheet may open: what begins like a formula gets an apostrophe in front,
@@ -18,9 +19,11 @@ pub fn without_apostrophe(cell: &str) -> &str {
     cell.strip_prefix('\'').filter(|text| is_formula(text)).unwrap_or(cell)
 }
 
-/// A field of a comma-separated table, quoted when it must be.
+/// A field of a comma-separated table, quoted when it must be: also where a file that begins with it would be none, or a
+/// row a remark.
 pub fn quoted(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r', ';', '#']) || text != text.trim() {
+    let is_beginning = text.starts_with(['!', '{', '<']) || text.starts_with("//");
+    if text.contains([',', '"', '\n', '\r', ';', '#']) || is_beginning || text != text.trim() {
         format!("\"{}\"", text.replace('"', "\"\""))
     } else {
         text.to_string()
@@ -38,7 +41,7 @@ mod tests {
 
     #[test]
     fn formulas_become_texts_and_come_back() {
-        for name in ["=1+1", "-P1", "@x", "+49"] {
+        for name in ["=1+1", "-P1", "@x", "+49", "'=1", "''-2"] {
             let cell = no_formula(name);
             assert_eq!((&*cell, without_apostrophe(&cell)), (format!("'{name}").as_str(), name));
         }

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::{ListFormat, Survey};
+use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{Gcp, GcpRole, text, titles};
+use crate::gcp::{Gcp, GcpRole, angle, titles};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 
@@ -90,6 +90,7 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
             lost.push(format!("column `{column}`"));
         }
     }
+    lost.extend(names::lost(survey, format));
     if format == ListFormat::Kof {
         lost.extend(kof(survey));
     }
@@ -103,15 +104,9 @@ pub(super) fn all_or_none(survey: &Survey, format: ListFormat) -> bool {
 
 /// Titles of what the input says beyond a GCP.
 fn columns(survey: &Survey) -> Vec<String> {
-    let mut titles: Vec<String> = Vec::new();
-    for point in &survey.points {
-        for (title, _) in extra(point) {
-            if !titles.contains(title) {
-                titles.push(title.clone());
-            }
-        }
-    }
-    titles
+    let mut seen = std::collections::HashSet::new();
+    let extras = survey.points.iter().flat_map(extra);
+    extras.map(|(title, _)| title).filter(|title| seen.insert(title.as_str())).cloned().collect()
 }
 
 /// What a point says beyond a GCP: neither empty nor one of its own values again.
@@ -121,7 +116,7 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
     point.attributes.iter().filter(move |(title, value)| {
         let value = value.trim();
         let said = without_apostrophe(value) == name
-            || (has_a_meaning(title) && values.contains(&text::angle(value)) && !value.is_empty());
+            || (!value.is_empty() && values.contains(&angle::angle(value)) && has_a_meaning(title));
         let tidied = titles::tidy(title);
         let own = OWN.contains(&title.as_str()) || titles::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)
@@ -188,22 +183,22 @@ pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Resul
             ),
         ));
     }
+    let has_titles = match format {
+        ListFormat::Pix4d => false,
+        ListFormat::Odm => survey.points.iter().any(|p| !p.pixels.is_empty()),
+        _ => true,
+    };
+    if !has_titles && names::look_like_coordinates(survey) {
+        return Err(Error::usage(
+            format!("{}: names that are numbers cannot be told from coordinates in {title}", input.display()),
+            "put a letter before them, or write another format",
+        ));
+    }
+    refuse_one_name_of_two(input, survey, format)?;
     if format != ListFormat::Kof {
         return Ok(());
     }
-    let mut names = std::collections::HashMap::new();
     for point in &survey.points {
-        let cut: String = point.gcp.name.chars().take(KOF_NAME).collect();
-        if let Some(other) = names.insert(cut.clone(), &point.gcp.name) {
-            return Err(Error::format(
-                input,
-                &point.place,
-                format!(
-                    "`{}` and `{other}` are both `{cut}` in KOF, which has {KOF_NAME} letters for a name; rename one",
-                    point.gcp.name
-                ),
-            ));
-        }
         let gcp = &point.gcp;
         let fit = [(gcp.northing, 12), (gcp.easting, 11), (gcp.height.unwrap_or(0.0), 8)];
         if let Some((value, width)) = fit.into_iter().find(|(v, w)| super::words::fitting(*v, *w).is_none()) {
@@ -212,6 +207,25 @@ pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Resul
                 &point.place,
                 format!("{value} does not fit the {width} columns that KOF has for it; write another format"),
             ));
+        }
+    }
+    Ok(())
+}
+
+/// Names that the format cannot tell apart.
+fn refuse_one_name_of_two(input: &Path, survey: &Survey, format: ListFormat) -> Result<()> {
+    let letters = if format == ListFormat::Kof { KOF_NAME } else { usize::MAX };
+    let mut written = std::collections::HashMap::new();
+    for point in &survey.points {
+        let name = &point.gcp.name;
+        let cut: String = names::held(format, name).chars().take(letters).collect();
+        if let Some(other) = written.insert(cut.clone(), name) {
+            let why = match format {
+                ListFormat::Kof => format!("KOF, which has {KOF_NAME} letters for a name"),
+                _ => format!("{}, which has no line ends or tabs in names", format.title()),
+            };
+            let what = format!("`{name}` and `{other}` are both `{cut}` in {why}; rename one");
+            return Err(Error::format(input, &point.place, what));
         }
     }
     Ok(())

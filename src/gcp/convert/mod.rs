@@ -5,6 +5,7 @@
 //! listed in [`Converted::lost`]; nothing is put in its place.
 
 mod losses;
+mod names;
 mod vectors;
 mod words;
 
@@ -270,6 +271,9 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     let units = std::mem::take(&mut raw.units);
     let (mut points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
     units.apply(input, &mut points, crs.as_ref(), &mut notes)?;
+    if let Some(crs) = &crs {
+        read::refuse_beyond_poles(input, &points, crs)?;
+    }
     if points.is_empty() {
         return Err(Error::format(input, "the list", "it holds no points"));
     }
@@ -280,6 +284,9 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     }
     losses::refuse(input, &survey, to)?;
     let mut lost = losses::of(&survey, to);
+    for point in &mut survey.points {
+        point.gcp.name = names::held(to, &point.gcp.name).into_owned();
+    }
     let mut transaction = Transaction::new();
     if to.is_text() {
         let text = words::write(&survey, to)?;

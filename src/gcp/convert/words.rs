@@ -1,13 +1,13 @@
 //! Lists as text.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use quick_xml::escape::{escape, partial_escape};
 use serde_json::{Map, Value, json};
 
 use super::losses::{KOF_NAME, all_or_none, extra, has_a_meaning};
 use super::{ListFormat, Survey};
-use crate::gcp::odm::CHECK_PREFIX;
+use crate::gcp::odm::{CHECK_PREFIX, is_crs_line};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::cells::{csv_text, quoted};
 use autoref_raster::crs::Crs;
@@ -98,9 +98,11 @@ fn csv(survey: &Survey) -> String {
     titles.extend(seen.then_some(["pixel_x", "pixel_y"]).into_iter().flatten());
     titles.extend(image.then_some("image"));
     let own = titles.len();
+    let mut known: HashSet<&str> = titles.iter().copied().collect();
+    let mut meant: HashMap<&str, bool> = HashMap::new();
     for point in &survey.points {
-        for (title, _) in extra(point).filter(|(title, _)| !has_a_meaning(title)) {
-            if !titles.contains(&title.as_str()) {
+        for (title, _) in extra(point) {
+            if !*meant.entry(title).or_insert_with(|| has_a_meaning(title)) && known.insert(title) {
                 titles.push(title);
             }
         }
@@ -109,10 +111,11 @@ fn csv(survey: &Survey) -> String {
     let crs = survey.crs.as_ref().map(Crs::label).unwrap_or_default();
     for point in &survey.points {
         let (gcp, at) = (&point.gcp, Survey::first_seen(point));
+        // Of columns with one title the first.
+        let further: HashMap<&str, &str> =
+            point.attributes.iter().rev().map(|(t, v)| (t.as_str(), v.as_str())).collect();
         let value = |(i, title): (usize, &&str)| match *title {
-            title if i >= own => {
-                point.attributes.iter().find(|(t, _)| t == title).map_or(String::new(), |(_, v)| v.clone())
-            }
+            title if i >= own => further.get(title).copied().unwrap_or_default().to_owned(),
             "name" => gcp.name.clone(),
             "easting" => gcp.easting.to_string(),
             "northing" => gcp.northing.to_string(),
@@ -175,7 +178,7 @@ fn odm(survey: &Survey) -> Result<String> {
         let label = format!("{}{}", if is_check(gcp) { CHECK_PREFIX } else { "" }, gcp.name);
         if !seen {
             let height = gcp.height.map_or(String::new(), |h| format!("\t{h}"));
-            text.push_str(&format!("{label}\t{}\t{}{height}\n", gcp.easting, gcp.northing));
+            text.push_str(&format!("{}\t{}\t{}{height}\n", csv_text(&label), gcp.easting, gcp.northing));
         }
         for at in &point.pixels {
             text.push_str(&format!(
@@ -290,7 +293,12 @@ fn pix4d(survey: &Survey) -> String {
     let mut text = String::new();
     for gcp in survey.gcps() {
         let height = gcp.height.expect("refused without a height");
-        text.push_str(&format!("{},{},{},{height}", csv_text(&gcp.name), gcp.easting, gcp.northing));
+        // A first line that begins as a CRS does would be one.
+        let name = match csv_text(&gcp.name) {
+            name if is_crs_line(&name) => format!("\"{name}\""),
+            name => name,
+        };
+        text.push_str(&format!("{name},{},{},{height}", gcp.easting, gcp.northing));
         if let (true, Some(sigma), Some(sigma_height)) = (accuracies, gcp.sigma_m, gcp.sigma_height_m) {
             text.push_str(&format!(",{sigma},{sigma_height}"));
         }
