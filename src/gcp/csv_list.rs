@@ -242,10 +242,10 @@ impl Columns {
         differs.then(|| format!("names are taken from the column `{}`", self.titles[likely].trim()))
     }
 
-    /// Finds out what points and commas in the coordinates stand for; says what is not plain. Degrees have no thousands.
+    /// Finds out what points and commas in the coordinates stand for; says what is not plain.
     pub(super) fn settle_marks(&mut self, path: &Path, rows: &[Row<'_>]) -> Result<Option<String>> {
         if self.geographic {
-            return Ok(None);
+            return Ok(None); // degrees have no thousands
         }
         let columns = [Some(self.easting), Some(self.northing), self.height];
         let cells = rows.iter().flat_map(|(line, fields)| {

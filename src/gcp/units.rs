@@ -52,7 +52,7 @@ impl Unit {
         Unit::of_title(title).or_else(|| Unit::of_title(&format!("({})", last?)))
     }
 
-    /// Whether its length is certain: feet without a word are of one kind or the other, nine metres apart in a northing.
+    /// Whether its length is certain: feet without a word are of either kind, nine metres apart in a northing.
     fn is_certain(self) -> bool {
         self.name != "feet"
     }
@@ -79,12 +79,12 @@ impl TitledUnits {
         TitledUnits { plan: [titled(easting), titled(northing)], height: height.and_then(titled) }
     }
 
-    /// Brings local coordinates, and those of a CRS that counts in metres, into metres, and heights into the unit of the
-    /// CRS; says so in `notes`.
+    /// Brings local coordinates, and those of a CRS in metres, into metres, and heights into the unit of the CRS; says
+    /// so in `notes`.
     ///
     /// # Errors
-    /// [`Error::Format`] when the titles say two units, feet of no certain kind, or another unit than a CRS counts in that
-    /// does not count in metres.
+    /// [`Error::Format`] when the titles say two units, feet of no certain kind, or another unit than a CRS that does
+    /// not count in metres.
     pub fn apply(
         &self,
         path: &Path,
