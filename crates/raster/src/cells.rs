@@ -19,8 +19,8 @@ pub fn without_apostrophe(cell: &str) -> &str {
     cell.strip_prefix('\'').filter(|text| is_formula(text)).unwrap_or(cell)
 }
 
-/// A field of a comma-separated table, quoted when it must be: also where a file that begins with it would be none, or a
-/// row a remark.
+/// A field of a comma-separated table, quoted when it must be: also where a row that begins with it would be a remark,
+/// or a file no table.
 pub fn quoted(text: &str) -> String {
     let is_beginning = text.starts_with(['!', '{', '<']) || text.starts_with("//");
     if text.contains([',', '"', '\n', '\r', ';', '#']) || is_beginning || text != text.trim() {
