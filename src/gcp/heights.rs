@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::gcp::raw::RawPoint;
+use crate::gcp::text;
 
 /// Values of no ground: those that programs put for a value that is missing.
 const MISSING: [f64; 4] = [-9_999.0, -99_999.0, -999_999.0, -32_768.0];
@@ -13,6 +14,11 @@ const BEYOND_ALL: f64 = 1e30;
 pub(super) fn says_none(text: &str) -> bool {
     const WORDS: [&str; 12] = ["nan", "-", "--", "---", "–", "n/a", "na", "#n/a", "null", "none", "nodata", "no data"];
     WORDS.contains(&text.trim().to_lowercase().as_str())
+}
+
+/// Whether a cell stands for no height, in words or as a number.
+pub(super) fn stands_for_none(text: &str) -> bool {
+    says_none(text) || text::number(text).is_some_and(is_missing)
 }
 
 fn is_missing(height: f64) -> bool {

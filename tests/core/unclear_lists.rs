@@ -57,6 +57,10 @@ fn marks_between_thousands_are_shown_by_the_file() {
     is_read(english, &points, "`500,000` (row 2) the comma is taken for a thousands mark, as `4,649,776` shows");
     is_read(german, &points, "`500.000` (row 2) the point is taken for a thousands mark");
     is_read(german.split_once('\n').expect("a header").1, &points, "thousands mark");
+    let folder = Folder::new();
+    let lost =
+        converted(&folder.write("l.csv", &english.replace("\"2,500\"", "-9999")), "o.csv", None).expect("read").lost;
+    assert!(lost.is_empty(), "{lost:?}");
     let local = "name,e,n\nA,105.743,92.676\nB,106.125,93.001\n";
     is_read(local, &[("A", 105.743, 92.676, None), ("B", 106.125, 93.001, None)], "taken for the decimal mark");
     refused("local", "name;e;n;h\nA;500.000;4.649.776;12.5\n", &["row 2", "`500.000`", "one decimal mark"]);

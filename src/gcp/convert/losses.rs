@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{Gcp, GcpRole, angle, titles};
+use crate::gcp::{Gcp, GcpRole, angle, heights, text, titles};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 
@@ -115,8 +115,13 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
     let values = [Some(*easting), Some(*northing), *height, *sigma_m, *sigma_height_m];
     point.attributes.iter().filter(move |(title, value)| {
         let value = value.trim();
-        let said = without_apostrophe(value) == name
-            || (!value.is_empty() && values.contains(&angle::angle(value)) && has_a_meaning(title));
+        // Also with marks between its thousands, or as what stands for no height.
+        let is_value = || {
+            values.contains(&angle::angle(value))
+                || values.contains(&text::number(&value.replace(['.', ','], "")))
+                || heights::stands_for_none(value)
+        };
+        let said = without_apostrophe(value) == name || (!value.is_empty() && is_value() && has_a_meaning(title));
         let tidied = titles::tidy(title);
         let own = OWN.contains(&title.as_str()) || titles::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)
