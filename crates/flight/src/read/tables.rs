@@ -444,7 +444,7 @@ mod tests {
     #[test]
     fn rows_with_more_cells_than_titles_are_refused() {
         let (path, _gone) = file("name,x,y,z,omega,phi,kappa\na.tif,500000,5,4500000,5,664,0,0,0,0\n");
-        assert!(cameras(&path).is_err_and(|e| e.to_string().contains("row 2 10 cells in 7 columns, as from numbers")));
+        assert!(cameras(&path).is_err_and(|e| e.to_string().contains("row 2: 10 cells in 7 columns, as from numbers")));
         let (path, _gone) = file("name,image,px,py\nP,a.tif,10,5,20,5\n");
         assert!(image_points(&path).is_err_and(|e| e.to_string().contains("6 cells in 4 columns")));
     }
