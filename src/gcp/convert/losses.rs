@@ -116,9 +116,10 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
     point.attributes.iter().filter(move |(title, value)| {
         let value = value.trim();
         // Also with marks between its thousands, or as what stands for no height.
+        let is_one_of = |number: Option<f64>| number.is_some() && values.contains(&number);
         let is_value = || {
-            values.contains(&angle::angle(value))
-                || values.contains(&text::number(&value.replace(['.', ','], "")))
+            is_one_of(angle::angle(value))
+                || is_one_of(text::number(&value.replace(['.', ','], "")))
                 || heights::stands_for_none(value)
         };
         let said = without_apostrophe(value) == name || (!value.is_empty() && is_value() && has_a_meaning(title));
