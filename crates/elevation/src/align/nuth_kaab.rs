@@ -1,7 +1,8 @@
 //! The shift from the cosine of the aspect: Nuth and Kääb 2011, equations 2 to 4.
 //!
 //! dh / tan α is a cosine of the aspect whose amplitude and phase are the shift. As there, the medians of classes of
-//! aspect are fitted, here 72 of them; the height is the median difference.
+//! aspect are fitted, here 72 of them; the height is the median difference, here of the cells within three standard
+//! deviations of it, lest changed ground draws it to its side.
 
 use crate::window::Window;
 use nalgebra::{Matrix3, Vector3};
@@ -28,6 +29,10 @@ const FEWEST: u64 = 20;
 const ENOUGH_CELLS: u64 = 1_000_000;
 const MOST_APART: u64 = 16;
 const ROUGH_PX: f64 = 0.02;
+/// Changed ground that lies in a few aspects would take their medians with it: where less than this share of the cells
+/// lies within so many standard deviations of the core, the others take no part.
+const MOSTLY: f64 = 0.95;
+const KEPT: f64 = 3.0;
 
 /// Iterates from `start` until the shift stands still. The height of every step is the median difference of the one
 /// before.
@@ -39,9 +44,12 @@ pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u3
     let mut state = start;
     state.surface = state.surface.of_degree(Degree::Level);
     let mut rows_apart = (grid.width * grid.height / ENOUGH_CELLS).clamp(1, MOST_APART);
-    state.surface.coefficients[0] += step(pair, &state, means, rows_apart)?.height_m;
+    let first = step(pair, &state, means, (rows_apart, f64::INFINITY))?;
+    state.surface.coefficients[0] += first.height_m;
+    let mut reach_m = first.reach_m;
     for pass in 1..=MOST_PASSES {
-        let step = step(pair, &state, means, rows_apart)?;
+        let step = step(pair, &state, means, (rows_apart, reach_m))?;
+        reach_m = step.reach_m;
         state.surface.coefficients[0] += step.height_m;
         let Some((east_m, north_m)) = step.shift_m else {
             if rows_apart == 1 {
@@ -69,8 +77,10 @@ struct Step {
     /// Metres towards east and north by which the other model is to be read further on; `None` where too few aspects
     /// are there.
     shift_m: Option<(f64, f64)>,
-    /// Median of the differences left.
+    /// Median of the differences left, of those that are no changed ground.
     height_m: f64,
+    /// Farther from it lies changed ground, where there is any.
+    reach_m: f64,
 }
 
 /// Classes of directions, from west over south, without an arc tangent for every cell.
@@ -144,8 +154,14 @@ impl Worker {
         }
     }
 
-    /// Looks at all cells of a window.
-    fn look(&mut self, pair: &Pair<'_>, state: &State, other: &Moved<'_>, core: Window) -> Result<()> {
+    /// Looks at all cells of a window; differences beyond `reach_m` say nothing about the shift.
+    fn look(
+        &mut self,
+        pair: &Pair<'_>,
+        state: &State,
+        other: &Moved<'_>,
+        (core, reach_m): (Window, f64),
+    ) -> Result<()> {
         let grid = pair.template.grid();
         let (width, height) = (core.width as usize, core.height as usize);
         let stride = width + 2;
@@ -170,7 +186,7 @@ impl Worker {
                 let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
                 let tangent = (east * east + north * north).sqrt();
                 let quotient = difference / tangent;
-                if tangent > LEAST_TANGENT && !quotient.is_nan() {
+                if tangent > LEAST_TANGENT && !quotient.is_nan() && difference.abs() <= reach_m {
                     self.classes[self.aspects.of(east, north)].add(quotient as f32);
                 }
             }
@@ -180,17 +196,17 @@ impl Worker {
 }
 
 /// A pass over every `rows_apart`-th row of the models, counted from the first: the same rows for any tiling.
-fn step(pair: &Pair<'_>, state: &State, means: Means, rows_apart: u64) -> Result<Step> {
+fn step(pair: &Pair<'_>, state: &State, means: Means, (rows_apart, reach_m): (u64, f64)) -> Result<Step> {
     let grid = pair.template.grid();
     let other = Moved::of(pair, state.shift);
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, Worker::new, |worker, core| {
         if rows_apart == 1 {
-            return worker.look(pair, state, &other, core);
+            return worker.look(pair, state, &other, (core, reach_m));
         }
         let first = core.y.next_multiple_of(rows_apart);
         for y in (first..core.bottom()).step_by(rows_apart as usize) {
-            worker.look(pair, state, &other, Window::new(core.x, y, core.width, 1))?;
+            worker.look(pair, state, &other, (Window::new(core.x, y, core.width, 1), reach_m))?;
         }
         Ok(())
     })?;
@@ -200,7 +216,10 @@ fn step(pair: &Pair<'_>, state: &State, means: Means, rows_apart: u64) -> Result
         differences.merge(&part.differences);
         classes.iter_mut().zip(&part.classes).for_each(|(a, b)| a.merge(b));
     }
-    Ok(Step { shift_m: cosine(&classes), height_m: differences.quantile(0.5).unwrap_or(0.0) })
+    let (height_m, scale_m) = differences.core().unwrap_or((0.0, 0.0));
+    let kept = differences.share_within(height_m, KEPT * scale_m);
+    let reach_m = if kept < MOSTLY { KEPT * scale_m } else { f64::INFINITY };
+    Ok(Step { shift_m: cosine(&classes), height_m, reach_m })
 }
 
 /// Least squares of median = east·cos + north·sin + constant over the classes.

@@ -11,7 +11,7 @@ use crate::stream::{self, BLOCK_PX, Means};
 use super::covariance::{covariance, score_block_px};
 use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
 use super::surface::Degree;
-use super::{Method, Options, nuth_kaab};
+use super::{Method, Options, nuth_kaab, spread};
 
 /// Fewest common cells of a fit.
 const FEWEST_CELLS: u64 = 50;
@@ -85,7 +85,9 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     let nothing = |why: &str| Ok(Found::Nothing(why.into()));
 
     let Some(mut state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
-        return nothing("too few cells with a slope are common to both models");
+        let sloping =
+            fit::pass(&levels[0].pair(full), &State::default(), Gather::Residuals, flats, options.means)?.sloping;
+        return nothing(if sloping < FEWEST_CELLS { FEW } else { ONE_ASPECT });
     };
     let precision = if finest > 1 { STREAMED } else { IN_MEMORY };
     match options.method {
@@ -116,6 +118,10 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     })))
 }
 
+const FEW: &str =
+    "too few cells with a slope are common to both models; --method bias gives the height alone, without a shift";
+const ONE_ASPECT: &str = "the common ground slopes in one direction only, along which a shift and a height are the \
+                          same; --method bias gives the height alone";
 const FLAT: &str =
     "the common ground is too flat, or too unlike, for a shift to be known; --method bias or tilt does without";
 
@@ -331,7 +337,7 @@ impl Fitter<'_> {
                         continue;
                     }
                 }
-                match self.settle(&pair, state, free, COARSE)? {
+                match self.settle_centred(&pair, state, free)? {
                     Some(end) => {
                         let near = |other: &State| {
                             let x = (other.shift.0 - end.state.shift.0) / grid.step_x;
@@ -378,6 +384,44 @@ impl Fitter<'_> {
             }
         }
         Ok(None)
+    }
+
+    /// The same where the models are in memory, begun again where most differences lie as long as that fits better.
+    ///
+    /// A fit that begins far off, or with a height that changed ground has drawn to its side, takes the residuals that it
+    /// meets for scatter: wide enough to keep the changed ground for good, and with it the wrong height. The shift is
+    /// right to a part of a cell by then, so that the differences show where the ground is that has not changed.
+    fn settle_centred(&self, pair: &Pair<'_>, start: State, free: Free) -> Result<Option<Settled>> {
+        const MOST_RESTARTS: u32 = 4;
+        /// What is narrower by less is no other ground, and what is less better no better fit.
+        const NARROWER: f64 = 0.8;
+        const BETTER: f64 = 0.95;
+        let Some(mut best) = self.settle(pair, start, free, COARSE)? else { return Ok(None) };
+        let mut here = spread::of(pair, &best.state, self.means)?;
+        for _ in 0..MOST_RESTARTS {
+            let mut again = (best.state, here);
+            if free.surface > Degree::Level {
+                // A tilt may be that of the changed ground.
+                let level = State { surface: best.state.surface.of_degree(Degree::Level), ..best.state };
+                let spread = spread::of(pair, &level, self.means)?;
+                if spread.scale_densest < again.1.scale_densest {
+                    again = (level, spread);
+                }
+            }
+            let (mut state, at) = again;
+            if at.scale_densest.is_nan() || at.scale_densest >= NARROWER * here.scale_zero {
+                break;
+            }
+            state.surface.coefficients[0] += at.densest;
+            state.surface = state.surface.of_degree(best.state.surface.degree);
+            let Some(settled) = self.settle(pair, state, free, COARSE)? else { break };
+            let next = spread::of(pair, &settled.state, self.means)?;
+            if next.scale_zero >= BETTER * here.scale_zero {
+                break;
+            }
+            (best, here) = (settled, next);
+        }
+        Ok(Some(best))
     }
 
     /// The degree of the surface that is there, as it shows where the models are in memory; no higher than `highest`.

@@ -14,8 +14,14 @@ pub struct Spread {
     /// 1.4826 times the median distance from the median (J. Höhle and M. Höhle, *Accuracy assessment of digital
     /// elevation models by means of robust statistical methods*, 2009).
     pub nmad: f64,
-    /// Of the differences within five NMAD of the median.
+    /// Of the differences within five NMAD of the median; where changed ground widens the NMAD, within five standard
+    /// deviations of the core.
     pub mean: f64,
+    /// Where most differences lie: the middle of the shortest interval that holds half of them.
+    pub densest: f64,
+    /// Standard deviation that half this interval's length, and the median distance from 0, would have for normal values.
+    pub scale_densest: f64,
+    pub scale_zero: f64,
     pub count: u64,
 }
 
@@ -24,6 +30,8 @@ pub const BITS: u32 = 20;
 
 /// How many NMAD from the median a difference counts in the mean.
 const CLIP: f64 = 5.0;
+/// An NMAD of so many times the core's standard deviation is that of two kinds of ground.
+const WIDENED: f64 = 1.25;
 
 /// # Errors
 /// When a model cannot be read.
@@ -71,6 +79,9 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     parts.iter().for_each(|part| histogram.merge(&part.histogram));
     let median = histogram.quantile(0.5).unwrap_or(f64::NAN);
     let nmad = 1.4826 * histogram.median_distance(median);
-    let mean = histogram.mean_within(median, CLIP * nmad).unwrap_or(f64::NAN);
-    Ok(Spread { median, nmad, mean, count: histogram.total() })
+    let (centre, scale) = histogram.core().filter(|(_, scale)| nmad > WIDENED * scale).unwrap_or((median, nmad));
+    let mean = histogram.mean_within(centre, CLIP * scale).unwrap_or(f64::NAN);
+    let (densest, half) = histogram.shortest_half().unwrap_or((f64::NAN, f64::NAN));
+    let scale_zero = 1.4826 * histogram.median_distance(0.0);
+    Ok(Spread { median, nmad, mean, densest, scale_densest: 1.4826 * half, scale_zero, count: histogram.total() })
 }

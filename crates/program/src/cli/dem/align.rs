@@ -66,6 +66,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     let found = job.run()?;
     let alignment = match &found.outcome {
         Outcome::Refused(why) => {
+            let why = format!("{} and {}: {why}", args.a.display(), args.to.display());
             if args.json {
                 println!("{}", json!({ "status": "refused", "reason": why }));
             } else {
@@ -122,7 +123,18 @@ fn warnings(found: &Alignment, couple: &Couple) -> Vec<String> {
          (dem compare)"
             .to_string()
     });
-    spread.into_iter().chain(couple.doubtful_units.clone()).collect()
+    // Of so many cells, a mean that is hardly better known than one of them is that of two kinds of ground.
+    const MANY: u64 = 1000;
+    let height_se_m = found.covariance_m2[(2, 2)].max(0.0).sqrt();
+    let unsure = found.common_cells >= MANY && height_se_m > found.nmad_after_m / 2.0;
+    let unsure = (unsure && height_se_m > 1e-3).then(|| {
+        format!(
+            "the height is known to {height_se_m:.2} m only, though {} cells spread by {:.2} m: much of the ground has \
+             changed, or errs together; keep to what is stable (--stable)",
+            found.common_cells, found.nmad_after_m
+        )
+    });
+    spread.into_iter().chain(unsure).chain(couple.doubtful_units.clone()).collect()
 }
 
 /// A number, or null where there is none.
