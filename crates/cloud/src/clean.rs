@@ -171,8 +171,9 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
     }
     let began = Instant::now();
     let (mut header, _) = io::open(input)?;
-    let notes = look(input, named, plan, &mut header)?;
-    let (mut tiles, invalid) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
+    let mut notes = look(input, named, plan, &mut header)?;
+    let (mut tiles, invalid, left_over) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
+    notes.extend(left_over);
     let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);
     let mut steps = Vec::new();
     let mut active = tiles.points;
@@ -264,8 +265,8 @@ fn kept_bounds(tiles: &Tiles, plan: &Plan, dropped: u64) -> Result<Bounds> {
     Ok(bounds)
 }
 
-/// Reads all points and shares them out.
-fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64)> {
+/// Reads all points and shares them out; answers the tiles, how many points are invalid, and what the reader left over.
+fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64, Option<String>)> {
     let (_, mut reader) = io::open(input)?;
     let mut scratch = Scratch::new(&plan.scratch)?;
     let mut spool = Spool::new(&mut scratch)?;
@@ -291,6 +292,10 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64)> {
             index += 1;
         }
     }
+    let left_over = reader.left_over()?;
+    if let Some(note) = &left_over {
+        tracing::warn!("{}: {note}", input.display());
+    }
     if spool.points == 0 {
         return Err(Error::format(input, "points", "there are none; leave the file out"));
     }
@@ -299,7 +304,7 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64)> {
         return Err(Error::format(input, "points", format!("all {} lie at one place, ({x}, {y}, {z})", spool.points)));
     }
     spool.indices = index;
-    Ok((Tiles::new(scratch, spool, plan.most_tile_points())?, invalid))
+    Ok((Tiles::new(scratch, spool, plan.most_tile_points())?, invalid, left_over))
 }
 
 fn run_step(

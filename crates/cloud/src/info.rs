@@ -30,7 +30,7 @@ pub struct Info {
     pub dimensions: Vec<String>,
     /// Points by class.
     pub classes: BTreeMap<u8, u64>,
-    /// What was passed over in the header.
+    /// What was passed over in the header, and behind the points.
     pub notes: Vec<String>,
 }
 
@@ -63,6 +63,8 @@ pub fn info(path: &Path, shift: Option<[f64; 3]>) -> Result<Info> {
             }
         }
     }
+    let mut notes = header.las.as_ref().map_or_else(Vec::new, |las| las.notes.clone());
+    notes.extend(reader.left_over()?);
     let moved = |place: [f64; 3]| {
         let shift = shift.unwrap_or([0.0; 3]);
         (!bounds.is_empty()).then(|| [0, 1, 2].map(|axis| place[axis] + shift[axis]))
@@ -87,6 +89,6 @@ pub fn info(path: &Path, shift: Option<[f64; 3]>) -> Result<Info> {
         points_per_m2: (area_m2 > 0.0 && area_m2.is_finite()).then(|| (points - invalid) as f64 / area_m2),
         dimensions,
         classes,
-        notes: header.las.map_or_else(Vec::new, |las| las.notes),
+        notes,
     })
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_cloud::clean::{Step, clean};
 use autoref_cloud::grid::{self, Dimension, GridReport, Manner, Noise, Options, Stat};
+use autoref_cloud::info::info;
 use autoref_cloud::io;
 use autoref_cloud::schema::{Batch, Field};
 use autoref_cloud::smrf;
@@ -87,6 +88,82 @@ impl Las {
             bytes.extend(self.extra.get(i as usize).into_iter().flatten());
         }
         std::fs::write(path, bytes).expect("writable");
+    }
+}
+
+/// A header that counts fewer points than follow is said, with both counts; what stands behind the points is none of
+/// them.
+#[test]
+fn points_that_the_header_does_not_count_are_said() {
+    let folder = Folder::new();
+    let path = folder.at("less.las");
+    let las = Las { minor: 2, point_format: 0, ..Las::default() };
+    las.write(&path);
+    assert!(info(&path, None).expect("a cloud").notes.is_empty());
+    let mut bytes = std::fs::read(&path).expect("there");
+    bytes[107..111].copy_from_slice(&12u32.to_le_bytes());
+    std::fs::write(&path, &bytes).expect("writable");
+    let found = info(&path, None).expect("a cloud");
+    assert_eq!(found.points, 12);
+    assert!(found.notes[0].contains("counts 12 points, the file holds 16: the last 4"), "{:?}", found.notes);
+    let step = Step::Radius { radius_m: 20.0, least: 1 };
+    let report = clean(&path, &folder.at("out.las"), &folder.at("out.las"), &plan(vec![step]));
+    let report = report.expect("cleaned");
+    assert!(report.notes.iter().any(|note| note.contains("the last 4")), "{:?}", report.notes);
+    // An extended record begins where the points end.
+    let path = folder.at("record.las");
+    Las { minor: 4, point_format: 6, ..Las::default() }.write(&path);
+    let mut bytes = std::fs::read(&path).expect("there");
+    let end = bytes.len() as u64;
+    bytes[235..243].copy_from_slice(&end.to_le_bytes());
+    bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
+    let mut record = [vec![0; 60], vec![7; 400]].concat();
+    record[20..28].copy_from_slice(&400u64.to_le_bytes());
+    std::fs::write(&path, [bytes, record].concat()).expect("writable");
+    let found = info(&path, None).expect("a cloud");
+    assert!(found.points == 16 && !found.notes.iter().any(|note| note.contains("counts")), "{:?}", found.notes);
+}
+
+#[test]
+fn vertices_that_the_header_does_not_count_are_said() {
+    let folder = Folder::new();
+    let head = |format: &str, more: &str| {
+        format!(
+            "ply\nformat {format} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n{more}\
+             end_header\n"
+        )
+    };
+    let vertices = (0..9).flat_map(|i| (i as f32).to_le_bytes()).collect::<Vec<u8>>();
+    let packed = [head("binary_little_endian", "").into_bytes(), vertices].concat();
+    let text = [head("ascii", "").as_str(), "0 0 0\n1 1 1\n2 2 2\n"].concat().into_bytes();
+    for (name, bytes) in [("packed.ply", packed), ("text.ply", text)] {
+        std::fs::write(folder.at(name), bytes).expect("writable");
+        let found = info(&folder.at(name), None).expect("a cloud");
+        assert!(found.notes[0].contains("counts 2 points, the file holds 3: the last 1"), "{:?}", found.notes);
+    }
+    let faces = "element face 1\nproperty list uchar int vertex_indices\n";
+    let text = [head("ascii", faces).as_str(), "0 0 0\n1 1 1\n2 0 1\n"].concat();
+    std::fs::write(folder.at("faces.ply"), text).expect("writable");
+    assert!(info(&folder.at("faces.ply"), None).expect("a cloud").notes.is_empty());
+}
+
+/// A chunk whose bytes are damaged is not the end of the file.
+#[test]
+fn a_damaged_chunk_is_damaged() {
+    let folder = Folder::new();
+    let (las, laz) = (folder.at("a.las"), folder.at("a.laz"));
+    Las { minor: 2, point_format: 0, ..Las::default() }.write(&las);
+    let step = Step::Radius { radius_m: 20.0, least: 1 };
+    clean(&las, &laz, &laz, &plan(vec![step])).expect("packed");
+    let whole = std::fs::read(&laz).expect("there");
+    let begin = u32::from_le_bytes(whole[96..100].try_into().expect("four bytes")) as usize;
+    for at in begin + 8..whole.len() - 20 {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0xff;
+        std::fs::write(&laz, bytes).expect("writable");
+        if let Err(error) = info(&laz, None) {
+            assert!(!error.to_string().contains("ends before: it is truncated"), "byte {at}: {error}");
+        }
     }
 }
 

@@ -25,6 +25,10 @@ struct LasReader {
     record_bytes: usize,
     points: u64,
     read: u64,
+    /// Points that the file has room for, at least.
+    there: u64,
+    /// Whether the end of the file is there: the packed points are damaged where they cannot be read.
+    complete: bool,
 }
 
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
@@ -33,10 +37,15 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let mut reader = BufReader::with_capacity(1 << 20, file);
     let header = LasHeader::read(path, &mut reader, file_bytes)?;
     reader.seek(SeekFrom::Start(header.points_offset)).map_err(|e| Error::io(path, "seek", e))?;
+    let mut there = header.points;
+    let mut complete = false;
     let source = if header.compressed {
-        unpack(path, &header, reader, file_bytes)?
+        let (unpacker, chunks) = unpack(path, &header, reader, file_bytes)?;
+        complete = chunks.is_some();
+        there = there.max(chunks.map_or(0, |chunks| least_points(chunks, unpacker.vlr())));
+        Source::Packed(Box::new(unpacker))
     } else {
-        let there = (file_bytes - header.points_offset) / header.record_bytes as u64;
+        there = header.points_end(file_bytes).saturating_sub(header.points_offset) / header.record_bytes as u64;
         if there < header.points {
             let what = format!("the header counts {} points, the file holds {there}: it is truncated", header.points);
             return Err(Error::format(path, "points", what));
@@ -64,11 +73,29 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         record_bytes: header.record_bytes,
         points: header.points,
         read: 0,
+        there,
+        complete,
     };
     Ok((described, Box::new(reader)))
 }
 
-fn unpack(path: &Path, header: &LasHeader, mut reader: BufReader<File>, file_bytes: u64) -> Result<Source> {
+type Unpacker = LasZipDecompressor<'static, BufReader<File>>;
+
+/// Points that lie in so many chunks, at least: all but the last are full. Of chunks that differ nothing is known.
+fn least_points(chunks: u64, vlr: &LazVlr) -> u64 {
+    if vlr.uses_variable_size_chunks() {
+        return 0;
+    }
+    chunks.checked_sub(1).map_or(0, |full| full.saturating_mul(u64::from(vlr.chunk_size())) + 1)
+}
+
+/// The unpacker, and the number of chunks where the file has their table.
+fn unpack(
+    path: &Path,
+    header: &LasHeader,
+    mut reader: BufReader<File>,
+    file_bytes: u64,
+) -> Result<(Unpacker, Option<u64>)> {
     let bad = |what: String| {
         let what = if what.contains("failed to fill whole buffer") {
             "the file ends before: it is truncated".into()
@@ -88,18 +115,23 @@ fn unpack(path: &Path, header: &LasHeader, mut reader: BufReader<File>, file_byt
         let what = format!("it packs {} bytes a point, the header says {}", vlr.items_size(), header.record_bytes);
         return Err(bad(what));
     }
-    check_chunk_table(path, header, &mut reader, file_bytes)?;
+    let chunks = check_chunk_table(path, header, &mut reader, file_bytes)?;
     let unpacker = guarded(|| LasZipDecompressor::new(reader, vlr).map_err(|e| e.to_string())).map_err(bad)?;
-    Ok(Source::Packed(Box::new(unpacker)))
+    Ok((unpacker, chunks))
 }
 
-/// An untrusted count of chunks must not decide how much memory is taken.
-fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<File>, file_bytes: u64) -> Result<()> {
+/// How many chunks there are; `None` without a table. An untrusted count must not decide how much memory is taken.
+fn check_chunk_table(
+    path: &Path,
+    header: &LasHeader,
+    reader: &mut BufReader<File>,
+    file_bytes: u64,
+) -> Result<Option<u64>> {
     let io = |e| Error::io(path, "read the chunk table", e);
     let mut word = [0; 8];
     if header.points == 0 || reader.read_exact(&mut word).is_err() {
         reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
-        return Ok(());
+        return Ok(None);
     }
     let mut at = i64::from_le_bytes(word);
     // What lies before the points says, as -1 does, that the place stands at the end of the file.
@@ -108,6 +140,7 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
         at = i64::from_le_bytes(word);
     }
     let inside = u64::try_from(at).ok().filter(|&at| at >= header.points_offset && at.saturating_add(8) <= file_bytes);
+    let mut counted = None;
     if let Some(at) = inside {
         reader.seek(SeekFrom::Start(at)).map_err(io)?;
         reader.read_exact(&mut word).map_err(io)?;
@@ -115,6 +148,7 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
         if u64::from(chunks) > header.points.max(file_bytes) {
             return Err(Error::format(path, format!("chunk table at byte {at}"), format!("{chunks} chunks")));
         }
+        counted = Some(u64::from(chunks));
     }
     if inside.is_none() && at > begin {
         return Err(Error::format(
@@ -124,7 +158,7 @@ fn check_chunk_table(path: &Path, header: &LasHeader, reader: &mut BufReader<Fil
         ));
     }
     reader.seek(SeekFrom::Start(header.points_offset)).map_err(io)?;
-    Ok(())
+    Ok(counted)
 }
 
 /// The unpacker gives up by a panic on some corrupt data: that becomes an error like any other.
@@ -149,7 +183,13 @@ impl PointReader for LasReader {
             Source::Packed(unpacker) => guarded(|| unpacker.decompress_many(raw).map_err(|e| e.to_string())),
         }
         .map_err(|what| {
-            let what = what.replace("failed to fill whole buffer", "the file ends before: it is truncated");
+            // A file with a table of chunks at its end has its end.
+            let ends = if self.complete {
+                "the packed data are damaged; take another copy of the file"
+            } else {
+                "the file ends before: it is truncated"
+            };
+            let what = what.replace("failed to fill whole buffer", ends);
             Error::format(&self.path, format!("points {first} to {last} of {}", self.points), what)
         })?;
         self.read = last;
@@ -159,5 +199,9 @@ impl PointReader for LasReader {
             [0, 1, 2].map(|axis| step(axis) * scale[axis] + offset[axis])
         }));
         Ok(())
+    }
+
+    fn left_over(&mut self) -> Result<Option<String>> {
+        Ok(super::uncounted(self.points, self.there))
     }
 }

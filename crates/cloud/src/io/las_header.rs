@@ -47,6 +47,17 @@ pub struct LasHeader {
 pub(super) const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
 impl LasHeader {
+    /// Where the points end at the latest: at the extended records or waveforms behind them, or with the file.
+    pub(super) fn points_end(&self, file_bytes: u64) -> u64 {
+        let behind = |at: usize, there: bool| {
+            let begin = if there && self.raw.len() >= at + 8 { u64_at(&self.raw, at) } else { 0 };
+            if begin >= self.points_offset { begin } else { u64::MAX }
+        };
+        let waveforms = behind(227, self.minor >= 3 && self.raw.len() >= 235);
+        let extended = behind(235, self.minor >= 4 && self.raw.len() >= 247 && u32_at(&self.raw, 243) > 0);
+        file_bytes.min(waveforms).min(extended)
+    }
+
     /// Reads header and variable length records.
     ///
     /// # Errors

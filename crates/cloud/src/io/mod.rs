@@ -150,6 +150,25 @@ pub trait PointReader: Send {
     /// # Errors
     /// Truncated or corrupt files; the message names the point.
     fn read(&mut self, batch: &mut Batch, limit: usize) -> Result<()>;
+
+    /// What is to be said of the file once its last point is read: points behind those that its header counts.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    fn left_over(&mut self) -> Result<Option<String>> {
+        Ok(None)
+    }
+}
+
+/// That the header of a file counts fewer points than the file holds.
+fn uncounted(counted: u64, there: u64) -> Option<String> {
+    (there > counted).then(|| {
+        format!(
+            "the header counts {counted} points, the file holds {there}: the last {} are not read; write the file anew \
+             where it comes from, or correct the count",
+            there - counted
+        )
+    })
 }
 
 /// Opens a cloud: LAS, LAZ (also COPC), PLY and E57 by their first bytes, everything else as a table of text.

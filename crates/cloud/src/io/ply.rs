@@ -44,6 +44,8 @@ struct PlyReader {
     points: u64,
     read: u64,
     line: u64,
+    /// Nothing stands behind the vertices, which count so many where each has the same length.
+    last: Option<Option<u64>>,
 }
 
 fn kind_of(name: &str) -> Option<Kind> {
@@ -193,6 +195,8 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     schema.name_once();
     let single = axes.iter().all(|&axis| scalars[axis].1 == Kind::F32);
     let only_scalars = scalars.len() == vertex.properties.len();
+    let nothing_behind = parsed.elements.last().is_some_and(|element| element.name == "vertex");
+    let mut held = None;
     let fixed_bytes = (only_scalars && parsed.encoding != Encoding::Text).then_some(schema.stride);
     if let Some(bytes) = fixed_bytes {
         let begin = std::io::Seek::stream_position(&mut file).map_err(|e| Error::io(path, "seek", e))?;
@@ -201,6 +205,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
             let what = format!("the header counts {} points, the file holds {there}: it is truncated", vertex.count);
             return Err(Error::format(path, "points", what));
         }
+        held = Some(there);
     }
     let encoding = match parsed.encoding {
         Encoding::Text => "text",
@@ -228,6 +233,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         points: vertex.count,
         read: 0,
         line,
+        last: nothing_behind.then_some(held),
     };
     Ok((header, Box::new(reader)))
 }
@@ -426,5 +432,19 @@ impl PointReader for PlyReader {
         let xyz = batch.raw.chunks_exact(stride).map(|record| axes.map(|(kind, offset)| kind.read(&record[offset..])));
         batch.xyz.extend(xyz);
         Ok(())
+    }
+
+    fn left_over(&mut self) -> Result<Option<String>> {
+        let mut there = match self.last {
+            None => return Ok(None),
+            Some(Some(there)) => there,
+            Some(None) => self.points,
+        };
+        if self.encoding == Encoding::Text {
+            while read_line(&self.path, &mut self.file, &mut self.line)?.is_some() {
+                there += 1;
+            }
+        }
+        Ok(super::uncounted(self.points, there))
     }
 }

@@ -5,8 +5,8 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::text_head::{self, Count, remark};
-use super::text_line::{number, numbers, plain_numbers, read_line, text_of, words};
+use super::text_head::{self, Count, DECIMAL_COMMAS, remark};
+use super::text_line::{has_decimal_commas, number, numbers, plain_numbers, read_line, text_of, words};
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
 use crate::schema::{Batch, Kind};
@@ -110,6 +110,9 @@ impl PointReader for TextReader {
 
 /// What is wrong with a row.
 fn mistake(text: &str, columns: usize) -> String {
+    if has_decimal_commas(text) {
+        return format!("`{text}` has decimal commas between blanks: {DECIMAL_COMMAS}");
+    }
     let row = words(text);
     match row.iter().find(|word| number(word).is_none()) {
         Some(word) if row.len() == columns => format!("`{word}` is no number"),
@@ -165,6 +168,32 @@ mod tests {
         assert!(refused("3\n1 2 3\n1 2 4\n").contains("line 1: 2 rows follow, not 3"));
         assert!(refused("1\n1 2 3\n1 2 4\n2\n1 2 3\n").contains("line 1: 2 rows follow, not 1"));
         assert!(refused("10\n20\n0 0 0\n1 0 0\n").contains("PTX"));
+    }
+
+    /// LF, CR LF and CR alone end lines, wherever the buffers of 1 MiB end.
+    #[test]
+    fn lines_end_as_files_end_them() {
+        let rows = 70_000;
+        for end in ["\n", "\r\n", "\r"] {
+            let table: String = (0..rows).map(|row| format!("{row} {} 1.25{end}", row * 7)).collect();
+            assert!(table.len() > 1 << 20);
+            let (points, names) = read_all("rows.xyz", &format!("X Y Z{end}{end}{table}")).expect("a table");
+            assert_eq!((points, names.len()), (rows, 3), "{end:?}");
+        }
+        // A table of one kind within another: the lines are those of both.
+        assert_eq!(read_all("both.xyz", "1 2 3\r4 5 6\n7 8 9").expect("a table").0, 3);
+        let wrong = read_all("short.xyz", "1 2 3\r4 5\r").expect_err("two values").to_string();
+        assert!(wrong.contains("line 2: 2 values"), "{wrong}");
+    }
+
+    #[test]
+    fn decimal_commas_between_blanks_are_named() {
+        for table in ["1,5 2,5 3,5\n", "X Y Z\n1,5 2 3,25\n", "1 2 3\n1,5 2,5 3,5\n"] {
+            let refused = read_all("comma.xyz", table).expect_err("commas").to_string();
+            assert!(refused.contains("decimal commas between blanks: write decimal points"), "{refused}");
+        }
+        assert_eq!(read_all("comma.csv", "1,5;2,5;3,5\n").expect("a table").0, 1);
+        assert_eq!(read_all("comma.csv", "1, 2, 3\n").expect("a table").0, 1);
     }
 
     /// A head in a remark that names other columns than x, y and z is no reason to take the first three.

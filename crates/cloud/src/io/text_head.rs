@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Seek};
 use std::path::Path;
 
-use super::text_line::{next_line, number, words};
+use super::text_line::{has_decimal_commas, next_line, number, words};
 use crate::error::{Error, Result};
 use crate::schema::{Kind, Schema};
 
@@ -12,6 +12,9 @@ use crate::schema::{Kind, Schema};
 pub(super) fn remark(line: &str) -> Option<&str> {
     line.strip_prefix("//").or_else(|| line.strip_prefix('#')).map(|rest| rest.trim_start_matches(['#', '/']).trim())
 }
+
+/// What helps where commas could be either.
+pub(super) const DECIMAL_COMMAS: &str = "write decimal points, or semicolons between the columns";
 
 /// Names of x, y and z.
 const AXES: [&[&str]; 3] =
@@ -116,7 +119,11 @@ pub(super) fn read(path: &Path, file: &mut BufReader<File>, line: &mut u64, byte
             return Ok(Head { names, count, columns, unnamed });
         }
         if names.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
-            let what = format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z");
+            let what = if has_decimal_commas(text) {
+                format!("`{text}` has decimal commas between blanks: {DECIMAL_COMMAS}")
+            } else {
+                format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z")
+            };
             return Err(Error::format(path, format!("line {line}"), what));
         }
         // What noise is told by, under the names that tables give it.

@@ -2,12 +2,12 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use crate::error::{Error, Result};
 
-const MOST_LINE_BYTES: u64 = 1 << 16;
+const MOST_LINE_BYTES: usize = 1 << 16;
 
 /// Calls `take` with each word of a line, up to the first that it does not take.
 fn each_word<'a>(line: &'a str, mut take: impl FnMut(&'a str) -> Option<()>) -> Option<()> {
@@ -78,16 +78,40 @@ pub(super) fn plain_numbers(line: &[u8], raw: &mut Vec<u8>) -> Option<usize> {
     Some(count)
 }
 
-/// Reads the next line into `bytes`; `false` at the end of the file.
+/// Whether a row has decimal commas between blanks, where a comma counts as the end of a column.
+pub(super) fn has_decimal_commas(line: &str) -> bool {
+    let row = || line.split_whitespace();
+    line.contains(',') && !line.contains([';', '\t']) && row().count() >= 3 && row().all(|word| number(word).is_some())
+}
+
+/// Reads the next line into `bytes`, without its end, which is LF, CR LF or CR alone; `false` at the end of the file.
 pub(super) fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64, bytes: &mut Vec<u8>) -> Result<bool> {
     bytes.clear();
-    let read = file.take(MOST_LINE_BYTES).read_until(b'\n', bytes).map_err(|e| Error::io(path, "read", e))?;
-    *line += u64::from(read > 0);
-    if read as u64 == MOST_LINE_BYTES || bytes.contains(&0) {
+    let failed = |e| Error::io(path, "read", e);
+    let mut ended = false;
+    while !ended && bytes.len() < MOST_LINE_BYTES {
+        let there = file.fill_buf().map_err(failed)?;
+        if there.is_empty() {
+            break;
+        }
+        let end = there.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+        bytes.extend_from_slice(&there[..end.unwrap_or(there.len())]);
+        ended = end.is_some();
+        let returned = end.is_some_and(|end| there[end] == b'\r');
+        let read = end.map_or(there.len(), |end| end + 1);
+        file.consume(read);
+        // The line feed behind may be the first byte of the next buffer.
+        if returned && file.fill_buf().map_err(failed)?.first() == Some(&b'\n') {
+            file.consume(1);
+        }
+    }
+    let read = ended || !bytes.is_empty();
+    *line += u64::from(read);
+    if bytes.len() >= MOST_LINE_BYTES || bytes.contains(&0) {
         let what = "this is neither LAS, LAZ, PLY, E57 nor a table of text";
         return Err(Error::format(path, format!("line {line}"), what));
     }
-    Ok(read > 0)
+    Ok(read)
 }
 
 /// The content of a line; what is no UTF-8 is replaced.
