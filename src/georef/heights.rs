@@ -9,7 +9,7 @@ use gdal::spatial_ref::SpatialRef;
 
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;
-use autoref_raster::error::{Error, Result};
+use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_raster::{ElevationModel, set_height_unit};
 use autoref_solve::heights::HeightCorrection;
@@ -46,7 +46,7 @@ pub fn write_corrected(
     place: &CopyPlace<'_>,
     path: &Path,
 ) -> Result<()> {
-    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
     let (width, height) = model.size();
     let options = RasterCreationOptions::from_iter(["COMPRESS=DEFLATE", "PREDICTOR=3", "BIGTIFF=IF_SAFER"]);
     let written = Written::watch(path);

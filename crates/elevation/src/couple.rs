@@ -107,7 +107,10 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         (Some(from), Some(to)) if from.wkt() != to.wkt() && !same_reference(ma.wkt(), mb.wkt()) => {
             (from.clone(), to.clone())
         }
-        _ => return Ok(Couple { a: ma, b: mb, projected: false, heights: common, doubtful_units, _warped: None }),
+        _ => {
+            let a = in_turn_of(ma, &mb);
+            return Ok(Couple { a, b: mb, projected: false, heights: common, doubtful_units, _warped: None });
+        }
     };
     let together = |e: Error| match e {
         Error::Usage { what, remedy } => {
@@ -128,7 +131,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     };
     let (Some(va), Some(vb)) = (va, vb) else {
         return Ok(Couple {
-            a: ma,
+            a: in_turn_of(ma, &mb),
             b: mb,
             projected: warped.is_some(),
             heights: common,
@@ -150,7 +153,23 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
         };
         (ma.lifted(lift), heights)
     };
+    let a = in_turn_of(a, &mb);
     Ok(Couple { a, b: mb, projected: warped.is_some(), heights, doubtful_units, _warped: warped })
+}
+
+/// A where B counts its longitudes: files count them from −180° or from 0°, so that one place may differ by a turn.
+fn in_turn_of(a: Model, b: &Model) -> Model {
+    const TURN_DEGREES: f64 = 360.0;
+    let degrees =
+        |model: &Model| model.crs().is_some_and(|crs| crs.is_geographic() && crs.unit_name().starts_with("deg"));
+    if !(degrees(&a) && degrees(b)) || a.grid().overlap(&b.grid()).is_some() {
+        return a;
+    }
+    let turned = |turn: &f64| Grid { x0: a.grid().x0 + turn, ..a.grid() }.overlap(&b.grid()).is_some();
+    match [TURN_DEGREES, -TURN_DEGREES].into_iter().find(turned) {
+        Some(turn) => a.moved_east(turn),
+        None => a,
+    }
 }
 
 /// Do the map coordinates of a grid stay what they are in the other system?

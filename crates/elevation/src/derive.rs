@@ -11,6 +11,8 @@ use std::os::unix::ffi::OsStrExt;
 
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
+use autoref_raster::{Written, failed_to_write};
+
 use crate::error::{Error, Result};
 use crate::row_cache::{self, RowCache, Use};
 use autoref_raster::bounded;
@@ -132,7 +134,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     };
     match failed {
         // Of the model or of the output: GDAL's words do not say.
-        Some(text) => Err(Error::gdal(out, format!("drawing {}: {text}", model.display()))),
+        Some(text) => Err(failed_to_write(out, &format!("drawing {}: {text}", model.display()))),
         None => Ok(()),
     }
 }
@@ -250,7 +252,8 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
     if !(interval > 0.0 && interval.is_finite()) {
         return Err(Error::usage("--interval is no positive length", "give the height between two lines"));
     }
-    let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
+    let failed = |e: gdal::errors::GdalError| failed_to_write(out, &e.to_string());
+    let watch = Written::watch(out);
     let source = crate::model::open_heights(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     check_levels(model, &band, interval)?;
@@ -290,9 +293,11 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
         (code != gdal_sys::CPLErr::CE_None).then(last_error)
     };
     if let Some(text) = error {
-        return Err(Error::gdal(out, format!("lines of {}: {text}", model.display())));
+        return Err(failed_to_write(out, &format!("lines of {}: {text}", model.display())));
     }
-    dataset.flush_cache().and_then(|()| dataset.close()).map_err(failed)?;
+    let flushed = dataset.flush_cache();
+    watch.close(dataset)?;
+    flushed.map_err(failed)?;
     // Some drivers cannot count while they write.
     let options = DatasetOptions { open_flags: GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
     let written = Dataset::open_ex(out, options).map_err(failed)?;
@@ -345,5 +350,5 @@ pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
             }
         }
     };
-    failed.map_or(Ok(()), |text| Err(Error::gdal(out, format!("warping {}: {text}", source.display()))))
+    failed.map_or(Ok(()), |text| Err(failed_to_write(out, &format!("warping {}: {text}", source.display()))))
 }

@@ -8,6 +8,7 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
 use crate::align::{self, Alignment, Degree, Method, Outcome};
 use crate::couple::{Couple, open_couple};
+use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::kept::Room;
@@ -112,9 +113,9 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
     let options = DatasetOptions { open_flags: flags, open_options, ..Default::default() };
     let dataset = Dataset::open_ex(path, options).map_err(failed)?;
     let mut areas: Vec<(String, Vec<Vec<Ring>>)> = Vec::new();
-    let target = (!wkt.is_empty()).then(|| crate::crs::Crs::parse(wkt)).transpose()?;
+    let target = (!wkt.is_empty()).then(|| Crs::parse(wkt)).transpose()?;
     for mut layer in dataset.layers() {
-        let own = layer.spatial_ref().and_then(|s| s.to_wkt().ok()).map(|w| crate::crs::Crs::parse(&w)).transpose()?;
+        let own = crs_of_layer(path, &layer)?;
         for feature in layer.features() {
             let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) else { continue };
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
@@ -147,9 +148,29 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
         }
     }
     if areas.is_empty() {
-        return Err(Error::format(path, "layers", "no polygon in it"));
+        let what = "no polygon in it; make polygons of its lines or points (Polygonize or Buffer in QGIS), or name \
+                    another file";
+        return Err(Error::format(path, "layers", what));
     }
     Ok(areas)
+}
+
+/// The reference system that a layer names. GeoPackages without one name an undefined one; what belongs to a building
+/// site has no place on the Earth: both are none, as a Shapefile without `.prj` has none.
+fn crs_of_layer(path: &Path, layer: &gdal::vector::Layer<'_>) -> Result<Option<Crs>> {
+    let Some(reference) = layer.spatial_ref() else { return Ok(None) };
+    let undefined = reference.name().is_some_and(|name| name.to_ascii_lowercase().starts_with("undefined"));
+    if undefined || reference.is_local() {
+        return Ok(None);
+    }
+    let Ok(wkt) = reference.to_wkt() else { return Ok(None) };
+    Crs::parse(&wkt).map(Some).map_err(|e| match e {
+        Error::Usage { what, .. } => Error::usage(
+            format!("{}: layer {}: {what}", path.display(), layer.name()),
+            format!("name another: ogr2ogr -a_srs CRS NEW {}", path.display()),
+        ),
+        other => other,
+    })
 }
 
 /// The polygons of a geometry, each with its holes; a closed line is one too.

@@ -83,6 +83,11 @@ impl Model {
         Model { band: HeightBand { metres_per_value, unit_name, ..self.band }, ..self }
     }
 
+    /// The same cells so much farther east, in units of the map.
+    pub fn moved_east(self, by: f64) -> Model {
+        Model { grid: Grid { x0: self.grid.x0 + by, ..self.grid }, ..self }
+    }
+
     /// The same heights above another vertical datum.
     pub fn lifted(self, lift: Lift) -> Model {
         Model { lift: Some(lift), ..self }

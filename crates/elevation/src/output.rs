@@ -13,6 +13,7 @@ use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::window::Window;
 use autoref_raster::atomic::{self, Existing};
+use autoref_raster::{Written, failed_to_write};
 
 /// Side of the blocks in files that are written, of few bands.
 pub const FILE_BLOCK_PX: u64 = 256;
@@ -77,7 +78,7 @@ pub struct Form<'a> {
 /// # Errors
 /// When GDAL cannot.
 pub fn create<T: GdalType>(path: &Path, form: &Form<'_>) -> Result<Dataset> {
-    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
     let predictor = format!("PREDICTOR={}", form.predictor);
     let threads = format!("NUM_THREADS={}", form.threads.max(1));
     let [across, down] = ["X", "Y"].map(|axis| format!("BLOCK{axis}SIZE={}", block_px(form.bands)));
@@ -122,7 +123,7 @@ pub fn put<T: GdalType + Copy>(path: &Path, dataset: &Dataset, window: Window, v
         dataset
             .rasterband(index + 1)
             .and_then(|mut band| band.write((window.x as isize, window.y as isize), size, &mut buffer))
-            .map_err(|e| Error::gdal(path, e))?;
+            .map_err(|e| failed_to_write(path, &e.to_string()))?;
     }
     Ok(())
 }
@@ -130,9 +131,12 @@ pub fn put<T: GdalType + Copy>(path: &Path, dataset: &Dataset, window: Window, v
 /// Closes the file; what GDAL met while it wrote the last blocks is an error.
 ///
 /// # Errors
-/// When GDAL says so: a full disk.
+/// When GDAL says so; a full disk is named as such.
 pub fn finish(path: &Path, mut dataset: Dataset) -> Result<()> {
-    dataset.flush_cache().and_then(|()| dataset.close()).map_err(|e| Error::gdal(path, e))
+    let watch = Written::watch(path);
+    let flushed = dataset.flush_cache();
+    watch.close(dataset)?;
+    flushed.map_err(|e| failed_to_write(path, &e.to_string()))
 }
 
 /// Windows of whole file blocks, row by row: as wide as a tile and one block high.
@@ -237,5 +241,5 @@ pub(crate) fn put_mask(path: &Path, dataset: &Dataset, window: Window, mask: Vec
     dataset
         .rasterband(1)
         .and_then(|band| band.open_mask_band()?.write(at, size, &mut Buffer::new(size, mask)))
-        .map_err(|e| Error::gdal(path, e))
+        .map_err(|e| failed_to_write(path, &e.to_string()))
 }

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::grid::GroundUnit;
+
 /// One side of a ring.
 #[derive(Clone, Copy, Debug)]
 struct Edge {
@@ -94,6 +96,33 @@ impl Zones {
         self.edges.is_empty()
     }
 
+    /// What each area covers by the even-odd rule, square metres: the length of 2048 level lines through it, each as
+    /// wide as the distance to the next; good to a thousandth.
+    pub fn areas_m2(&self, unit: &GroundUnit) -> Vec<f64> {
+        const LINES: usize = 2048;
+        let mut areas = vec![0.0; self.names.len()];
+        for edges in self.edges.chunk_by(|a, b| a.zone == b.zone) {
+            let low = edges.iter().map(|e| e.low.1).fold(f64::INFINITY, f64::min);
+            let high = edges.iter().map(|e| e.high.1).fold(f64::NEG_INFINITY, f64::max);
+            let apart = (high - low) / LINES as f64;
+            let northing = |line: usize| low + (line as f64 + 0.5) * apart;
+            let mut crossings: Vec<(usize, f64)> = Vec::new();
+            for e in edges {
+                let first = |y: f64| ((y - low) / apart - 0.5).ceil().clamp(0.0, LINES as f64) as usize;
+                let across = (e.high.0 - e.low.0) / (e.high.1 - e.low.1);
+                let lines = first(e.low.1)..first(e.high.1);
+                crossings.extend(lines.map(|line| (line, e.low.0 + across * (northing(line) - e.low.1))));
+            }
+            crossings.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+            let area = &mut areas[edges[0].zone as usize];
+            for pair in crossings.chunks_exact(2).filter(|pair| pair[0].0 == pair[1].0) {
+                let (mx, my) = unit.metres_per_unit(northing(pair[0].0));
+                *area += (pair[1].1 - pair[0].1) * mx * apart * my;
+            }
+        }
+        areas
+    }
+
     /// All areas of the cells of a row, whose centres are `x0 + i·step` at height `y` of the map.
     pub fn row_sets(&self, y: f64, (x0, step): (f64, f64), cells: usize, out: &mut RowSets) {
         out.of_cell.clear();
@@ -174,5 +203,8 @@ mod tests {
         assert_eq!([2, 3, 7, 10].map(|cell| sets.of(cell)), [&[0][..], &[], &[0], &[]]);
         zones.row(-1.0, 0.5, 1.0, &mut out);
         assert_eq!(out, [0; 12]);
+        let areas = zones.areas_m2(&GroundUnit::Projected { metres_per_unit: 2.0 });
+        // The hole ends between two lines.
+        assert!((areas[0] / (4.0 * 84.0) - 1.0).abs() < 1e-3 && (areas[1] - 4.0 * 16.0).abs() < 1e-6, "{areas:?}");
     }
 }

@@ -309,6 +309,13 @@ fn flat_or_unlike_ground_is_refused() {
         let height = aligned(&a, &b, &Options { method: Method::Bias, ..Options::default() });
         assert!(height.shift_m[2].abs() < 0.02, "{height:?}");
     }
+    let plane = |rise: f64| {
+        let values = (0..150 * 150).map(|i| rise + 2.0 * (i % 150) as f64 + 0.7 * (i / 150) as f64).collect();
+        MemoryHeights::new(grid, values)
+    };
+    let outcome = align(&plane(0.0), &plane(1.0), &Options::default()).expect("memory");
+    let Outcome::Refused(why) = outcome else { panic!("{outcome:?}") };
+    assert!(why.contains("one direction only") && why.contains("--method bias"), "{why}");
     let constant = MemoryHeights::new(grid, vec![3.0; 150 * 150]);
     let outcome = align(&constant, &constant.clone(), &Options::default()).expect("memory");
     assert!(matches!(outcome, Outcome::Refused(_)), "{outcome:?}");

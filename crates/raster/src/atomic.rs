@@ -329,6 +329,13 @@ impl Drop for Transaction {
     }
 }
 
+/// Whether a file is a step towards a temporary one: it has its name with another ending.
+fn beside(path: &Path, temporary: &Path) -> bool {
+    let stem = temporary.file_stem().unwrap_or_default().to_string_lossy().into_owned() + ".";
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.parent() == temporary.parent() && stem.len() > 1 && name.starts_with(&stem)
+}
+
 /// Messages speak of the file that was asked for, not of its temporary name.
 fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error {
     let real = |path: PathBuf| {
@@ -336,7 +343,7 @@ fn renamed(error: Error, temporaries: &[PathBuf], targets: &[PathBuf]) -> Error 
         match below {
             Some((rest, target)) if rest.as_os_str().is_empty() => target.clone(),
             Some((rest, target)) => target.join(rest),
-            None => path,
+            None => temporaries.iter().zip(targets).find(|(t, _)| beside(&path, t)).map_or(path, |(_, t)| t.clone()),
         }
     };
     let words = |mut text: String| {

@@ -29,6 +29,11 @@ pub struct HeightBand {
     pub unit_name: Option<String>,
 }
 
+/// Words by which files say that they name no unit; IDRISI writes `unspecified`.
+fn says_nothing(unit: &str) -> bool {
+    ["", "unspecified", "unknown", "none", "n/a", "unitless"].contains(&unit.to_ascii_lowercase().as_str())
+}
+
 impl HeightBand {
     /// Of a band of `path`. The unit is the band's own, else that of the vertical axis of `crs`, else the metre.
     ///
@@ -36,7 +41,7 @@ impl HeightBand {
     /// A unit that is none of length; a mask that cannot be looked at.
     pub fn of(path: &Path, band: &RasterBand<'_>, crs: Option<&Crs>) -> Result<HeightBand> {
         refuse_signed_bytes(path, band)?;
-        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !name.is_empty());
+        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !says_nothing(name));
         let axis = crs.and_then(Crs::height_metres_per_unit);
         let metres_per_value = match (&unit_name, axis) {
             (Some(name), _) => metres_of(name).ok_or_else(|| {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use autoref_raster::error::{Error, Result};
+use autoref_raster::{Written, failed_to_write};
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 
@@ -26,7 +27,8 @@ fn write_rows(
     options: &[&str],
     mut row: impl FnMut(usize, &mut [u8]) -> Result<()>,
 ) -> Result<()> {
-    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
+    let watch = Written::watch(path);
     let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
     let blocks = format!("BLOCKYSIZE={ROWS}");
     let options =
@@ -43,7 +45,7 @@ fn write_rows(
         let mut buffer = Buffer::new((width, rows), pixels);
         band.write((0, first as isize), (width, rows), &mut buffer).map_err(failed)?;
     }
-    dataset.close().map_err(failed)
+    watch.close(dataset)
 }
 
 /// Writes `mask` at the frame's size: 1 bit a pixel, 1 = keep.

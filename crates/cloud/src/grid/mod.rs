@@ -237,6 +237,16 @@ pub struct GridReport {
     pub seconds: f64,
 }
 
+/// Bytes in the unit that leaves a digit or more before the point.
+fn amount(bytes: u64) -> String {
+    let (unit, name) = [(1e9, "GB"), (1e6, "MB"), (1e3, "kB")]
+        .into_iter()
+        .find(|(unit, _)| bytes as f64 >= *unit)
+        .unwrap_or((1.0, "bytes"));
+    let value = bytes as f64 / unit;
+    if value < 10.0 && unit > 1.0 { format!("{value:.1} {name}") } else { format!("{value:.0} {name}") }
+}
+
 /// Refuses a grid whose planes the disk does not hold: one point far away is enough for that.
 fn check_scratch(path: &Path, frame: &Frame, options: &Options, (dimensions, unit): (usize, &str)) -> Result<()> {
     const VALUE_BYTES: u64 = 8;
@@ -246,16 +256,17 @@ fn check_scratch(path: &Path, frame: &Frame, options: &Options, (dimensions, uni
     match autoref_raster::free_disk_bytes(&options.scratch) {
         Some(free) if needed > free => Err(Error::usage(
             format!(
-                "{}: {} × {} cells of {} {unit} would take {:.0} GB of scratch data; {} has {:.0} GB free",
+                "{}: {} × {} cells of {} {unit} would take {} of scratch data; the disk of {} has {} free",
                 path.display(),
                 frame.columns,
                 frame.rows,
                 frame.cell_m,
-                needed as f64 / 1e9,
+                amount(needed),
                 options.scratch.display(),
-                free as f64 / 1e9
+                amount(free)
             ),
-            "raise --cell, or take out points that lie far away (cloud clean --crop)",
+            "make room there or name another disk, raise --cell, or take out points that lie far away \
+             (cloud clean --crop)",
         )),
         _ => Ok(()),
     }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Transaction;
-use autoref_raster::set_height_unit;
+use autoref_raster::{Written, failed_to_write, set_height_unit};
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
@@ -112,7 +112,7 @@ struct Grid<'a> {
 
 impl Grid<'_> {
     fn write(&self, path: &Path, bands: &[(Content, String)]) -> Result<()> {
-        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
         let plain = path.with_extension("plain.tif");
         // Places and times need more digits than a single has.
         let made = match self.dimension {
@@ -128,8 +128,9 @@ impl Grid<'_> {
                 "NUM_THREADS=1",
                 "RESAMPLING=NEAREST",
             ]);
+            let watch = Written::watch(path);
             let copy = source.create_copy(&cog, path, &settings).map_err(failed)?;
-            copy.close().map_err(failed)
+            watch.close(copy)
         });
         let _ = std::fs::remove_file(&plain);
         made
@@ -141,7 +142,8 @@ impl Grid<'_> {
         bands: &[(Content, String)],
         cast: impl Fn(f64) -> T,
     ) -> Result<()> {
-        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
+        let watch = Written::watch(path);
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
         let settings =
             RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
@@ -173,7 +175,7 @@ impl Grid<'_> {
                 band.write((0, begin as isize), (columns, count), &mut buffer).map_err(failed)?;
             }
         }
-        file.close().map_err(failed)
+        watch.close(file)
     }
 
     fn rows(&self, content: &Content, begin: usize, count: usize) -> std::io::Result<Vec<f64>> {

@@ -19,7 +19,7 @@ pub struct Spread {
     pub mean: f64,
     /// Where most differences lie: the middle of the shortest interval that holds half of them.
     pub densest: f64,
-    /// Standard deviation that half this interval's length, and the median distance from 0, would have for normal values.
+    /// The standard deviation of normal values that have half this interval's length, and their median distance from 0.
     pub scale_densest: f64,
     pub scale_zero: f64,
     pub count: u64,

@@ -86,6 +86,9 @@ pub struct Volume {
     pub volume_m3: Option<f64>,
     pub volume_se_m3: Option<f64>,
     pub volume_95_m3: Option<[f64; 2]>,
+    /// Of the whole zone, and the share of it that both models cover.
+    pub zone_area_m2: f64,
+    pub covered_share: Option<f64>,
 }
 
 /// What `dem compare` says.
@@ -362,8 +365,9 @@ impl CompareJob<'_> {
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);
         let variogram = variogram::fit(lags::classes(observed, cell_m, spread, means)?, cell_m.0.min(cell_m.1));
         let mean_error = |n: u64, index: usize| variogram.mean_error(n, &first.places(index), cell_m);
-        let volumes = (0..scan.zones.map_or(0, |z| z.names().len()))
-            .map(|zone| {
+        let volumes = scan.zones.map_or_else(Vec::new, |zones| zones.areas_m2(&scan.unit)).into_iter().enumerate();
+        let volumes = volumes
+            .map(|(zone, zone_area_m2)| {
                 let moments = &classes.moments[classes.groups.first_zone + zone];
                 let error = mean_error(moments.n, zone + 1);
                 let (area_m2, volume) = match &classes.extents {
@@ -388,6 +392,9 @@ impl CompareJob<'_> {
                         let reach = 1.96 * se_m * area_m2;
                         [volume - reach, volume + reach]
                     }),
+                    zone_area_m2,
+                    // Cells count as a whole.
+                    covered_share: (zone_area_m2 > 0.0).then(|| (area_m2 / zone_area_m2).min(1.0)),
                 }
             })
             .collect();

@@ -29,10 +29,11 @@ pub(super) fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {
     }
     put("statistics.csv", text)?;
     let mut text =
-        String::from("zone,n,area_m2,mean_m,mean_se_m,effective_n,volume_m3,volume_se_m3,low_95_m3,high_95_m3\n");
+        String::from("zone,n,area_m2,mean_m,mean_se_m,effective_n,volume_m3,volume_se_m3,low_95_m3,high_95_m3,");
+    text.push_str("zone_area_m2,covered_share\n");
     for v in &summary.volumes {
         text.push_str(&format!(
-            "{},{},{},{},{},{},{},{},{},{}\n",
+            "{},{},{},{},{},{},{},{},{},{},{},{}\n",
             quoted(&v.zone),
             v.n,
             v.area_m2,
@@ -42,7 +43,9 @@ pub(super) fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {
             number(v.volume_m3),
             number(v.volume_se_m3),
             number(v.volume_95_m3.map(|ends| ends[0])),
-            number(v.volume_95_m3.map(|ends| ends[1]))
+            number(v.volume_95_m3.map(|ends| ends[1])),
+            v.zone_area_m2,
+            number(v.covered_share)
         ));
     }
     put("volumes.csv", text)?;

@@ -375,7 +375,7 @@ impl Whole<'_> {
     /// Whether there is one.
     fn describe(&self, path: &Path, dataset: &mut gdal::Dataset, nodata: Option<f64>) -> Result<bool> {
         let first = &self.sources[0];
-        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
         for (number, colour) in (1..).zip(&first.colours) {
             let mut band = dataset.rasterband(number).map_err(failed)?;
             if let Some(colour) = ColorInterpretation::from_c_int(colour.c_int()) {
@@ -547,7 +547,7 @@ fn holds(values: &[f64], area: usize, cell: usize, deciding: &[usize]) -> bool {
 fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> Result<()> {
     use gdal::DriverManager;
     use gdal::raster::RasterCreationOptions;
-    let failed = |e: gdal::errors::GdalError| Error::gdal(out, e);
+    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(out, &e.to_string());
     let source = crate::model::open_dataset(plain)?;
     let threads = format!("NUM_THREADS={}", threads.max(1));
     let bands = source.raster_count();

@@ -7,7 +7,7 @@ pub mod banding;
 pub mod kernel;
 pub mod lighting;
 
-use autoref_raster::Written;
+use autoref_raster::{Written, failed_to_write};
 use std::path::{Path, PathBuf};
 
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
@@ -290,7 +290,7 @@ impl<'a> Grid<'a> {
         description: &str,
         store: fn(f32) -> T,
     ) -> Result<()> {
-        let failed = |e: gdal::errors::GdalError| Error::gdal(image, e);
+        let failed = |e: gdal::errors::GdalError| failed_to_write(image, &e.to_string());
         let (written, written_mask) = (Written::watch(image), Written::watch(mask));
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
         let options = RasterCreationOptions::from_iter(["TILED=YES", "COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"]);

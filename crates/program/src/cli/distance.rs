@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use autoref_raster::atomic::Existing;
-use autoref_raster::error::Error;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, Written, atomic};
 use autoref_stream::profile::Profile;
@@ -59,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// Streams the distances into a GeoTIFF at `path`.
 fn write(path: &Path, source: &dyn RasterSource, classifier: &Classifier, unit: f64) -> autoref_raster::Result<()> {
-    let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
     let info = source.info();
     let written = Written::watch(path);
     let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;

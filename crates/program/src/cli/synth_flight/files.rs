@@ -8,7 +8,7 @@ use autoref_flight::render::{Cover, Exposure, FrameRenderer, Landscape};
 use autoref_flight::{Camera, Parameter};
 use autoref_raster::atomic;
 use autoref_raster::coords::{MapPoint, PixelPoint};
-use autoref_raster::{Error, ReaderChoice, Written};
+use autoref_raster::{ReaderChoice, Written};
 use autoref_synth::rng::Rng;
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
@@ -26,7 +26,7 @@ const MOST_COVER_PX: u64 = 200_000_000;
 pub fn write_frame(frame: &FrameRenderer<'_>, path: &Path) -> Result<()> {
     let (width, height) = (frame.camera.size_px[0] as usize, frame.camera.size_px[1] as usize);
     atomic::with_temporary(path, |temporary| {
-        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
         let watch = Written::watch(path);
         let mut options = RasterCreationOptions::new();
         for (name, value) in [("TILED", "YES"), ("COMPRESS", "DEFLATE"), ("PREDICTOR", "2"), ("BIGTIFF", "IF_SAFER")] {
@@ -56,7 +56,7 @@ pub fn write_model(landscape: &Landscape, path: &Path) -> Result<()> {
     let (heights, columns, corner, step) = landscape.surface.cells();
     let rows = heights.len() / columns;
     atomic::with_temporary(path, |temporary| {
-        let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
+        let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
         let watch = Written::watch(path);
         let mut options = RasterCreationOptions::new();
         for (name, value) in [("TILED", "YES"), ("COMPRESS", "DEFLATE"), ("PREDICTOR", "3")] {

@@ -353,7 +353,7 @@ fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2]) -> Option<f32> {
 
 /// The tiled copy as a Cloud Optimized GeoTIFF with overviews.
 fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> RasterResult<()> {
-    let failed = |e: gdal::errors::GdalError| RasterError::gdal(out, e);
+    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(out, &e.to_string());
     let source = Dataset::open(plain).map_err(failed)?;
     let threads = format!("NUM_THREADS={}", threads.max(1));
     let options = RasterCreationOptions::from_iter([
