@@ -3,15 +3,22 @@
 //! A CRS that is `local` is metric and flat. On the Earth the adjustment works in the tangent frame of the project's
 //! centre (east, north, up on WGS84's ellipsoid), so that curvature and the map's scale are right. Heights are taken as
 //! if above the ellipsoid: a geoid that tilts within the project shows in the residuals.
+//!
+//! Coordinates of the map are in its units, easting and northing in one and heights in another; the world is in metres.
+//! [`Geodesy`] is the one place where the one becomes the other.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::pose::{Pose, orthonormal};
 
-/// Map ↔ longitude, latitude (degrees), height.
+/// Map (in its units) ↔ longitude, latitude (degrees), height (metres).
 pub trait Geodesy {
     fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]>;
     fn map_of_geographic(&self, lon_lat_h: [f64; 3]) -> Option<[f64; 3]>;
+    /// Metres in a unit of easting and northing, and in one of the heights.
+    fn units_m(&self) -> [f64; 2] {
+        [1.0; 2]
+    }
 }
 
 const A: f64 = 6_378_137.0;
@@ -86,6 +93,19 @@ impl World {
             World::Curved(t) => t.geodesy.map_of_geographic(geographic(&(t.axes.transpose() * world + t.origin))),
         }
     }
+    /// Metres in a unit of the map's easting and northing, and in one of its heights.
+    pub fn units_m(&self) -> [f64; 2] {
+        match self {
+            World::Flat { .. } => [1.0; 2],
+            World::Curved(t) => t.geodesy.units_m(),
+        }
+    }
+    /// A difference of two places of the map in metres of the map.
+    pub fn metres_of(&self, difference: [f64; 3]) -> [f64; 3] {
+        let [plan_m, height_m] = self.units_m();
+        let [e, n, h] = difference;
+        [e * plan_m, n * plan_m, h * height_m]
+    }
     /// The map's axes (grid east, grid north, up) at a place, as columns in the world.
     pub fn grid(&self, map: [f64; 3]) -> Option<Matrix3<f64>> {
         if let World::Flat { .. } = self {
@@ -96,7 +116,7 @@ impl World {
         for i in 0..3 {
             let mut moved = map;
             moved[i] += 10.0;
-            m.set_column(i, &((self.to_world(moved)? - at) / 10.0));
+            m.set_column(i, &(self.to_world(moved)? - at).normalize());
         }
         Some(orthonormal(&m))
     }
@@ -130,6 +150,37 @@ mod tests {
         fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
             Some([g[0] * 1e5, (g[1] - 60.0) * 1e5, g[2]])
         }
+    }
+
+    /// The same map, which counts easting and northing in feet and heights in fathoms.
+    struct Feet;
+    const UNITS_M: [f64; 2] = [0.3048, 1.8288];
+    impl Geodesy for Feet {
+        fn to_geographic(&self, m: [f64; 3]) -> Option<[f64; 3]> {
+            Plain.to_geographic([m[0] * UNITS_M[0], m[1] * UNITS_M[0], m[2] * UNITS_M[1]])
+        }
+        fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+            let [x, y, h] = Plain.map_of_geographic(g)?;
+            Some([x / UNITS_M[0], y / UNITS_M[0], h / UNITS_M[1]])
+        }
+        fn units_m(&self) -> [f64; 2] {
+            UNITS_M
+        }
+    }
+
+    #[test]
+    fn a_map_in_feet_is_the_same_world() {
+        let metric = World::curved(Box::new(Plain), [0.0; 3]).expect("on the Earth");
+        let feet = World::curved(Box::new(Feet), [0.0; 3]).expect("on the Earth");
+        let angles = crate::YawPitchRoll { yaw_deg: 30.0, pitch_deg: -70.0, roll_deg: 4.0 };
+        let pose = Pose::looking(Vector3::new(300.0, -200.0, 150.0), angles);
+        let listed = Pose { centre: Vector3::new(300.0 / 0.3048, -200.0 / 0.3048, 150.0 / 1.8288), ..pose };
+        let [a, b] = [metric.pose_to_world(&pose), feet.pose_to_world(&listed)].map(|p| p.expect("on the Earth"));
+        assert!((a.centre - b.centre).norm() < 1e-6 && (a.rotation - b.rotation).norm() < 1e-8, "{a:?} {b:?}");
+        let back = feet.pose_to_map(&b).expect("on the map");
+        assert!((back.centre - listed.centre).norm() < 1e-5, "{}", back.centre);
+        let by = feet.metres_of([10.0, 20.0, 30.0]);
+        assert!((Vector3::from(by) - Vector3::new(3.048, 6.096, 54.864)).norm() < 1e-9, "{by:?}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //! frames with known cameras, and a stand-in for COLMAP that fails or is killed on demand.
 
 mod adjust;
+mod feet;
 mod files;
 mod resect;
 

@@ -4,6 +4,7 @@ mod affinity;
 pub mod colmap;
 pub mod micmac;
 pub mod opensfm;
+mod own;
 pub mod tables;
 mod titles;
 

@@ -1,4 +1,4 @@
-//! OpenSfM's `reconstruction.json` with its tracks and ground control points, and this program's `cameras.json`.
+//! OpenSfM's `reconstruction.json` with its tracks and ground control points.
 //!
 //! Source: OpenSfM's documentation, "Geometric Models" and "Dataset Structure". Its image coordinates are divided by
 //! the larger side and count from the image's centre.
@@ -6,24 +6,24 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector3};
 use serde_json::Value;
 
-use super::{Photograph, Reconstruction, TiePoint};
-use crate::camera::{Camera, PARAMETERS, Parameter, Projection};
+use super::{Photograph, Reconstruction, TiePoint, own};
+use crate::camera::{Camera, Parameter, Projection};
 use crate::error::{Error, Result, read_text};
-use crate::pose::{Pose, orthonormal};
+use crate::pose::Pose;
 
 fn json(path: &Path) -> Result<Value> {
     serde_json::from_str(&read_text(path)?)
         .map_err(|e| Error::format(path, format!("row {}", e.line()), format!("the JSON is broken: {e}")))
 }
 
-fn number(path: &Path, of: &Value, key: &str, place: &str) -> Result<f64> {
+pub(super) fn number(path: &Path, of: &Value, key: &str, place: &str) -> Result<f64> {
     of.get(key).and_then(Value::as_f64).ok_or_else(|| Error::format(path, place, format!("`{key}` is no number")))
 }
 
-fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
+pub(super) fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
     let list = of.get(key).and_then(Value::as_array);
     let values: Option<Vec<f64>> = list.and_then(|l| l.iter().map(Value::as_f64).collect());
     values
@@ -39,7 +39,7 @@ fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
 pub fn read(path: &Path) -> Result<Reconstruction> {
     let root = json(path)?;
     if root.get("cameras").is_some_and(Value::is_array) || root.get("C").is_some() {
-        return own(path, &root);
+        return own::read(path, &root);
     }
     let all: Vec<&Value> = match &root {
         Value::Array(list) => list.iter().collect(),
@@ -211,51 +211,4 @@ pub fn ground_control(path: &Path, of: &Reconstruction) -> Result<Vec<GroundCont
         points.push(GroundControl { name, lla, seen });
     }
     Ok(points)
-}
-
-/// This program's `cameras.json`, or the one camera of a resection.
-fn own(path: &Path, root: &Value) -> Result<Reconstruction> {
-    let mut result = Reconstruction::default();
-    let all = match root.get("cameras") {
-        Some(list) => list.as_array().map_or(&[][..], Vec::as_slice),
-        None => std::slice::from_ref(root),
-    };
-    for (i, c) in all.iter().enumerate() {
-        let place = format!("camera {}", i + 1);
-        let name = c.get("name").and_then(Value::as_str).unwrap_or_default().to_string();
-        let rows = c.get("R").and_then(Value::as_array);
-        let rows: Option<Vec<Vec<f64>>> = rows.and_then(|r| {
-            r.iter().map(|row| row.as_array().and_then(|l| l.iter().map(Value::as_f64).collect())).collect()
-        });
-        let rows = rows.filter(|r| r.len() == 3 && r.iter().all(|row| row.len() == 3));
-        let rows = rows.ok_or_else(|| Error::format(path, &*place, "`R`: 3 rows of 3 numbers are expected"))?;
-        let centre = Vector3::from(triple(path, c, "C", &place)?);
-        let pair = |key: &str| -> Option<[f64; 2]> {
-            let l: Option<Vec<f64>> = c.get(key)?.as_array()?.iter().map(Value::as_f64).collect();
-            l?.try_into().ok()
-        };
-        let f = number(path, c, "f_px", &place)?;
-        let pp = pair("pp_px").ok_or_else(|| Error::format(path, &*place, "`pp_px`: 2 numbers are expected"))?;
-        let size = pair("size_px").unwrap_or([pp[0] * 2.0, pp[1] * 2.0]);
-        let mut camera = Camera::pinhole(name.as_str(), size, f, pp);
-        if let Some(d) = c.get("distortion").and_then(Value::as_object) {
-            for (key, value) in d {
-                if let (Some(p), Some(v)) = (Parameter::by_name(key), value.as_f64()) {
-                    camera.set(p, v);
-                }
-            }
-            if d.get("projection").and_then(Value::as_str) == Some("fisheye") {
-                camera.projection = Projection::Fisheye;
-            }
-        }
-        let same = |k: &Camera| k.values == camera.values && k.size_px == size && k.projection == camera.projection;
-        let at = result.cameras.iter().position(same).unwrap_or_else(|| {
-            result.cameras.push(camera.clone());
-            result.cameras.len() - 1
-        });
-        let rotation = orthonormal(&Matrix3::from_fn(|r, k| rows[r][k]));
-        result.photographs.push(Photograph { name, camera: at, pose: Pose { rotation, centre } });
-    }
-    debug_assert_eq!(PARAMETERS, Parameter::ALL.len());
-    Ok(result)
 }

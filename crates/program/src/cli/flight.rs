@@ -133,21 +133,21 @@ pub fn run(args: &FlightArgs) -> Result<ExitCode> {
     }
 }
 
-/// `f,k1,cx=5` as parameters with their standard deviations.
-fn interior(list: &[String]) -> Result<Vec<(Parameter, Option<f64>)>> {
+/// `f,k1,cx=5` as parameters with their standard deviations; `from` is the option or the key that has them.
+fn interior(list: &[String], from: &str) -> Result<Vec<(Parameter, Option<f64>)>> {
     let mut all = Vec::new();
     for item in list.iter().filter(|i| !matches!(i.as_str(), "none" | "")) {
         let (name, sigma) = item.split_once('=').map_or((item.as_str(), None), |(n, s)| (n, Some(s)));
         let Some(parameter) = Parameter::by_name(name) else {
             bail!(
-                "--free: `{name}` is no interior parameter; there are {}",
+                "{from}: `{name}` is no interior parameter; there are {}",
                 Parameter::ALL.map(Parameter::name).join(", ")
             );
         };
         let sigma = match sigma {
             Some(text) => match text.parse::<f64>() {
                 Ok(s) if s > 0.0 => Some(s),
-                _ => bail!("--free: `{item}`: the standard deviation must be a positive number"),
+                _ => bail!("{from}: `{item}`: the standard deviation must be a positive number"),
             },
             None => None,
         };
@@ -278,12 +278,18 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
             Camera::pinhole(name, size, f, [size[0] / 2.0, size[1] / 2.0])
         }
     };
-    set_interior(&mut camera, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     Ok((camera, known))
 }
 
-/// The interior that the command line states.
-fn set_interior(camera: &mut Camera, f_px: Option<f64>, pp_px: Option<&[f64]>, distortion: &[String]) -> Result<()> {
+/// The interior that the command line states of a frame.
+fn set_interior(
+    camera: &mut Camera,
+    frame: &Path,
+    f_px: Option<f64>,
+    pp_px: Option<&[f64]>,
+    distortion: &[String],
+) -> Result<()> {
     if let Some(f) = f_px {
         camera.set(Parameter::F, f);
     }
@@ -297,7 +303,12 @@ fn set_interior(camera: &mut Camera, f_px: Option<f64>, pp_px: Option<&[f64]>, d
         camera.set(parameter, value);
     }
     if !(camera.f_px() > 0.0 && camera.values.iter().all(|v| v.is_finite())) {
-        bail!("the focal length must be positive and all parameters finite");
+        bail!(
+            "{}: the interior of its camera has a focal length of {} px, which must be positive, as all parameters must be \
+             finite; correct --f-px, --pp-px, --distortion, or the camera's file",
+            frame.display(),
+            camera.f_px()
+        );
     }
     Ok(())
 }

@@ -287,11 +287,12 @@ impl Args {
         let [low, high] = surface.range();
         let middle = |start: f64, step: f64, n: u64| start + step * n as f64 / 2.0;
         let g = &dem.grid;
+        let in_metres = |of_map: f64| of_map * dem.unit_m;
         let centre = self
             .centre
             .as_ref()
-            .map_or([middle(g.x0, g.step_x, g.width), middle(g.y0, g.step_y, g.height)], |c| [c.0, c.1]);
-        let cover = self.image.as_deref().map(files::read_cover).transpose()?;
+            .map_or([middle(g.x0, g.step_x, g.width), middle(g.y0, g.step_y, g.height)], |c| [c.0, c.1].map(in_metres));
+        let cover = self.image.as_deref().map(|image| files::read_cover(image, dem.unit_m)).transpose()?;
         let snow_line_m = low + 0.62 * (high - low);
         let landscape = Landscape { surface, cover, seed: self.seed, sea_level_m: self.sea_level, snow_line_m };
         Ok((landscape, centre))

@@ -169,7 +169,7 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
         ("sigma-position", args.sigma_position),
         ("sigma-direction", Some(args.sigma_direction)),
     ])?;
-    let interior = interior(&args.free)?;
+    let interior = interior(&args.free, "--free")?;
     let mut model = read::reconstruction(&args.reconstruction)?;
     model.drop_unused_cameras();
     let Datum { control, world, points, rough, notes, said } = Datum::of(args, &model)?;

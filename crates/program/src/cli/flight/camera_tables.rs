@@ -5,13 +5,14 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use autoref_flight::Pose;
 use autoref_flight::adjust::RoughPose;
+use autoref_flight::pose::turn;
 use autoref_flight::read::same_image;
 use autoref_flight::read::tables::{self, Angles, CameraRow};
 use autoref_flight::world::World;
 use autoref_raster::crs::{Coordinate, Crs};
 use nalgebra::Vector3;
 
-use super::lists::{DATUM_M, some_of};
+use super::lists::{DATUM_M, height_unit_m, some_of};
 
 /// What a block without GCPs cannot say.
 pub const NO_GCPS: &str = "no GCPs: the positions of the table place the block; what is wrong with all of them alike (the \
@@ -56,7 +57,32 @@ pub fn cameras(table: &Path, angles: Angles) -> Result<Vec<CameraRow>> {
             rows.len()
         );
     }
-    Ok(rows.into_iter().map(|row| row.with_angles_of_view(angles)).collect())
+    let rows: Vec<CameraRow> = rows.into_iter().map(|row| row.with_angles_of_view(angles)).collect();
+    match rows.iter().find_map(|row| Some((row, apart_deg(row).filter(|deg| *deg > SAME_DEG)?))) {
+        Some((row, deg)) => bail!(
+            "{}: `{}`: its omega, phi, kappa and its yaw, pitch, roll are {deg:.1} degrees apart; correct them, or leave the \
+             columns of the one out, or give --angles aircraft where yaw, pitch and roll are the aircraft's",
+            table.display(),
+            row.name
+        ),
+        None => Ok(rows),
+    }
+}
+
+/// Two statements of one direction are no further apart than they were rounded.
+const SAME_DEG: f64 = 1.0;
+
+/// The turn between both directions of a row that states two; of the views alone where it states no roll.
+fn apart_deg(row: &CameraRow) -> Option<f64> {
+    let [o, p, k] = row.omega_phi_kappa_deg?;
+    let stated = Pose::from_omega_phi_kappa(Vector3::zeros(), [o, p, k]).rotation;
+    let of_view = CameraRow { omega_phi_kappa_deg: None, ..row.clone() };
+    let other = of_view.pose(None)?.rotation;
+    let turned = match row.roll_deg {
+        Some(_) => turn(&stated, &other).norm(),
+        None => stated.row(2).transpose().angle(&other.row(2).transpose()),
+    };
+    Some(turned.to_degrees())
 }
 
 /// Rows of a camera table on the map: longitudes and latitudes are brought to `crs`, and directions count from the
@@ -87,7 +113,8 @@ pub fn on_map(mut rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Resu
         let mut both = [0.0, NORTH_DEG].map(|north| Coordinate { x, y: y + north, height: None });
         way.transform(&mut both)?;
         let north_deg = (both[1].x - both[0].x).atan2(both[1].y - both[0].y).to_degrees();
-        row.xyz = [both[0].x, both[0].y, height];
+        // Heights beside longitude and latitude are metres.
+        row.xyz = [both[0].x, both[0].y, height / height_unit_m(crs)];
         row.yaw_deg = row.yaw_deg.map(|yaw| yaw + north_deg);
         row.geographic = false;
     }

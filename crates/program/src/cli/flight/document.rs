@@ -45,8 +45,8 @@ fn interior(camera: &Camera) -> Map<String, Value> {
     m
 }
 
-/// A camera in the map: position, angles, their standard deviations, the full covariance (turn in radians, then
-/// position).
+/// A camera in the map: position in the map's units, angles, their standard deviations (metres, degrees), the full
+/// covariance (turn in radians, then position in metres).
 fn camera(
     name: &str,
     camera: &Camera,
@@ -150,8 +150,11 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
         Ended::OutOfIterations => "out of iterations",
         Ended::Stuck => "stuck",
     };
+    let [unit_m, height_unit_m] = world.units_m();
     json!({
         "crs": crs,
+        "unit_m": unit_m,
+        "height_unit_m": height_unit_m,
         "frames_registered": found.photographs.len(),
         "frames_listed": listed,
         "cameras": cameras,
@@ -182,6 +185,9 @@ pub fn resection(
 ) -> Value {
     let mut m = Map::new();
     m.insert("crs".into(), crs.into());
+    let [unit_m, height_unit_m] = world.units_m();
+    m.insert("unit_m".into(), number(unit_m));
+    m.insert("height_unit_m".into(), number(height_unit_m));
     m.extend(camera(name, &found.camera, &found.pose, found.covariance.as_ref(), world));
     m.insert("rms_px".into(), number(found.rms_px));
     m.insert("sigma0".into(), found.sigma0.map_or(Value::Null, number));

@@ -81,17 +81,33 @@ pub fn files(
         let list = base.join(&gcps.list);
         let observations = gcps.observations.as_ref().map(|o| base.join(o));
         let control = lists::load(&list, observations.as_deref(), project.crs.as_deref(), None)?;
+        let [unit_m, height_unit_m] =
+            control.crs.as_ref().map_or([1.0; 2], |crs| [crs.metres_per_unit(), lists::height_unit_m(crs)]);
+        if (unit_m / height_unit_m - 1.0).abs() > 1e-4 {
+            bail!(
+                "{}: its heights count in another unit ({height_unit_m} m) than its eastings ({unit_m} m), and MicMac \
+                 knows one; give a list in one unit",
+                list.display()
+            );
+        }
+        // MicMac counts deviations as it does coordinates.
+        let sigma_ground = gcps.sigma_ground_m / unit_m;
         let points: Vec<SurveyedPoint> = control
             .points
             .into_iter()
             .filter(|p| !p.check && !gcps.check.contains(&p.name))
-            .map(|p| SurveyedPoint { sigma_m: p.sigma_or(gcps.sigma_ground_m), name: p.name, xyz: p.xyz, seen: p.seen })
+            .map(|p| SurveyedPoint {
+                sigma_m: p.sigma_or(gcps.sigma_ground_m).map(|m| m / unit_m),
+                name: p.name,
+                xyz: p.xyz,
+                seen: p.seen,
+            })
             .collect();
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
         let beside = views::Masks::new(flight.folder.clone(), None);
         let masks = if beside.files(&listed).len() == count { Masks::Beside } else { Masks::None };
-        let sigmas = (gcps.sigma_ground_m, gcps.sigma_image_px);
+        let sigmas = (sigma_ground, gcps.sigma_image_px);
         // Without points in the images there is nothing for them to do.
         if points.iter().any(|p| !p.seen.is_empty()) {
             files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));

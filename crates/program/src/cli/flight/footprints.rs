@@ -28,7 +28,7 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
         let name = &model.photographs[camera.photograph].name;
         let row = rows.iter().find(|r| same_image(&r.name, std::iter::once(name.as_str())).is_some());
         let (Some(row), Some(at)) = (row, world.to_map(&camera.pose.centre)) else { continue };
-        let by: [f64; 3] = std::array::from_fn(|a| at[a] - row.xyz[a]);
+        let by = world.metres_of(std::array::from_fn(|a| at[a] - row.xyz[a]));
         let d = Vector3::from(by).norm();
         let turn_deg = camera_tables::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
         frames.push(json!({
@@ -70,7 +70,7 @@ pub fn let_go_of_turned(rough: &mut [Option<RoughPose>], model: &Reconstruction,
     ))
 }
 
-/// A frame's ground on the plane of height `ground_m`, map coordinates, as a ring that is not closed. Empty when the
+/// A frame's ground on the plane of height `ground_m`, the map's metres, as a ring that is not closed. Empty when the
 /// frame sees none.
 fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
     let [w, h] = camera.size_px;
@@ -100,18 +100,21 @@ fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
 /// The frames' ground as GeoJSON polygons: longitude and latitude, or local coordinates without a CRS. The plane lies
 /// at the median height of the ties.
 pub fn footprints(found: &Adjustment, model: &Reconstruction, world: &World, crs: Option<&Crs>) -> Value {
-    let mut heights: Vec<f64> = found.model.ties.iter().filter_map(|t| Some(world.to_map(&t.xyz)?[2])).collect();
+    let [plan_m, height_m] = world.units_m();
+    let height = |tie: &Vector3<f64>| Some(world.to_map(tie)?[2] * height_m);
+    let mut heights: Vec<f64> = found.model.ties.iter().filter_map(|t| height(&t.xyz)).collect();
     heights.sort_by(f64::total_cmp);
     let ground_m = heights.get(heights.len() / 2).copied().unwrap_or(0.0);
     let earth = crs.filter(|c| !c.is_local()).zip(Crs::from_epsg(4326).ok());
     let mut features = Vec::new();
     for photograph in &found.photographs {
         let of = &model.photographs[photograph.photograph];
-        let Some(pose) = world.pose_to_map(&photograph.pose) else { continue };
+        let Some(mut pose) = world.pose_to_map(&photograph.pose) else { continue };
+        pose.centre = world.metres_of(pose.centre.into()).into();
         let mut ring = outline(&found.cameras[of.camera], &pose, ground_m);
         if let Some((crs, earth)) = &earth {
             let mut places: Vec<Coordinate> =
-                ring.iter().map(|p| Coordinate { x: p[0], y: p[1], height: None }).collect();
+                ring.iter().map(|p| Coordinate { x: p[0] / plan_m, y: p[1] / plan_m, height: None }).collect();
             if crs.transform(&mut places, earth, 100.0).is_err() {
                 continue;
             }

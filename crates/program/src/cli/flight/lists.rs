@@ -12,6 +12,8 @@ use autoref_raster::crs::{Coordinate, Crs, Way};
 use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use nalgebra::Vector3;
 
+use super::frames;
+
 /// GCPs on the ground and in the images.
 #[derive(Debug, clap::Args)]
 pub struct PointArgs {
@@ -48,6 +50,7 @@ pub struct PointOptions {
 #[derive(Clone, Debug)]
 pub struct ListPoint {
     pub name: String,
+    /// In the units of the list's CRS.
     pub xyz: [f64; 3],
     /// 1σ, metres, of each coordinate that the list has it of.
     pub sigma: [Option<f64>; 3],
@@ -81,6 +84,31 @@ pub struct Control {
 struct Proj {
     there: Way,
     back: Way,
+    units: Units,
+}
+
+/// What coordinates count in: a unit of the map's plan in units of its CRS and in metres, and one of heights in metres.
+#[derive(Clone, Copy)]
+struct Units {
+    of_crs: f64,
+    plan_m: f64,
+    height_m: f64,
+}
+
+impl Units {
+    fn of(crs: &Crs) -> Self {
+        Units { of_crs: 1.0, plan_m: crs.metres_per_unit(), height_m: height_unit_m(crs) }
+    }
+    /// Metres throughout, whatever the CRS counts in.
+    fn metres(crs: &Crs) -> Self {
+        Units { of_crs: 1.0 / crs.metres_per_unit(), plan_m: 1.0, height_m: 1.0 }
+    }
+}
+
+/// Metres in a unit of a system's heights: of its vertical axis, else of the horizontal ones, else (degrees) the metre.
+pub fn height_unit_m(crs: &Crs) -> f64 {
+    let plan_m = if crs.is_geographic() { 1.0 } else { crs.metres_per_unit() };
+    crs.height_metres_per_unit().unwrap_or(plan_m)
 }
 
 /// 1σ of GCPs on the ground where nothing is stated, metres.
@@ -93,25 +121,30 @@ const LEAST_POSITIONS: usize = 3;
 pub const DATUM_M: f64 = 100.0;
 
 impl Proj {
-    fn around(crs: &Crs, centre: [f64; 3]) -> Result<Self> {
+    fn around(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<Self> {
         let earth = Crs::from_epsg(4326)?;
-        let mut at = [Coordinate { x: centre[0], y: centre[1], height: None }];
+        let mut at = [Coordinate { x: centre[0] * units.of_crs, y: centre[1] * units.of_crs, height: None }];
         let there = crs.way(&at, &earth, DATUM_M)?;
         there.transform(&mut at)?;
-        Ok(Proj { there, back: earth.way(&at, crs, DATUM_M)? })
+        Ok(Proj { there, back: earth.way(&at, crs, DATUM_M)?, units })
     }
 }
 
 impl Geodesy for Proj {
     fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]> {
-        let mut p = [Coordinate { x: map[0], y: map[1], height: None }];
+        let Units { of_crs, height_m, .. } = self.units;
+        let mut p = [Coordinate { x: map[0] * of_crs, y: map[1] * of_crs, height: None }];
         self.there.transform(&mut p).ok()?;
-        Some([p[0].x, p[0].y, map[2]])
+        Some([p[0].x, p[0].y, map[2] * height_m])
     }
     fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
         let mut p = [Coordinate { x: g[0], y: g[1], height: None }];
         self.back.transform(&mut p).ok()?;
-        Some([p[0].x, p[0].y, g[2]])
+        let Units { of_crs, height_m, .. } = self.units;
+        Some([p[0].x / of_crs, p[0].y / of_crs, g[2] / height_m])
+    }
+    fn units_m(&self) -> [f64; 2] {
+        [self.units.plan_m, self.units.height_m]
     }
 }
 
@@ -126,14 +159,22 @@ pub fn is_local(crs: &str) -> bool {
     crs.trim().eq_ignore_ascii_case("local")
 }
 
+/// The world about a place in the units of its CRS.
 pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
     match crs.filter(|c| !c.is_local()) {
         None => Ok(World::flat(centre)),
-        Some(crs) => {
-            let world = Proj::around(crs, centre).ok().and_then(|proj| World::curved(Box::new(proj), centre));
-            world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
-        }
+        Some(crs) => curved(crs, Units::of(crs), centre),
     }
+}
+
+/// The world about a place of the map that is given in metres, as all others are to be.
+pub fn metric_world_of(crs: &Crs, centre_m: [f64; 3]) -> Result<World> {
+    if crs.is_local() { Ok(World::flat(centre_m)) } else { curved(crs, Units::metres(crs), centre_m) }
+}
+
+fn curved(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<World> {
+    let world = Proj::around(crs, units, centre).ok().and_then(|proj| World::curved(Box::new(proj), centre));
+    world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
 }
 
 impl Control {
@@ -161,7 +202,7 @@ impl Control {
         if let (Some(listed_in), Some(crs)) = (&self.listed_in, &self.crs) {
             let mut at = [Coordinate { x: place[0], y: place[1], height: None }];
             listed_in.transform(&mut at, crs, DATUM_M)?;
-            place = [at[0].x, at[0].y, place[2]];
+            place = [at[0].x, at[0].y, place[2] * height_unit_m(listed_in) / height_unit_m(crs)];
         }
         world.to_world(place).with_context(|| format!("{what} lies outside the CRS of the list"))
     }
@@ -225,6 +266,12 @@ impl Control {
 
     pub fn crs_label(&self) -> String {
         self.crs.as_ref().map_or_else(|| "local".into(), Crs::label)
+    }
+
+    /// The middle of the points' heights, metres.
+    pub fn ground_m(&self) -> Option<f64> {
+        let unit_m = self.crs.as_ref().map_or(1.0, height_unit_m);
+        frames::median(self.points.iter().map(|p| p.xyz[2]).collect()).map(|height| height * unit_m)
     }
 
     /// The points in the world's frame, with the photographs that saw them.
@@ -439,6 +486,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         }
         return metric(points, stated);
     }
+    let plane = crs.is_some_and(is_local);
     let options = GcpOptions { crs: crs.filter(|c| !is_local(c)).map(str::to_string), ..GcpOptions::default() };
     let read = gcp::read(list, &options)?;
     let mut points = Vec::new();
@@ -448,9 +496,15 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         };
         let sigma = [g.sigma_m, g.sigma_m, g.sigma_height_m.or(g.sigma_m)];
         let check = g.role == GcpRole::Check;
-        points.push(ListPoint { name: g.name, xyz: [g.easting, g.northing, height], sigma, check, seen: Vec::new() });
+        let mut at = [Coordinate { x: g.easting, y: g.northing, height: Some(height) }];
+        // They were read as metres. Those of a plane stay so.
+        if !plane {
+            read.working_crs.leave(&mut at)?;
+        }
+        let xyz = [at[0].x, at[0].y, at[0].height.unwrap_or(height)];
+        points.push(ListPoint { name: g.name, xyz, sigma, check, seen: Vec::new() });
     }
-    let crs = if crs.is_some_and(is_local) { None } else { read.crs };
+    let crs = if plane { None } else { read.crs };
     Ok(Control { points, crs, no_image_points, ..Control::default() })
 }
 
@@ -503,7 +557,7 @@ fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
     for p in &mut points {
         let mut at = [Coordinate { x: p.xyz[0], y: p.xyz[1], height: None }];
         geographic.transform(&mut at, &utm, 100.0)?;
-        p.xyz = [at[0].x, at[0].y, p.xyz[2]];
+        p.xyz = [at[0].x, at[0].y, p.xyz[2] * height_unit_m(&geographic) / height_unit_m(&utm)];
     }
     Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), ..Control::default() })
 }

@@ -22,7 +22,7 @@ use super::camera_tables;
 use crate::cli::dem::ResourceArgs;
 use draw::Job;
 pub(in crate::cli) use model::Dem;
-use model::open;
+use model::{open, scaled};
 use place::{Lattice, Seen, Seer, place, posed};
 
 /// Map a frame onto the ground over an elevation model: a Cloud Optimized GeoTIFF in the model's CRS.
@@ -90,15 +90,19 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     let seer = Seer { camera: &camera, pose, eye, sag, axes };
     let Seen { bounds, across, surface } = seer.ground(args, &dem, budget_bytes)?;
     let view = seer.view(&surface);
-    let gsd = args.gsd.unwrap_or(across / dem.crs.as_ref().map_or(1.0, Crs::metres_per_unit));
-    let grid = output_grid(bounds, gsd)?;
-    let lattice = Lattice::new(&world, &grid)?;
+    // Within, all is in metres; the orthophoto is in units of the map.
+    let across = across / dem.unit_m;
+    let gsd = args.gsd.unwrap_or(across);
+    let grid = output_grid(bounds.map(|v| v / dem.unit_m), gsd)?;
+    let grid_m = scaled(&grid, dem.unit_m);
+    let lattice = Lattice::new(&world, &grid_m)?;
     let oversampling = ((gsd / across).round() as usize).clamp(1, 8);
     let job = Job {
         args,
         view: &view,
         lattice: &lattice,
         grid,
+        grid_m,
         oversampling,
         threads: resources.threads,
         tile_px: resources.tile_px.unwrap_or(1024),
@@ -115,7 +119,7 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     if args.json {
         let document = json!({
             "output": out.display().to_string(), "width": grid.width, "height": grid.height, "gsd": gsd,
-            "bounds": grid.bounds(), "pixels_seen": seen, "frame": name, "camera": eye,
+            "bounds": grid.bounds(), "pixels_seen": seen, "frame": name, "camera": dem.in_units(eye),
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {

@@ -4,7 +4,7 @@ use autoref_raster::crs::Crs;
 use autoref_raster::{bounded, protected};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Result, bail};
 use autoref_flight::Error;
 use autoref_flight::read::same_image;
 use autoref_flight::read::tables::{Angles, CameraRow};
@@ -219,7 +219,7 @@ impl Project {
         if self.pairs.neighbours == 0 && self.pairs.across == 0 {
             return refuse("pairs", "neighbours and across are 0: no frame is compared with another".into());
         }
-        interior(&self.adjust.free).with_context(|| format!("{}: adjust.free", path.display()))?;
+        interior(&self.adjust.free, &format!("{}: adjust.free", path.display()))?;
         Ok(())
     }
 }

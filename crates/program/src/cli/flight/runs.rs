@@ -65,13 +65,15 @@ pub struct Plan {
 /// The lines of the table, and the pairs that are worth comparing. `sight`: where the frames are thought to stand;
 /// without it the nearest places of other lines are taken.
 pub fn plan(project: &Project, names: &[&str], rows: &[CameraRow], sight: Option<(&GroundPlane, &Flight<'_>)>) -> Plan {
-    let metric = project.crs.as_deref().is_none_or(|text| Crs::parse(text).map_or(true, |crs| !crs.is_geographic()));
+    let crs = project.crs.as_deref().and_then(|text| Crs::parse(text).ok());
+    let metric = crs.as_ref().is_none_or(|crs| !crs.is_geographic());
+    let unit_m = crs.as_ref().map_or(1.0, Crs::metres_per_unit);
     let stations: Vec<Station> = rows_of(names, rows)
         .into_iter()
         .enumerate()
         .map(|(i, row)| {
             let view = sight.map(|(plane, _)| plane.views[i].pose);
-            let place = row.map(|r| [r.xyz[0], r.xyz[1]]).filter(|_| metric);
+            let place = row.map(|r| [r.xyz[0] * unit_m, r.xyz[1] * unit_m]).filter(|_| metric);
             Station {
                 // In the world's own frame where it is known: metres, whatever the table counts in.
                 place_m: view.map(|pose| [pose.centre.x, pose.centre.y]).or(place),

@@ -287,7 +287,7 @@ impl<'a> Ready<'a> {
         let untied = ties.as_ref().and_then(|ties| runs::untied(plan, &flight.ordered, ties));
 
         // MicMac has compensated the interior with the poses.
-        let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free)? };
+        let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free, "adjust.free")? };
         let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
         let busy = Busy::new("adjusting", is_mute(Stream::Errors));
         let mut found = adjust(model, &ground, &options)?;
@@ -363,9 +363,9 @@ fn ground_plane(
 ) -> Option<GroundPlane> {
     let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
     let world = control.world().ok()?;
-    let height = table.ground_m.or_else(|| frames::median(control.points.iter().map(|p| p.xyz[2]).collect()))?;
+    let height_m = table.ground_m.or_else(|| control.ground_m())?;
     let first = control.cameras_at.or_else(|| Some(control.points.first()?.xyz))?;
-    let ground_m = world.to_world([first[0], first[1], height])?.z;
+    let ground_m = world.to_world([first[0], first[1], height_m / world.units_m()[1]])?.z;
     let names = &flight.ordered;
     let stated = runs::rows_of(names, rows).into_iter().map(|row| {
         let row = row?;

@@ -297,6 +297,8 @@ pub fn gcp(placed: &OnGround, points: &[GroundPoint], model: &Reconstruction, wo
     json!({
         "stage": "gcp",
         "crs": crs,
+        "unit_m": world.units_m()[0],
+        "height_unit_m": world.units_m()[1],
         "scale": number(placed.similarity.scale),
         "points": all,
         "gcp_statistics": Residuals::of(&residuals[0]),

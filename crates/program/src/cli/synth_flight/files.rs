@@ -74,11 +74,11 @@ pub fn write_model(landscape: &Landscape, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Reads an image of the ground whole.
+/// Reads an image of the ground whole; `unit_m` is a unit of its map in metres, in which the cover counts.
 ///
 /// # Errors
 /// When it has no georeference, is too large, or cannot be read.
-pub fn read_cover(path: &Path) -> Result<Cover> {
+pub fn read_cover(path: &Path, unit_m: f64) -> Result<Cover> {
     let source = autoref_raster::open(path, ReaderChoice::Auto, 0, 64 << 20)?;
     let info = source.info();
     if info.width * info.height > MOST_COVER_PX {
@@ -99,7 +99,9 @@ pub fn read_cover(path: &Path) -> Result<Cover> {
     let Some((east, north)) = pixel(e0 + 1.0, n0).zip(pixel(e0, n0 + 1.0)) else {
         bail!("{}: its georeference is singular", path.display());
     };
-    let to_pixel = [-east.x * e0 - north.x * n0, east.x, north.x, -east.y * e0 - north.y * n0, east.y, north.y];
+    let row = |east: f64, north: f64| [-east * e0 - north * n0, east / unit_m, north / unit_m];
+    let ([x0, xe, xn], [y0, ye, yn]) = (row(east.x, north.x), row(east.y, north.y));
+    let to_pixel = [x0, xe, xn, y0, ye, yn];
     let bands = if info.bands >= 3 { 3 } else { 1 };
     let (width, height) = (info.width as usize, info.height as usize);
     let white = f32::from(info.white.max(1));
@@ -111,7 +113,7 @@ pub fn read_cover(path: &Path) -> Result<Cover> {
             data.extend(rgb.iter().take(bands).map(|v| (255.0 * f32::from(*v) / white).min(255.0) as u8));
         }
     }
-    Ok(Cover { data, width, height, bands, to_pixel, gsd_m: transform.scale() })
+    Ok(Cover { data, width, height, bands, to_pixel, gsd_m: transform.scale() * unit_m })
 }
 
 /// What is written beside the frames.

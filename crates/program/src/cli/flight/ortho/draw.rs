@@ -20,7 +20,9 @@ pub(super) struct Job<'a> {
     pub args: &'a OrthorectifyArgs,
     pub view: &'a View<'a>,
     pub lattice: &'a Lattice,
+    /// Of the orthophoto, in units of the map, and in metres.
     pub grid: Grid,
+    pub grid_m: Grid,
     /// Samples a side in a pixel.
     pub oversampling: usize,
     pub threads: usize,
@@ -216,7 +218,7 @@ impl Job<'_> {
                 for k in 0..n * n {
                     let column = x as f64 + ((k % n) as f64 + 0.5) / n as f64;
                     let row = y as f64 + ((k / n) as f64 + 0.5) / n as f64;
-                    let map = [self.grid.x0 + self.grid.step_x * column, self.grid.y0 + self.grid.step_y * row];
+                    let map = [self.grid_m.x0 + self.grid_m.step_x * column, self.grid_m.y0 + self.grid_m.step_y * row];
                     let place = self.view.at(map[0], map[1], |h| self.lattice.at(column, row, h));
                     let pixel = if let Place::Pixel(p) = place { [p[0] as f32, p[1] as f32] } else { [f32::NAN; 2] };
                     if !pixel[0].is_nan() {

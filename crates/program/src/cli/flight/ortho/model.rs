@@ -13,13 +13,29 @@ use autoref_raster::window::Window;
 use gdal::Dataset;
 use gdal::raster::{Buffer, ResampleAlg};
 
-/// The model's part that matters, and what it is called.
+use super::super::lists::height_unit_m;
+
+/// The model's part that matters, and what it is called: easting, northing and height in metres, whatever its CRS
+/// counts in.
 pub(in crate::cli) struct Dem {
     dataset: Dataset,
     pub grid: Grid,
+    /// Metres in a unit of the CRS's easting and northing.
+    pub unit_m: f64,
     pub(super) crs: Option<Crs>,
     /// A height in metres is the stored number times the first plus the second.
     metres: (f64, f64),
+}
+
+/// The grid with its corner and its cells in another unit.
+pub(super) fn scaled(grid: &Grid, factor: f64) -> Grid {
+    Grid {
+        x0: grid.x0 * factor,
+        y0: grid.y0 * factor,
+        step_x: grid.step_x * factor,
+        step_y: grid.step_y * factor,
+        ..*grid
+    }
 }
 
 pub(super) fn open(path: &Path) -> Result<Dataset> {
@@ -59,8 +75,28 @@ impl Dem {
             .into());
         }
         // What the elevation commands make of scale, offset and unit.
-        let metres = autoref_elevation::model::Model::open(path)?.metres();
-        Ok(Dem { dataset, grid, crs, metres })
+        let model = autoref_elevation::model::Model::open(path)?;
+        let (factor, offset) = model.metres();
+        let unit_m = crs.as_ref().map_or(1.0, Crs::metres_per_unit);
+        let metres = match (&crs, model.unit_name()) {
+            (Some(crs), None) if unit_m != 1.0 => {
+                tracing::warn!(
+                    "{}: names no unit of its heights: they are taken to be in that of its map, {}; name their unit with \
+                     gdal_edit.py -units",
+                    path.display(),
+                    crs.unit_name()
+                );
+                (factor * unit_m, offset * unit_m)
+            }
+            _ => (factor, offset),
+        };
+        Ok(Dem { dataset, grid: scaled(&grid, unit_m), unit_m, crs, metres })
+    }
+
+    /// A place in metres as the CRS counts it.
+    pub(super) fn in_units(&self, place_m: [f64; 3]) -> [f64; 3] {
+        let height_m = self.crs.as_ref().map_or(1.0, height_unit_m);
+        [place_m[0] / self.unit_m, place_m[1] / self.unit_m, place_m[2] / height_m]
     }
 
     /// Heights of a window, thinned to at most `most` cells.
@@ -98,7 +134,7 @@ impl Dem {
             .ok_or_else(|| Error::no_result(format!("{}: no cell has a height", path.display()), "give another").into())
     }
 
-    /// The cells of a box of the map, with a margin, cut at the model's border.
+    /// The cells of a box of the map in metres, with a margin, cut at the model's border.
     pub(super) fn window(&self, bounds: [f64; 4], margin: f64) -> Window {
         let g = &self.grid;
         let column = |x: f64| (x - g.x0) / g.step_x;

@@ -99,7 +99,7 @@ pub(super) fn posed(
         }
         (model.cameras[model.photographs[i].camera].clone(), pose, frame)
     };
-    set_interior(&mut camera, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     if camera.size_px != size {
         // The camera of a frame of another size: the same lens, other pixels.
         let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
@@ -122,7 +122,7 @@ pub(super) fn posed(
     Ok((camera, pose, frame))
 }
 
-/// The world about the camera in the model's CRS, the pose in it, and the camera's place in the map.
+/// The world about the camera in the model's CRS, the pose in it, and the camera's place in the map, all in metres.
 pub(super) fn place(dem: &Dem, pose: &Pose, frame: &Frame) -> Result<(World, Pose, [f64; 3])> {
     let crs = match frame {
         Frame::Map(crs) => crs.as_deref(),
@@ -143,11 +143,11 @@ pub(super) fn place(dem: &Dem, pose: &Pose, frame: &Frame) -> Result<(World, Pos
     }
     let mut at = [Coordinate { x: eye[0], y: eye[1], height: None }];
     from.transform(&mut at, target, 100.0)?;
-    let there = [at[0].x, at[0].y, eye[2]];
+    let there = [at[0].x * dem.unit_m, at[0].y * dem.unit_m, eye[2] * lists::height_unit_m(&from)];
     // Both stand on the same point of the ellipsoid: their tangent frames are one.
     let posed = lists::world_of(Some(&from), eye)?.pose_to_world(pose);
     let posed = posed.with_context(|| format!("the camera lies outside {}", from.title()))?;
-    Ok((lists::world_of(Some(target), there)?, posed, there))
+    Ok((lists::metric_world_of(target, there)?, posed, there))
 }
 
 /// The same of a pose in the tangent plane about a longitude, latitude and height.
@@ -155,12 +155,12 @@ fn place_tangent(dem: &Dem, pose: &Pose, about: [f64; 3]) -> Result<(World, Pose
     let target = dem.crs.as_ref().context("a tangent frame is placed on a map")?;
     let mut at = [Coordinate { x: about[0], y: about[1], height: None }];
     Crs::from_epsg(4326)?.transform(&mut at, target, 100.0)?;
-    let world = lists::world_of(Some(target), [at[0].x, at[0].y, about[2]])?;
+    let world = lists::metric_world_of(target, [at[0].x * dem.unit_m, at[0].y * dem.unit_m, about[2]])?;
     let outside = || format!("the camera lies outside {}", target.title());
     let posed = world.pose_of_tangent(about, pose).with_context(outside)?;
     let eye = world.to_map(&posed.centre).with_context(outside)?;
     // About the camera itself, as with poses on the map.
-    let there = lists::world_of(Some(target), eye)?;
+    let there = lists::metric_world_of(target, eye)?;
     let posed = world.pose_to_map(&posed).and_then(|pose| there.pose_to_world(&pose)).with_context(outside)?;
     Ok((there, posed, eye))
 }
@@ -203,7 +203,7 @@ impl Lattice {
     }
 }
 
-/// A frame's camera over the model, in coordinates of the map.
+/// A frame's camera over the model, in metres of the map.
 pub(super) struct Seer<'a> {
     pub camera: &'a Camera,
     pub pose: Pose,
@@ -216,7 +216,7 @@ pub(super) struct Seer<'a> {
 
 /// The ground that a frame sees.
 pub(super) struct Seen {
-    /// Box of the map.
+    /// Box of the map, metres.
     pub bounds: [f64; 4],
     /// Median ground size of a pixel across the view.
     pub across: f64,
