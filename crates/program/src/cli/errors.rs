@@ -1,4 +1,9 @@
 //! What `--json` prints of an error: `{"error": {"kind", "file", "place", "message", "remedy"}}`.
+//!
+//! What an error carries as data is taken from it. The rest is read off its line, which is built alike everywhere: the
+//! file or the option first, then the row or the like, then what is wrong, and behind the last semicolon the remedy.
+
+use std::path::Path;
 
 use autoref_raster::Error;
 use serde_json::{Value, json};
@@ -7,7 +12,10 @@ use serde_json::{Value, json};
 pub fn document(error: &anyhow::Error, line: &str) -> Value {
     let known = error.chain().find_map(|cause| cause.downcast_ref::<Error>());
     let (kind, file, place, remedy) = known.map_or_else(|| flight(error), parts);
-    let file = file.map(|path| path.display().to_string());
+    let (said_file, said_place) = file_and_place(line);
+    let file = file.map(|path| path.display().to_string()).or(said_file);
+    let place = place.cloned().or(said_place);
+    let remedy = remedy.cloned().or_else(|| remedy_of(line));
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
 }
 
@@ -38,6 +46,55 @@ fn flight(error: &anyhow::Error) -> Parts<'_> {
     }
 }
 
+/// The file that a line begins with, before a colon or a verb, and the row, frame or option that it names next.
+fn file_and_place(line: &str) -> (Option<String>, Option<String>) {
+    let (first, rest) = line.split_once(": ").map_or((line, None), |(first, rest)| (first, Some(rest)));
+    if is_option(first) {
+        return (None, Some(first.to_string()));
+    }
+    if is_file(first) {
+        let next = rest.and_then(|rest| Some(rest.split_once(": ")?.0));
+        return (Some(first.to_string()), next.filter(|next| is_place(next)).map(str::to_string));
+    }
+    // "NAME exists; give --overwrite", "NAME does not fit …": names may hold blanks.
+    let blanks = first.char_indices().filter(|(_, letter)| *letter == ' ').map(|(at, _)| at);
+    let named = blanks.map(|at| &first[..at]).filter(|name| is_file(name)).last();
+    (named.map(str::to_string), None)
+}
+
+fn is_option(word: &str) -> bool {
+    word.starts_with("--") && !word.contains(' ')
+}
+
+/// There is such a file, or the word can be nothing but the name of one: it has a folder or an ending.
+fn is_file(word: &str) -> bool {
+    if word.is_empty() || word.starts_with('-') || word.contains("://") {
+        return false;
+    }
+    let path = Path::new(word);
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let has_ending = ending.starts_with(|c: char| c.is_ascii_alphabetic()) && ending.len() <= 8;
+    let is_name = !word.contains(' ') && (has_ending || word.contains('/'));
+    path.exists() || is_name
+}
+
+/// A row, a line, a frame or a quoted name, and no sentence.
+fn is_place(words: &str) -> bool {
+    const FIRST: [&str; 10] =
+        ["row ", "line ", "camera ", "frame ", "the frame ", "point ", "the point ", "mark ", "GCP ", "page "];
+    words.starts_with('`') && words.ends_with('`') || FIRST.iter().any(|first| words.starts_with(first))
+}
+
+/// What stands behind the last semicolon that no brackets and no quotation hold.
+fn remedy_of(line: &str) -> Option<String> {
+    let is_whole = |text: &str| {
+        let count = |letter: char| text.matches(letter).count();
+        count('(') == count(')') && count('`') % 2 == 0
+    };
+    let ends = line.match_indices("; ").map(|(at, _)| &line[at + 2..]);
+    ends.filter(|rest| is_whole(rest)).last().map(str::to_string)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,5 +109,22 @@ mod tests {
         );
         let usage = document(&Error::usage("an output exists", "give --overwrite").into(), "said");
         assert_eq!((&usage["error"]["kind"], &usage["error"]["remedy"]), (&json!("usage"), &json!("give --overwrite")));
+    }
+
+    #[test]
+    fn what_a_line_names_is_in_the_object() {
+        let parts = |line: &str| {
+            let of = &document(&anyhow::anyhow!("{line}"), line)["error"];
+            ["file", "place", "remedy"].map(|key| of[key].as_str().unwrap_or("-").to_string())
+        };
+        assert_eq!(parts("in/a.csv: row 3: `x` is no number (a; b); correct it"), ["in/a.csv", "row 3", "correct it"]);
+        assert_eq!(
+            parts("out/x.tif exists; give --overwrite to replace it"),
+            ["out/x.tif", "-", "give --overwrite to replace it"]
+        );
+        assert_eq!(parts("a.json: `crs`: \"x\" is no CRS; give another"), ["a.json", "`crs`", "give another"]);
+        assert_eq!(parts("--free: `q` is no parameter; there are f, k1"), ["-", "--free", "there are f, k1"]);
+        assert_eq!(parts("nothing fits (one; two)"), ["-", "-", "-"]);
+        assert_eq!(parts("8.5 px are too few: give more"), ["-", "-", "-"]);
     }
 }
