@@ -25,6 +25,7 @@ pub mod atomic;
 pub mod bounded;
 mod cache;
 pub mod cells;
+pub mod child;
 mod chunked;
 pub mod coords;
 pub mod crs;

@@ -221,7 +221,8 @@ impl Steps {
                 }
                 bar.set_position(done);
             }
-            Shown::Lines(lines) => lines.change(|now| (now.done, now.of) = (Some(done), of)),
+            // All counted is not all done: programs go on in silence, or begin to count something else.
+            Shown::Lines(lines) => lines.change(|now| (now.done, now.of) = ((done < of).then_some(done), of)),
         }
     }
 }
@@ -270,5 +271,18 @@ mod tests {
         assert_eq!(now.line_after(Duration::from_secs(20)), "reading: 0 %, 20 s");
         now.done = None;
         assert_eq!(now.line(), "reading: 0 s");
+    }
+
+    #[test]
+    fn what_is_counted_whole_is_not_called_done() {
+        let lines = Lines::new("colmap", 14);
+        let steps = Steps(Shown::Lines(lines));
+        let said = |done: u64| {
+            steps.at(done, 14);
+            let Shown::Lines(lines) = &steps.0 else { unreachable!("made so above") };
+            lines.0.0.lock().expect("nobody panicked").line_after(Duration::from_secs(50))
+        };
+        assert_eq!(said(14), "colmap: 50 s");
+        assert_eq!(said(13), "colmap: 93 %, 50 s, about 4 s left");
     }
 }

@@ -87,6 +87,7 @@ fn started(mut run: Command, log: &Path, arguments: &[(&str, String)], command: 
     for (key, value) in arguments {
         run.arg(format!("--{key}")).arg(value);
     }
+    autoref_raster::child::ends_with_us(&mut run);
     let mut child = match run.spawn() {
         Ok(child) => child,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),

@@ -64,6 +64,7 @@ pub fn oriented(
     eprintln!("micmac …");
     let mut run = Command::new("sh");
     run.arg("commands.sh").current_dir(&folder).stdin(Stdio::null()).stdout(words).stderr(twin);
+    autoref_raster::child::ends_with_us(&mut run);
     match run.status() {
         Ok(status) if status.success() => {}
         Ok(status) => bail!("mm3d ended with {status}; {} has its words", log.display()),
