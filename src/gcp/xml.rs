@@ -69,15 +69,19 @@ fn broken(path: &Path, text: &str, reader: &Reader<&[u8]>, error: impl std::fmt:
 
 fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
     let attribute = start.attributes().flatten().find(|a| a.key.as_ref() == name)?;
-    Some(quick_xml::escape::unescape(&attribute.value).ok()?.into_owned())
+    // An entity that the document defines for itself stays as it is written.
+    Some(unescaped(&attribute.value))
+}
+
+fn unescaped(text: &str) -> String {
+    quick_xml::escape::unescape(text).map_or_else(|_| text.to_owned(), Cow::into_owned)
 }
 
 /// The words of a text or of an entity (`&quot;`), which comes as an event of its own between two texts.
 fn words(event: &Event<'_>) -> String {
-    let known = |text: &str| quick_xml::escape::unescape(text).map_or_else(|_| text.to_owned(), Cow::into_owned);
     match event {
-        Event::Text(content) => known(content.as_ref()),
-        Event::GeneralRef(entity) => known(&format!("&{};", entity.as_ref())),
+        Event::Text(content) => unescaped(content.as_ref()),
+        Event::GeneralRef(entity) => unescaped(&format!("&{};", entity.as_ref())),
         _ => String::new(),
     }
 }

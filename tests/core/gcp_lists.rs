@@ -476,6 +476,11 @@ fn entities_in_xml_are_read_where_they_stand() {
     let list = Folder::new().read("m.xml", metashape, &GcpOptions::default()).expect("readable");
     assert_eq!(place(&list, 0), ("A & B", 570_000.0, 7_032_000.0, Some(3.0)));
     assert_eq!(list.crs.map(|crs| crs.label()).as_deref(), Some("EPSG:25832"), "{:?}", list.notes);
+    // An entity that only the document's own head knows is no reason to call the marker by its number.
+    let own = "<document><chunk><markers><marker id=\"7\" label=\"&site;1\"><reference x=\"1\" y=\"2\" z=\"3\"/></marker>\
+               <marker id=\"8\" label=\"&site;2\"><reference x=\"5\" y=\"9\" z=\"3\"/></marker></markers></chunk></document>";
+    let list = Folder::new().read("own.xml", own, &GcpOptions::default()).expect("readable");
+    assert_eq!(list.gcps.iter().map(|g| g.name.as_str()).collect::<Vec<_>>(), ["&site;1", "&site;2"]);
     let micmac = "<Global><DicoAppuisFlottant><OneAppuisDAF><Pt>570000 7032000 3</Pt><NamePt>A &amp; B</NamePt>\
                   <Incertitude>0.02 0.02 0.05</Incertitude></OneAppuisDAF><OneAppuisDAF><Pt>570100 7032000 3</Pt>\
                   <NamePt>C</NamePt></OneAppuisDAF></DicoAppuisFlottant></Global>";

@@ -94,6 +94,13 @@ const Draw = (() => {
     ? svg("path", { d: `M${x} ${y - 5} l4.6 8.2 h-9.2 Z`, fill: "none", stroke: "#6a3fa0", "stroke-width": 1.6 }, svg("title", {}, name))
     : svg("circle", { cx: x, cy: y, r: 3.4, fill: colour, "fill-opacity": 0.75 }, svg("title", {}, name)));
 
+  // A name to the right or left of a place, on the other side where it would leave the plot.
+  function beside(a, x, y, name, right) {
+    const text = brief(name), w = 7 + 6.2 * text.length;
+    const after = right ? x + w < a.right + 10 || x - w < a.left : x - w < a.left;
+    return svg("text", { class: "tick halo", x: x + (after ? 7 : -7), y, "text-anchor": after ? "start" : "end" }, text);
+  }
+
   // items: {name, e, n, length, distance (m from the middle of the image), check}
   function vectors(items, sigma0) {
     const reach = Math.max(...items.map((i) => i.length), sigma0 ? 2.5 * sigma0 : 0, 1e-4) * 1.12;
@@ -113,7 +120,7 @@ const Draw = (() => {
             dot(a.x(i.e), a.y(i.n), BLUE, i.check, i.name));
         }
         for (const i of [...items].sort((p, q) => q.length - p.length).slice(0, 4)) {
-          box.append(svg("text", { class: "tick halo", x: a.x(i.e) + (i.e >= 0 ? 7 : -7), y: a.y(i.n) - 5, "text-anchor": i.e >= 0 ? "start" : "end" }, brief(i.name)));
+          box.append(beside(a, a.x(i.e), a.y(i.n) - 5, i.name, i.e >= 0));
         }
       });
   }
@@ -166,7 +173,7 @@ const Draw = (() => {
         const a = axes(box, [0, far], [0, most], "distance, m", "residual, m");
         for (const i of items) box.append(dot(a.x(i.distance), a.y(i.length), BLUE, i.check, i.name));
         for (const i of [...items].sort((p, q) => q.length - p.length).slice(0, 3)) {
-          box.append(svg("text", { class: "tick halo", x: a.x(i.distance) - 7, y: a.y(i.length) + 4, "text-anchor": "end" }, brief(i.name)));
+          box.append(beside(a, a.x(i.distance), a.y(i.length) + 4, i.name, false));
         }
       });
   }
