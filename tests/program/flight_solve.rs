@@ -89,6 +89,35 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
     );
 }
 
+/// Nothing of a run that was killed goes on beside the next one.
+#[cfg(target_os = "linux")]
+#[test]
+fn colmap_ends_with_the_run_that_started_it() {
+    let place = Place::new();
+    place.five_frames();
+    let toml = place.init();
+    let (bin, told) = (place.stand_in(), place.at("pid"));
+    write_program(&bin.join("colmap"), &format!("#!/bin/sh\necho $$ > {}\nexec sleep 300\n", text(&told)));
+    let mut run = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .args(["flight", "solve", text(&toml), "-o", text(&place.at("out")), "--quiet"])
+        .env("PATH", format!("{}:/bin:/usr/bin", bin.display()))
+        .spawn()
+        .expect("the program starts");
+    let until = |done: &dyn Fn() -> bool| {
+        let by = std::time::Instant::now() + std::time::Duration::from_secs(60);
+        while !done() && std::time::Instant::now() < by {
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        done()
+    };
+    let pid = || std::fs::read_to_string(&told).unwrap_or_default().trim().parse::<u32>().ok();
+    assert!(until(&|| pid().is_some()), "COLMAP was started");
+    let process = PathBuf::from(format!("/proc/{}/comm", pid().expect("told")));
+    run.kill().expect("it runs");
+    run.wait().expect("killed");
+    assert!(until(&|| std::fs::read_to_string(&process).map_or(true, |name| name.trim() != "sleep")), "it goes on");
+}
+
 /// Stage by stage, each with a document and a page; the last is what a run in one go gives.
 fn every_stage_says_what_it_found(place: &Place, toml: &Path, bin: &Path) {
     let out = place.at("stages");

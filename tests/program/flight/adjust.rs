@@ -189,6 +189,19 @@ fn positions_count_alone() {
         assert!(place.flight.worst_camera_m(&document) < 0.05 && sigma < 0.02, "{sigma}: {table}");
     }
     expect(&adjusted("name,x,y,z\nother.png,1,2,3\n"), 2, &["places.csv", "none of its names (other.png)"]);
+    // Two directions of one frame: alike, and another.
+    let both = |yaw_deg: f64| {
+        place.flight.model.photographs.iter().fold(
+            "name,x,y,z,omega,phi,kappa,yaw,pitch,roll\n".into(),
+            |all: String, p| {
+                let (c, a, [o, f, k]) = (p.pose.centre, p.pose.yaw_pitch_roll(), p.pose.omega_phi_kappa());
+                let view = format!("{},{},{}", a.yaw_deg + yaw_deg, a.pitch_deg, a.roll_deg);
+                format!("{all}{},{},{},{},{o},{f},{k},{view}\n", p.name, c.x, c.y, c.z)
+            },
+        )
+    };
+    expect(&adjusted(&both(0.0)), 0, &[]);
+    expect(&adjusted(&both(90.0)), 2, &["places.csv", "`f0.png`", "90.0 degrees apart"]);
     let twice = places.clone() + "f0.png,1,2,3\n";
     expect(&adjusted(&twice), 2, &["places.csv", "`f0.png` has row 2 already"]);
 }
