@@ -1,6 +1,7 @@
 //! Places that somebody pointed at, made exact: marks that look alike are laid on each other, and where what they have
-//! in common is its own image turned by half a turn, its centre is the reference point. What neither says stays as it
-//! was pointed at.
+//! in common is its own image turned by half a turn, edge on edge, its centre is the reference point, as long as it lies
+//! where clicks may have missed it. Of other marks it is the mean of the clicks. What neither says stays as it was
+//! pointed at.
 
 use super::learn::Grid;
 
@@ -17,6 +18,18 @@ const FAINT: f64 = 0.5;
 /// away, millimetres.
 const EDGE_MM: f64 = 0.35;
 const SYMMETRIC: f64 = 0.85;
+/// Correlation of edges, as vectors, from which a half turn lays a mark on itself: a solid half disc covers itself well
+/// when it is turned, its edges do not.
+const EDGE_ON_EDGE: f64 = 0.75;
+/// Steepness of a disc's rim, so many values wide, against the whole from which the mark goes on beyond it.
+const GOES_ON: f64 = 0.25;
+const RIM: f64 = 2.5;
+/// A centre of symmetry is no further from the mean of clicks than this, values of the grid, or than so many standard
+/// deviations of that mean.
+const NEAR_CLICKS: f64 = 3.0;
+const NEAR_SIGMAS: f64 = 3.0;
+/// No reference point is known better, values of the grid.
+const LEAST_SIGMA: f64 = 0.15;
 /// How far clicks may be off: pixels of the scan, and millimetres.
 const REACH_PX: f64 = 8.0;
 const REACH_MM: f64 = 0.15;
@@ -68,13 +81,12 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
     let mut shared_sigma = 0.0;
     if count(&moved) >= 2 {
         let stack = field.stacked(windows, &moved);
-        let symmetric = field.symmetric_centre(&stack);
-        if symmetric.is_none() {
-            let squares: f64 = moved.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
-            let n = count(&moved) as f64;
-            shared_sigma = (squares / (2.0 * (n - 1.0)) / n).sqrt();
-        }
-        let centre = symmetric.unwrap_or([0.0; 2]);
+        let squares: f64 = moved.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
+        let n = count(&moved) as f64;
+        let of_mean = (squares / (2.0 * (n - 1.0)) / n).sqrt();
+        let symmetric = field.symmetric_centre(&stack).map(|centre| (centre, field.spread(windows, &moved, centre)));
+        let (centre, sigma) = settled(symmetric, of_mean);
+        shared_sigma = sigma;
         let edges = field.edges(&stack);
         for ((window, shift), found) in windows.iter().zip(&mut moved).zip(&mut found) {
             *found = match field.compare(&edges, &field.edges(window), *shift) {
@@ -97,12 +109,23 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
         if centre != Centre::AsPointed {
             return Told { centre, sigma: shared_sigma };
         }
-        match field.symmetric_centre(window) {
-            Some(shift) => Told { centre: Centre::Own(shift), sigma: 0.0 },
-            None => Told { centre, sigma: click_sigma },
+        // Alone there is one click, and it is its own mean.
+        match (field.symmetric_centre(window), settled(field.symmetric_centre(window).map(|c| (c, 0.0)), click_sigma)) {
+            (Some(own), (shift, sigma)) if own == shift => Told { centre: Centre::Own(shift), sigma },
+            (_, (_, sigma)) => Told { centre, sigma },
         }
     };
     windows.iter().zip(found).map(told).collect()
+}
+
+/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry with
+/// its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all wrong:
+/// then the mean stays, no better than both are apart.
+fn settled(symmetric: Option<([f64; 2], f64)>, of_mean: f64) -> ([f64; 2], f64) {
+    let Some((centre, sigma)) = symmetric else { return ([0.0; 2], of_mean.max(LEAST_SIGMA)) };
+    let away = centre[0].hypot(centre[1]);
+    let allowed = NEAR_CLICKS.max(NEAR_SIGMAS * 2f64.sqrt() * of_mean);
+    if away <= allowed { (centre, sigma.max(LEAST_SIGMA)) } else { ([0.0; 2], of_mean.max(away / 2f64.sqrt())) }
 }
 
 /// Standard deviation of a click along one axis, by those that are known to be off; 0 where none is.
@@ -241,11 +264,98 @@ impl Field {
         window.iter().enumerate().map(|(k, v)| v - around(k) as f32).collect()
     }
 
-    /// The middle of the half turn that changes least, from the window's middle.
+    /// Standard deviation of a centre that all windows share, by what each tells alone.
+    fn spread(&self, windows: &[&Values], moved: &[Option<[f64; 2]>], centre: [f64; 2]) -> f64 {
+        let alone = |(window, shift): (&&Values, &Option<[f64; 2]>)| {
+            let (own, shift) = (self.symmetric_centre(window)?, (*shift)?);
+            Some((own[0] - shift[0] - centre[0]).powi(2) + (own[1] - shift[1] - centre[1]).powi(2))
+        };
+        let squares: Vec<f64> = windows.iter().zip(moved).filter_map(alone).collect();
+        let n = squares.len() as f64;
+        if n < 2.0 { LEAST_SIGMA } else { (squares.iter().sum::<f64>() / (2.0 * n) / n).sqrt() }
+    }
+
+    /// How steep the smoothed window is, across and down; `None` at its rim.
+    fn slopes(&self, window: &Values) -> Vec<Option<[f64; 2]>> {
+        let smooth = |x: i64, y: i64| -> Option<f64> {
+            let mut sum = 0.0;
+            for (dy, wy) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
+                for (dx, wx) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
+                    sum += wx * wy * self.at(window, x + dx, y + dy)?;
+                }
+            }
+            Some(sum / 16.0)
+        };
+        let slope = |k: i64| {
+            let (x, y) = (k % self.width, k / self.width);
+            let across = smooth(x + 1, y)? - smooth(x - 1, y)?;
+            Some([across, smooth(x, y + 1)? - smooth(x, y - 1)?])
+        };
+        (0..self.width * self.height).map(slope).collect()
+    }
+
+    /// Whether a half turn about a place lays edges on edges within `radius`, and, where the mark goes on beyond, as far
+    /// as it was seen: in a disc that is too small a piece of any bar or rim is its own image.
+    fn turns_into_itself(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radii: &[i64]) -> bool {
+        let [radius, wider @ ..] = radii else { return false };
+        let (inner, rim) = self.edge_on_edge(slopes, shift, *radius);
+        let goes_on = rim > GOES_ON;
+        let beyond = wider.first().is_none_or(|wider| self.edge_on_edge(slopes, shift, *wider).0 > EDGE_ON_EDGE);
+        inner > EDGE_ON_EDGE && (!goes_on || beyond)
+    }
+
+    /// How a half turn about the window's middle, shifted so, lays the edges within `radius`: the correlation of slopes,
+    /// which change their sign; and how steep the rim of the disc is against all of it.
+    fn edge_on_edge(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radius: i64) -> (f64, f64) {
+        let (width, height) = (self.width, self.height);
+        let slope = |x: i64, y: i64| {
+            let inside = (0..width).contains(&x) && (0..height).contains(&y);
+            inside.then(|| slopes[(y * width + x) as usize]).flatten()
+        };
+        let between = |x: f64, y: f64| -> Option<[f64; 2]> {
+            let (i, j) = (x.floor(), y.floor());
+            let (a, b) = (x - i, y - j);
+            let mut sum = [0.0; 2];
+            for (di, dj, weight) in
+                [(0, 0, (1.0 - a) * (1.0 - b)), (1, 0, a * (1.0 - b)), (0, 1, (1.0 - a) * b), (1, 1, a * b)]
+            {
+                let there = slope(i as i64 + di, j as i64 + dj)?;
+                sum = [sum[0] + weight * there[0], sum[1] + weight * there[1]];
+            }
+            Some(sum)
+        };
+        let centre = [0.5 * (width - 1) as f64 + shift[0], 0.5 * (height - 1) as f64 + shift[1]];
+        let (mut both, mut here, mut there) = (0.0, 0.0, 0.0);
+        // Of the disc and of its rim: steepness and how many values.
+        let mut steep = [(0.0, 0.0); 2];
+        for y in -radius..=radius {
+            for x in -radius..=radius {
+                let (px, py) = (centre[0].round() as i64 + x, centre[1].round() as i64 + y);
+                let turned = between(2.0 * centre[0] - px as f64, 2.0 * centre[1] - py as f64);
+                let Some((a, b)) = slope(px, py).zip(turned).filter(|_| x * x + y * y <= radius * radius) else {
+                    continue;
+                };
+                both -= a[0] * b[0] + a[1] * b[1];
+                let size = a[0] * a[0] + a[1] * a[1];
+                here += size;
+                there += b[0] * b[0] + b[1] * b[1];
+                let at_rim = ((x * x + y * y) as f64).sqrt() > radius as f64 - RIM;
+                for part in &mut steep[..=usize::from(at_rim)] {
+                    *part = (part.0 + size, part.1 + 1.0);
+                }
+            }
+        }
+        let mean = |(sum, n): (f64, f64)| sum / f64::max(n, 1.0);
+        (both / f64::max((here * there).sqrt(), 1e-12), mean(steep[1]) / mean(steep[0]).max(1e-12))
+    }
+
+    /// The middle of the half turn that changes least, from the window's middle; `None` where it does not lay edges on
+    /// edges.
     fn symmetric_centre(&self, window: &Values) -> Option<[f64; 2]> {
         let mut best: Option<(f64, [f64; 2])> = None;
-        for part in [0.4, 0.6, 0.8, 1.0] {
-            let radius = ((self.radius as f64 * part) as i64).max(3);
+        let radii = [0.4, 0.6, 0.8, 1.0].map(|part| ((self.radius as f64 * part) as i64).max(3));
+        let slopes = self.slopes(window);
+        for (part, &radius) in radii.iter().enumerate() {
             // Centres lie at every half value: `sx` and `sy` are twice the shift.
             let score = |sx: i64, sy: i64| {
                 let [cx, cy] = self.middle();
@@ -268,9 +378,10 @@ impl Field {
             let (found, value) = peak(2 * self.reach, score);
             if value > SYMMETRIC
                 && best.is_none_or(|b| value > b.0)
-                && let Some(found) = found
+                && let Some(found) = found.map(|f| [0.5 * f[0], 0.5 * f[1]])
+                && self.turns_into_itself(&slopes, found, &radii[part..])
             {
-                best = Some((value, [0.5 * found[0], 0.5 * found[1]]));
+                best = Some((value, found));
             }
         }
         best.map(|b| b.1)
@@ -399,6 +510,58 @@ mod tests {
             assert!((told.sigma - expected).abs() < 0.1 * expected, "{told:?}, {expected}");
             let shift = told.centre.shift().expect("wedges look alike");
             assert!((shift[0] - o[0]).hypot(shift[1] - o[1]) < 0.3, "{shift:?} for {o:?}");
+        }
+    }
+
+    /// What lies inside of a shape, in values from its reference point, with grain.
+    fn solid(size: (usize, usize), off: [f64; 2], inside: impl Fn(f64, f64) -> bool) -> Vec<f32> {
+        let middle = [0.5 * size.0 as f64 + off[0], 0.5 * size.1 as f64 + off[1]];
+        let covered = |k: usize| {
+            let (x, y) = ((k % size.0) as f64, (k / size.0) as f64);
+            let parts = (0..36).filter(|s| {
+                let at = |p: usize| (p as f64 + 0.5) / 6.0;
+                inside(x + at(s % 6) - middle[0], y + at(s / 6) - middle[1])
+            });
+            parts.count() as f32 / 36.0 + 0.04 * ((k * 7919) % 13) as f32 / 13.0
+        };
+        (0..size.0 * size.1).map(covered).collect()
+    }
+
+    /// A shape by its name, as whether a place in values from its reference point lies inside.
+    type Solid = (&'static str, fn(f64, f64) -> bool);
+
+    /// Solid shapes cover themselves well under half a turn about their middle, which is not their reference point:
+    /// exact clicks stay.
+    #[test]
+    fn exact_clicks_on_solid_shapes_stay() {
+        let shapes: [Solid; 4] = [
+            ("half disc", |u, v| u.hypot(v) < 16.0 && v < 0.0),
+            ("quarter of a disc", |u, v| u.hypot(v) < 20.0 && v < 0.0 && u > 0.0),
+            ("triangle", |u, v| v > 0.0 && v < 24.0 && u.abs() < 0.6 * v),
+            ("box open above", |u, v| u.abs().max(v.abs()) < 13.0 && !(u.abs() < 9.0 && v < 9.0)),
+        ];
+        let off = [[0.1, -0.1], [-0.2, 0.1], [0.0, 0.1], [0.1, -0.1]];
+        for (name, inside) in shapes {
+            let made = off.map(|o| solid((80, 80), o, inside));
+            let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
+            for (told, o) in centres(&windows, &Grid { step_mm: 0.06, width: 80, height: 80 }).iter().zip(off) {
+                let shift = told.centre.shift().expect("they look alike");
+                let error = (shift[0] - o[0]).hypot(shift[1] - o[1]);
+                assert!(error < 0.3 && told.sigma < 0.5, "{name}: {told:?} for {o:?}");
+            }
+        }
+    }
+
+    /// Dots are their own images, but all clicks are 6 values off to one side: the centre is not where it was pointed
+    /// at, and nobody is told a point that he did not mean without a doubt.
+    #[test]
+    fn a_centre_far_from_all_clicks_is_doubtful() {
+        let made: Vec<Vec<f32>> =
+            [[6.0, 0.1], [5.9, -0.1], [6.1, 0.0]].map(|o| solid((80, 80), o, |u, v| u.hypot(v) < 8.0)).to_vec();
+        let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
+        for told in centres(&windows, &Grid { step_mm: 0.06, width: 80, height: 80 }) {
+            let shift = told.centre.shift().expect("they look alike");
+            assert!(shift[0].hypot(shift[1]) < 0.5 && told.sigma > 3.0, "{told:?}");
         }
     }
 

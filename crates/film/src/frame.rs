@@ -177,13 +177,19 @@ impl Finder {
         } else {
             let stated = Resolution::of_file(&info.path);
             let positive = self.look(source, options, stated, result.clone())?;
-            result = if marks_seen(&positive) == self.film.len() {
+            // Specks and letters make up frames in the wrong tones, though hardly of the right size.
+            result = if positive.is_ok() && marks_seen(&positive) == self.film.len() {
                 positive
             } else {
                 let mut negative = self.look(&Negative(source), options, stated, result)?;
                 negative.notes.push("the marks are dark on bright: a negative".into());
                 let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
-                if negative.interior.is_some() && dark > bright.max(2) { negative } else { positive }
+                let reversed = match (positive.is_ok(), negative.is_ok()) {
+                    (true, false) => false,
+                    (false, true) => dark >= bright,
+                    _ => dark > bright,
+                };
+                if negative.interior.is_some() && dark > 2 && reversed { negative } else { positive }
             };
         }
         result.elapsed_s = started.elapsed().as_secs_f64();
@@ -350,7 +356,7 @@ impl Finder {
                         mark: mark.name.clone(),
                         status: if reason.is_none() { MarkStatus::Ok } else { MarkStatus::Doubtful },
                         centre: Some(m.centre),
-                        covariance_px2: m.covariance_px2,
+                        covariance_px2: m.covariance_px2.map(|c| self.with_template(k, c, pose)),
                         predicted,
                         score: Some(m.score),
                         residual_um: None,
@@ -366,6 +372,12 @@ impl Finder {
     fn why_missing(&self, predicted: Option<PixelPoint>, result: &FrameResult) -> &'static str {
         let outside = |p: PixelPoint| p.x < 0.0 || p.y < 0.0 || p.x > result.width as f64 || p.y > result.height as f64;
         if predicted.is_some_and(outside) { "lies outside the scan" } else { "not found" }
+    }
+
+    /// The covariance of a measured place, and what its template leaves open: where in it the reference point lies.
+    fn with_template(&self, mark: usize, [xx, xy, yy]: [f64; 3], pose: &Pose) -> [f64; 3] {
+        let variance = (self.model(mark).reference_sigma_um() / 1e3 * pose.px_per_mm()).powi(2);
+        [xx + variance, xy, yy + variance]
     }
 
     /// Marks without a centre of symmetry lie where clicks taught them, by the same for all frames: nothing in a frame
@@ -397,7 +409,7 @@ impl Finder {
                     name: mark.name.clone(),
                     mm: [mark.x_mm?, mark.y_mm?],
                     pixel: m.centre,
-                    covariance_px2: m.covariance_px2.unwrap_or([1.0, 0.0, 1.0]),
+                    covariance_px2: m.covariance_px2.map_or([1.0, 0.0, 1.0], |c| self.with_template(k, c, pose)),
                 })
             })
             .collect();

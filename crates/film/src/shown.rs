@@ -145,8 +145,8 @@ impl Shown {
         if let Some(first) = unsure.first() {
             let names: Vec<&str> = unsure.iter().map(|m| camera.marks[m.k].name.as_str()).collect();
             tracing::warn!(
-                "{}: these marks have no centre of symmetry: it is the mean of what was pointed at, good to {:.1} px, and frames will be \
-                 doubtful; point at them again, exactly",
+                "{}: their reference point is the mean of what was pointed at, good to {:.1} px, since no centre of symmetry lies \
+                 near it, and frames will be doubtful; point at them again, exactly",
                 names.join(", "),
                 first.told.sigma
             );
