@@ -1,7 +1,6 @@
 //! Places that somebody pointed at, made exact: marks that look alike are laid on each other, and where what they have
-//! in common is its own image turned by half a turn, edge on edge, its centre is the reference point, as long as it lies
-//! where clicks may have missed it. Of other marks it is the mean of the clicks. What neither says stays as it was
-//! pointed at.
+//! in common is its own image turned by half a turn, edge on edge, its centre is the reference point, where clicks may
+//! have missed it. Of other marks it is the mean of the clicks. What neither says stays as it was pointed at.
 
 use super::learn::Grid;
 
@@ -118,8 +117,8 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
     windows.iter().zip(found).map(told).collect()
 }
 
-/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry with
-/// its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all wrong:
+/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry,
+/// with its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all wrong:
 /// then the mean stays, no better than both are apart.
 fn settled(symmetric: Option<([f64; 2], f64)>, of_mean: f64) -> ([f64; 2], f64) {
     let Some((centre, sigma)) = symmetric else { return ([0.0; 2], of_mean.max(LEAST_SIGMA)) };
@@ -294,8 +293,8 @@ impl Field {
         (0..self.width * self.height).map(slope).collect()
     }
 
-    /// Whether a half turn about a place lays edges on edges within `radius`, and, where the mark goes on beyond, as far
-    /// as it was seen: in a disc that is too small a piece of any bar or rim is its own image.
+    /// Whether a half turn about a place lays edges on edges within the first of `radii`, and, where the mark goes on
+    /// beyond, within the second: in a disc that is too small a piece of any bar or rim is its own image.
     fn turns_into_itself(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radii: &[i64]) -> bool {
         let [radius, wider @ ..] = radii else { return false };
         let (inner, rim) = self.edge_on_edge(slopes, shift, *radius);
@@ -304,7 +303,7 @@ impl Field {
         inner > EDGE_ON_EDGE && (!goes_on || beyond)
     }
 
-    /// How a half turn about the window's middle, shifted so, lays the edges within `radius`: the correlation of slopes,
+    /// How a half turn about the window's middle, shifted so, lays edges within `radius`: the correlation of slopes,
     /// which change their sign; and how steep the rim of the disc is against all of it.
     fn edge_on_edge(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radius: i64) -> (f64, f64) {
         let (width, height) = (self.width, self.height);
