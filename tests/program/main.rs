@@ -30,6 +30,7 @@ mod fixtures;
 mod flight;
 mod flight_input;
 mod flight_solve;
+mod full_disk;
 mod heights;
 mod inputs;
 mod main_job;

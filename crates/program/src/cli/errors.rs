@@ -58,7 +58,7 @@ fn file_and_place(line: &str) -> (Option<String>, Option<String>) {
     }
     // "NAME exists; give --overwrite", "NAME does not fit …": names may hold blanks.
     let blanks = first.char_indices().filter(|(_, letter)| *letter == ' ').map(|(at, _)| at);
-    let named = blanks.map(|at| &first[..at]).filter(|name| is_file(name)).last();
+    let named = blanks.map(|at| &first[..at]).rfind(|name| is_file(name));
     (named.map(str::to_string), None)
 }
 
