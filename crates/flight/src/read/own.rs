@@ -138,7 +138,7 @@ mod tests {
         for (key, value, words) in [
             ("R", json!([[1.0, 0.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, -1.0]]), "no rotation"),
             ("R", mirrored, "mirrors"),
-            ("R", json!([[0.0; 3], [0.0; 3], [0.0; 3]]), "no rotation"),
+            ("R", json!([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), "no rotation"),
             ("distortion", json!({"K1": -0.3}), "`K1` is no term of a distortion"),
             ("distortion", json!({"k1": "a"}), "a number is expected"),
             ("distortion", json!({"projection": "spherical"}), "projection"),
