@@ -118,8 +118,8 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
 }
 
 /// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry,
-/// with its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all wrong:
-/// then the mean stays, no better than both are apart.
+/// with its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all
+/// wrong: then the mean stays, no better than both are apart.
 fn settled(symmetric: Option<([f64; 2], f64)>, of_mean: f64) -> ([f64; 2], f64) {
     let Some((centre, sigma)) = symmetric else { return ([0.0; 2], of_mean.max(LEAST_SIGMA)) };
     let away = centre[0].hypot(centre[1]);

@@ -389,8 +389,8 @@ impl Fitter<'_> {
     /// The same where the models are in memory, begun again where most differences lie as long as that fits better.
     ///
     /// A fit that begins far off, or with a height that changed ground has drawn to its side, takes the residuals that
-    /// it meets for scatter: wide enough to keep the changed ground for good, and with it the wrong height. The shift is
-    /// right to a part of a cell by then, so that the differences show where the ground is that has not changed.
+    /// it meets for scatter: wide enough to keep the changed ground for good, and with it the wrong height. The shift
+    /// is right to a part of a cell by then, so that the differences show where the ground is that has not changed.
     fn settle_centred(&self, pair: &Pair<'_>, start: State, free: Free) -> Result<Option<Settled>> {
         const MOST_RESTARTS: u32 = 4;
         /// What is narrower by less is no other ground, and what is less better no better fit.

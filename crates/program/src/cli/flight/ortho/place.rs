@@ -1,5 +1,7 @@
 //! Where a frame stands over its elevation model, and what ground it sees.
 
+use std::path::Path;
+
 use anyhow::{Context, Result, bail};
 use autoref_cloud::params;
 use autoref_elevation::grid::Grid;
@@ -42,84 +44,109 @@ pub(super) fn posed(
         ),
     };
     let known = ["cameras.txt", "images.txt", "points3D.txt"];
-    let table = file.extension().and_then(|e| e.to_str()).is_some_and(|e| ["csv", "txt", "tsv"].contains(&e))
+    let is_table = file.extension().and_then(|e| e.to_str()).is_some_and(|e| ["csv", "txt", "tsv"].contains(&e))
         && file.file_name().and_then(|n| n.to_str()).is_none_or(|n| !known.contains(&n));
-    let asked = || args.crs.clone();
-    let (mut camera, pose, frame) = if table {
-        if args.shift.is_some() {
-            bail!("--shift is of a reconstruction; write the map coordinates into {}", file.display());
-        }
-        let rows = camera_tables::cameras(&file, args.angles.angles())?;
-        let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
-            bail!("{}: has no row of `{name}`", file.display())
-        };
-        // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
-        let frame = Frame::Map(asked().filter(|_| !rows[i].geographic));
-        let rows = camera_tables::on_map(vec![rows[i].clone()], &file, model_crs)?;
-        let i = 0;
-        let Some(pose) = rows[i].pose(None) else {
-            bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
-        };
-        if !rows[i].is_directed() {
-            tracing::warn!("{}: the row of `{name}` states no roll; the frame is taken to lie level", file.display());
-        }
-        let camera = match &args.camera {
-            Some(path) => camera_file(path, name)?,
-            None if args.f_px.is_some() => Camera::pinhole(name, size, 1.0, [size[0] / 2.0, size[1] / 2.0]),
-            None => bail!("{}: a table has no interior; give --f-px or --camera", file.display()),
-        };
-        (camera, pose, frame)
+    let (mut camera, pose, frame) = if is_table {
+        posed_by_table(args, &file, name, size, model_crs)?
     } else {
-        let model = read::reconstruction(&file)?;
-        let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
-        let text = bounded::read_to_string(&file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
-        let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
-        let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
-        // Who names a CRS says that the coordinates are the map's.
-        let on_map = args.shift.is_some() || args.crs.is_some() || model_crs.is_none_or(Crs::is_local);
-        let about = model.reference_lla.filter(|_| !on_map);
-        let frame = about.map_or_else(|| Frame::Map(asked().or(crs)), Frame::Tangent);
-        let mut pose = model.photographs[i].pose;
-        if let Some(text) = &args.shift {
-            pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
-            if pose.centre.iter().any(|v| v.abs() > read::FARTHEST) {
-                bail!(
-                    "--shift {text}: the camera would stand at ({:e}, {:e}, {:e})",
-                    pose.centre.x,
-                    pose.centre.y,
-                    pose.centre.z
-                );
-            }
-        } else if about.is_some() {
-            tracing::warn!(
-                "{}: its coordinates are taken as east, north and up about its reference_lla; OpenDroneMap's are map \
-                 coordinates less an offset (the second line of its coords.txt): give that with --shift E,N,0",
-                file.display()
-            );
-        }
-        (model.cameras[model.photographs[i].camera].clone(), pose, frame)
+        posed_by_reconstruction(args, &file, name, model_crs)?
     };
     set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     if camera.size_px != size {
-        // The camera of a frame of another size: the same lens, other pixels.
-        let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
-        if (across / down - 1.0).abs() > 1e-3 || camera.polynomial.is_some() {
-            bail!(
-                "{}: is {} x {} px, its camera {} x {}; give the frame that was measured",
-                args.frame.display(),
-                size[0],
-                size[1],
-                camera.size_px[0],
-                camera.size_px[1]
-            );
-        }
-        use autoref_flight::Parameter::{Cx, Cy, F};
-        for p in [F, Cx, Cy] {
-            camera.set(p, camera.get(p) * across);
-        }
-        camera.size_px = size;
+        resize(&mut camera, &args.frame, size)?;
     }
     Ok((camera, pose, frame))
+}
+
+/// From the row of a camera table.
+fn posed_by_table(
+    args: &OrthorectifyArgs,
+    file: &Path,
+    name: &str,
+    size: [f64; 2],
+    model_crs: Option<&Crs>,
+) -> Result<(Camera, Pose, Frame)> {
+    if args.shift.is_some() {
+        bail!("--shift is of a reconstruction; write the map coordinates into {}", file.display());
+    }
+    let rows = camera_tables::cameras(file, args.angles.angles())?;
+    let Some(i) = same_image(name, rows.iter().map(|r| r.name.as_str())) else {
+        bail!("{}: has no row of `{name}`", file.display())
+    };
+    // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
+    let frame = Frame::Map(args.crs.clone().filter(|_| !rows[i].geographic));
+    let rows = camera_tables::on_map(vec![rows[i].clone()], file, model_crs)?;
+    let i = 0;
+    let Some(pose) = rows[i].pose(None) else {
+        bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
+    };
+    if !rows[i].is_directed() {
+        tracing::warn!("{}: the row of `{name}` states no roll; the frame is taken to lie level", file.display());
+    }
+    let camera = match &args.camera {
+        Some(path) => camera_file(path, name)?,
+        None if args.f_px.is_some() => Camera::pinhole(name, size, 1.0, [size[0] / 2.0, size[1] / 2.0]),
+        None => bail!("{}: a table has no interior; give --f-px or --camera", file.display()),
+    };
+    Ok((camera, pose, frame))
+}
+
+/// From a reconstruction that has the frame.
+fn posed_by_reconstruction(
+    args: &OrthorectifyArgs,
+    file: &Path,
+    name: &str,
+    model_crs: Option<&Crs>,
+) -> Result<(Camera, Pose, Frame)> {
+    let model = read::reconstruction(file)?;
+    let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
+    let text = bounded::read_to_string(file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
+    let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
+    let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
+    // Who names a CRS says that the coordinates are the map's.
+    let on_map = args.shift.is_some() || args.crs.is_some() || model_crs.is_none_or(Crs::is_local);
+    let about = model.reference_lla.filter(|_| !on_map);
+    let frame = about.map_or_else(|| Frame::Map(args.crs.clone().or(crs)), Frame::Tangent);
+    let mut pose = model.photographs[i].pose;
+    if let Some(text) = &args.shift {
+        pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
+        if pose.centre.iter().any(|v| v.abs() > read::FARTHEST) {
+            bail!(
+                "--shift {text}: the camera would stand at ({:e}, {:e}, {:e})",
+                pose.centre.x,
+                pose.centre.y,
+                pose.centre.z
+            );
+        }
+    } else if about.is_some() {
+        tracing::warn!(
+            "{}: its coordinates are taken as east, north and up about its reference_lla; OpenDroneMap's are map \
+             coordinates less an offset (the second line of its coords.txt): give that with --shift E,N,0",
+            file.display()
+        );
+    }
+    Ok((model.cameras[model.photographs[i].camera].clone(), pose, frame))
+}
+
+/// The camera of a frame of another size: the same lens, other pixels.
+fn resize(camera: &mut Camera, of: &Path, size: [f64; 2]) -> Result<()> {
+    use autoref_flight::Parameter::{Cx, Cy, F};
+    let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
+    if (across / down - 1.0).abs() > 1e-3 || camera.polynomial.is_some() {
+        bail!(
+            "{}: is {} x {} px, its camera {} x {}; give the frame that was measured",
+            of.display(),
+            size[0],
+            size[1],
+            camera.size_px[0],
+            camera.size_px[1]
+        );
+    }
+    for p in [F, Cx, Cy] {
+        camera.set(p, camera.get(p) * across);
+    }
+    camera.size_px = size;
+    Ok(())
 }
 
 /// The world about the camera in the model's CRS, the pose in it, and the camera's place in the map, all in metres.
