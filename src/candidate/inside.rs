@@ -10,6 +10,7 @@ use super::fit::Fit;
 use super::gates::Gates;
 use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit};
+use super::prototype_options;
 use super::scene::{OwnPaint, RING_PX, Scene};
 use super::split::region_of;
 use super::whole;
@@ -102,9 +103,13 @@ pub(crate) fn examine(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Candidate> {
-    let evidence = measure(region, pixels, classifier, profile, gates)?;
     let patch = near(pixels, region);
     let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
+    if !prototype_options::passes(&scene, classifier, profile) {
+        return None;
+    }
+    let looks = Looks { region, classifier, profile, gates };
+    let evidence = looks.by_inside(&scene, Around { pixels, classifier })?;
     candidate(evidence, &scene, region, classifier, profile, gates)
 }
 

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use crate::gcp::raw::RawPoint;
 use crate::gcp::read::{GcpOptions, ImageGeoreference};
-use crate::gcp::units::FOOT_M;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::units::FOOT_M;
 
 /// No coordinate on Earth is larger, in metres, feet or degrees.
 const LARGEST_COORDINATE: f64 = 1e9;

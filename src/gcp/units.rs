@@ -5,10 +5,7 @@ use std::path::Path;
 use crate::gcp::raw::RawPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
-
-/// Metres in an international foot, and in a US survey foot.
-pub const FOOT_M: f64 = 0.3048;
-pub const US_SURVEY_FOOT_M: f64 = 1200.0 / 3937.0;
+use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 /// A unit of length.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,6 +9,7 @@ use gdal::raster::RasterBand;
 use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::masked;
+use crate::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 /// Values that stand for "no height" in files that name none.
 const USUAL_NODATA: [f64; 3] = [-32_768.0, -32_767.0, -9999.0];
@@ -109,8 +110,8 @@ pub fn refuse_signed_bytes(path: &Path, band: &RasterBand<'_>) -> Result<()> {
 fn metres_of(name: &str) -> Option<f64> {
     match name.to_ascii_lowercase().as_str() {
         "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
-        "ft" | "foot" | "feet" => Some(0.3048),
-        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(1200.0 / 3937.0),
+        "ft" | "foot" | "feet" => Some(FOOT_M),
+        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(US_SURVEY_FOOT_M),
         "cm" | "centimetre" | "centimeter" => Some(0.01),
         "dm" | "decimetre" | "decimeter" => Some(0.1),
         "mm" | "millimetre" | "millimeter" => Some(0.001),

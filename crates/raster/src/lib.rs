@@ -49,6 +49,7 @@ pub mod random;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;
+pub mod units;
 mod white;
 pub mod window;
 mod written;

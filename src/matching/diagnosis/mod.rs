@@ -21,12 +21,12 @@ mod rows;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
-pub use crate::gcp::units::{FOOT_M, US_SURVEY_FOOT_M};
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::{Coordinate, Crs};
+pub(crate) use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 /// Explanations that chance produces once in a hundred lists are mentioned as possible; rarer ones may be claimed.
 pub const POSSIBLE_LOG10: f64 = -2.0;

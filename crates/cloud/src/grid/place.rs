@@ -1,6 +1,7 @@
 //! What a grid says of where it lies and of the unit of its heights.
 
 use autoref_raster::crs::Crs;
+use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 use super::Options;
 use crate::io::{self, Header};
@@ -18,7 +19,7 @@ pub(super) struct Place {
 /// A unit of heights as bands name it.
 fn named(metres: f64) -> Option<&'static str> {
     let is = |other: f64| (metres / other - 1.0).abs() < 1e-9;
-    [(1.0, "m"), (0.3048, "ft"), (1200.0 / 3937.0, "US survey foot")]
+    [(1.0, "m"), (FOOT_M, "ft"), (US_SURVEY_FOOT_M, "US survey foot")]
         .into_iter()
         .find_map(|(other, name)| is(other).then_some(name))
 }

@@ -1,6 +1,7 @@
 //! What a LAS header says of places and heights: WKT, or the keys of GeoTIFF.
 
 use autoref_raster::crs::Crs;
+use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 use super::geokeys;
 use super::las_header::{LasHeader, Vlr, text_of, u16_at};
@@ -40,8 +41,8 @@ impl LasHeader {
     fn counts_in_unit_of(&self, code: u16) -> bool {
         let stated_m = match self.key(3076) {
             Some(9001) => 1.0,
-            Some(9002) => 0.3048,
-            Some(9003) => 1200.0 / 3937.0,
+            Some(9002) => FOOT_M,
+            Some(9003) => US_SURVEY_FOOT_M,
             Some(_) | None => return true,
         };
         Crs::parse(&format!("EPSG:{code}")).map_or(true, |crs| (crs.metres_per_unit() / stated_m - 1.0).abs() < 1e-9)
