@@ -23,6 +23,9 @@ const EDGE_ON_EDGE: f64 = 0.75;
 /// Steepness of a disc's rim, so many values wide, against the whole from which the mark goes on beyond it.
 const GOES_ON: f64 = 0.25;
 const RIM: f64 = 2.5;
+/// Edges that cross have this share of the steepness in the direction of less of it: their crossing is its own image
+/// wherever they lead. A straight edge or bar alone is that at each of its points.
+const CROSSING: f64 = 0.25;
 /// A centre of symmetry is no further from the mean of clicks than this, values of the grid, or than so many standard
 /// deviations of that mean.
 const NEAR_CLICKS: f64 = 3.0;
@@ -115,6 +118,16 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
         }
     };
     windows.iter().zip(found).map(told).collect()
+}
+
+/// What a half turn does to the edges in a disc.
+struct HalfTurn {
+    /// Correlation of the slopes, which change their sign.
+    fit: f64,
+    /// Steepness of the disc's rim against all of it.
+    rim: f64,
+    /// Ratio of the smaller to the larger principal moment of the slopes: 0 of parallel edges, 1 of a right cross.
+    crossing: f64,
 }
 
 /// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry,
@@ -297,15 +310,14 @@ impl Field {
     /// beyond, within the second: in a disc that is too small a piece of any bar or rim is its own image.
     fn turns_into_itself(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radii: &[i64]) -> bool {
         let [radius, wider @ ..] = radii else { return false };
-        let (inner, rim) = self.edge_on_edge(slopes, shift, *radius);
-        let goes_on = rim > GOES_ON;
-        let beyond = wider.first().is_none_or(|wider| self.edge_on_edge(slopes, shift, *wider).0 > EDGE_ON_EDGE);
-        inner > EDGE_ON_EDGE && (!goes_on || beyond)
+        let inner = self.edge_on_edge(slopes, shift, *radius);
+        let ends = inner.rim <= GOES_ON || inner.crossing >= CROSSING;
+        let beyond = wider.first().is_none_or(|wider| self.edge_on_edge(slopes, shift, *wider).fit > EDGE_ON_EDGE);
+        inner.fit > EDGE_ON_EDGE && (ends || beyond)
     }
 
-    /// How a half turn about the window's middle, shifted so, lays edges within `radius`: the correlation of slopes,
-    /// which change their sign; and how steep the rim of the disc is against all of it.
-    fn edge_on_edge(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radius: i64) -> (f64, f64) {
+    /// How a half turn about the window's middle, shifted so, lays edges within `radius`.
+    fn edge_on_edge(&self, slopes: &[Option<[f64; 2]>], shift: [f64; 2], radius: i64) -> HalfTurn {
         let (width, height) = (self.width, self.height);
         let slope = |x: i64, y: i64| {
             let inside = (0..width).contains(&x) && (0..height).contains(&y);
@@ -325,6 +337,8 @@ impl Field {
         };
         let centre = [0.5 * (width - 1) as f64 + shift[0], 0.5 * (height - 1) as f64 + shift[1]];
         let (mut both, mut here, mut there) = (0.0, 0.0, 0.0);
+        // Squares and product of the slopes across and down.
+        let mut moments = [0.0; 3];
         // Of the disc and of its rim: steepness and how many values.
         let mut steep = [(0.0, 0.0); 2];
         for y in -radius..=radius {
@@ -337,6 +351,7 @@ impl Field {
                 both -= a[0] * b[0] + a[1] * b[1];
                 let size = a[0] * a[0] + a[1] * a[1];
                 here += size;
+                moments = [moments[0] + a[0] * a[0], moments[1] + a[0] * a[1], moments[2] + a[1] * a[1]];
                 there += b[0] * b[0] + b[1] * b[1];
                 let at_rim = ((x * x + y * y) as f64).sqrt() > radius as f64 - RIM;
                 for part in &mut steep[..=usize::from(at_rim)] {
@@ -345,7 +360,13 @@ impl Field {
             }
         }
         let mean = |(sum, n): (f64, f64)| sum / f64::max(n, 1.0);
-        (both / f64::max((here * there).sqrt(), 1e-12), mean(steep[1]) / mean(steep[0]).max(1e-12))
+        let [xx, xy, yy] = moments;
+        let half_gap = (0.5 * (xx - yy)).hypot(xy);
+        HalfTurn {
+            fit: both / f64::max((here * there).sqrt(), 1e-12),
+            rim: mean(steep[1]) / mean(steep[0]).max(1e-12),
+            crossing: (0.5 * here - half_gap) / f64::max(0.5 * here + half_gap, 1e-12),
+        }
     }
 
     /// The middle of the half turn that changes least, from the window's middle; `None` where it does not lay edges on
