@@ -4,12 +4,11 @@
 use crate::common::{Random, bare_candidate};
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 use autoref_solve::Similarity;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
-use autoref_stream::matching::diagnosis::{
-    Certainty, Diagnosis, FOOT_M, GrossErrors, KnownPlace, Mistake, US_SURVEY_FOOT_M, exchanged_labels,
-};
+use autoref_stream::matching::diagnosis::{Certainty, Diagnosis, GrossErrors, KnownPlace, Mistake, exchanged_labels};
 use autoref_stream::matching::{MatchOutcome, Matcher, Priors, RobustMatcher};
 
 /// A list, what was found in the image, and what is known of the image.

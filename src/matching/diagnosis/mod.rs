@@ -26,7 +26,7 @@ use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::{Coordinate, Crs};
-pub(crate) use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
+use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 /// Explanations that chance produces once in a hundred lists are mentioned as possible; rarer ones may be claimed.
 pub const POSSIBLE_LOG10: f64 = -2.0;
