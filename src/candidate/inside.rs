@@ -10,7 +10,6 @@ use super::fit::Fit;
 use super::gates::Gates;
 use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit};
-use super::prototype_options;
 use super::scene::{OwnPaint, RING_PX, Scene};
 use super::split::region_of;
 use super::whole;
@@ -18,7 +17,7 @@ use super::worn::{compactness, off_line};
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
-use autoref_raster::Pixels;
+use autoref_raster::{Patch, Pixels};
 
 /// Of fewer pixels any speck is even.
 const LEAST_AREA_PX: u64 = 20;
@@ -84,7 +83,8 @@ const WITHOUT_HUE: Weights = Weights {
 };
 
 /// Measures a region by its inside alone: the brightest part of what another region stands for, which is a mark only
-/// where it is evener than anything else is.
+/// where it is evener than anything else is. `None` for profiles with gates of their own, which may have dropped that
+/// region.
 pub(crate) fn measure(
     region: &Region,
     pixels: &dyn Pixels,
@@ -92,9 +92,8 @@ pub(crate) fn measure(
     profile: &Profile,
     gates: &Gates,
 ) -> Option<Evidence> {
-    let patch = near(pixels, region);
-    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
-    Looks { region, classifier, profile, gates }.by_inside(&scene, Around { pixels, classifier })
+    let looks = Looks { region, classifier, profile, gates };
+    looks.inside_alone(pixels, &near(pixels, region)).map(|(evidence, _)| evidence)
 }
 
 /// The candidate of a region that looks like a mark by its inside alone.
@@ -106,12 +105,7 @@ pub(crate) fn examine(
     gates: &Gates,
 ) -> Option<Candidate> {
     let patch = near(pixels, region);
-    let scene = Scene::new(region, &patch, classifier, OwnPaint::under(&profile.filters))?;
-    if !prototype_options::passes(&scene, classifier, profile) {
-        return None;
-    }
-    let looks = Looks { region, classifier, profile, gates };
-    let evidence = looks.by_inside(&scene, Around { pixels, classifier })?;
+    let (evidence, scene) = Looks { region, classifier, profile, gates }.inside_alone(pixels, &patch)?;
     candidate(evidence, &scene, region, classifier, profile, gates)
 }
 
@@ -143,6 +137,15 @@ impl Weights {
 }
 
 impl Looks<'_> {
+    fn inside_alone<'a>(&self, pixels: &dyn Pixels, patch: &'a Patch) -> Option<(Evidence, Scene<'a>)> {
+        if self.profile.has_own_gates() {
+            return None;
+        }
+        let scene = Scene::new(self.region, patch, self.classifier, OwnPaint::under(&self.profile.filters))?;
+        let evidence = self.by_inside(&scene, Around { pixels, classifier: self.classifier })?;
+        Some((evidence, scene))
+    }
+
     /// The evidence of the region by its inside, or of what it grows into against the ground right beside it.
     pub(super) fn by_inside(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
         let likely = |found: &Evidence| self.score(found) - growth(found, self.region).ln() >= self.least();

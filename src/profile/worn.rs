@@ -29,18 +29,21 @@ const NOISE: f64 = 10.0;
 const BEYOND: f64 = 400.0;
 
 impl Profile {
+    /// Whether it drops regions by limits of its own: what they drop may not come back as another region.
+    pub(crate) fn has_own_gates(&self) -> bool {
+        let examine = &self.examine;
+        self.gates != GateLimits::default()
+            || examine.max_clutter.is_some()
+            || examine.max_spread.is_some()
+            || examine.density.is_some()
+    }
+
     /// The same marks by the colours of their worn paint, in which much else lies too: whoever uses it asks more of a
     /// shape. `None` of paint without a hue, of targets, and of profiles with gates of their own or options of
     /// the 2016 prototype.
     pub(crate) fn worn(&self) -> Option<Profile> {
         const LEAST_CHROMA: f64 = 30.0;
-        // What a rule drops may not come back as another region.
-        let examine = &self.examine;
-        let own_gates = self.gates != GateLimits::default()
-            || examine.max_clutter.is_some()
-            || examine.max_spread.is_some()
-            || examine.density.is_some();
-        if !examine.worn || own_gates || !self.is_one_plain_paint() || self.tag.is_some() {
+        if !self.examine.worn || self.has_own_gates() || !self.is_one_plain_paint() || self.tag.is_some() {
             return None;
         }
         let paint = self.fresh_paint().map(|v| f64::from(v) / 255.0);
