@@ -177,7 +177,7 @@ impl Profile {
 
     /// The least red, green and blue of this paint in nearly full light, sRGB 0..=255: asked of the bands in which it
     /// is brightest. `None` of profiles whose mask is filtered, whose regions are taken apart, or whose centres are not
-    /// fitted, and of white and any paint at once.
+    /// fitted, and of any paint at once.
     pub(crate) fn least_in_full_light(&self) -> Option<[u8; 3]> {
         /// Share of the light.
         const LEAST_LIGHT: f64 = 0.86;

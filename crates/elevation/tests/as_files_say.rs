@@ -1,5 +1,8 @@
 //! What files say of their cells is heeded: alpha bands, masks, scale and offset, units; and what is written says it.
 
+#[path = "as_files_say/references.rs"]
+mod references;
+
 use std::path::{Path, PathBuf};
 
 use autoref_elevation::align::{Degree, Method, Outcome};

@@ -75,12 +75,11 @@ fn posed_by_table(
     };
     // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
     let frame = Frame::Map(args.crs.clone().filter(|_| !rows[i].geographic));
-    let rows = camera_tables::on_map(vec![rows[i].clone()], file, model_crs)?;
-    let i = 0;
-    let Some(pose) = rows[i].pose(None) else {
+    let row = &camera_tables::on_map(vec![rows[i].clone()], file, model_crs)?[0];
+    let Some(pose) = row.pose(None) else {
         bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
     };
-    if !rows[i].is_directed() {
+    if !row.is_directed() {
         tracing::warn!("{}: the row of `{name}` states no roll; the frame is taken to lie level", file.display());
     }
     let camera = match &args.camera {

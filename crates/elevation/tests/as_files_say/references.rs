@@ -4,13 +4,13 @@
 use std::path::{Path, PathBuf};
 
 use autoref_elevation::align::{Degree, Method, Outcome};
-use autoref_elevation::compare::{CompareJob, Summary};
-use autoref_elevation::files::{AlignJob, Resources, read_zones};
-use autoref_elevation::resample::Interpolation;
+use autoref_elevation::files::{AlignJob, read_zones};
 use gdal::raster::Buffer;
 use gdal::spatial_ref::SpatialRef;
 use gdal::vector::{FieldDefn, Geometry, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
 use gdal::{DriverManager, Metadata};
+
+use super::{compare, resources};
 
 const SIDE: usize = 80;
 
@@ -28,23 +28,6 @@ fn model(path: &Path, crs: &str, (west, north, cell): (f64, f64, f64), higher_m:
     let mut buffer = Buffer::new((SIDE, SIDE), values);
     set.rasterband(1).expect("a band").write((0, 0), (SIDE, SIDE), &mut buffer).expect("written");
     path.to_path_buf()
-}
-
-const RESOURCES: Resources = Resources { tile_px: None, threads: 2, memory_budget_bytes: 256 << 20 };
-
-fn compare(a: &Path, b: &Path, zones: Option<&Path>, folder: &Path) -> Summary {
-    std::fs::create_dir_all(folder).expect("a folder");
-    let job = CompareJob {
-        a,
-        b,
-        zones,
-        resampling: Interpolation::Bilinear,
-        slope_limits: &[0.0, 10.0],
-        within_m: 1.0,
-        outliers: None,
-        resources: RESOURCES,
-    };
-    job.run(folder).expect("compared")
 }
 
 /// A GeoPackage with one square of a kilometre from 500,400 and 8,699,500 to the north-east, in the given system.
@@ -124,7 +107,7 @@ fn longitudes_a_turn_apart_are_one_place() {
             method: Method::Auto,
             surface: Degree::Linear,
             stable: None,
-            resources: RESOURCES,
+            resources: resources(),
             scratch: None,
         };
         let found = job.run().expect("aligned");
