@@ -79,6 +79,13 @@ pub(super) enum Figure {
 pub(super) fn may_be_figure(scene: &Scene<'_>) -> bool {
     /// Paint beyond the scene takes a little of the ring away.
     const SLACK: f64 = 0.9;
+    let stands_out = || {
+        let contrast = |ground| Across::between(ground, scene.plateau()).contrast;
+        scene.ring_ground().is_none_or(|ground| contrast(ground) >= SLACK * LEAST_CONTRAST)
+    };
+    if (scene.own.count() as f64) * (1.0 + MOST_UNLIKE) < LEAST_AREA_PX as f64 || !stands_out() {
+        return false;
+    }
     let mut touching = scene.other.and(&scene.own.grown(touch_px(&scene.own)));
     while let Some(first) = touching.first() {
         let piece = scene.other.piece(first);
@@ -88,11 +95,8 @@ pub(super) fn may_be_figure(scene: &Scene<'_>) -> bool {
         }
         touching = touching.minus(&piece);
     }
-    let stands_out = |ground| Across::between(ground, scene.plateau()).contrast >= SLACK * LEAST_CONTRAST;
     with_other_field(scene) != scene.own
-        || scene.own.count() >= LEAST_AREA_PX
-            && scene.ring_ground().is_some_and(stands_out)
-            && filled(&scene.own, scene.width) <= MOST_FILL
+        || scene.own.count() >= LEAST_AREA_PX && filled(&scene.own, scene.width) <= MOST_FILL
 }
 
 /// Whether the scene's own paint, with what touches it, is a figure.

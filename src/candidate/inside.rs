@@ -150,8 +150,9 @@ impl Looks<'_> {
     pub(super) fn by_inside(&self, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
         let likely = |found: &Evidence| self.score(found) - growth(found, self.region).ln() >= self.least();
         let (paint, ring) = (scene.plateau(), scene.ring_ground()?);
-        let off_line = off_line(self.profile.fresh_paint(), &ring.mean, &paint);
-        if off_line > MOST_OFF_LINE || Across::between(ring, paint).contrast < LEAST_RING_CONTRAST {
+        if Across::between(ring, paint).contrast < LEAST_RING_CONTRAST
+            || off_line(self.profile.fresh_paint(), &ring.mean, &paint) > MOST_OFF_LINE
+        {
             return None;
         }
         let local = Local::of(scene, paint, RING_PX)?;

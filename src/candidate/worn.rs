@@ -163,10 +163,12 @@ impl Worn {
     fn is_worth_growing(&self, scene: &Scene<'_>, region: &Region) -> bool {
         let Some(ground) = scene.ring_ground() else { return true };
         let paint = scene.plateau();
-        let (contrast, off_line) =
-            (Across::between(ground, paint).contrast, off_line(self.fresh, &ground.mean, &paint));
-        let before_fit = WORN.before_fit(contrast, compactness(region).1, off_line);
-        before_fit >= self.profile.examine.min_score + LEAST_BEFORE_GROWING
+        let (contrast, elongation) = (Across::between(ground, paint).contrast, compactness(region).1);
+        let enough = |off_line: f64| {
+            WORN.before_fit(contrast, elongation, off_line) >= self.profile.examine.min_score + LEAST_BEFORE_GROWING
+        };
+        // The colour, which costs most, can only take away.
+        enough(0.0) && enough(off_line(self.fresh, &ground.mean, &paint))
     }
 
     fn look(&self, scene: &Scene<'_>, region: &Region, around: Around<'_>) -> Option<Evidence> {
@@ -176,9 +178,13 @@ impl Worn {
         if across.contrast < LEAST_CONTRAST || fill < LEAST_FILL || elongation > MOST_ELONGATION {
             return None;
         }
+        let least = self.profile.examine.min_score + LEAST_BEFORE_FIT;
+        let enough = |off_line: f64| WORN.before_fit(across.contrast, elongation, off_line) >= least;
+        if !enough(0.0) {
+            return None;
+        }
         let off_line = off_line(self.fresh, &ground.mean, &paint);
-        let before_fit = WORN.before_fit(across.contrast, elongation, off_line);
-        if off_line > MOST_OFF_LINE || before_fit < self.profile.examine.min_score + LEAST_BEFORE_FIT {
+        if off_line > MOST_OFF_LINE || !enough(off_line) {
             return None;
         }
         let seen = Seen { contrast: across.contrast, shares: across.shares(scene), local: false, elongation, off_line };
@@ -251,10 +257,18 @@ fn by_score(a: &Evidence, b: &Evidence) -> std::cmp::Ordering {
 /// as a picture stores them, to the accuracy that matters here.
 pub(super) fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f64>) -> f64 {
     const STEPS: u32 = 40;
+    /// Every so many steps are tried first, then those beside the nearest of them.
+    const COARSE: u32 = 4;
     let lab = |c: Vector3<f64>| lab_from_srgb([c[0], c[1], c[2]].map(|v| (v / 255.0).clamp(0.0, 1.0)));
     let (fresh, seen) = (Vector3::from(fresh.map(f64::from)), lab(*paint));
     let mixed = |share: f64| fresh * share + ground * (1.0 - share);
-    (1..=STEPS).map(|step| (lab(mixed(f64::from(step) / f64::from(STEPS))) - seen).norm()).fold(f64::INFINITY, f64::min)
+    let off = |step: u32| (lab(mixed(f64::from(step) / f64::from(STEPS))) - seen).norm();
+    let nearest = |steps: &mut dyn Iterator<Item = u32>| {
+        steps.map(|step| (off(step), step)).fold((f64::INFINITY, STEPS), |a, b| if b.0 < a.0 { b } else { a })
+    };
+    let (far, near) = nearest(&mut (COARSE..=STEPS).step_by(COARSE as usize));
+    let beside = near - COARSE + 1..=(near + COARSE - 1).min(STEPS);
+    far.min(nearest(&mut beside.filter(|&step| step != near)).0)
 }
 
 /// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller
