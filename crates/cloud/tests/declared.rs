@@ -110,6 +110,8 @@ fn points_that_the_header_does_not_count_are_said() {
     let report = clean(&path, &folder.at("out.las"), &folder.at("out.las"), &plan(vec![step]));
     let report = report.expect("cleaned");
     assert!(report.notes.iter().any(|note| note.contains("the last 4")), "{:?}", report.notes);
+    let report = gridded(&path, &["z"], 10.0).expect("gridded");
+    assert!(report.notes.iter().any(|note| note.contains("the last 4")), "{:?}", report.notes);
     // An extended record begins where the points end.
     let path = folder.at("record.las");
     Las { minor: 4, point_format: 6, ..Las::default() }.write(&path);
@@ -145,6 +147,18 @@ fn vertices_that_the_header_does_not_count_are_said() {
     let text = [head("ascii", faces).as_str(), "0 0 0\n1 1 1\n2 0 1\n"].concat();
     std::fs::write(folder.at("faces.ply"), text).expect("writable");
     assert!(info(&folder.at("faces.ply"), None).expect("a cloud").notes.is_empty());
+}
+
+#[test]
+fn a_file_of_the_point_cloud_library_is_named_with_its_remedy() {
+    let folder = Folder::new();
+    let head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS 1\nDATA ascii\n1 2 3\n";
+    for (name, text) in [("remark.pcd", ["# .PCD v0.7 - Point Cloud Data\n", head].concat()), ("bare.pcd", head.into())]
+    {
+        std::fs::write(folder.at(name), text).expect("writable");
+        let error = info(&folder.at(name), None).expect_err("no reader").to_string();
+        assert!(error.contains(name) && error.contains("pcl_pcd2ply"), "{error}");
+    }
 }
 
 /// A chunk whose bytes are damaged is not the end of the file.

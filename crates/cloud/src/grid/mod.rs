@@ -272,34 +272,40 @@ fn check_scratch(path: &Path, frame: &Frame, options: &Options, (dimensions, uni
     }
 }
 
-/// Reads all points of a cloud in map coordinates; answers how many were left out.
-fn each_point(
-    path: &Path,
-    options: &Options,
-    mut each: impl FnMut([f64; 3], &[u8]) -> Result<()>,
-) -> Result<(u64, u64)> {
+/// What a cloud held.
+#[derive(Default)]
+struct Held {
+    points: u64,
+    /// Of these, left out as noise.
+    noise: u64,
+    left_over: Option<String>,
+}
+
+/// Reads all points of a cloud in map coordinates.
+fn each_point(path: &Path, options: &Options, mut each: impl FnMut([f64; 3], &[u8]) -> Result<()>) -> Result<Held> {
     let (header, mut reader) = io::open(path)?;
     let shift = options.shift.or(header.shift).unwrap_or([0.0; 3]);
     let class = header.schema.field("classification").filter(|_| options.noise == Noise::LeaveOut);
     let mut batch = Batch::default();
-    let (mut points, mut left_out) = (0, 0);
+    let mut held = Held::default();
     loop {
         reader.read(&mut batch, BATCH)?;
         if batch.is_empty() {
-            return Ok((points, left_out));
+            held.left_over = reader.left_over()?;
+            return Ok(held);
         }
         for (index, xyz) in batch.xyz.iter().enumerate() {
-            points += 1;
+            held.points += 1;
             let raw = batch.record(&header.schema, index);
             if !xyz.iter().all(|value| value.is_finite()) {
                 let [x, y, z] = xyz;
                 let what = format!(
                     "the coordinates ({x}, {y}, {z}) are not finite; clean it first with cloud clean --skip-invalid"
                 );
-                return Err(Error::format(path, format!("point {points}"), what));
+                return Err(Error::format(path, format!("point {}", held.points), what));
             }
             if class.is_some_and(|field| matches!(field.value(raw) as u8, 7 | 18)) {
-                left_out += 1;
+                held.noise += 1;
                 continue;
             }
             each([0, 1, 2].map(|axis| xyz[axis] + shift[axis]), raw)?;
@@ -487,17 +493,15 @@ impl Work<'_> {
     }
 }
 
-/// Where the points lie that count, and how many there are, those left out as noise with them.
+/// Where the points lie that count.
 struct Extent {
     min: [f64; 2],
     max: [f64; 2],
-    points: u64,
-    noise: u64,
 }
 
-fn extent(path: &Path, options: &Options) -> Result<Extent> {
+fn extent(path: &Path, options: &Options) -> Result<(Extent, Held)> {
     let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    let (points, noise) = each_point(path, options, |map, _| {
+    let held = each_point(path, options, |map, _| {
         for axis in 0..2 {
             min[axis] = min[axis].min(map[axis]);
             max[axis] = max[axis].max(map[axis]);
@@ -505,14 +509,14 @@ fn extent(path: &Path, options: &Options) -> Result<Extent> {
         Ok(())
     })?;
     if min[0] > max[0] {
-        let what = if points == 0 {
+        let what = if held.points == 0 {
             "there are none; leave the file out"
         } else {
             "all of them are noise; take them in with --keep-noise"
         };
         return Err(Error::format(path, "points", what));
     }
-    Ok(Extent { min, max, points, noise })
+    Ok((Extent { min, max }, held))
 }
 
 /// Grids one cloud into `folder`; files appear whole or not at all.
@@ -528,7 +532,8 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     let find = |dimension: &Dimension| Source::find(path, &dimension.name, &header, options);
     let sources: Vec<Source> = options.dimensions.iter().map(find).collect::<Result<_>>()?;
     let place = Place::of(&header, options, &mut notes);
-    let Extent { min, max, points, noise } = extent(path, options)?;
+    let (Extent { min, max }, Held { points, noise, left_over }) = extent(path, options)?;
+    notes.extend(left_over);
     let too_wide = |needed: u64| Error::Limit {
         what: format!("{}: a grid of {:.0} × {:.0} {}", path.display(), max[0] - min[0], max[1] - min[1], place.unit),
         needed,

@@ -195,6 +195,9 @@ pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         ply::open(path)
     } else if magic.starts_with(b"ASTM-E57") {
         e57::open(path)
+    } else if magic.starts_with(b"# .PCD") || magic.starts_with(b"VERSION ") {
+        let remedy = "make a PLY of it with pcl_pcd2ply, or a LAS with PDAL or CloudCompare";
+        Err(Error::unsupported(path, "a PCD file of the Point Cloud Library", remedy))
     } else {
         text::open(path)
     }

@@ -260,6 +260,24 @@ fn positions(text: &str) -> Result<Line, String> {
     if line.len() < 2 { Err("a line has at least two positions: \"x,y x,y\"".into()) } else { Ok(Line(line)) }
 }
 
+/// What `gdalwarp -r` takes.
+const WARP_RESAMPLINGS: [&str; 14] = [
+    "near",
+    "bilinear",
+    "cubic",
+    "cubicspline",
+    "lanczos",
+    "average",
+    "rms",
+    "mode",
+    "max",
+    "min",
+    "med",
+    "q1",
+    "q3",
+    "sum",
+];
+
 #[derive(Args, Debug)]
 struct ResampleArgs {
     /// The model.
@@ -271,7 +289,7 @@ struct ResampleArgs {
     #[arg(long, value_name = "R,…", value_delimiter = ',', required = true, allow_hyphen_values = true)]
     resolution: Vec<f64>,
     /// As gdalwarp names it.
-    #[arg(long, value_name = "NAME", default_value = "average")]
+    #[arg(long, value_name = "NAME", default_value = "average", value_parser = WARP_RESAMPLINGS)]
     resampling: String,
     /// Replace the output when it exists.
     #[arg(long)]
