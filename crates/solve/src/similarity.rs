@@ -12,6 +12,7 @@
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use serde::{Deserialize, Serialize};
 
+use crate::weights::{self, LEAST_SIGMA_PX, prior_variances};
 use autoref_raster::coords::{GeoTransform, Handedness, MapPoint, PixelPoint};
 
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
@@ -199,8 +200,8 @@ fn jacobian(p: PixelPoint, centre: PixelPoint, mirrored: Handedness) -> SMatrix<
 /// Weighted least squares of the 2-D similarity.
 ///
 /// A pair's weight is 1/σ², with σ² from the mark's centre covariance (brought to metres), the survey's σ and a common
-/// part that the residuals show (deformation of the orthophoto), relative to the average; without any of these all
-/// weights are equal. Pairs with a residual longer than 4.5 robust standard deviations are down-weighted (Huber) and
+/// part that the residuals show ([`crate::weights`]), relative to the average; without any of these all weights are
+/// equal. Pairs with a residual longer than 4.5 robust standard deviations are down-weighted (Huber) and
 /// marked `outlier`; none is dropped.
 ///
 /// # Errors
@@ -220,7 +221,7 @@ pub fn solve_as(pairs: &[Pair], mirrored: Handedness) -> Result<Solution, Unsolv
     let uniform = vec![1.0; pairs.len()];
     let fit = |weights: &[f64]| fit(pairs, weights, mirrored);
     let first = fit(&uniform).ok_or(Unsolvable::Degenerate)?;
-    let base = stochastic_weights(pairs, &first);
+    let base = weights::of_pairs(pairs, &first);
     let mut weights = base.clone();
     let mut similarity = fit(&weights).ok_or(Unsolvable::Degenerate)?;
     if pairs.len() > 3 {
@@ -271,45 +272,9 @@ fn centres(pairs: &[Pair], weights: &[f64], total: f64) -> (PixelPoint, MapPoint
     (PixelPoint { x: p0.x + x, y: p0.y + y }, MapPoint { easting: m0.easting + e, northing: m0.northing + n })
 }
 
-fn residual(similarity: &Similarity, pair: &Pair) -> (f64, f64) {
+pub(crate) fn residual(similarity: &Similarity, pair: &Pair) -> (f64, f64) {
     let computed = similarity.apply(pair.pixel);
     (pair.map.easting - computed.easting, pair.map.northing - computed.northing)
-}
-
-/// A-priori variance of a coordinate of each pair, m²: centre and survey, what is known of them.
-fn prior_variances(pairs: &[Pair], scale: f64) -> Vec<f64> {
-    pairs
-        .iter()
-        .map(|pair| {
-            let centre = pair.covariance_px2.map_or(0.0, |c| (c[0] + c[2]) / 2.0 * scale * scale);
-            centre + pair.survey_sigma_m.map_or(0.0, |s| s * s)
-        })
-        .collect()
-}
-
-/// No coordinate is known better, pixels.
-const LEAST_SIGMA_PX: f64 = 0.02;
-
-/// Weights from what is known of each pair plus a common part estimated from the residuals, so that marks measured to a
-/// hundredth of a pixel do not outvote the orthophoto's own deformation. Normalised to mean 1.
-fn stochastic_weights(pairs: &[Pair], first: &Similarity) -> Vec<f64> {
-    let prior = prior_variances(pairs, first.scale_m_per_px());
-    let freedom = 2 * pairs.len() as i64 - 4;
-    if freedom <= 0 || prior.iter().all(|v| *v == prior[0]) {
-        return vec![1.0; pairs.len()];
-    }
-    let squares: f64 = pairs.iter().map(|pair| residual(first, pair)).map(|(e, n)| e * e + n * n).sum();
-    let mean_prior = prior.iter().sum::<f64>() / prior.len() as f64;
-    // Above its estimate, the more so the fewer the residuals: what few say of the common part is coarse, and too small
-    // a value gives single points more weight than they deserve, and the expected errors too much trust. With 1 + 4/ν
-    // the radii of 95 % hold 93 to 96 % over all that tests/program/accuracy.rs draws; with the estimate itself 92.7 %
-    // of four points.
-    let coarse = 1.0 + 4.0 / freedom as f64;
-    let common = (squares / freedom as f64 * coarse - mean_prior).max(0.0);
-    let floor = (LEAST_SIGMA_PX * first.scale_m_per_px()).powi(2);
-    let weights: Vec<f64> = prior.iter().map(|v| 1.0 / (v + common).max(floor)).collect();
-    let mean = weights.iter().sum::<f64>() / weights.len() as f64;
-    weights.into_iter().map(|w| w / mean).collect()
 }
 
 /// Robust standard deviation of a coordinate of unit weight: the median of the weighted residual lengths, by the

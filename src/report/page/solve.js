@@ -58,18 +58,39 @@ const Fit = (() => {
     });
   }
 
-  function stochasticWeights(pairs, first) {
-    const scale = scaleOf(first), prior = priorVariances(pairs, scale);
-    const freedom = 2 * pairs.length - 4;
-    if (freedom <= 0 || prior.every((v) => v === prior[0])) return pairs.map(() => 1);
-    const squares = sum(pairs.map((pair) => residual(first, pair)).map(([e, n]) => e * e + n * n));
-    const meanPrior = sum(prior) / prior.length;
-    const coarse = 1 + 4 / freedom;
-    const common = Math.max(squares / freedom * coarse - meanPrior, 0);
-    const floor = 0.02 * scale * (0.02 * scale);
-    const weights = prior.map((v) => 1 / Math.max(v + common, floor));
-    const mean = sum(weights) / weights.length;
+  // As crates/solve/src/weights.rs has it.
+  function weightsOf(pairs, equal) {
+    const scale = scaleOf(equal), freedom = 2 * pairs.length - 4;
+    const stated = pairs.map((pair) => ({
+      centre: pair.covariance ? (pair.covariance[0] + pair.covariance[2]) / 2 * scale * scale : 0,
+      survey: pair.sigma === null ? 0 : pair.sigma * pair.sigma,
+    }));
+    const same = (s) => s.centre === stated[0].centre && s.survey === stated[0].survey;
+    if (freedom <= 0 || stated.every(same)) return pairs.map(() => 1);
+    const squares = pairs.map((pair) => residual(equal, pair)).map(([e, n]) => e * e + n * n);
+    const floor = 0.02 * scale * (0.02 * scale), swallowed = 2 * pairs.length / freedom;
+    let most = -Infinity, best = null;
+    for (const [share, odds] of [[1, 0.8], [0.1, 0.1], [0.01, 0.1]]) {
+      const own = stated.map((s) => Math.max(share * s.centre + s.survey, floor));
+      const variances = withCommon(own, squares, freedom);
+      const terms = variances.map((v, i) => Math.log(v) + swallowed * squares[i] / (2 * v));
+      const likelihood = Math.log(odds) - sum(terms);
+      if (likelihood > most) [most, best] = [likelihood, variances];
+    }
+    const weights = best.map((v) => 1 / v), mean = sum(weights) / weights.length;
     return weights.map((w) => w / mean);
+  }
+
+  function withCommon(own, squares, freedom) {
+    const expected = freedom / (1 + 4 / freedom);
+    const over = (common) => sum(own.map((v, i) => squares[i] / (v + common)));
+    let low = 0, high = sum(squares) / expected;
+    if (over(0) <= expected) return own;
+    for (let k = 0; k < 60; k++) {
+      const middle = (low + high) / 2;
+      if (over(middle) > expected) low = middle; else high = middle;
+    }
+    return own.map((v) => v + high);
   }
 
   function robustSigma(lengths) {
@@ -92,7 +113,7 @@ const Fit = (() => {
     if (pairs.length < 2) return null;
     const first = fit(pairs, pairs.map(() => 1), mirrored);
     if (!first) return null;
-    const base = stochasticWeights(pairs, first);
+    const base = weightsOf(pairs, first);
     let weights = base, similarity = fit(pairs, weights, mirrored);
     if (!similarity) return null;
     if (pairs.length > 3) {

@@ -365,39 +365,13 @@ impl CompareJob<'_> {
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);
         let variogram = variogram::fit(lags::classes(observed, cell_m, spread, means)?, cell_m.0.min(cell_m.1));
         let mean_error = |n: u64, index: usize| variogram.mean_error(n, &first.places(index), cell_m);
-        let volumes = scan.zones.map_or_else(Vec::new, |zones| zones.areas_m2(&scan.unit)).into_iter().enumerate();
-        let volumes = volumes
-            .map(|(zone, zone_area_m2)| {
-                let moments = &classes.moments[classes.groups.first_zone + zone];
-                let error = mean_error(moments.n, zone + 1);
-                let (area_m2, volume) = match &classes.extents {
-                    Some(extents) => (extents[zone].area_m2(), extents[zone].volume_m3()),
-                    None => {
-                        let area = moments.n as f64 * cell_m.0 * cell_m.1;
-                        (area, moments.mean().unwrap_or(0.0) * area)
-                    }
-                };
-                // A zone without a cell has not stayed as it was: nothing is known of it.
-                let known = |value: f64| (moments.n > 0).then_some(value);
-                Volume {
-                    zone: classes.groups.names[classes.groups.first_zone + zone].1.clone(),
-                    n: moments.n,
-                    area_m2,
-                    mean_m: known(volume / area_m2),
-                    mean_se_m: error.and_then(|(se_m, _)| known(se_m)),
-                    effective_n: error.map(|(_, effective_n)| effective_n),
-                    volume_m3: known(volume),
-                    volume_se_m3: error.and_then(|(se_m, _)| known(se_m * area_m2)),
-                    volume_95_m3: error.filter(|_| moments.n > 0).map(|(se_m, _)| {
-                        let reach = 1.96 * se_m * area_m2;
-                        [volume - reach, volume + reach]
-                    }),
-                    zone_area_m2,
-                    // Cells count as a whole.
-                    covered_share: (zone_area_m2 > 0.0).then(|| (area_m2 / zone_area_m2).min(1.0)),
-                }
-            })
-            .collect();
+        let zone_areas_m2 = scan.zones.map_or_else(Vec::new, |zones| zones.areas_m2(&scan.unit));
+        let volumes = zone_areas_m2.into_iter().enumerate();
+        let volumes = volumes.map(|(zone, zone_area_m2)| {
+            let n = classes.moments[classes.groups.first_zone + zone].n;
+            classes.volume(zone, zone_area_m2, cell_m, mean_error(n, zone + 1))
+        });
+        let volumes = volumes.collect();
         let statistics: Vec<Statistics> =
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
         let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, 0).unzip();
@@ -432,6 +406,39 @@ impl CompareJob<'_> {
 }
 
 impl Classes {
+    /// The volume between the models over a zone; `error` is the standard error of its mean with the effective number
+    /// of cells.
+    fn volume(&self, zone: usize, zone_area_m2: f64, cell_m: (f64, f64), error: Option<(f64, f64)>) -> Volume {
+        let group = self.groups.first_zone + zone;
+        let moments = &self.moments[group];
+        let (area_m2, volume) = match &self.extents {
+            Some(extents) => (extents[zone].area_m2(), extents[zone].volume_m3()),
+            None => {
+                let area = moments.n as f64 * cell_m.0 * cell_m.1;
+                (area, moments.mean().unwrap_or(0.0) * area)
+            }
+        };
+        // A zone without a cell has not stayed as it was: nothing is known of it.
+        let known = |value: f64| (moments.n > 0).then_some(value);
+        Volume {
+            zone: self.groups.names[group].1.clone(),
+            n: moments.n,
+            area_m2,
+            mean_m: known(volume / area_m2),
+            mean_se_m: error.and_then(|(se_m, _)| known(se_m)),
+            effective_n: error.map(|(_, effective_n)| effective_n),
+            volume_m3: known(volume),
+            volume_se_m3: error.and_then(|(se_m, _)| known(se_m * area_m2)),
+            volume_95_m3: error.filter(|_| moments.n > 0).map(|(se_m, _)| {
+                let reach = 1.96 * se_m * area_m2;
+                [volume - reach, volume + reach]
+            }),
+            zone_area_m2,
+            // Cells count as a whole.
+            covered_share: (zone_area_m2 > 0.0).then(|| (area_m2 / zone_area_m2).min(1.0)),
+        }
+    }
+
     fn nmad(&self, group: usize) -> Option<f64> {
         Some(1.4826 * self.distributions[group].median_distance).filter(|v| v.is_finite())
     }

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::adjust::Role;
+use autoref_flight::adjust::{GroundPoint, Role};
 use autoref_flight::read::{self, Reconstruction};
 use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
 use autoref_flight::{Camera, Error, Parameter};
@@ -165,19 +165,7 @@ fn check_sigmas(sigmas: &[(&str, Option<f64>)]) -> Result<()> {
 }
 
 fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
-    for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
-        if list
-            .as_ref()
-            .is_some_and(|l| l.len() != count || !l.iter().all(|v| v.abs() < autoref_flight::read::FARTHEST))
-        {
-            bail!("--{name}: {count} numbers with commas between them, none beyond all maps, are expected");
-        }
-    }
-    check_sigmas(&[
-        ("sigma-image", Some(args.points.how.sigma_image)),
-        ("sigma-ground", args.points.how.sigma_ground),
-        ("sigma-position", Some(args.sigma_position)),
-    ])?;
+    check_resect_numbers(args)?;
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let (camera, known) = frame_camera(args, &name)?;
@@ -195,6 +183,57 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     control.named_checks(&args.points)?;
     let mut points = control.in_world(&world, &stub, &args.points)?;
     let mut notes = plausible::within_frames(&mut points, &stub, &args.points.gcps.display().to_string())?;
+    let (seen, checks) = seen_points(args, &name, &control, &points)?;
+    let options = ResectOptions {
+        sigma_px: args.points.how.sigma_image,
+        position: match &args.position {
+            Some(p) => {
+                let at = control.place_in_world(&world, [p[0], p[1], p[2]], "--position")?;
+                Some((at, Vector3::repeat(args.sigma_position)))
+            }
+            None => None,
+        },
+        focal: if known { Focal::Known } else { Focal::Sought },
+        ..ResectOptions::default()
+    };
+    let found = resect(&camera, &seen, &options)?;
+    let said = notes.clone();
+    notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
+    let mut document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
+    if let Some(all) = document.get_mut("notes").and_then(serde_json::Value::as_array_mut) {
+        all.extend(notes.into_iter().map(serde_json::Value::from));
+    }
+    finish(&document, args.output.as_deref(), args.json)?;
+    if !args.json {
+        document::say(&document, &said);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn check_resect_numbers(args: &ResectArgs) -> Result<()> {
+    for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
+        if list
+            .as_ref()
+            .is_some_and(|l| l.len() != count || !l.iter().all(|v| v.abs() < autoref_flight::read::FARTHEST))
+        {
+            bail!("--{name}: {count} numbers with commas between them, none beyond all maps, are expected");
+        }
+    }
+    check_sigmas(&[
+        ("sigma-image", Some(args.points.how.sigma_image)),
+        ("sigma-ground", args.points.how.sigma_ground),
+        ("sigma-position", Some(args.sigma_position)),
+    ])?;
+    Ok(())
+}
+
+/// The points that the frame is solved from, and those that are kept out.
+fn seen_points(
+    args: &ResectArgs,
+    name: &str,
+    control: &lists::Control,
+    points: &[GroundPoint],
+) -> Result<(Vec<Seen>, Vec<Seen>)> {
     let (mut seen, mut checks) = (Vec::new(), Vec::new());
     for (p, listed) in points.iter().zip(&control.points) {
         // Where nobody states how good the points are, they are exact.
@@ -222,30 +261,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
         }
         .into());
     }
-    let options = ResectOptions {
-        sigma_px: args.points.how.sigma_image,
-        position: match &args.position {
-            Some(p) => {
-                let at = control.place_in_world(&world, [p[0], p[1], p[2]], "--position")?;
-                Some((at, Vector3::repeat(args.sigma_position)))
-            }
-            None => None,
-        },
-        focal: if known { Focal::Known } else { Focal::Sought },
-        ..ResectOptions::default()
-    };
-    let found = resect(&camera, &seen, &options)?;
-    let said = notes.clone();
-    notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
-    let mut document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
-    if let Some(all) = document.get_mut("notes").and_then(serde_json::Value::as_array_mut) {
-        all.extend(notes.into_iter().map(serde_json::Value::from));
-    }
-    finish(&document, args.output.as_deref(), args.json)?;
-    if !args.json {
-        document::say(&document, &said);
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok((seen, checks))
 }
 
 /// The camera of the frame and whether its focal length is known.

@@ -1,6 +1,6 @@
 //! Results as JSON.
 
-use autoref_flight::adjust::{Adjustment, Role};
+use autoref_flight::adjust::{Adjustment, Blunder, Role};
 use autoref_flight::bundle::Ended;
 use autoref_flight::pose::angle_sigmas;
 use autoref_flight::read::Reconstruction;
@@ -134,17 +134,7 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
     };
     let (gcps, gcp_residuals) = points(Role::Control);
     let (checks, check_residuals) = points(Role::Check);
-    let blunders: Vec<Value> = found
-        .blunders
-        .iter()
-        .map(|b| match b.photograph {
-            Some(i) => {
-                let by = if b.by.is_empty() { Value::Null } else { list(&b.by) };
-                json!({"gcp": b.gcp, "frame": name(i), "by_px": by, "test": number(b.test)})
-            }
-            None => json!({"gcp": b.gcp, "frame": null, "by_m": list(&b.by), "test": number(b.test)}),
-        })
-        .collect();
+    let blunders: Vec<Value> = found.blunders.iter().map(|b| blunder(b, &name)).collect();
     let ended = match found.summary.ended {
         Ended::Converged => "converged",
         Ended::OutOfIterations => "out of iterations",
@@ -173,6 +163,17 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
         "ended": ended,
         "notes": found.notes,
     })
+}
+
+/// A point that errs in a frame, or on the ground.
+fn blunder(b: &Blunder, name: &impl Fn(usize) -> String) -> Value {
+    match b.photograph {
+        Some(i) => {
+            let by = if b.by.is_empty() { Value::Null } else { list(&b.by) };
+            json!({"gcp": b.gcp, "frame": name(i), "by_px": by, "test": number(b.test)})
+        }
+        None => json!({"gcp": b.gcp, "frame": null, "by_m": list(&b.by), "test": number(b.test)}),
+    }
 }
 
 /// Of a frame alone: the points that it was solved from, and those that were kept out.
