@@ -31,7 +31,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::{Patch, Pixels};
 
 /// A first fit may leave this much more over than the last may.
-const SLACK: f64 = 1.5;
+pub(super) const SLACK: f64 = 1.5;
 
 /// How far the looks at the ground reach beyond a region's bounds.
 const LOOK_PX: u64 = RING_PX.1 as u64 + 1;
@@ -152,7 +152,8 @@ fn measure_whole(
     }
     let even = looks.on_rough_ground(scene, around).or_else(|| looks.even_anywhere(scene, around, found.as_ref()?));
     let uneven = || if profile.examine.even { looks.uneven(scene, around) } else { None };
-    even.or_else(uneven).or_else(|| looks.by_inside(scene, around)).or(found)
+    let pierced = || looks.pierced(scene, found.as_ref()?);
+    even.or_else(uneven).or_else(|| looks.by_inside(scene, around)).or_else(pierced).or(found)
 }
 
 /// Whether evidence is of an even inside, where the profile asks for it; a look with a score of its own has settled it.

@@ -15,6 +15,7 @@ use super::Candidate;
 use super::examine::LEAST_CONTRAST;
 use super::hull::{convex_hull, edges, twice_area};
 use super::paint_share::Across;
+use super::pierced::with_cracked_off;
 use super::pixel_set::PixelSet;
 use super::scene::Scene;
 use super::score::RING_LOOK;
@@ -101,8 +102,9 @@ pub(super) fn may_be_figure(scene: &Scene<'_>) -> bool {
 
 /// Whether the scene's own paint, with what touches it, is a figure.
 pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
-    let all = with_other_field(scene);
-    let alone = all == scene.own;
+    let field = with_other_field(scene);
+    let alone = field == scene.own;
+    let all = if alone { with_cracked_off(scene).unwrap_or(field) } else { field };
     if all.count() < LEAST_AREA_PX || scene.own.at_edge() {
         return Figure::No;
     }
@@ -187,17 +189,22 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     if places.len() < LEAST_AREA_PX {
         return None;
     }
-    let turned = picture.turned_half(&places, start).filter(|turned| turned.correlation >= SPRAYED.half)?;
+    let (turned, holes) = without_holes(&picture, scene, &places, start)?;
+    if turned.correlation < SPRAYED.half {
+        return None;
+    }
     let reach = part.iter().map(|i| (centre_of(i, scene.width) - turned.middle).norm()).fold(0.0, f64::max);
     let look_px = (QUARTER_REACH * reach).min(border_distance(scene, turned.middle) - 1.5);
     if look_px < LEAST_QUARTER_REACH * reach {
         return None;
     }
-    let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, look_px).collect();
-    let quarter = picture.correlation(&near, |p| {
+    let by_quarter = |p: Vector2<f64>| {
         let d = p - turned.middle;
         turned.middle + Vector2::new(-d.y, d.x)
-    })?;
+    };
+    let is_whole = |p: &Vector2<f64>| [*p, by_quarter(*p)].iter().all(|p| !has(&holes, *p, scene));
+    let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, look_px).filter(is_whole).collect();
+    let quarter = picture.correlation(&near, by_quarter)?;
     let score = RING_LOOK.score(across.contrast, turned.rms, 0.0);
     let region = region_of(&scene.own, scene.patch)?;
     let window = &scene.patch.window;
@@ -213,6 +220,53 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
         paint: Some(byte),
     };
     Some((Alike { half: turned.correlation, quarter: quarter.abs() }, candidate))
+}
+
+/// The picture turned by half a turn, and where paint has come off: pixels that are bare though those which they turn
+/// into are painted. They say nothing of the middle, and are left out where they are few.
+fn without_holes(
+    picture: &Picture<'_>,
+    scene: &Scene<'_>,
+    places: &[Vector2<f64>],
+    start: Vector2<f64>,
+) -> Option<(Turned, PixelSet)> {
+    /// Shares of paint and of ground differ by more.
+    const DIFFERENT: f64 = 0.5;
+    /// Of the paint, what may have come off.
+    const MOST_GONE: f64 = 0.2;
+    /// With less in common a figure is none, whatever is left out.
+    const LEAST_WITH_HOLES: f64 = 0.7;
+    let turned = picture.turned_half(places, start)?;
+    let mut holes = PixelSet::empty(scene.width, scene.height);
+    if turned.correlation >= STRICT.half || turned.correlation < LEAST_WITH_HOLES {
+        return Some((turned, holes));
+    }
+    let opposite = |p: Vector2<f64>| 2.0 * turned.middle - p;
+    for p in places {
+        let is_bare =
+            picture.at(opposite(*p)).zip(picture.at(*p)).is_some_and(|(there, here)| there - here > DIFFERENT);
+        if is_bare {
+            holes.insert(p.y as usize * scene.width + p.x as usize);
+        }
+    }
+    if holes.count() as f64 > MOST_GONE * scene.own.count() as f64 {
+        return Some((turned, PixelSet::empty(scene.width, scene.height)));
+    }
+    // Blur takes a pixel more all around.
+    let unseen = holes.grown(1);
+    let is_whole = |p: &&Vector2<f64>| [**p, opposite(**p)].iter().all(|p| !has(&unseen, *p, scene));
+    let whole: Vec<Vector2<f64>> = places.iter().filter(is_whole).copied().collect();
+    let again = (whole.len() >= LEAST_AREA_PX).then(|| picture.turned_half(&whole, turned.middle)).flatten();
+    Some(match again {
+        Some(again) => (again, unseen),
+        None => (turned, PixelSet::empty(scene.width, scene.height)),
+    })
+}
+
+/// Whether the pixel at a place is one of a set.
+fn has(set: &PixelSet, p: Vector2<f64>, scene: &Scene<'_>) -> bool {
+    let inside = p.x >= 0.0 && p.y >= 0.0 && p.x < scene.width as f64 && p.y < scene.height as f64;
+    inside && set.has(p.y as usize * scene.width + p.x as usize)
 }
 
 fn centroid(set: &PixelSet, width: usize) -> Vector2<f64> {
@@ -403,6 +457,10 @@ mod tests {
             let Figure::Is(found) = look(wanted) else { panic!("{} % filled", 100.0 * filled_by(wanted)) };
             assert!((found.centre.x - 24.0).hypot(found.centre.y - 24.0) < 0.02, "{:?}", found.centre);
         }
+        // Paint has come off an arm, and at its end.
+        let worn = |x: f64, y: f64| cross(x, y) && (x - 9.0).hypot(y - 1.0) > 2.0 && (x + 1.0).hypot(y + 11.0) > 2.5;
+        let Figure::Is(found) = look(worn) else { panic!("a worn cross") };
+        assert!((found.centre.x - 24.0).hypot(found.centre.y - 24.0) < 0.1, "{:?}", found.centre);
         for wanted in [
             &(|x: f64, y: f64| x.abs().max(y.abs()) < 6.0) as &dyn Fn(f64, f64) -> bool,
             &|x: f64, y: f64| x.hypot(y) < 9.0,

@@ -27,6 +27,7 @@ mod jpeg_steps;
 pub mod kernels;
 mod local;
 mod paint_share;
+mod pierced;
 pub(crate) mod pixel_set;
 pub mod prototype_options;
 pub mod scene;

@@ -90,6 +90,12 @@ impl<'a> Scene<'a> {
         Scene::among(self.patch, own, paint, self.valid.clone())
     }
 
+    /// The same scene, blind to some of its pixels.
+    pub fn without(&self, unseen: &PixelSet) -> Scene<'a> {
+        let (plateau, ring_ground) = Default::default();
+        Scene { valid: self.valid.minus(unseen), plateau, ring_ground, ..self.clone() }
+    }
+
     fn among(patch: &'a Patch, own: PixelSet, paint: &PixelSet, valid: PixelSet) -> Scene<'a> {
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let scale = 255.0 / f64::from(patch.white);
