@@ -7,17 +7,17 @@ pub struct Normal {
     own: Vec<Vec<f64>>,
     ties: Vec<(usize, usize, Vec<f64>)>,
     right: Vec<f64>,
-    held: Option<usize>,
+    held: Vec<bool>,
 }
 
 impl Normal {
-    /// `held` is a source whose unknowns are zero.
-    pub fn new(sources: usize, size: usize, held: Option<usize>) -> Normal {
+    /// `held` says which unknowns, source after source, are zero.
+    pub fn new(size: usize, held: Vec<bool>) -> Normal {
         Normal {
             size,
-            own: vec![vec![0.0; size * size]; sources],
+            own: vec![vec![0.0; size * size]; held.len() / size],
             ties: Vec::new(),
-            right: vec![0.0; sources * size],
+            right: vec![0.0; held.len()],
             held,
         }
     }
@@ -43,13 +43,11 @@ impl Normal {
         }
     }
 
-    /// Pulls the unknowns of each source to zero: each by its floor, and by its share of the largest weight on the
-    /// source's diagonal.
-    pub fn pull(&mut self, floors: &[f64], shares: &[f64]) {
+    /// Pulls the unknowns of each source to zero, by these weights.
+    pub fn pull(&mut self, weights: &[f64]) {
         let n = self.size;
         for own in &mut self.own {
-            let largest = (0..n).map(|k| own[k * n + k]).fold(0.0, f64::max);
-            (0..n).for_each(|k| own[k * n + k] += floors[k] + shares[k] * largest);
+            (0..n).for_each(|k| own[k * n + k] += weights[k]);
         }
     }
 
@@ -74,9 +72,7 @@ impl Normal {
     }
 
     fn hold(&self, x: &mut [f64]) {
-        if let Some(held) = self.held {
-            x[held * self.size..(held + 1) * self.size].fill(0.0);
-        }
+        x.iter_mut().zip(&self.held).filter(|(_, held)| **held).for_each(|(x, _)| *x = 0.0);
     }
 
     /// The unknowns, source after source, by conjugate gradients with a diagonal preconditioner (M. Hestenes and
@@ -120,7 +116,7 @@ mod tests {
     #[test]
     fn a_chain_comes_back_relative_to_the_held_one() {
         let levels = [3.0, -1.0, 2.5, 7.0, 0.5];
-        let mut normal = Normal::new(levels.len(), 1, Some(2));
+        let mut normal = Normal::new(1, (0..levels.len()).map(|k| k == 2).collect());
         for i in 0..levels.len() - 1 {
             normal.tie(i, i + 1);
             normal.observe(&[1.0], &[1.0], levels[i] - levels[i + 1], 2.0);

@@ -14,6 +14,7 @@ pub use blend::WIDEST_BLEND_PX;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdal::raster::{ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
 use serde::Serialize;
@@ -128,17 +129,28 @@ impl MosaicJob<'_> {
         self.resources.check()?;
         let (sources, grid) = source::open_all(self.inputs, &self.choice, self.resolution)?;
         let index = self.use_index.map(|path| source::open_index(path, &grid)).transpose()?;
-        let balance = match self.balance {
+        let mut balance = match self.balance {
             Some(surface) => {
                 let balancing = Balancing { surface, reference: self.reference()? };
-                Some(balance::estimate(&sources, &grid, balancing, self.resampling, self.threads(&sources))?)
+                let threads = self.threads(&sources);
+                let reading =
+                    balance::Reading { sources: &sources, grid: &grid, interpolation: self.resampling, threads };
+                Some(balance::estimate(&reading, balancing)?)
             }
             None => None,
         };
         let kind = sources[0].kind;
         let (least, most) = range(kind);
         self.check(&sources[0])?;
-        let whole = Whole { job: self, sources: &sources, grid, index: index.as_ref(), balance: balance.as_ref() };
+        let clipped = AtomicU64::new(0);
+        let whole = Whole {
+            job: self,
+            sources: &sources,
+            grid,
+            index: index.as_ref(),
+            balance: balance.as_ref(),
+            clipped: &clipped,
+        };
         let mut files = crate::atomic::Transaction::new();
         let mut cells = Vec::new();
         let targets: Vec<PathBuf> = [self.out].into_iter().chain(self.write_index).map(Path::to_owned).collect();
@@ -168,6 +180,9 @@ impl MosaicJob<'_> {
             remove_mask(&plain);
             made
         })?;
+        if let Some(balance) = &mut balance {
+            balance.tell_clipped(clipped.into_inner(), cells[sources.len()]);
+        }
         if let (Some(path), Some(balance)) = (self.page, &balance) {
             let footprints: Vec<_> = sources.iter().map(|s| (s.path.as_path(), s.grid)).collect();
             files.stage_bytes(path, page::text(&footprints, &grid, balance).as_bytes())?;
@@ -299,6 +314,8 @@ struct Whole<'a> {
     grid: Grid,
     index: Option<&'a Source>,
     balance: Option<&'a Balance>,
+    /// Cells that balancing brings beyond the limits of the sample type.
+    clipped: &'a AtomicU64,
 }
 
 impl Whole<'_> {
@@ -336,6 +353,10 @@ impl Whole<'_> {
             |worker, window| {
                 let Some(mut tile) = self.tile(worker, window)? else { return Ok(None) };
                 self.part_from_nodata(&mut tile, &deciding);
+                if let Some(balance) = self.balance {
+                    let clipped = balance.clipped(&tile.values, &tile.index, window, range(first.kind));
+                    self.clipped.fetch_add(clipped, Ordering::Relaxed);
+                }
                 for (cell, &number) in tile.index.iter().enumerate() {
                     if number > 0 {
                         worker.cells[number as usize - 1] += 1;

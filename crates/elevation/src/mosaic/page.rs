@@ -39,6 +39,9 @@ pub fn text(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> Stri
         mosaic.width,
         mosaic.height
     );
+    for note in &balance.notes {
+        let _ = write!(out, "<p>{}.</p>", escaped(note));
+    }
     if overlaps.is_empty() {
         out.push_str("<p>No two sources overlap: nothing was balanced.</p></html>\n");
         return out;

@@ -100,6 +100,9 @@ pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
     if made.filled_cells == 0 {
         eprintln!("autoref-stream: no source has data: no cell of the mosaic is filled");
     }
+    for note in made.balance.iter().flat_map(|balance| &balance.notes) {
+        eprintln!("autoref-stream: {note}");
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&made)?);
         return Ok(ExitCode::SUCCESS);
