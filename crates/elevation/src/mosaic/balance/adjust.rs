@@ -35,7 +35,7 @@ pub struct Ties {
     pub band: usize,
     /// The group of each source: the number of the group's first source.
     pub groups: Vec<usize>,
-    /// Pairs whose levels are evened out, and whose contrast cannot be told.
+    /// Pairs whose levels are evened out, and whose contrasts neither they nor others tell.
     pub level_only: Vec<(usize, usize)>,
     /// Blocks of each pair that agree.
     pub agreeing: Vec<usize>,
@@ -85,7 +85,7 @@ impl Band<'_> {
         let mut groups = Vec::new();
         for round in 0..MOST_ROUNDS {
             state = self.round(&pairs, state);
-            groups = groups_of(&pairs, &state.relations, sources);
+            groups = groups_of(&pairs, &state.relations, sources, |relation| !relation.kept.is_empty());
             let before = state.common;
             if terms == TERMS && state.variance > 0.0 {
                 let free = self.unknowns(&pairs, &state, &groups, None);
@@ -105,9 +105,13 @@ impl Band<'_> {
             let found = pairs.iter().zip(&state.relations).filter(|(_, relation)| wanted(relation));
             found.map(|(pair, _)| pair.sources).collect()
         };
+        // A gain that others tell is told.
+        let contrasts = groups_of(&pairs, &state.relations, sources, |relation| relation.ratio.is_some());
+        let mut level_only: Vec<(usize, usize)> = select(&|r| !r.kept.is_empty() && r.ratio.is_none());
+        level_only.retain(|(i, j)| contrasts[*i] != contrasts[*j]);
         let ties = Ties {
             band: self.band,
-            level_only: select(&|r| !r.kept.is_empty() && r.ratio.is_none()),
+            level_only,
             agreeing: state.relations.iter().map(|r| r.kept.len()).collect(),
             uncounted: select(&|r| r.kept.is_empty()),
             kept_surface: self.balancing.reference.and_then(|source| self.kept_surface(source, &state)),
@@ -229,8 +233,8 @@ impl Band<'_> {
     }
 }
 
-/// Which sources hang together by blocks that count: the first source of each one's group.
-fn groups_of(pairs: &[Pair], relations: &[Relation], sources: usize) -> Vec<usize> {
+/// Which sources hang together by relations that tie: the first source of each one's group.
+fn groups_of(pairs: &[Pair], relations: &[Relation], sources: usize, ties: impl Fn(&Relation) -> bool) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..sources).collect();
     let root = |parents: &[usize], mut at: usize| {
         while parents[at] != at {
@@ -238,7 +242,7 @@ fn groups_of(pairs: &[Pair], relations: &[Relation], sources: usize) -> Vec<usiz
         }
         at
     };
-    for (pair, _) in pairs.iter().zip(relations).filter(|(_, relation)| !relation.kept.is_empty()) {
+    for (pair, _) in pairs.iter().zip(relations).filter(|(_, relation)| ties(relation)) {
         let (a, b) = (root(&parents, pair.sources.0), root(&parents, pair.sources.1));
         parents[a.max(b)] = a.min(b);
     }

@@ -15,7 +15,7 @@ use super::{Frame, TERMS, dot};
 /// Blocks of fewer tell no contrast.
 const FEWEST_FOR_CONTRAST: usize = 8;
 /// Nor do those whose means go together less than this …
-const LEAST_CORRELATION: f64 = 0.3;
+const LEAST_CORRELATION: f64 = 0.4;
 /// … or by less than so many of the correlation's standard deviations.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 /// A block that lies so many standard deviations off does not fit.
