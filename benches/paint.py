@@ -83,6 +83,10 @@ def cells():
     yield cell("paint × 0.4", [tuple(round(0.4 * v) for v in c) for c in ORANGE])
     yield cell("6 px, blur 2.1 px", side=6, blur=2.1)
     yield cell("6 px, blur 2.5 px", side=6, blur=2.5)
+    for side in (12, 24):
+        for gone in (0.07, 0.15):
+            yield cell(f"{gone * 100:.0f} % of the paint gone, {side} px", side=side, gone=gone)
+    yield cell("15 % of the paint gone, white, 24 px", [(245, 245, 245), (235, 238, 240)], profile="white", side=24, gone=0.15)
 
 
 def circle():
@@ -140,6 +144,16 @@ def coverage(centre, side, angle, disc, size):
     return cv2.resize(fine, (size, size), interpolation=cv2.INTER_AREA)
 
 
+def left_of(cover, side, gone, random):
+    """What is left of the paint where so large a share has come off, in flakes of about a tenth of a side."""
+    size = cover.shape[0]
+    uneven = cv2.GaussianBlur(random.normal(0, 1, (size, size)).astype(np.float32), (0, 0), max(1.0, side / 14))
+    fine = cv2.resize(uneven, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_CUBIC)
+    inside = cv2.resize(cover, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_NEAREST) > 0.5
+    left = (fine > np.quantile(fine[inside], gone)).astype(np.float32)
+    return cv2.resize(left, (size, size), interpolation=cv2.INTER_AREA)
+
+
 def plant(picture, at, spec, random, disc):
     """Draws one mark with its centre near `at`; returns the true centre."""
     disc = spec.get("disc", disc)
@@ -156,6 +170,8 @@ def plant(picture, at, spec, random, disc):
     angle = random.uniform(0, math.pi / 2)
     cover = coverage(centre, side, angle, disc, size)
     paint = np.array(spec["paints"][random.integers(len(spec["paints"]))], np.float32)
+    if "gone" in spec:
+        cover = cover * left_of(cover, side, spec["gone"], random)
     own = 1.0 - spec.get("worn", 0.0)
     if "patch" in spec:
         # Ground of this colour, uneven in brightness, around the mark; and a rim so many sides wide that is nearly black.
