@@ -295,6 +295,19 @@ fn learn(by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>, options: &Options
 /// # Errors
 /// When the frame cannot be read or an output cannot be written; nothing is left half-written.
 pub fn mask_frame(frame: &Path, folder: &Path, taught: &Taught, given: &Given, options: &Options) -> Result<Done> {
+    guarded(frame, || make_mask(frame, folder, taught, given, options))
+}
+
+/// A fault of ours in one frame is that frame's error: the others of a batch have their masks.
+fn guarded<R>(frame: &Path, work: impl FnOnce() -> Result<R>) -> Result<R> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|fault| {
+        let text = fault.downcast_ref::<String>().map(String::as_str);
+        let text = text.or(fault.downcast_ref::<&str>().copied()).unwrap_or("no reason is given");
+        Err(Error::format(frame, "frame", format!("a fault of this program, please report it: {text}")))
+    })
+}
+
+fn make_mask(frame: &Path, folder: &Path, taught: &Taught, given: &Given, options: &Options) -> Result<Done> {
     let _span = tracing::info_span!("frame").entered();
     let classifier = &taught.classifier;
     let names = Names::of(frame, folder);
@@ -430,4 +443,18 @@ fn horizon(keep: &BitMask) -> Option<usize> {
         |columns: std::ops::Range<usize>| (first..keep.height()).any(|y| columns.clone().any(|x| keep.get(x, y)));
     let sides = reaches(0..margin + 1) && reaches(keep.width() - margin - 1..keep.width());
     (first * 20 >= keep.height() && ground > 0.2 && sides).then_some(first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_in_one_frame_is_its_error() {
+        let none: Vec<u8> = Vec::new();
+        let found = guarded(Path::new("a.tif"), || Ok(none[3]));
+        let said = found.expect_err("nothing is there").to_string();
+        assert!(said.contains("a.tif") && said.contains("index"), "{said}");
+        assert!(guarded(Path::new("a.tif"), || Ok(7)).is_ok_and(|seven| seven == 7));
+    }
 }

@@ -195,20 +195,23 @@ const MAY_BE_SKY: f64 = 0.5;
 /// When the plane cannot be read.
 pub fn kept_though_even(keep: &BitMask, votes: &Plane, valid: &BitMask) -> Result<f64> {
     let step = (keep.width() / COLUMNS).max(1);
-    let (columns, rows) = ((keep.width() - step / 2).div_ceil(step), (keep.height() - step / 2).div_ceil(step));
-    let at = |i: usize| step / 2 + i * step;
+    // Of a frame that is lower than half a step the lowest row stands for the others.
+    let first = |side: usize| (step / 2).min(side.saturating_sub(1));
+    let (left, top) = (first(keep.width()), first(keep.height()));
+    let (columns, rows) = ((keep.width() - left).div_ceil(step), (keep.height() - top).div_ceil(step));
+    let (column, row) = (|i: usize| left + i * step, |i: usize| top + i * step);
     let mut even = BitMask::new(columns, rows);
     for y in 0..rows {
-        let line = votes.read(&Window::new(0, at(y) as u64, votes.width() as u64, 1))?;
-        (0..columns).for_each(|x| even.set(x, y, line[at(x)] <= EVEN && valid.get(at(x), at(y))));
+        let line = votes.read(&Window::new(0, row(y) as u64, votes.width() as u64, 1))?;
+        (0..columns).for_each(|x| even.set(x, y, line[column(x)] <= EVEN && valid.get(column(x), row(y))));
     }
     let areas = Areas::of(&even, true);
     let mut along = vec![0u64; areas.runs.len()];
     let mut kept = vec![0u64; areas.runs.len()];
     for (run, &root) in areas.runs.iter().zip(&areas.root) {
         along[root as usize] += if run.row == 0 { run.pixels() } else { 0 };
-        let row = at(run.row as usize);
-        kept[root as usize] += (run.start..run.end).filter(|&x| keep.get(at(x as usize), row)).count() as u64;
+        let y = row(run.row as usize);
+        kept[root as usize] += (run.start..run.end).filter(|&x| keep.get(column(x as usize), y)).count() as u64;
     }
     let sky = along.iter().zip(&kept).filter(|(along, _)| **along as f64 > MAY_BE_SKY * columns as f64);
     Ok(sky.map(|(_, kept)| *kept).sum::<u64>() as f64 / (columns * rows) as f64)
@@ -282,6 +285,11 @@ mod tests {
         let share = |keep: &BitMask| kept_though_even(keep, &votes, &valid).expect("read");
         assert!((share(&valid) - 0.5).abs() < 0.02);
         assert_eq!(share(&BitMask::from_fn(300, 200, |_, y| y > 99)), 0.0);
+        for (width, height) in [(1200, 3), (600, 1), (2000, 3), (1, 600)] {
+            let low = plane(width, height, |_, _| 180);
+            let all = BitMask::from_fn(width, height, |_, _| true);
+            assert_eq!(kept_though_even(&all, &low, &all).expect("read"), 1.0, "{width} x {height}");
+        }
         let narrow = plane(300, 200, |x, _| if x < 100 { 180 } else { 240 });
         assert_eq!(kept_though_even(&valid, &narrow, &valid).expect("read"), 0.0);
     }
