@@ -199,3 +199,88 @@ fn a_full_or_closed_standard_output_is_no_panic() {
     let said = String::from_utf8_lossy(&full.stderr).into_owned();
     assert!(!said.contains("panicked") && full.status.code() == Some(2), "{:?} {said}", full.status);
 }
+
+/// A small model of hills at `x0`.
+fn model(path: &Path, x0: f64) {
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let mut set = driver.create_with_band_type::<f32, _>(path, 40, 40, 1).expect("writable");
+    set.set_geo_transform(&[x0, 10.0, 0.0, 7_000_000.0, 0.0, -10.0]).expect("a place");
+    let reference = gdal::spatial_ref::SpatialRef::from_epsg(25833).expect("known");
+    set.set_spatial_ref(&reference).expect("a CRS");
+    let height = |i: usize| ((i % 40) as f32 / 3.0).sin() * 20.0 + ((i / 40) as f32 / 4.0).cos() * 30.0;
+    let mut heights = gdal::raster::Buffer::new((40, 40), (0..1600).map(height).collect());
+    set.rasterband(1).and_then(|mut band| band.write((0, 0), (40, 40), &mut heights)).expect("written");
+}
+
+/// A virtual raster of files that lie beside it.
+fn virtual_raster(path: &Path, parts: &[&str]) {
+    let source = |part: &&str| {
+        format!(
+            "<SimpleSource><SourceFilename relativeToVRT=\"1\">{part}</SourceFilename><SourceBand>1</SourceBand>\
+             </SimpleSource>"
+        )
+    };
+    let text = format!(
+        "<VRTDataset rasterXSize=\"40\" rasterYSize=\"40\"><SRS>EPSG:25833</SRS><GeoTransform>500000,10,0,7000000,0,-10\
+         </GeoTransform><VRTRasterBand dataType=\"Float32\" band=\"1\">{}</VRTRasterBand></VRTDataset>",
+        parts.iter().map(source).collect::<String>()
+    );
+    std::fs::write(path, text).expect("writable");
+}
+
+/// What a raster refers to is an input as the raster is: parts of virtual ones, also of those in others, headers, and
+/// the companions that a rule names.
+#[test]
+fn what_an_input_refers_to_is_never_written_over() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = folder.path();
+    let at = |name: &str| dir.join(name);
+    for (name, x0) in [("s0.tif", 500_000.0), ("s1.tif", 500_000.0), ("s2.tif", 500_100.0), ("s0_r.tif", 500_000.0)] {
+        model(&at(name), x0);
+    }
+    virtual_raster(&at("v.vrt"), &["s1.tif", "s2.tif"]);
+    virtual_raster(&at("outer.vrt"), &["v.vrt"]);
+    virtual_raster(&at("s2_r.vrt"), &["s0_r.tif"]);
+    std::fs::write(at("s2.tif.aux.xml"), "<PAMDataset/>").expect("writable");
+    std::fs::write(at("table.txt"), "0 0 0 0\n100 255 255 255\n").expect("writable");
+    let made = program(dir, &["mosaic", "s0.tif", "s2.tif", "-o", "first.tif", "--write-index", "i.tif"]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    virtual_raster(&at("i.vrt"), &["i.tif"]);
+    let lines = [
+        "mosaic v.vrt -o s1.tif",
+        "mosaic s0.tif v.vrt -o s2.tif",
+        "mosaic outer.vrt -o s1.tif",
+        "mosaic outer.vrt -o v.vrt.tif --write-index s2.tif",
+        "mosaic outer.vrt s0.tif --balance --balance-page s2.tif.aux.xml -o new.tif",
+        "mosaic s0.tif -o s0_r.tif --choose min:{stem}_r.tif",
+        "mosaic s0.tif -o new.tif --choose min:{stem}_r.tif --write-index s0_r.tif",
+        "mosaic s2.tif -o s0_r.tif --choose min:{stem}_r.vrt",
+        "mosaic s0.tif s2.tif -o i.tif --use-index i.tif",
+        "mosaic s0.tif s2.tif -o i.tif --use-index i.vrt",
+        "dem slope v.vrt -o s1.tif",
+        "dem aspect outer.vrt -o s1.tif",
+        "dem hillshade v.vrt -o s2.tif",
+        "dem roughness v.vrt -o s1.tif",
+        "dem tri v.vrt -o s1.tif",
+        "dem tpi v.vrt -o s1.tif",
+        "dem colour outer.vrt -o s1.tif --table table.txt",
+        "dem contour v.vrt -o s1.tif --interval 5",
+        "dem profile v.vrt -o s1.tif --line 500005,6999990;500100,6999900",
+        "dem resample v.vrt -o s1.tif --resolution 20",
+        "dem resample v.vrt -o s{res}.tif --resolution 1",
+        "dem align v.vrt --to s0.tif -o s1.tif",
+        "dem align s0.tif --to outer.vrt -o s2.tif",
+    ];
+    let before = contents(dir);
+    for line in lines {
+        let arguments: Vec<&str> = line.split(' ').chain(["--overwrite"]).collect();
+        let out = program(dir, &arguments);
+        let said = String::from_utf8_lossy(&out.stderr);
+        assert_eq!(out.status.code(), Some(2), "{line}: {said}");
+        assert!(contents(dir) == before, "{line} changed a file");
+        assert!(said.contains("input") && said.trim_end().lines().count() == 1, "{line}: {said}");
+    }
+    // What refers to nothing may be replaced.
+    let made = program(dir, &["mosaic", "v.vrt", "-o", "first.tif", "--overwrite"]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+}

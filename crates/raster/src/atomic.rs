@@ -392,7 +392,7 @@ pub fn check_outputs(paths: &[&Path], existing: Existing) -> Result<()> {
         if existing == Existing::Keep && path.exists() {
             return Err(Error::usage(
                 format!("the output {} exists", path.display()),
-                "give --overwrite to replace it, or --out DIR to write elsewhere",
+                "give --overwrite to replace it, or name another output",
             ));
         }
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -35,6 +35,16 @@ fn says_nothing(unit: &str) -> bool {
     ["", "unspecified", "unknown", "none", "n/a", "unitless"].contains(&unit.to_ascii_lowercase().as_str())
 }
 
+/// The unit that a band names, when it says.
+pub fn unit_of(band: &RasterBand<'_>) -> Option<String> {
+    Some(band.unit().trim().to_string()).filter(|name| !says_nothing(name))
+}
+
+/// Whether two names are of one unit: `m` and `metre` are.
+pub fn same_unit(a: &str, b: &str) -> bool {
+    a.eq_ignore_ascii_case(b) || metres_of(a).is_some_and(|metres| metres_of(b) == Some(metres))
+}
+
 impl HeightBand {
     /// Of a band of `path`. The unit is the band's own, else that of the vertical axis of `crs`, else the metre.
     ///
@@ -42,7 +52,7 @@ impl HeightBand {
     /// A unit that is none of length; a mask that cannot be looked at.
     pub fn of(path: &Path, band: &RasterBand<'_>, crs: Option<&Crs>) -> Result<HeightBand> {
         refuse_signed_bytes(path, band)?;
-        let unit_name = Some(band.unit().trim().to_string()).filter(|name| !says_nothing(name));
+        let unit_name = unit_of(band);
         let axis = crs.and_then(Crs::height_metres_per_unit);
         let metres_per_value = match (&unit_name, axis) {
             (Some(name), _) => metres_of(name).ok_or_else(|| {
@@ -85,10 +95,18 @@ impl HeightBand {
 ///
 /// # Errors
 /// When GDAL cannot.
-#[allow(unsafe_code)]
 pub fn set_height_unit(path: &Path, dataset: &Dataset, unit: &str) -> Result<()> {
-    let unit = CString::new(unit).map_err(|_| Error::usage("a zero byte in a unit", "name it m or ft"))?;
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+    set_unit(path, &band, unit)
+}
+
+/// Names the unit of a band.
+///
+/// # Errors
+/// When GDAL cannot.
+#[allow(unsafe_code)]
+pub fn set_unit(path: &Path, band: &RasterBand<'_>, unit: &str) -> Result<()> {
+    let unit = CString::new(unit).map_err(|_| Error::usage("a zero byte in a unit", "name it m or ft"))?;
     // SAFETY: the band belongs to a dataset that outlives the call, and GDAL copies the string.
     let code = unsafe { gdal_sys::GDALSetRasterUnitType(band.c_rasterband(), unit.as_ptr()) };
     if code == gdal_sys::CPLErr::CE_None { Ok(()) } else { Err(Error::gdal(path, "the unit cannot be named")) }

@@ -2,19 +2,25 @@
 //!
 //! The program names its inputs once, before it does anything ([`protect`]); every writer of [`crate::atomic`] asks
 //! [`refuse_input`] for the file that it is about to put in place. Files are told apart by device and inode, links
-//! followed, so that no second name hides one.
+//! followed, so that no second name hides one. What a raster refers to, the parts of a virtual one above all, is an input as
+//! well ([`crate::referred`]).
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use crate::error::{Error, Result};
+use crate::referred::referred;
 
 /// What an input is known by, and how the user named it.
 struct Input {
     device: u64,
     inode: u64,
     path: PathBuf,
+    /// The input that refers to it, where it is none that was named.
+    whole: Option<PathBuf>,
+    /// Whether what it refers to is in the list, too.
+    followed: bool,
 }
 
 static INPUTS: Mutex<Vec<Input>> = Mutex::new(Vec::new());
@@ -24,8 +30,25 @@ static INPUTS: Mutex<Vec<Input>> = Mutex::new(Vec::new());
 pub fn protect(path: &Path) {
     let Ok(found) = std::fs::metadata(path) else { return };
     if found.is_file() {
-        let input = Input { device: found.dev(), inode: found.ino(), path: path.to_owned() };
+        let input =
+            Input { device: found.dev(), inode: found.ino(), path: path.to_owned(), whole: None, followed: false };
         INPUTS.lock().unwrap_or_else(PoisonError::into_inner).push(input);
+    }
+}
+
+/// Adds what the inputs refer to. It takes opening them, so it is done once something would be replaced.
+fn follow() {
+    let locked = || INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let fresh = |input: &mut Input| (!std::mem::replace(&mut input.followed, true)).then(|| input.path.clone());
+    let waiting: Vec<PathBuf> = locked().iter_mut().filter_map(fresh).collect();
+    for path in waiting {
+        let parts = referred(&path).into_iter().filter_map(|part| {
+            let found = std::fs::metadata(&part).ok()?;
+            let whole = Some(path.clone());
+            Some(Input { device: found.dev(), inode: found.ino(), path: part, whole, followed: true })
+        });
+        let parts: Vec<Input> = parts.collect();
+        locked().extend(parts);
     }
 }
 
@@ -41,16 +64,23 @@ pub fn same_file(a: &Path, b: &Path) -> bool {
     place(a).is_some_and(|a| place(b) == Some(a))
 }
 
-/// Refuses an output that is a protected input under whatever name.
+/// Refuses an output that is a protected input, or a file that one refers to, under whatever name.
 ///
 /// # Errors
 /// [`Error::Usage`] naming both.
 pub fn refuse_input(output: &Path) -> Result<()> {
     let Ok(found) = std::fs::metadata(output) else { return Ok(()) };
+    if found.is_file() {
+        follow();
+    }
     let inputs = INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
     match inputs.iter().find(|input| (input.device, input.inode) == (found.dev(), found.ino())) {
         None => Ok(()),
-        Some(input) => Err(is_input(output, &input.path)),
+        Some(Input { whole: None, path, .. }) => Err(is_input(output, path)),
+        Some(Input { whole: Some(whole), .. }) => {
+            let what = format!("the output {} is a part of the input {}", output.display(), whole.display());
+            Err(Error::usage(what, KEPT))
+        }
     }
 }
 
@@ -69,6 +99,8 @@ pub fn refuse_inputs_below(output: &Path) -> Result<()> {
     refuse_input(output)
 }
 
+const KEPT: &str = "name another output; an input is never written over, --overwrite or not";
+
 /// The refusal, in words.
 pub fn is_input(output: &Path, input: &Path) -> Error {
     let what = if output == input {
@@ -76,7 +108,7 @@ pub fn is_input(output: &Path, input: &Path) -> Error {
     } else {
         format!("the output {} is the input {}", output.display(), input.display())
     };
-    Error::usage(what, "name another output; an input is never written over, --overwrite or not")
+    Error::usage(what, KEPT)
 }
 
 #[cfg(test)]

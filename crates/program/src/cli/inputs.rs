@@ -2,22 +2,21 @@
 //!
 //! Every argument that takes a path is in one of two lists (a test holds the command line to that). Before a command
 //! does anything, what its inputs name is protected ([`autoref_raster::protected`]) and what its outputs name is
-//! checked: against the inputs, against the files that lie beside an input and belong to it, and against each other.
+//! checked: against the inputs, against the files that lie beside an input and belong to it, against those that an
+//! input refers to, and against each other. Inputs that only a command can name (companions by a pattern, images of a
+//! project) it protects itself.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use autoref_raster::Error;
-use autoref_raster::protected::{is_input, protect, same_file};
+use autoref_raster::protected::{is_input, protect, refuse_input, same_file};
+use autoref_raster::referred::{inside_name, sidecars};
 use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.
 const OUTPUTS: &[&str] =
     &["output", "out", "html", "scratch", "write_dem", "write_gcps", "write_index", "balance_page", "profile_json"];
-
-/// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
-const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
-const REPLACED: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
 
 /// No length, angle, number of pixels or limit that means anything is as large.
 const LARGEST_NUMBER: f64 = 1e15;
@@ -52,10 +51,12 @@ pub fn guard(matches: &ArgMatches) -> Result<(), Error> {
         if let Some(input) = inputs.iter().find(|input| input.is_file() && same_file(output, input)) {
             return Err(is_input(output, input));
         }
-        if let Some(input) = inputs.iter().find(|input| companions(input).iter().any(|c| same_file(output, c))) {
+        if let Some(input) = inputs.iter().find(|input| sidecars(input).iter().any(|c| same_file(output, c))) {
             let what = format!("the output {} belongs to the input {}", output.display(), input.display());
             return Err(Error::usage(what, "name another output"));
         }
+        // What inputs refer to: the parts of a virtual raster.
+        refuse_input(output)?;
         if outputs[..number].iter().any(|other| same_file(output, other) && other.as_os_str() != "-") {
             return Err(Error::usage(format!("two outputs are {}", output.display()), "name them apart"));
         }
@@ -78,6 +79,8 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
                 inputs.push(named);
             } else if named.is_dir() {
                 inputs.extend(read_in_folder(id.as_str(), &named));
+            } else {
+                inputs.extend(inside_name(&named));
             }
         }
     }
@@ -110,15 +113,6 @@ fn named(value: &OsStr) -> PathBuf {
     let text = value.to_string_lossy();
     let end = text.rsplit(['@', '=']).next().unwrap_or_default();
     if Path::new(end).is_file() { PathBuf::from(end) } else { whole }
-}
-
-fn companions(input: &Path) -> Vec<PathBuf> {
-    let appended = APPENDED.iter().map(|end| {
-        let mut name = input.as_os_str().to_owned();
-        name.push(end);
-        PathBuf::from(name)
-    });
-    appended.chain(REPLACED.iter().map(|end| input.with_extension(end))).filter(|c| c.as_path() != input).collect()
 }
 
 #[cfg(test)]
