@@ -294,6 +294,22 @@ fn any_tiling_and_any_number_of_threads_gives_the_same_bits() {
     }
 }
 
+/// How coarse the search begins, which memory decides, changes no bit of where the fit ends.
+#[test]
+fn any_memory_gives_the_same_bits() {
+    let (terrain, mut dice) = (Terrain::new(6), SplitMix64(6));
+    let small = View { width: 150, height: 110, ..PLAIN };
+    let b = draw(&terrain, &small, &mut dice);
+    let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), noise_m: 1.0, ..small }, &mut dice);
+    for method in [Method::Lzd, Method::Bias, Method::Tilt] {
+        let run = |memory_cells: u64| {
+            let options = Options { memory_cells, method, ..Options::default() };
+            format!("{:?}", aligned(&a, &b, &options))
+        };
+        assert_eq!(run(1 << 20), run(4096), "{method}");
+    }
+}
+
 #[test]
 fn flat_or_unlike_ground_is_refused() {
     let (terrain, mut dice) = (Terrain::new(6), SplitMix64(6));

@@ -78,7 +78,6 @@ impl Free {
 /// When a model cannot be read.
 pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found> {
     let levels = pyramid(full, options)?;
-    let finest = levels.first().map_or(1, |level| level.factor);
     let mut free = Free::of(options.method);
     let weighing = if options.method == Method::Lzd { Weighing::Clip } else { Weighing::Biweight };
     let fitter = Fitter { full, flats, weighing, means: options.means };
@@ -89,7 +88,6 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
             fit::pass(&levels[0].pair(full), &State::default(), Gather::Residuals, flats, options.means)?.sloping;
         return nothing(if sloping < FEWEST_CELLS { FEW } else { ONE_ASPECT });
     };
-    let precision = if finest > 1 { STREAMED } else { IN_MEMORY };
     match options.method {
         Method::Auto => free = free.with(fitter.degree(&levels[0].pair(full), state, free, options.surface)?),
         Method::Tilt => free = free.with(options.surface),
@@ -101,7 +99,9 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
         let sums = fit::pass(full, &state, Gather::Residuals, flats, options.means)?;
         (Settled { state, sums, iterations }, Step::Left)
     } else {
-        let Some(settled) = fitter.settle(full, state, free, precision)? else { return nothing(FLAT) };
+        let Some(near) = fitter.settle(full, state, free, NEAR)? else { return nothing(FLAT) };
+        let start = anchored(&near, &full.template.grid());
+        let Some(settled) = fitter.settle(full, start, free, FINE)? else { return nothing(FLAT) };
         (settled, Step::Taken)
     };
     let Some(end) = fitter.finish(full, &settled, free, step)? else { return nothing(FLAT) };
@@ -274,6 +274,21 @@ fn spread(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// The nearest state whose shift is whole 64ths of a cell, and whose heights are of the scatter's power of two. How a fit
+/// comes near its end depends on how coarse the search began, which memory decides; from a place that all ways share it
+/// ends in the same bits.
+fn anchored(near: &Settled, grid: &Grid) -> State {
+    /// A power of two: its multiples are exact.
+    const PART: f64 = 1.0 / 64.0;
+    let scale = near.sums.scales(FLOOR_M).iter().copied().fold(f64::INFINITY, f64::min);
+    let scale = if scale.is_finite() { scale.clamp(1e-2, 1e3).log2().round().exp2() } else { 1.0 };
+    let nearest = |value: f64, unit: f64| (value / (unit * PART)).round() * (unit * PART);
+    let mut state = near.state;
+    state.shift = (nearest(state.shift.0, grid.step_x), nearest(state.shift.1, grid.step_y));
+    state.surface.coefficients.iter_mut().for_each(|value| *value = nearest(*value, scale));
+    state
+}
+
 /// Index of the smallest misfit.
 fn least(candidates: &[(State, f64)]) -> usize {
     (0..candidates.len()).min_by(|&a, &b| candidates[a].1.total_cmp(&candidates[b].1)).unwrap_or(0)
@@ -287,8 +302,10 @@ struct Precision {
 }
 
 const COARSE: Precision = Precision { step_px: 1e-3, passes: 30 };
-const IN_MEMORY: Precision = Precision { step_px: 1e-6, passes: 60 };
-const STREAMED: Precision = Precision { step_px: 1e-3, passes: 6 };
+/// Before and after the state is brought to a place of its own ([`anchored`]); the same whether the models are held or
+/// streamed. A last step with the full curvature follows.
+const NEAR: Precision = Precision { step_px: 1e-3, passes: 30 };
+const FINE: Precision = Precision { step_px: 1e-5, passes: 30 };
 
 struct Settled {
     state: State,
