@@ -26,17 +26,7 @@ pub struct Couple {
 
 /// Models whose heights are taken for metres though their map counts in something else.
 fn doubtful_units(a: &Model, b: &Model) -> Vec<String> {
-    let doubt = |(letter, model): (&str, &Model)| {
-        let crs = model.crs().filter(|crs| !crs.is_geographic() && crs.metres_per_unit() != 1.0)?;
-        model.unit_name().is_none().then(|| {
-            format!(
-                "{letter} names no unit of its heights, and its map counts in {}: they are taken for metres; name their \
-                 unit with gdal_edit.py -units",
-                crs.unit_name()
-            )
-        })
-    };
-    [("A", a), ("B", b)].into_iter().filter_map(doubt).collect()
+    [("A", a), ("B", b)].into_iter().filter_map(|(letter, model)| model.doubtful_unit(letter)).collect()
 }
 
 /// What the heights of a couple count from.

@@ -321,6 +321,24 @@ fn check_levels(model: &Path, band: &gdal::raster::RasterBand<'_>, interval: f64
     Ok(())
 }
 
+/// Refuses cells that are larger than the whole model, and so many that no raster has them.
+///
+/// # Errors
+/// [`Error::Usage`] with the model's own cells.
+pub fn check_resolution(model: &Path, side: f64) -> Result<()> {
+    let dataset = crate::model::open_dataset(model)?;
+    let Ok(t) = dataset.geo_transform() else { return Ok(()) };
+    let (width, height) = dataset.raster_size();
+    let (cell_x, cell_y) = (t[1].hypot(t[4]), t[2].hypot(t[5]));
+    let longest = (width as f64 * cell_x).max(height as f64 * cell_y);
+    let cells = longest / side;
+    if cells >= 1.0 && cells <= f64::from(i32::MAX) {
+        return Ok(());
+    }
+    let what = format!("--resolution {side}: {} is {longest} units of the map long", model.display());
+    Err(Error::usage(what, format!("its cells are {cell_x} × {cell_y}; give the side of a cell in units of the map")))
+}
+
 /// A virtual raster of `source` as `gdalwarp` makes it with these options.
 ///
 /// # Errors

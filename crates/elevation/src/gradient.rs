@@ -69,6 +69,14 @@ pub fn needs_true_sides(model: &Path, picture: Picture) -> Result<bool> {
     })
 }
 
+/// Words for heights that are taken for metres though the map counts in something else.
+///
+/// # Errors
+/// When the model cannot be opened.
+pub fn doubtful_unit(model: &Path) -> Result<Option<String>> {
+    Ok(Model::open(model)?.doubtful_unit(&model.display().to_string()))
+}
+
 /// Draws `model` into `out`, with the true sides of its cells.
 ///
 /// # Errors

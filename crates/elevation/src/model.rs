@@ -133,6 +133,18 @@ impl Model {
         self.band.unit_name.as_deref()
     }
 
+    /// Words for heights that are taken for metres though the map counts in something else; the model goes by `name`.
+    pub fn doubtful_unit(&self, name: &str) -> Option<String> {
+        let crs = self.crs().filter(|crs| !crs.is_geographic() && crs.metres_per_unit() != 1.0)?;
+        self.unit_name().is_none().then(|| {
+            format!(
+                "{name} names no unit of its heights, and its map counts in {}: they are taken for metres; name their \
+                 unit with gdal_edit.py -units (ft where they are feet)",
+                crs.unit_name()
+            )
+        })
+    }
+
     /// What a unit of the horizontal axes is on the ground. Without a CRS a unit is a metre.
     pub fn ground_unit(&self) -> GroundUnit {
         match &self.crs {

@@ -19,7 +19,7 @@ pub struct Station {
 /// Most stations of a profile.
 const MOST: f64 = 5e6;
 
-/// Heights every `step_m` along `line` (map positions in the models' CRS), bilinear.
+/// Heights every `step_m` along `line` (map positions in the models' CRS), and at its corners and its end, bilinear.
 ///
 /// # Errors
 /// When a model cannot be read or has another CRS than the first, or the line has no length.
@@ -46,8 +46,7 @@ pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f6
     }
     let mut stations = Vec::new();
     let (mut segment, mut before) = (0, 0.0);
-    for number in 0..=(total / step + 1e-9) as u64 {
-        let distance = number as f64 * step;
+    for distance in distances(&lengths, step) {
         while segment + 1 < lengths.len() && distance > before + lengths[segment] {
             before += lengths[segment];
             segment += 1;
@@ -59,6 +58,24 @@ pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f6
         stations.push(Station { distance_m: distance, x, y, heights_m });
     }
     Ok(stations)
+}
+
+/// Multiples of the step, and where segments end; of two that are one up to rounding the multiple.
+fn distances(lengths: &[f64], step: f64) -> Vec<f64> {
+    let total: f64 = lengths.iter().sum();
+    let near = 1e-9 * step.max(total);
+    let mut all: Vec<f64> = (0..=(total / step + 1e-9) as u64).map(|number| number as f64 * step).collect();
+    let mut end = 0.0;
+    for length in lengths {
+        end += length;
+        // Rounding must not carry a corner over a step.
+        if (end - (end / step).round() * step).abs() > near {
+            all.push(end);
+        }
+    }
+    all.sort_by(f64::total_cmp);
+    all.dedup();
+    all
 }
 
 fn at(model: &Model, x: f64, y: f64) -> Result<Option<f64>> {

@@ -101,6 +101,9 @@ pub struct Summary {
     pub grid: String,
     pub resampling: &'static str,
     pub heights: String,
+    /// What a person should look at.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     pub cells: u64,
     pub common_cells: u64,
     pub within_m: f64,
@@ -388,6 +391,7 @@ impl CompareJob<'_> {
                 Interpolation::Lagrange => "lagrange",
             },
             heights: couple.heights.to_string(),
+            warnings: couple.doubtful_units.clone(),
             cells: scan.grid.width * scan.grid.height,
             common_cells: all.n,
             within_m: self.within_m,

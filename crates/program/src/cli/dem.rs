@@ -232,7 +232,8 @@ struct ProfileArgs {
     /// Positions in the models' CRS, parted by blanks or semicolons: "x,y x,y …".
     #[arg(long, value_name = "X,Y …", allow_hyphen_values = true, value_parser = positions)]
     line: Line,
-    /// Metres between two stations, of which there are 5,000,000 at most. Default: a cell of the first model.
+    /// Metres between two stations, of which there are 5,000,000 at most; the line's corners and its end are stations,
+    /// too. Default: a cell of the first model.
     #[arg(long, value_name = "M")]
     step: Option<f64>,
     /// The table. Default: standard output.
@@ -377,6 +378,7 @@ fn compare(args: &CompareArgs) -> anyhow::Result<()> {
         resources: args.resources.resources(),
     };
     let summary = atomic::folder(&args.out, |folder| job.run(folder))?;
+    summary.warnings.iter().for_each(|warning| eprintln!("autoref-stream: {warning}"));
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
@@ -466,6 +468,11 @@ fn hillshade(args: &HillshadeArgs) -> anyhow::Result<()> {
 
 /// By GDAL's functions where the sides of cells are in the unit of the heights, else with their true lengths.
 fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture: Picture) -> anyhow::Result<()> {
+    if picture != Picture::Aspect
+        && let Some(doubt) = gradient::doubtful_unit(&args.draw.model)?
+    {
+        eprintln!("autoref-stream: {doubt}");
+    }
     if !gradient::needs_true_sides(&args.draw.model, picture)? {
         return draw(&args.draw, kind, options, None);
     }
@@ -539,6 +546,7 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     output::check(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     derive::check_heights(&args.model)?;
+    args.resolution.iter().try_for_each(|side| derive::check_resolution(&args.model, *side))?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {
         let side = resolution.to_string();
         atomic::with_temporary(out, |path| {
