@@ -2,6 +2,9 @@
 
 mod balance;
 mod blend;
+mod choose;
+mod distance;
+mod form;
 mod graph;
 mod mix;
 mod page;
@@ -11,12 +14,13 @@ mod source;
 
 pub use balance::{Balance, Balancing, DifferenceMap, Overlap, Surface};
 pub use blend::WIDEST_BLEND_PX;
+pub use source::companions;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use gdal::raster::{ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
+use gdal::raster::GdalDataType;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
@@ -95,6 +99,9 @@ pub struct Made {
     pub geotransform: [f64; 6],
     pub bands: usize,
     pub filled_cells: u64,
+    /// What was joined though sources say different things of it, and what was left out.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balance: Option<Balance>,
 }
@@ -117,7 +124,28 @@ struct Tile {
 /// What a worker keeps.
 struct Worker {
     opened: Opened,
+    /// How many cells each source gave, and at the end how many cells hold anything.
     cells: Vec<u64>,
+    /// How many cells of each source have no value in its companion.
+    uncosted: Vec<u64>,
+    /// The largest number that an index names.
+    largest: u32,
+    /// The window that is written: what is read around it is counted elsewhere.
+    core: Window,
+}
+
+impl Worker {
+    fn new(sources: usize) -> Self {
+        let core = Window::new(0, 0, 0, 0);
+        Worker { opened: Opened::default(), cells: vec![0; sources + 1], uncosted: vec![0; sources], largest: 0, core }
+    }
+}
+
+/// The same of all workers.
+#[derive(Default)]
+struct Counts {
+    cells: Vec<u64>,
+    uncosted: Vec<u64>,
 }
 
 impl MosaicJob<'_> {
@@ -127,6 +155,7 @@ impl MosaicJob<'_> {
     /// When a source cannot be read, the sources do not go together, or the output cannot be written.
     pub fn run(&self) -> Result<Made> {
         self.resources.check()?;
+        self.check_rules()?;
         let (sources, grid) = source::open_all(self.inputs, &self.choice, self.resolution)?;
         let index = self.use_index.map(|path| source::open_index(path, &grid)).transpose()?;
         let mut balance = match self.balance {
@@ -152,7 +181,7 @@ impl MosaicJob<'_> {
             clipped: &clipped,
         };
         let mut files = crate::atomic::Transaction::new();
-        let mut cells = Vec::new();
+        let mut counts = Counts::default();
         let targets: Vec<PathBuf> = [self.out].into_iter().chain(self.write_index).map(Path::to_owned).collect();
         files.stage_all(&targets, |parts| {
             let (path, index) = (&parts[0], parts.get(1).map(PathBuf::as_path));
@@ -168,11 +197,11 @@ impl MosaicJob<'_> {
             };
             let made = made.and_then(|made| {
                 // Where nothing is missing a mask says nothing.
-                if made.last() == Some(&(grid.width * grid.height)) {
+                if made.cells.last() == Some(&(grid.width * grid.height)) {
                     remove_mask(&plain);
                 }
                 cloud_optimised(&plain, path, self.threads(&sources))?;
-                cells = made;
+                counts = made;
                 Ok(())
             });
             // It is not wanted any more; when it is not there something else is the error.
@@ -181,14 +210,17 @@ impl MosaicJob<'_> {
             made
         })?;
         if let Some(balance) = &mut balance {
-            balance.tell_clipped(clipped.into_inner(), cells[sources.len()]);
+            balance.tell_clipped(clipped.into_inner(), counts.cells[sources.len()]);
         }
         if let (Some(path), Some(balance)) = (self.page, &balance) {
             let footprints: Vec<_> = sources.iter().map(|s| (s.path.as_path(), s.grid)).collect();
             files.stage_bytes(path, page::text(&footprints, &grid, balance).as_bytes())?;
         }
         files.commit()?;
+        let mut notes = form::notes(&sources);
+        notes.extend(source::without_companion(&sources, &grid, &counts.uncosted));
         Ok(Made {
+            notes,
             sources: sources
                 .iter()
                 .enumerate()
@@ -196,16 +228,27 @@ impl MosaicJob<'_> {
                     number: i + 1,
                     path: s.path.display().to_string(),
                     resampled: !s.on_grid,
-                    cells: cells[i],
+                    cells: counts.cells[i],
                 })
                 .collect(),
             width: grid.width,
             height: grid.height,
             geotransform: grid.transform().0,
             bands: sources[0].bands,
-            filled_cells: cells[sources.len()],
+            filled_cells: counts.cells[sources.len()],
             balance,
         })
+    }
+
+    /// Refuses rules that do not go together.
+    fn check_rules(&self) -> Result<()> {
+        match (&self.choice, self.write_index) {
+            (Choice::Median | Choice::Feather, Some(_)) => Err(Error::usage(
+                "--write-index with --choose median or feather, which mix all sources in a cell",
+                "leave one of them away",
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// Refuses what the samples of the sources do not allow.
@@ -216,7 +259,7 @@ impl MosaicJob<'_> {
             let remedy = "bring them to another type with gdal_translate -ot (Float64 holds 53 bits)";
             return Err(Error::unsupported(&first.path, what, remedy));
         }
-        let needed = 4 * self.tile_bytes(first.bands, blend::halo_px(self.blend_px));
+        let needed = 4 * self.tile_bytes(first.bands, self.halo_px());
         if needed > self.resources.memory_budget_bytes {
             let (what, remedy) = match self.blend_px {
                 0 => (format!("{}: {} bands", first.path.display(), first.bands), "give more --memory, or fewer bands"),
@@ -267,7 +310,13 @@ impl MosaicJob<'_> {
     /// What a worker holds.
     fn worker_bytes(&self, bands: usize) -> u64 {
         // The tile on its way to the file, and what is read of two sources.
-        (24 << 20) + 4 * self.tile_bytes(bands, 0) + 4 * self.tile_bytes(bands, blend::halo_px(self.blend_px))
+        (24 << 20) + 4 * self.tile_bytes(bands, 0) + 4 * self.tile_bytes(bands, self.halo_px())
+    }
+
+    /// Cells around a tile that have a say.
+    fn halo_px(&self) -> u64 {
+        let feather = if self.choice == Choice::Feather { mix::REACH_PX } else { 0 };
+        blend::halo_px(self.blend_px).max(feather)
     }
 
     /// The values of a tile and of so many cells around it.
@@ -300,6 +349,29 @@ fn range(kind: GdalDataType) -> (f64, f64) {
     }
 }
 
+/// What a file of a kind holds of a number.
+fn stored(kind: GdalDataType, value: f64) -> f64 {
+    let (least, most) = range(kind);
+    match kind {
+        GdalDataType::Float64 => value,
+        GdalDataType::Float32 => f64::from(value as f32),
+        _ => value.round().clamp(least, most),
+    }
+}
+
+/// The number next to another, of those that a kind holds.
+fn beside(kind: GdalDataType, value: f64) -> f64 {
+    let most = range(kind).1;
+    match kind {
+        GdalDataType::Float64 if value > 0.0 => value.next_down(),
+        GdalDataType::Float64 => value.next_up(),
+        GdalDataType::Float32 if value > 0.0 => f64::from((value as f32).next_down()),
+        GdalDataType::Float32 => f64::from((value as f32).next_up()),
+        _ if value < most => value + 1.0,
+        _ => value - 1.0,
+    }
+}
+
 /// The mask lies beside the plain file, if there is one.
 fn remove_mask(plain: &Path) {
     let mut name = plain.as_os_str().to_owned();
@@ -319,17 +391,17 @@ struct Whole<'a> {
 }
 
 impl Whole<'_> {
-    /// Returns how many cells each source gave, and at the end how many cells hold anything.
+    /// Returns what was counted.
     fn write<T: gdal::raster::GdalType + Copy + Send + 'static>(
         &self,
         path: &Path,
         index_path: Option<&Path>,
         cast: impl Fn(f64) -> T + Sync,
-    ) -> Result<Vec<u64>> {
+    ) -> Result<Counts> {
         let first = &self.sources[0];
         let threads = self.job.threads(self.sources);
         let float = matches!(first.kind, GdalDataType::Float32 | GdalDataType::Float64);
-        let nodata = first.nodata.or(float.then_some(-9999.0));
+        let nodata = form::nodata_of(self.sources);
         let void = nodata.unwrap_or(0.0);
         let deciding = first.deciding_bands();
         let form = Form {
@@ -341,7 +413,7 @@ impl Whole<'_> {
             threads,
         };
         let mut dataset = output::create::<T>(path, &form)?;
-        let masked = self.describe(path, &mut dataset, nodata)?;
+        let masked = form::describe(self.sources, path, &mut dataset, nodata)?;
         let index_form = Form { bands: 1, nodata: Some(0.0), predictor: 2, ..form };
         let index = index_path.map(|p| output::create::<u32>(p, &index_form).map(|d| (p, d))).transpose()?;
         let count = self.sources.len();
@@ -349,10 +421,11 @@ impl Whole<'_> {
             &self.grid,
             self.job.cut(first.bands),
             threads,
-            || Worker { opened: Opened::default(), cells: vec![0; count + 1] },
+            || Worker::new(count),
             |worker, window| {
+                worker.core = window;
                 let Some(mut tile) = self.tile(worker, window)? else { return Ok(None) };
-                self.part_from_nodata(&mut tile, &deciding);
+                self.part_from_nodata(&mut tile, nodata, &deciding);
                 if let Some(balance) = self.balance {
                     let clipped = balance.clipped(&tile.values, &tile.index, window, range(first.kind));
                     self.clipped.fetch_add(clipped, Ordering::Relaxed);
@@ -385,52 +458,40 @@ impl Whole<'_> {
         if let Some((path, dataset)) = index {
             output::finish(path, dataset)?;
         }
-        let mut cells = vec![0; count + 1];
+        self.check_numbers(states.iter().map(|state| state.largest).max().unwrap_or(0))?;
+        let mut counts = Counts { cells: vec![0; count + 1], uncosted: vec![0; count] };
         for state in &states {
-            cells.iter_mut().zip(&state.cells).for_each(|(a, b)| *a += b);
+            counts.cells.iter_mut().zip(&state.cells).for_each(|(a, b)| *a += b);
+            counts.uncosted.iter_mut().zip(&state.uncosted).for_each(|(a, b)| *a += b);
         }
-        Ok(cells)
+        Ok(counts)
     }
 
-    /// Colours, scale and palette as the sources have them; and a mask where nothing else tells which cells are there.
-    /// Whether there is one.
-    fn describe(&self, path: &Path, dataset: &mut gdal::Dataset, nodata: Option<f64>) -> Result<bool> {
-        let first = &self.sources[0];
-        let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(path, &e.to_string());
-        for (number, colour) in (1..).zip(&first.colours) {
-            let mut band = dataset.rasterband(number).map_err(failed)?;
-            if let Some(colour) = ColorInterpretation::from_c_int(colour.c_int()) {
-                band.set_color_interpretation(colour).map_err(failed)?;
-            }
-            if first.scale != (1.0, 0.0) {
-                band.set_scale(first.scale.0).and_then(|()| band.set_offset(first.scale.1)).map_err(failed)?;
-            }
-        }
-        if !first.palette.is_empty() {
-            let mut table = ColorTable::new(PaletteInterpretation::Rgba);
-            for (number, &[r, g, b, a]) in (0..).zip(&first.palette) {
-                table.set_color_entry(number, &ColorEntry::rgba(r, g, b, a));
-            }
-            dataset.rasterband(1).map_err(failed)?.set_color_table(&table);
-        }
-        let masked = nodata.is_none() && !first.colours.contains(&ColorInterpretation::AlphaBand);
-        if masked {
-            dataset.rasterband(1).and_then(|mut band| band.create_mask_band(true)).map_err(failed)?;
-        }
-        Ok(masked)
+    /// Refuses an index of other sources.
+    fn check_numbers(&self, largest: u32) -> Result<()> {
+        let count = self.sources.len();
+        let Some(index) = self.index.filter(|_| largest as usize > count) else { return Ok(()) };
+        let what = format!("source {largest} is named in it, and there are {count} sources");
+        let remedy = "name the sources that the index was written with, in the same order";
+        Err(Error::unsupported(&index.path, what, remedy))
     }
 
-    /// A colour of a picture that would be read as "nothing", since the sources differ in nodata or a mean met it, is
-    /// moved by one in its first band.
-    fn part_from_nodata(&self, tile: &mut Tile, deciding: &[usize]) {
+    /// Moves what would be read as "nothing", since the sources differ in nodata or a mean met it, to the next number:
+    /// every value of a band, of a picture the first band of a colour.
+    fn part_from_nodata(&self, tile: &mut Tile, nodata: Option<f64>, deciding: &[usize]) {
+        let Some(nodata) = nodata.filter(|value| !value.is_nan()) else { return };
         let first = &self.sources[0];
-        let Some(nodata) = first.nodata.filter(|_| first.is_picture()) else { return };
-        let ((least, most), area) = (range(first.kind), tile.index.len());
-        let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
-        for cell in 0..area {
-            if deciding.iter().all(|band| tile.values[band * area + cell].round().clamp(least, most) == nodata) {
-                tile.values[deciding[0] * area + cell] = beside;
+        let (stored, beside) = (|value: f64| stored(first.kind, value), beside(first.kind, nodata));
+        let nodata = stored(nodata);
+        let area = tile.index.len();
+        if first.is_picture() {
+            for cell in 0..area {
+                if deciding.iter().all(|band| stored(tile.values[band * area + cell]) == nodata) {
+                    tile.values[deciding[0] * area + cell] = beside;
+                }
             }
+        } else {
+            tile.values.iter_mut().filter(|value| stored(**value) == nodata).for_each(|value| *value = beside);
         }
     }
 
@@ -474,88 +535,7 @@ impl Whole<'_> {
                 *value = balanced;
             }
         }
-        let first = &self.sources[0];
-        if let Some(nodata) = first.nodata.filter(|_| first.whole_numbers() && !first.is_picture()) {
-            let (least, most) = range(first.kind);
-            // A value that would be read as "nothing" is moved by one; of pictures that is seen to at the end.
-            let beside = if nodata < most { nodata + 1.0 } else { nodata - 1.0 };
-            let is_nodata = |value: &&mut f64| value.round().clamp(least, most) == nodata;
-            values.iter_mut().filter(is_nodata).for_each(|value| *value = beside);
-        }
         Ok(values)
-    }
-
-    fn choose(
-        &self,
-        worker: &mut Worker,
-        choice: &Choice,
-        near: &[usize],
-        window: Window,
-        tile: &mut Tile,
-    ) -> Result<()> {
-        let area = window.area() as usize;
-        let mut order = near.to_vec();
-        if *choice == Choice::Newest {
-            // The sort is stable: of equals the later source wins.
-            order.sort_by(|&a, &b| self.sources[a].date.cmp(&self.sources[b].date));
-        }
-        let deciding = self.sources[0].deciding_bands();
-        let mut best = vec![f64::INFINITY; area];
-        for (rank, &number) in order.iter().enumerate() {
-            let rank = rank as f64;
-            let costs: Option<Vec<f64>> = match choice {
-                Choice::Min(_) => Some(worker.opened.read_companion(&self.sources[number], &self.grid, window)?),
-                Choice::Nearest => Some(self.sources[number].distances(&self.grid, window)),
-                _ => None,
-            };
-            let cost = |cell: usize| match (&costs, choice) {
-                (Some(costs), _) => costs[cell],
-                (None, Choice::First) => rank,
-                _ => -rank,
-            };
-            // NaN loses every comparison; of equals the first wins.
-            if !(0..area).any(|cell| cost(cell) < best[cell]) {
-                continue;
-            }
-            let values = self.read(worker, number, window)?;
-            for cell in 0..area {
-                if cost(cell) < best[cell] && holds(&values, area, cell, &deciding) {
-                    best[cell] = cost(cell);
-                    tile.index[cell] = number as u32 + 1;
-                    for band in 0..values.len() / area {
-                        tile.values[band * area + cell] = values[band * area + cell];
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn by_index(
-        &self,
-        worker: &mut Worker,
-        index: &Source,
-        near: &[usize],
-        window: Window,
-        tile: &mut Tile,
-    ) -> Result<()> {
-        let area = window.area() as usize;
-        let deciding = self.sources[0].deciding_bands();
-        let numbers = worker.opened.read(index, &self.grid, window, Interpolation::Nearest)?;
-        for &number in near {
-            let wanted = (number + 1) as f64;
-            if !numbers.contains(&wanted) {
-                continue;
-            }
-            let values = self.read(worker, number, window)?;
-            for cell in (0..area).filter(|&cell| numbers[cell] == wanted && holds(&values, area, cell, &deciding)) {
-                tile.index[cell] = number as u32 + 1;
-                for band in 0..values.len() / area {
-                    tile.values[band * area + cell] = values[band * area + cell];
-                }
-            }
-        }
-        Ok(())
     }
 }
 

@@ -5,63 +5,89 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::masked;
 use gdal::Dataset;
-use gdal::raster::ColorInterpretation;
 
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::model::open_dataset;
 use crate::resample::{Interpolation, Resampled};
-use crate::source::{Heights, MemoryHeights, Patch};
+use crate::source::{Heights, Patch, read_rows};
 use crate::window::Window;
 
 use super::reduce::{self, Means, Reaches};
 use super::source::Source;
 
-/// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
-/// of those neighbours that are there, as GDAL's warper has it. Otherwise tiles that abut would leave a gap.
-fn between_what_is_there(
+/// A part of a source's cells, on the grid of the whole: places are counted from the whole's corner, so that no tiling
+/// changes what lies between two cells.
+struct Part {
     grid: Grid,
-    values: &[f64],
+    window: Window,
+    values: Vec<f64>,
+    /// What lies outside.
+    beyond: f64,
+}
+
+impl Heights for Part {
+    fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
+        let own = Grid { width: self.window.width, height: self.window.height, ..self.grid };
+        let inside = Patch { x: patch.x - self.window.x as i64, y: patch.y - self.window.y as i64, ..patch };
+        read_rows(&own, &self.values, inside, out);
+        if !self.beyond.is_nan() {
+            let (width, height) = (self.window.width as i64, self.window.height as i64);
+            for (row, line) in (inside.y..).zip(out.chunks_exact_mut(patch.width)) {
+                let outside = |column: i64| !((0..width).contains(&column) && (0..height).contains(&row));
+                let cells = (inside.x..).zip(line).filter(|(column, _)| outside(*column));
+                cells.for_each(|(_, value)| *value = self.beyond);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The cells of `part` at the places of `patch` of the mosaic.
+fn between(part: &Part, mosaic: &Grid, patch: Patch, interpolation: Interpolation, out: &mut Vec<f64>) -> Result<()> {
+    Resampled::new(part, *mosaic, (0.0, 0.0), interpolation).read(patch, out)
+}
+
+/// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
+/// of those neighbours that are there. Otherwise tiles that abut would leave a gap. As GDAL's warper has it, a cubic that
+/// misses one of its neighbours gives way to the two nearest along each axis.
+fn between_what_is_there(
+    mut part: Part,
     mosaic: &Grid,
     patch: Patch,
     interpolation: Interpolation,
     out: &mut Vec<f64>,
 ) -> Result<()> {
-    /// Cells beyond the edge that the widest of the kernels sees.
-    const BEYOND: usize = 2;
     /// Of neighbours that weigh less nothing follows.
     const LEAST_WEIGHT: f64 = 0.05;
-    let (width, height) = (grid.width as usize, grid.height as usize);
-    let (wide, high) = (width + 2 * BEYOND, height + 2 * BEYOND);
-    let padded = Grid {
-        x0: grid.x0 - BEYOND as f64 * grid.step_x,
-        y0: grid.y0 - BEYOND as f64 * grid.step_y,
-        width: wide as u64,
-        height: high as u64,
-        ..grid
-    };
-    let (mut filled, mut there) = (vec![0.0; wide * high], vec![0.0; wide * high]);
-    for (row, line) in values.chunks_exact(width).enumerate() {
-        let from = (row + BEYOND) * wide + BEYOND;
-        for (k, value) in line.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
-            (filled[from + k], there[from + k]) = (*value, 1.0);
-        }
+    let wide = interpolation != Interpolation::Bilinear;
+    if wide {
+        between(&part, mosaic, patch, interpolation, out)?;
     }
-    let (filled, there) = (MemoryHeights::new(padded, filled), MemoryHeights::new(padded, there));
-    let on_mosaic = |memory: &MemoryHeights, interpolation, plane: &mut Vec<f64>| {
-        Resampled::new(memory, *mosaic, (0.0, 0.0), interpolation).read(patch, plane)
-    };
-    let (mut weights, mut nearest) = (Vec::new(), Vec::new());
-    on_mosaic(&filled, interpolation, out)?;
-    on_mosaic(&there, interpolation, &mut weights)?;
-    on_mosaic(&there, Interpolation::Nearest, &mut nearest)?;
-    for ((value, weight), nearest) in out.iter_mut().zip(weights).zip(nearest) {
+    let there = part.values.iter().map(|value| f64::from(u8::from(!value.is_nan()))).collect();
+    let there = Part { values: there, beyond: 0.0, ..part };
+    part.values.iter_mut().filter(|value| value.is_nan()).for_each(|value| *value = 0.0);
+    part.beyond = 0.0;
+    let (mut narrow, mut weights, mut nearest) = (Vec::new(), Vec::new(), Vec::new());
+    between(&part, mosaic, patch, Interpolation::Bilinear, &mut narrow)?;
+    between(&there, mosaic, patch, Interpolation::Bilinear, &mut weights)?;
+    between(&there, mosaic, patch, Interpolation::Nearest, &mut nearest)?;
+    for ((value, weight), nearest) in narrow.iter_mut().zip(weights).zip(nearest) {
         // Where all neighbours are there nothing is divided: the same bits as away from any edge.
         if nearest != 1.0 || weight < LEAST_WEIGHT {
             *value = f64::NAN;
         } else if (weight - 1.0).abs() > 1e-9 {
             *value /= weight;
         }
+    }
+    if wide {
+        out.iter_mut().zip(narrow).filter(|(value, _)| value.is_nan()).for_each(|(value, narrow)| *value = narrow);
+    } else {
+        *out = narrow;
     }
     Ok(())
 }
@@ -119,21 +145,15 @@ impl Opened {
         let Some(part) = source.part(mosaic, window) else {
             return Ok(vec![f64::NAN; window.area() as usize * source.bands]);
         };
-        let grid = Grid {
-            x0: source.grid.x0 + part.x as f64 * source.grid.step_x,
-            y0: source.grid.y0 + part.y as f64 * source.grid.step_y,
-            width: part.width,
-            height: part.height,
-            ..source.grid
-        };
         let at_edge =
             part.x == 0 || part.y == 0 || part.right() == source.grid.width || part.bottom() == source.grid.height;
         for values in valid_bands(dataset, source, part)? {
-            if interpolation != Interpolation::Nearest && (at_edge || values.iter().any(|v| v.is_nan())) {
-                between_what_is_there(grid, &values, mosaic, patch, interpolation, &mut plane)?;
+            let beside_voids = at_edge || values.iter().any(|v| v.is_nan());
+            let cells = Part { grid: source.grid, window: part, values, beyond: f64::NAN };
+            if interpolation != Interpolation::Nearest && beside_voids {
+                between_what_is_there(cells, mosaic, patch, interpolation, &mut plane)?;
             } else {
-                let memory = MemoryHeights::new(grid, values);
-                Resampled::new(&memory, *mosaic, (0.0, 0.0), interpolation).read(patch, &mut plane)?;
+                between(&cells, mosaic, patch, interpolation, &mut plane)?;
             }
             all.extend_from_slice(&plane);
         }
@@ -195,13 +215,12 @@ impl Source {
     /// Puts NaN where there is nothing. A picture is nothing where all its colours are nodata: red that is 0 beside
     /// green is a colour. Other bands are read each for itself.
     fn leave_out_nodata(&self, planes: &mut [Vec<f64>]) {
-        let is_void = |value: f64| self.nodata.is_some_and(|n| value == n || value == f64::from(n as f32));
         let (is_picture, colours) = (self.is_picture(), self.deciding_bands());
         for cell in 0..planes.first().map_or(0, Vec::len) {
-            let all = is_picture && colours.iter().all(|band| is_void(planes[*band][cell]));
-            for plane in planes.iter_mut() {
+            let all = is_picture && colours.iter().all(|band| self.forms[*band].is_void(planes[*band][cell]));
+            for (plane, form) in planes.iter_mut().zip(&self.forms) {
                 let value = &mut plane[cell];
-                if all || (!is_picture && is_void(*value)) || !value.is_finite() {
+                if all || (!is_picture && form.is_void(*value)) {
                     *value = f64::NAN;
                 }
             }
@@ -221,9 +240,8 @@ fn valid_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<V
     let mut planes = all_bands(dataset, source, part)?;
     source.leave_out_nodata(&mut planes);
     for (number, values) in (1..).zip(&mut planes) {
-        let colour = source.colours.get(number - 1);
         // What is transparent is not there: its opacity is no part of a median or a mean either.
-        if colour == Some(&ColorInterpretation::AlphaBand) {
+        if source.forms[number - 1].is_alpha() {
             values.iter_mut().filter(|value| **value == 0.0).for_each(|value| *value = f64::NAN);
         }
         if source.masked {

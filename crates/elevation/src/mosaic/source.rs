@@ -3,18 +3,20 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use gdal::raster::{ColorInterpretation, GdalDataType, RasterBand};
+use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, Metadata};
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
-use crate::model::{how_to_name_crs, open_dataset};
+use crate::model::open_dataset;
+use crate::output;
 use crate::window::Window;
 use autoref_raster::masked;
-use autoref_raster::protected::same_file;
+use autoref_raster::protected::{protect, same_file};
 
 use super::Choice;
+use super::form::{self, BandForm, check_alike, check_one_crs};
 
 /// One raster.
 pub struct Source {
@@ -22,12 +24,12 @@ pub struct Source {
     pub grid: Grid,
     pub bands: usize,
     pub kind: GdalDataType,
-    pub nodata: Option<f64>,
-    /// What stored values are multiplied with, and what is then added; kept, not applied.
-    pub scale: (f64, f64),
+    /// What each band says of its values.
+    pub forms: Vec<BandForm>,
     /// An alpha band or a mask says which cells are there.
     pub masked: bool,
-    pub colours: Vec<ColorInterpretation>,
+    /// Its coordinates are said to be those of cells' centres; GDAL counts from corners all the same.
+    pub is_point: bool,
     /// Red, green, blue and alpha of the numbers of a palette.
     pub palette: Vec<[i16; 4]>,
     pub wkt: String,
@@ -39,6 +41,8 @@ pub struct Source {
     pub companion: Option<Box<Source>>,
 }
 
+/// Blocks of a TIFF whose places are listed in less than two gigabytes.
+const MOST_BLOCKS: f64 = 1e8;
 /// Cells that lie this near to cells of the mosaic are taken to be them, in cells.
 const SNAP_PX: f64 = 0.01;
 
@@ -63,19 +67,15 @@ impl Source {
             })?;
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         autoref_raster::refuse_signed_bytes(path, &band)?;
-        let (kind, nodata) = (band.band_type(), band.no_data_value());
-        let colour_of = |band: usize| dataset.rasterband(band).map(|band| band.color_interpretation());
-        let colours = (1..=dataset.raster_count()).map(colour_of).collect::<std::result::Result<_, _>>();
         Ok(Source {
-            scale: (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0)),
+            forms: form::of_bands(path, &dataset)?,
             masked: masked::has_mask(path, &band)?,
-            colours: colours.map_err(|e| Error::gdal(path, e))?,
-            palette: palette_of(&band),
+            is_point: dataset.metadata_item("AREA_OR_POINT", "").as_deref() == Some("Point"),
+            palette: form::palette_of(&band),
             path: path.to_path_buf(),
             grid,
             bands: dataset.raster_count(),
-            kind,
-            nodata,
+            kind: band.band_type(),
             wkt: dataset.projection(),
             on_grid: true,
             date: date_of(path, &dataset),
@@ -87,18 +87,14 @@ impl Source {
     pub fn is_picture(&self) -> bool {
         use ColorInterpretation::{BlueBand, GreenBand, RedBand};
         let wanted = [RedBand, GreenBand, BlueBand];
-        matches!(self.kind, GdalDataType::UInt8 | GdalDataType::UInt16) && self.colours.get(..3) == Some(&wanted[..])
+        let small = matches!(self.kind, GdalDataType::UInt8 | GdalDataType::UInt16);
+        small && self.bands >= 3 && self.forms.iter().zip(wanted).all(|(form, wanted)| form.colour == wanted)
     }
 
     /// The bands that say whether a cell holds anything: all colours of a picture, else the first.
     pub fn deciding_bands(&self) -> Vec<usize> {
-        let opacity = |band: usize| self.colours.get(band) == Some(&ColorInterpretation::AlphaBand);
         let end = if self.is_picture() { self.bands } else { 1 };
-        (0..end).filter(|band| !opacity(*band)).collect()
-    }
-
-    pub fn whole_numbers(&self) -> bool {
-        !matches!(self.kind, GdalDataType::Float32 | GdalDataType::Float64)
+        (0..end).filter(|band| !self.forms[*band].is_alpha()).collect()
     }
 
     /// Whether a window of the mosaic has a cell of this source.
@@ -145,7 +141,7 @@ impl Source {
         self.each(mosaic, window, |x, y| (x - x0).hypot(y - y0))
     }
 
-    /// From the source's nearest edge.
+    /// From the nearest edge of the source's grid; negative beyond it.
     pub fn edge_distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let [west, south, east, north] = self.grid.bounds();
         self.each(mosaic, window, |x, y| (x - west).min(east - x).min(y - south).min(north - y))
@@ -166,12 +162,6 @@ impl Source {
             (self.grid.step_x, self.grid.step_y) = (mosaic.step_x, mosaic.step_y);
         }
     }
-}
-
-fn palette_of(band: &RasterBand<'_>) -> Vec<[i16; 4]> {
-    let Some(table) = band.color_table() else { return Vec::new() };
-    let colour = |i: usize| table.entry_as_rgb(i).map_or([0; 4], |c| [c.r, c.g, c.b, c.a]);
-    (0..table.entry_count()).map(colour).collect()
 }
 
 /// A date that sorts: of the metadata, else eight digits of the name, else the file's own.
@@ -211,78 +201,19 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
     format!("{year:04}{month:02}{day:02}")
 }
 
-/// All sources need one form: bands, sample type, scale, palette and CRS.
-fn check_alike(sources: &[Source]) -> Result<()> {
-    let Some(head) = sources.first() else { return Err(Error::usage("no raster was named", "name at least one")) };
-    let (bands, kind, wkt) = (head.bands, head.kind, &head.wkt);
-    let reference = crate::crs::Crs::parse(wkt).ok();
-    for source in sources {
-        if source.bands != bands || source.kind != kind {
-            let what = format!(
-                "{} bands of {}, while {} has {bands} of {}",
-                source.bands,
-                source.kind.name(),
-                sources[0].path.display(),
-                kind.name()
-            );
-            return Err(Error::unsupported(&source.path, what, "bring them to one form with gdal_translate"));
-        }
-        let (first, stored) = (&sources[0], "bring them to one form with gdal_translate -unscale");
-        if source.scale != first.scale {
-            let what = format!(
-                "scale {} and offset {}, while {} has {} and {}",
-                source.scale.0,
-                source.scale.1,
-                first.path.display(),
-                first.scale.0,
-                first.scale.1
-            );
-            return Err(Error::unsupported(&source.path, what, stored));
-        }
-        if source.palette != first.palette {
-            let what = format!("another palette than {}", first.path.display());
-            return Err(Error::unsupported(
-                &source.path,
-                what,
-                "bring them to colours with gdal_translate -expand rgb",
-            ));
-        }
-        let own = || crate::crs::Crs::parse(&source.wkt).ok();
-        // What cannot be parsed is like nothing but itself.
-        let same = source.wkt == *wkt || reference.as_ref().zip(own()).is_some_and(|(a, b)| a.label() == b.label());
-        if !same {
-            let first = sources[0].path.display();
-            return Err(match (wkt.is_empty(), source.wkt.is_empty()) {
-                (false, true) => {
-                    let what = format!("no CRS, while {first} has one");
-                    Error::unsupported(&source.path, what, how_to_name_crs(&source.path))
-                }
-                (true, false) => {
-                    let what = format!("no CRS, while {} has one", source.path.display());
-                    Error::unsupported(&sources[0].path, what, how_to_name_crs(&sources[0].path))
-                }
-                _ => {
-                    let what = format!("another CRS than that of {first}");
-                    Error::unsupported(&source.path, what, "bring it there with gdalwarp -t_srs")
-                }
-            });
-        }
-    }
-    Ok(())
-}
-
 /// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
 ///
 /// # Errors
 /// When `resolution` is no positive length, there is no input, a source or companion cannot be opened, sources differ
-/// in bands, type of samples, scale, palette or CRS, two of them have one companion, or the grid has more than 2³¹ − 1
-/// rows or columns.
+/// in bands, type of samples, what bands mean, palette or CRS, two of them have one companion, a companion does not lie
+/// on its source, or the grid has more than 2³¹ − 1 rows or columns, or more blocks than a file.
 pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
     if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
         return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
     }
     let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
     check_alike(&sources)?;
+    companions(inputs, choice).iter().for_each(|path| protect(path));
     let origin = sources[0].grid;
     let (step_x, step_y) = resolution.map_or((origin.step_x, origin.step_y), |r| (r, -r));
     let bounds = sources
@@ -300,7 +231,9 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
         width: (left + cells(origin.x0, bounds[2], step_x)).max(1.0) as u64,
         height: (up + cells(bounds[1], origin.y0, step_y)).max(1.0) as u64,
     };
-    if grid.width.max(grid.height) > i32::MAX as u64 {
+    let block_px = output::block_px(sources[0].bands);
+    let blocks = grid.width.div_ceil(block_px) as f64 * grid.height.div_ceil(block_px) as f64 * sources[0].bands as f64;
+    if grid.width.max(grid.height) > i32::MAX as u64 || blocks > MOST_BLOCKS {
         return Err(Error::usage(
             format!("a mosaic of {} x {} cells", grid.width, grid.height),
             "give a larger --resolution, or look for a source far away from the others",
@@ -322,12 +255,47 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
                     "give each source a companion of its own, named by the whole {stem}",
                 ));
             }
-            let mut companion = Source::open(&path)?;
-            companion.snap(&grid);
-            source.companion = Some(Box::new(companion));
+            source.companion = Some(Box::new(open_companion(source, path, &grid)?));
         }
     }
     Ok((sources, grid))
+}
+
+/// Opens what a source's cells cost, which must lie on it.
+fn open_companion(source: &Source, path: PathBuf, mosaic: &Grid) -> Result<Source> {
+    let named = |e: Error| match e {
+        Error::Unsupported { what, remedy, .. } => Error::unsupported(&path, what, remedy),
+        other => other,
+    };
+    let mut companion = Source::open(&path)?;
+    check_one_crs(source, &companion).map_err(named)?;
+    if source.grid.overlap(&companion.grid).is_none() {
+        let what = format!("a companion that lies elsewhere than its source {}", source.path.display());
+        return Err(Error::unsupported(&path, what, "write it again with the source, or correct its place"));
+    }
+    companion.snap(mosaic);
+    Ok(companion)
+}
+
+/// Sources with cells that have no value in the companion, as words. `cells` counts them.
+pub fn without_companion(sources: &[Source], mosaic: &Grid, cells: &[u64]) -> Vec<String> {
+    let note = |(source, cells): (&Source, &u64)| {
+        let companion = source.companion.as_ref().filter(|_| *cells > 0)?;
+        let size = (source.grid.step_x / mosaic.step_x) * (source.grid.step_y / mosaic.step_y);
+        let share = 100.0 * *cells as f64 / (source.grid.width as f64 * source.grid.height as f64 * size);
+        Some(format!(
+            "{}: {cells} cells ({share:.1} % of its area) have no value in {} and are not taken from it",
+            source.path.display(),
+            companion.path.display()
+        ))
+    };
+    sources.iter().zip(cells).filter_map(note).collect()
+}
+
+/// What a rule makes a mosaic read beside its sources, so that it can be protected before anything is written.
+pub fn companions(inputs: &[PathBuf], choice: &Choice) -> Vec<PathBuf> {
+    let Choice::Min(pattern) = choice else { return Vec::new() };
+    inputs.iter().map(|source| companion_path(source, pattern)).collect()
 }
 
 /// The companion raster of a source. `{stem}` is the source's name; where no such file is, the name up to one of its

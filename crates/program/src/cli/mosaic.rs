@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use autoref_elevation::mosaic::{Choice, MosaicJob, Surface, WIDEST_BLEND_PX};
+use autoref_elevation::mosaic::{Choice, MosaicJob, Surface, WIDEST_BLEND_PX, companions};
 use autoref_elevation::output;
 use autoref_raster::atomic::Existing;
+use autoref_raster::protected::protect;
 use clap::{Args, ValueEnum};
 
 use crate::cli::dem::{ResamplingArg, ResourceArgs};
@@ -79,6 +80,7 @@ impl From<SurfaceArg> for Surface {
 }
 
 pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
+    companions(&args.inputs, &args.choose).iter().for_each(|path| protect(path));
     let outputs = std::iter::once(&args.out).chain(&args.write_index).chain(&args.balance_page);
     let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
     output::check(&outputs, Existing::of_flag(args.overwrite))?;
@@ -100,9 +102,8 @@ pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
     if made.filled_cells == 0 {
         eprintln!("autoref-stream: no source has data: no cell of the mosaic is filled");
     }
-    for note in made.balance.iter().flat_map(|balance| &balance.notes) {
-        eprintln!("autoref-stream: {note}");
-    }
+    let balanced = made.balance.iter().flat_map(|balance| &balance.notes);
+    made.notes.iter().chain(balanced).for_each(|note| eprintln!("autoref-stream: {note}"));
     if args.json {
         println!("{}", serde_json::to_string_pretty(&made)?);
         return Ok(ExitCode::SUCCESS);

@@ -14,13 +14,13 @@ mod start;
 
 use std::path::Path;
 
-use gdal::raster::ColorInterpretation;
 use serde::Serialize;
 
 use crate::error::Result;
 use crate::grid::Grid;
 use crate::window::Window;
 
+use super::form::BandForm;
 use super::source::Source;
 use adjust::{Band, Ties};
 use blocks::{BLOCK_PX, Block};
@@ -197,7 +197,7 @@ pub fn estimate(reading: &Reading, balancing: Balancing) -> Result<Balance> {
     };
     let mut ties = Vec::new();
     // Opacity lies at the limits of its type and counts nowhere; the infrared that passes for opacity does.
-    let is_opacity = |band: usize| sources[0].colours.get(band) == Some(&ColorInterpretation::AlphaBand);
+    let is_opacity = |band: usize| sources[0].forms.get(band).is_some_and(BandForm::is_alpha);
     for band in 0..bands {
         let levels = gathered.levels.iter().map(|levels| levels[band]).collect();
         let (blocks, threads) = (gathered.blocks.as_slice(), reading.threads);
