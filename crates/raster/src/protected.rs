@@ -2,8 +2,8 @@
 //!
 //! The program names its inputs once, before it does anything ([`protect`]); every writer of [`crate::atomic`] asks
 //! [`refuse_input`] for the file that it is about to put in place. Files are told apart by device and inode, links
-//! followed, so that no second name hides one. What a raster refers to, the parts of a virtual one above all, is an input as
-//! well ([`crate::referred`]).
+//! followed, so that no second name hides one. What a raster refers to, the parts of a virtual one above all, is an
+//! input as well ([`crate::referred`]).
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};

@@ -274,9 +274,9 @@ fn spread(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The nearest state whose shift is whole 64ths of a cell, and whose heights are of the scatter's power of two. How a fit
-/// comes near its end depends on how coarse the search began, which memory decides; from a place that all ways share it
-/// ends in the same bits.
+/// The nearest state whose shift is whole 64ths of a cell, and whose heights are of the scatter's power of two. How a
+/// fit comes near its end depends on how coarse the search began, which memory decides; from a place that all ways
+/// share it ends in the same bits.
 fn anchored(near: &Settled, grid: &Grid) -> State {
     /// A power of two: its multiples are exact.
     const PART: f64 = 1.0 / 64.0;
@@ -305,7 +305,7 @@ const COARSE: Precision = Precision { step_px: 1e-3, passes: 30 };
 /// Before and after the state is brought to a place of its own ([`anchored`]); the same whether the models are held or
 /// streamed. A last step with the full curvature follows.
 const NEAR: Precision = Precision { step_px: 1e-3, passes: 30 };
-const FINE: Precision = Precision { step_px: 1e-5, passes: 30 };
+const FINE: Precision = Precision { step_px: 1e-4, passes: 30 };
 
 struct Settled {
     state: State,

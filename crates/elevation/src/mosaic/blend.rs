@@ -1,8 +1,8 @@
 //! Seams that run into each other: near a seam, a cell is the mean of the sources that win around it.
 //!
 //! A source's weight is the share of cells around that it wins, under a tent; it fades towards the source's own edge
-//! and holes, by the distance from them, so that nothing jumps there either, and not where a source is narrower than the
-//! seam. Shares and squares of distances are whole numbers, exact whatever the tiling.
+//! and holes, by the distance from them, so that nothing jumps there either, and not where a source is narrower than
+//! the seam. Shares and squares of distances are whole numbers, exact whatever the tiling.
 
 use crate::error::Result;
 use crate::window::Window;

@@ -302,7 +302,9 @@ impl MosaicJob<'_> {
     /// Tiles that are narrower where there are many bands.
     fn cut(&self, bands: usize) -> Cut {
         let block_px = output::block_px(bands);
-        let wanted = self.resources.tile_px.unwrap_or(512).min(1024);
+        // Feathers see far around their tile, which is therefore small: no tile changes a cell.
+        let most = if self.choice == Choice::Feather { 256 } else { 1024 };
+        let wanted = self.resources.tile_px.unwrap_or(512).min(most);
         let affordable = (MOST_TILE_BYTES / 8 / bands as u64 / block_px).max(block_px);
         Cut { tile_px: wanted.min(affordable), block_px }
     }

@@ -53,8 +53,8 @@ fn between(part: &Part, mosaic: &Grid, patch: Patch, interpolation: Interpolatio
 }
 
 /// Interpolates beside voids and edges too: a place has a value where the cell that it lies in has one, by the weights
-/// of those neighbours that are there. Otherwise tiles that abut would leave a gap. As GDAL's warper has it, a cubic that
-/// misses one of its neighbours gives way to the two nearest along each axis.
+/// of those neighbours that are there. Otherwise tiles that abut would leave a gap. As GDAL's warper has it, a cubic
+/// that misses one of its neighbours gives way to the two nearest along each axis.
 fn between_what_is_there(
     mut part: Part,
     mosaic: &Grid,
