@@ -159,7 +159,7 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
     };
     let mut candidates = found(detector);
     let mut standing = Standing::default();
-    standing.add(candidates.iter().map(|candidate| candidate.centre));
+    standing.add(candidates.iter());
     let others = detector.others().into_iter().flat_map(found);
     candidates.extend(others.filter(|candidate| !standing.any_like(candidate)));
     Ok(candidates)

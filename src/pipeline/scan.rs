@@ -507,7 +507,7 @@ impl Worker<'_> {
                 output.examined.push(Examined { layer, region, found });
             }
             if layer == 0 {
-                standing.add(output.examined.iter().flat_map(|one| &one.found).map(|found| found.centre));
+                standing.add(output.examined.iter().flat_map(|one| &one.found));
             }
         }
         let whole = output.straddling.iter().map(|seen| &seen.region);
