@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
-use super::figure::{Figure, figure, may_be_figure};
+use super::figure::{Figure, figure, figure_in_part, may_be_figure, may_be_part_of_figure};
 use super::fit::Fit;
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
@@ -108,11 +108,16 @@ pub(super) fn figure_of(
     profile: &Profile,
 ) -> Figure {
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
-    if !fits || !may_be_figure(scene) {
+    let (seen, in_part) = (fits && may_be_figure(scene), fits && may_be_part_of_figure(scene));
+    if !seen && !in_part {
         return Figure::No;
     }
     let patch = pixels.whole();
-    Scene::new(region, &patch, classifier, OwnPaint::Piece).map_or(Figure::No, |scene| figure(&scene, profile))
+    let Some(wide) = Scene::new(region, &patch, classifier, OwnPaint::Piece) else { return Figure::No };
+    match if seen { figure(&wide, profile) } else { Figure::No } {
+        Figure::No if in_part => figure_in_part(&wide, profile),
+        found => found,
+    }
 }
 
 /// The same for a region whose scene is there.

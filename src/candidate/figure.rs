@@ -130,6 +130,44 @@ pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
     }
 }
 
+/// Whether the scene's own paint may be a part of a field that colour found only in part, as it did the other: then the
+/// two do not touch.
+pub(super) fn may_be_part_of_figure(scene: &Scene<'_>) -> bool {
+    /// Of fewer pixels nothing is grown.
+    const LEAST_PART_PX: usize = 12;
+    let own = scene.own.count();
+    // Of a field that is found to a third the other's paint is a side and a half away.
+    let reach = (1.5 * (3.0 * own as f64).sqrt()) as usize + 2;
+    let stands_out = |ground| Across::between(ground, scene.plateau()).contrast >= LEAST_CONTRAST;
+    own >= LEAST_PART_PX
+        && !scene.other.and(&scene.own.grown(reach)).is_empty()
+        && scene.ring_ground().is_some_and(stands_out)
+}
+
+/// The same as [`figure`], of all that is more paint than ground and hangs together with what colour found.
+pub(super) fn figure_in_part(scene: &Scene<'_>, profile: &Profile) -> Figure {
+    let plateau = scene.plateau();
+    let Some(ground) = scene.ring_ground() else { return Figure::No };
+    let shares = Across::between(ground, plateau).shares(scene);
+    let is_paint = |i: usize| {
+        let colour = scene.colour(i);
+        shares[i] > 0.5 && (colour - plateau).norm_squared() < (colour - ground.mean).norm_squared()
+    };
+    let found = scene.paint();
+    let Some(paint) = found.spread(&scene.valid, is_paint, |_, _| true) else { return Figure::No };
+    let paint = paint.or(&found);
+    let Some(first) = scene.own.first() else { return Figure::No };
+    let own = paint.piece(first);
+    // Of the parts of a field the first stands for it; of a field that colour found whole nothing is new.
+    if own == scene.own || found.and(&own).first() != Some(first) {
+        return Figure::No;
+    }
+    match figure(&Scene::of_pixels(scene.patch, own.clone(), &paint), profile) {
+        Figure::Elsewhere if with_other_field(&Scene::of_pixels(scene.patch, own.clone(), &paint)) == own => Figure::No,
+        found => found,
+    }
+}
+
 /// The own paint, with the other field where just one piece of about its size touches it. In a crowd of marks each
 /// stands for itself.
 fn with_other_field(scene: &Scene<'_>) -> PixelSet {
