@@ -295,7 +295,9 @@ fn the_run_states_it_and_check_points_never_touch_the_fit() {
     // Far from New York, which is forced.
     let (feet, _) = solved(0.0, "EPSG:2263", &["--force", "outside-area"]);
     let in_feet = number(&feet["accuracy"]["figures"]["horizontal"]["rmse_h1_m"]);
-    assert!((in_feet / number(&h["rmse_h1_m"]) - 1200.0 / 3937.0).abs() < 1e-9);
+    let ratio = in_feet / number(&h["rmse_h1_m"]);
+    // Nearly: what is stated of the survey is metres in both, and weighs more against smaller residuals.
+    assert!((ratio - 1200.0 / 3937.0).abs() < 1e-3, "{ratio}");
 }
 
 /// A test that leaves out what fits badly tests nothing: marks beside their check points count, however far.

@@ -92,8 +92,8 @@ mod tests {
     use super::*;
     use autoref_raster::coords::{MapPoint, PixelPoint};
 
-    /// Ten pairs of a map in metres at 0.03 m per pixel, with survey errors of about `survey_m`; `sigma_px` is stated of
-    /// each centre, all lie where they should.
+    /// Ten pairs of a map in metres at 0.03 m per pixel, with survey errors of about `survey_m`; `sigma_px` is stated
+    /// of each centre, all lie where they should.
     fn pairs(survey_m: f64, sigma_px: impl Fn(usize) -> f64) -> Vec<Pair> {
         let at = |i: usize| ((i * 37 % 100) as f64 * 30.0, (i * 61 % 100) as f64 * 30.0);
         let error = |i: usize, k: usize| survey_m * (((i * k) % 11) as f64 / 5.0 - 1.0) * 1.6;

@@ -26,8 +26,8 @@ const COMMON_SIGNIFICANCE: f64 = 6.0;
 const LEAST_GAIN: f64 = 6.0;
 /// Differences of a pair weigh as if they had at least this share of the usual variance.
 const LEAST_NOISE: f64 = 1e-4;
-/// Nor is a whole pair trusted beyond this share of the surfaces' variance: none of them is quite a polynomial, and what
-/// little they miss adds up along a strip.
+/// Nor is a whole pair trusted beyond this share of the surfaces' variance: none of them is quite a polynomial, and
+/// what little they miss adds up along a strip.
 const SURFACE_FLOOR: f64 = 3e-4;
 
 /// What ties sources in one band.

@@ -1,10 +1,10 @@
 //! Brightness evened out between sources: a gain, an offset and a smooth surface for each band of each source, from
 //! their overlaps.
 //!
-//! Each pair of overlapping sources gives, from means over blocks ([`blocks`]), the blocks that agree ([`start`]) and the
-//! ratio of their contrasts ([`relation`]); the graph of overlaps then gives gains, offsets and surfaces ([`adjust`]; L.
-//! Chandelier and G. Martinoty, *A radiometric aerial triangulation for the equalization of digital aerial images and
-//! orthoimages*, 2009, adjust the same graph).
+//! Each pair of overlapping sources gives, from means over blocks ([`blocks`]), the blocks that agree ([`start`]) and
+//! the ratio of their contrasts ([`relation`]); the graph of overlaps then gives gains, offsets and surfaces
+//! ([`adjust`]; L. Chandelier and G. Martinoty, *A radiometric aerial triangulation for the equalization of digital
+//! aerial images and orthoimages*, 2009, adjust the same graph).
 
 mod adjust;
 mod blocks;

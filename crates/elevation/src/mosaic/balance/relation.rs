@@ -1,8 +1,8 @@
 //! What one pair of sources says of one band: which blocks agree, the ratio of contrasts, and what a surface explains.
 //!
-//! The ratio is that of spreads (geometric mean regression), which noise in both does not shrink and which does not care
-//! for the order of the two. Surfaces are kept out of it as far as they are to be expected: spreads are those of what
-//! the surfaces, held by their prior, leave.
+//! The ratio is that of spreads (geometric mean regression), which noise in both does not shrink and which does not
+//! care for the order of the two. Surfaces are kept out of it as far as they are to be expected: spreads are those of
+//! what the surfaces, held by their prior, leave.
 
 use std::collections::HashMap;
 
