@@ -168,8 +168,6 @@ impl MosaicJob<'_> {
             }
             None => None,
         };
-        let kind = sources[0].kind;
-        let (least, most) = range(kind);
         self.check(&sources[0])?;
         let clipped = AtomicU64::new(0);
         let whole = Whole {
@@ -186,16 +184,7 @@ impl MosaicJob<'_> {
         files.stage_all(&targets, |parts| {
             let (path, index) = (&parts[0], parts.get(1).map(PathBuf::as_path));
             let plain = path.with_extension("plain.tif");
-            let made = match kind {
-                GdalDataType::UInt8 => whole.write::<u8>(&plain, index, |v| v.round().clamp(least, most) as u8),
-                GdalDataType::UInt16 => whole.write::<u16>(&plain, index, |v| v.round().clamp(least, most) as u16),
-                GdalDataType::Int16 => whole.write::<i16>(&plain, index, |v| v.round().clamp(least, most) as i16),
-                GdalDataType::UInt32 => whole.write::<u32>(&plain, index, |v| v.round().clamp(least, most) as u32),
-                GdalDataType::Int32 => whole.write::<i32>(&plain, index, |v| v.round().clamp(least, most) as i32),
-                GdalDataType::Float64 => whole.write::<f64>(&plain, index, |v| v),
-                _ => whole.write::<f32>(&plain, index, |v| v as f32),
-            };
-            let made = made.and_then(|made| {
+            let made = whole.write_as_sources(&plain, index).and_then(|made| {
                 // Where nothing is missing a mask says nothing.
                 if made.cells.last() == Some(&(grid.width * grid.height)) {
                     remove_mask(&plain);
@@ -393,6 +382,21 @@ struct Whole<'a> {
 }
 
 impl Whole<'_> {
+    /// Writes the mosaic in the samples of its sources.
+    fn write_as_sources(&self, path: &Path, index: Option<&Path>) -> Result<Counts> {
+        let kind = self.sources[0].kind;
+        let (least, most) = range(kind);
+        match kind {
+            GdalDataType::UInt8 => self.write::<u8>(path, index, |v| v.round().clamp(least, most) as u8),
+            GdalDataType::UInt16 => self.write::<u16>(path, index, |v| v.round().clamp(least, most) as u16),
+            GdalDataType::Int16 => self.write::<i16>(path, index, |v| v.round().clamp(least, most) as i16),
+            GdalDataType::UInt32 => self.write::<u32>(path, index, |v| v.round().clamp(least, most) as u32),
+            GdalDataType::Int32 => self.write::<i32>(path, index, |v| v.round().clamp(least, most) as i32),
+            GdalDataType::Float64 => self.write::<f64>(path, index, |v| v),
+            _ => self.write::<f32>(path, index, |v| v as f32),
+        }
+    }
+
     /// Returns what was counted.
     fn write<T: gdal::raster::GdalType + Copy + Send + 'static>(
         &self,
