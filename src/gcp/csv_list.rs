@@ -38,6 +38,8 @@ pub(super) struct Columns {
     pub check: Option<usize>,
     pub enabled: Option<usize>,
     pub crs: Option<usize>,
+    /// Emlid's: the system's name, as people say it.
+    pub crs_name: Option<usize>,
     /// A title that stands over two columns, one of which would be taken.
     pub doubled: Option<String>,
     pub geographic: bool,
@@ -133,6 +135,7 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         check: find(CHECKS),
         enabled: find(ENABLED),
         crs: find(&["crs"]),
+        crs_name: find(&["cs name"]),
         geographic,
         order,
         titles,
@@ -172,13 +175,21 @@ fn with_header(
     {
         stated = CrsClaim::read(path, point.place.clone(), definition);
     }
+    let mut no_system = None;
+    if let CrsClaim::None = stated {
+        match columns.named_system(&rows) {
+            Ok(crs) => stated = crs.map_or(CrsClaim::None, CrsClaim::Known),
+            Err(why) => no_system = Some(why),
+        }
+    }
     let crs = match stated {
         CrsClaim::None if columns.geographic => CrsClaim::Known(Crs::from_epsg(4326)?),
         stated => stated,
     };
     let mut list = RawList::new(points, crs);
     columns.tell(&mut list);
-    list.notes.extend(of_marks.into_iter().chain(guessed).map(|what| format!("{}: {what}", path.display())));
+    list.notes
+        .extend(of_marks.into_iter().chain(guessed).chain(no_system).map(|what| format!("{}: {what}", path.display())));
     list.notes.extend(columns.unclear().map(|what| format!("{}: {what}", path.display())));
     if let Some(skipped) = lines[..at].iter().find(|line| !line.is_comment()) {
         list.notes.push(format!(
@@ -230,6 +241,25 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 }
 
 impl Columns {
+    /// The system that a column names in the same words in all rows; why its words are no help.
+    fn named_system(&self, rows: &[Row<'_>]) -> std::result::Result<Option<Crs>, String> {
+        let Some(column) = self.crs_name else { return Ok(None) };
+        let title = self.titles[column].trim();
+        let said = |row: &Row<'_>| row.1.get(column).map_or("", |text| text.trim()).to_owned();
+        let names: std::collections::BTreeSet<String> = rows.iter().map(said).filter(|name| !name.is_empty()).collect();
+        let mut names = names.iter();
+        let (Some(name), other) = (names.next(), names.next()) else { return Ok(None) };
+        if let Some(other) = other {
+            return Err(format!("the column `{title}` names `{name}` and `{other}`, so neither was taken; give --crs"));
+        }
+        match Crs::parse(name) {
+            // Beside degrees the same tables have coordinates of the map.
+            Ok(crs) if crs.is_geographic() == self.geographic => Ok(Some(crs)),
+            Ok(_) => Err(format!("the column `{title}` names `{name}`, which is not what its coordinates count in")),
+            Err(_) => Err(format!("the column `{title}` names `{name}`, which PROJ does not know; give --crs")),
+        }
+    }
+
     /// Takes the column whose title may be a name's, if its values tell the points apart; says so.
     fn guess_name(&mut self, rows: &[Row<'_>]) -> Option<String> {
         let likely = self.likely_name.filter(|_| self.name.is_none())?;
@@ -271,7 +301,7 @@ impl Columns {
         let used: Vec<usize> = [Some(self.easting), Some(self.northing), self.name, self.height]
             .into_iter()
             .chain(self.sigma)
-            .chain([self.sigma_height, self.role, self.check, self.enabled, self.crs])
+            .chain([self.sigma_height, self.role, self.check, self.enabled, self.crs, self.crs_name])
             .flatten()
             .collect();
         let telling = |title: &str| {

@@ -253,6 +253,7 @@ impl Shape {
             check: None,
             enabled: None,
             crs: None,
+            crs_name: None,
             geographic: false,
             order: ColumnOrder::Assumed,
             marks: Marks::default(),

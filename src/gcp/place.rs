@@ -17,6 +17,7 @@ const NEAR_DEG: f64 = 1.0;
 /// ... and, as they stand, the points lie this far off.
 const FAR_DEG: f64 = 5.0;
 
+const MILLIMETRES: &str = "they would lie in it if they were millimetres, brought to metres";
 const FEET: &str = "they would lie in it if they were feet, brought to metres";
 
 /// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
@@ -183,7 +184,9 @@ pub(super) fn refuse_elsewhere(
     }
     let how = inside_otherwise(points, crs, image);
     // To keep feet where they lie as metres would help nobody.
-    let remedy = if how.as_deref() == Some(FEET) && !way_out.is_empty() {
+    let remedy = if how.as_deref() == Some(MILLIMETRES) {
+        "call the columns `Easting (mm)` and `Northing (mm)`".to_owned()
+    } else if how.as_deref() == Some(FEET) && !way_out.is_empty() {
         "call the columns `Easting (US ft)` and `Northing (US ft)`, or `(ift)` where they are international feet, or \
          give a --crs that counts in feet"
             .to_owned()
@@ -202,8 +205,8 @@ pub(super) fn refuse_elsewhere(
     ))
 }
 
-/// What would bring all points into the CRS's area of use, or onto the image: feet, the zone's number before the
-/// eastings, leading digits left out.
+/// What would bring all points into the CRS's area of use, or onto the image: feet, millimetres, the zone's number
+/// before the eastings, leading digits left out.
 pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
     const ZONE_M: f64 = 1e6;
     // International and US survey feet are the same here.
@@ -244,7 +247,10 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
         return Some("they would lie in it with a minus sign before both coordinates, and these exchanged".to_string());
     }
     let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
-    all(&feet).then(|| FEET.to_string())
+    if all(&feet) {
+        return Some(FEET.to_string());
+    }
+    all(&|e, n| (e / 1000.0, n / 1000.0)).then(|| MILLIMETRES.to_string())
 }
 
 /// What, added to all coordinates, is about as much as wanted (east, north) when only leading digits are changed: whole

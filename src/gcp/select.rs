@@ -53,6 +53,9 @@ fn like(pattern: &str, text: &str) -> bool {
     pattern[p..].iter().all(|c| *c == '*')
 }
 
+/// Names that an error lists.
+const SHOWN: usize = 12;
+
 /// For every point whether one of the choices takes it.
 ///
 /// # Errors
@@ -68,10 +71,14 @@ pub(super) fn chosen(path: &Path, points: &[RawPoint], choices: &[String]) -> Re
             }
         }
         if !any {
-            let names = points.iter().map(|p| p.gcp.name.as_str()).take(12).collect::<Vec<_>>().join(", ");
+            let names = points.iter().map(|p| p.gcp.name.as_str()).take(SHOWN).collect::<Vec<_>>().join(", ");
+            let more = match points.len().saturating_sub(SHOWN) {
+                0 => String::new(),
+                more => format!(" and {more} more"),
+            };
             return Err(Error::usage(
                 format!("{}: no point is called `{choice}`", path.display()),
-                format!("it has {names}; patterns take * and ?, attributes COLUMN=VALUE"),
+                format!("it has {names}{more}; patterns take * and ?, attributes COLUMN=VALUE"),
             ));
         }
     }
@@ -81,6 +88,20 @@ pub(super) fn chosen(path: &Path, points: &[RawPoint], choices: &[String]) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Twelve names of fourteen were shown as if there were no more.
+    #[test]
+    fn names_that_are_not_shown_are_counted() {
+        let points = |n: usize| -> Vec<RawPoint> {
+            (0..n).map(|i| RawPoint::bare(crate::gcp::Gcp::control(format!("P{i}"), 0.0, 0.0), "row 1")).collect()
+        };
+        let said = |n: usize| {
+            let chosen = chosen(Path::new("l.csv"), &points(n), &["Q*".to_owned()]);
+            chosen.expect_err("no such point").to_string()
+        };
+        assert!(said(14).contains("P11 and 2 more; patterns"), "{}", said(14));
+        assert!(said(12).contains("P11; patterns"), "{}", said(12));
+    }
 
     #[test]
     fn patterns() {

@@ -12,6 +12,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterSource, read_patch};
+use autoref_solve::Similarity;
 
 /// Why a point was not found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,6 +28,8 @@ pub enum Reason {
     OtherColour,
     /// A mark that may be another point's.
     Ambiguous,
+    /// A mark that is nobody else's lies beside the place, farther off than the others are: mark or survey is wrong.
+    Displaced,
 }
 
 /// A point without a mark.
@@ -49,6 +52,12 @@ pub struct NotFound {
     /// The points that a mark there may be.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub between: Vec<String>,
+    /// From the listed place to the mark beside it, metres to the east.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_e_m: Option<f64>,
+    /// The same to the north.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_n_m: Option<f64>,
 }
 
 /// As files hold it; before there were reasons it was the name alone.
@@ -69,6 +78,8 @@ enum Written {
         colour: Option<String>,
         #[serde(default)]
         between: Vec<String>,
+        offset_e_m: Option<f64>,
+        offset_n_m: Option<f64>,
     },
 }
 
@@ -76,8 +87,8 @@ impl From<Written> for NotFound {
     fn from(written: Written) -> NotFound {
         match written {
             Written::Name(name) => NotFound::new(name, Reason::Hidden, PixelPoint { x: 0.0, y: 0.0 }, String::new()),
-            Written::Whole { name, reason, detail, x, y, contrast, colour, between } => {
-                NotFound { name, reason, detail, x, y, contrast, colour, between }
+            Written::Whole { name, reason, detail, x, y, contrast, colour, between, offset_e_m, offset_n_m } => {
+                NotFound { name, reason, detail, x, y, contrast, colour, between, offset_e_m, offset_n_m }
             }
         }
     }
@@ -85,7 +96,18 @@ impl From<Written> for NotFound {
 
 impl NotFound {
     fn new(name: String, reason: Reason, at: PixelPoint, detail: String) -> NotFound {
-        NotFound { name, reason, detail, x: at.x, y: at.y, contrast: None, colour: None, between: Vec::new() }
+        NotFound {
+            name,
+            reason,
+            detail,
+            x: at.x,
+            y: at.y,
+            contrast: None,
+            colour: None,
+            between: Vec::new(),
+            offset_e_m: None,
+            offset_n_m: None,
+        }
     }
 
     /// A name with its reason.
@@ -101,6 +123,7 @@ impl NotFound {
             Reason::Faint => "faint",
             Reason::OtherColour => "other colour",
             Reason::Ambiguous => "ambiguous",
+            Reason::Displaced => "displaced",
         };
         if self.detail.is_empty() { word.to_owned() } else { format!("{word}: {}", self.detail) }
     }
@@ -134,7 +157,9 @@ pub fn reasons(
             .filter(|found| near(found.mark.centre, side_px))
             .map(|found| gcps[found.gcp].name.clone())
             .collect();
-        let around = candidates.iter().filter(|c| near(c.centre, 2.5 * side_px)).count();
+        let beside: Vec<PixelPoint> =
+            candidates.iter().map(|c| c.centre).filter(|centre| near(*centre, 2.5 * side_px)).collect();
+        let around = beside.len();
         if !rivals.is_empty() || around > 1 {
             let detail = match rivals.first() {
                 Some(rival) => format!("the mark there is taken for {rival}"),
@@ -143,6 +168,11 @@ pub fn reasons(
             let mut between = rivals;
             between.push(name.clone());
             all.push(NotFound { between, ..NotFound::new(name, Reason::Ambiguous, at, detail) });
+            continue;
+        }
+        let taken = |mark: PixelPoint| marks().any(|found| near_each_other(found.mark.centre, mark, side_px));
+        if let Some(&mark) = beside.first().filter(|mark| !taken(**mark)) {
+            all.push(displaced(name, at, mark, &orientation.solution.similarity));
             continue;
         }
         let seen = match source {
@@ -164,6 +194,22 @@ pub fn reasons(
         all.push(NotFound::new(name, Reason::Outside, expected(gcp), "the image does not reach there".into()));
     }
     Ok(all)
+}
+
+fn near_each_other(a: PixelPoint, b: PixelPoint, reach_px: f64) -> bool {
+    (a.x - b.x).hypot(a.y - b.y) <= reach_px
+}
+
+/// The mark lies whole, but elsewhere than the list has it.
+fn displaced(name: String, at: PixelPoint, mark: PixelPoint, similarity: &Similarity) -> NotFound {
+    let (listed, seen) = (similarity.apply(at), similarity.apply(mark));
+    let (e, n) = (seen.easting - listed.easting, seen.northing - listed.northing);
+    let detail = format!(
+        "a whole mark lies {:.1} px = {:.3} m beside the listed place: dE {e:+.3} m, dN {n:+.3} m",
+        (mark.x - at.x).hypot(mark.y - at.y),
+        e.hypot(n)
+    );
+    NotFound { offset_e_m: Some(e), offset_n_m: Some(n), ..NotFound::new(name, Reason::Displaced, at, detail) }
 }
 
 /// With at least this share of the paint's contrast it is not for faintness that a mark was not found.
@@ -294,6 +340,29 @@ mod tests {
         let rgb = (0..3600).map(|i| [level(i); 3]).collect();
         let patch = Patch { window, rgb, valid: vec![true; 3600], white: 255 };
         look("7".into(), PixelPoint { x: 30.0, y: 30.0 }, &patch, 10.0, paint)
+    }
+
+    /// A point whose mark lies whole beside the listed place was said to be hidden.
+    #[test]
+    fn a_mark_beside_its_place_is_displaced_and_old_files_are_read() {
+        let similarity = Similarity {
+            a_re: 0.03,
+            a_im: 0.0,
+            easting_0: 500.0,
+            northing_0: 700.0,
+            mirrored: autoref_raster::coords::Handedness::AsIs,
+        };
+        let (at, mark) = (PixelPoint { x: 30.0, y: 30.0 }, PixelPoint { x: 40.0, y: 20.0 });
+        let point = displaced("7".into(), at, mark, &similarity);
+        assert_eq!(
+            point.why(),
+            "displaced: a whole mark lies 14.1 px = 0.424 m beside the listed place: dE +0.300 m, dN +0.300 m"
+        );
+        let text = serde_json::to_string(&point).expect("plain data");
+        assert!(text.contains(r#""reason":"displaced""#), "{text}");
+        assert_eq!(serde_json::from_str::<NotFound>(&text).expect("its own text"), point);
+        let old = r#"{"name": "7", "reason": "hidden", "detail": "ground", "x": 1.0, "y": 2.0}"#;
+        assert_eq!(serde_json::from_str::<NotFound>(old).expect("an old file").reason, Reason::Hidden);
     }
 
     /// A plate that stands out plainly and was no target by its shape was said to be faint.

@@ -180,6 +180,7 @@ fn details(result: &RunResult) -> serde_json::Value {
         "geotransform": result.geotransform(),
         "files_written": result.files_written,
         "moved_m": result.prior_georeference.as_ref().map(|prior| prior.moved_m),
+        "corner_moved_m": result.prior_georeference.as_ref().map(|prior| prior.corner_moved_m),
     })
 }
 

@@ -193,6 +193,9 @@ pub struct PriorGeoreference {
     pub crs: Option<String>,
     /// How far the new georeference moves the image's centre, metres; null when the CRSs differ.
     pub moved_m: Option<f64>,
+    /// The same of the corner that moves farthest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corner_moved_m: Option<f64>,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -303,6 +306,11 @@ impl RunResult {
         let bytes = bounded::read(path, "a result", bounded::DOCUMENT_BYTES)?;
         let text = String::from_utf8(bytes).map_err(|e| Error::format(path, "its content", no_text(e.as_bytes())))?;
         let place = |e: &serde_json::Error| format!("line {}, column {}", e.line(), e.column());
+        // What the parser expects next helps nobody who named another file.
+        if !text.trim_start().starts_with('{') {
+            let what = "no JSON, so no result of a run; name the NAME.autoref.json that a run wrote";
+            return Err(Error::format(path, "line 1", what));
+        }
         let value: serde_json::Value =
             serde_json::from_str(&text).map_err(|e| Error::format(path, place(&e), format!("no JSON: {e}")))?;
         match value.get("schema_version").and_then(serde_json::Value::as_u64) {

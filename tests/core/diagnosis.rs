@@ -202,6 +202,35 @@ fn a_mistyped_or_transposed_digit_is_named() {
     }
 }
 
+/// A digit was "mended" though six times the deviation of the other points was left over.
+#[test]
+fn a_repair_that_leaves_more_than_the_other_points_do_is_not_offered() {
+    for mut setting in settings(7, 30) {
+        for &i in &setting.visible {
+            let p = setting.truth.invert(setting.gcps[i].position());
+            setting.candidates.push(bare_candidate(p.x, p.y));
+        }
+        let places: Vec<PixelPoint> =
+            setting.candidates[setting.candidates.len() - setting.visible.len()..].iter().map(|c| c.centre).collect();
+        // Without noise of their own, and none of the old ones beside them.
+        setting
+            .candidates
+            .retain(|c| places.iter().all(|p| *p == c.centre || (p.x - c.centre.x).hypot(p.y - c.centre.y) > 50.0));
+        let i = setting.visible[2];
+        let at = setting.truth.invert(setting.gcps[i].position());
+        let tens = (setting.gcps[i].northing / 10.0).floor() as i64 % 10;
+        setting.gcps[i].northing += if tens < 5 { 40.0 } else { -40.0 };
+        let named = |setting: &Setting| {
+            let (_, told) = setting.ask(&setting.priors(), None, None);
+            told.iter().any(|d| d.gcps.contains(&setting.gcps[i].name))
+        };
+        assert!(named(&setting), "{}: a repair that fits is offered", setting.what);
+        let own = setting.candidates.iter_mut().find(|c| c.centre == at).expect("the mark of the point");
+        own.centre.x += 2.5;
+        assert!(!named(&setting), "{}: 2.5 px are left over", setting.what);
+    }
+}
+
 #[test]
 fn a_wrong_zone_shows_in_the_place_and_in_single_rows() {
     let (zone_32, zone_33) = (Crs::from_epsg(25832).expect("a zone"), Crs::from_epsg(25833).expect("a zone"));

@@ -134,3 +134,36 @@ fn a_system_that_stretches_the_ground_is_known() {
     let neighbour = bend("EPSG:25833", Reproject::Before).expect("another system");
     assert!(!neighbour.explains(neighbour.rms_m), "{neighbour:?}");
 }
+
+/// Millimetres were outside the area of use and no more, though feet were recognised.
+#[test]
+fn millimetres_are_recognised_outside_the_area_of_use() {
+    let rows = "name,easting,northing\nA,570642549,7034055208\nB,570602892,7034071944\n";
+    refused(rows, &within("EPSG:25832"), &["if they were millimetres", "call the columns `Easting (mm)`"]);
+    let titled = rows.replace("easting,northing", "Easting (mm),Northing (mm)");
+    let list = read(&titled, &within("EPSG:25832")).expect("the remedy helps");
+    assert!((list.gcps[0].easting - 570_642.549).abs() < 1e-6, "{:?}", list.gcps[0]);
+}
+
+/// The name of the system in Emlid's tables was not understood.
+#[test]
+fn the_name_of_a_system_in_a_column_is_read() {
+    let table = |first: &str, second: &str| {
+        let text = format!(
+            "Name,Easting,Northing,CS name\nA,570642.549,7034055.208,{first}\nB,570602.892,7034071.944,{second}\n"
+        );
+        read(&text, &GcpOptions::default()).unwrap_or_else(|e| panic!("{e}"))
+    };
+    let utm = "ETRS89 / UTM zone 32N";
+    let list = table(utm, utm);
+    assert_eq!(list.crs.as_ref().map(autoref_raster::crs::Crs::label).as_deref(), Some("EPSG:25832"));
+    assert!(list.notes.iter().all(|note| !note.contains("CS name")), "{:?}", list.notes);
+    for (list, words) in [
+        (table(utm, "ETRS89 / UTM zone 33N"), "so neither was taken"),
+        (table("My site", "My site"), "which PROJ does not know"),
+        (table("WGS84", "WGS84"), "not what its coordinates count in"),
+    ] {
+        assert!(list.crs.is_none(), "{words}: {:?}", list.crs);
+        assert!(list.notes.iter().any(|note| note.contains(words)), "{words}: {:?}", list.notes);
+    }
+}

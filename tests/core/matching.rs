@@ -398,7 +398,11 @@ fn a_mirrored_image_is_not_matched() {
 }
 
 fn both_ways() -> MirrorMatcher {
-    MirrorMatcher { within: Box::new(RobustMatcher { tries: 2.0, ..RobustMatcher::default() }) }
+    expecting(None)
+}
+
+fn expecting(expected: Option<Handedness>) -> MirrorMatcher {
+    MirrorMatcher { within: Box::new(RobustMatcher { tries: 2.0, ..RobustMatcher::default() }), expected }
 }
 
 #[test]
@@ -452,6 +456,11 @@ fn a_list_that_is_its_own_mirror_image_fits_neither_way_where_both_may_be() {
         panic!("believed one of two ways");
     };
     assert!(evidence.reason.contains("as it is (12 marks) and mirrored (12 marks)"), "{}", evidence.reason);
+    for expected in Handedness::BOTH {
+        let outcome = expecting(Some(expected)).find(&candidates, &gcps, &priors((0.027, 0.033)));
+        let MatchOutcome::Solved(solved) = outcome else { panic!("the image says which: {outcome:?}") };
+        assert_eq!(solved.pattern.similarity.mirrored, expected);
+    }
     let alone = RobustMatcher::default().find(&candidates, &gcps, &priors((0.027, 0.033)));
     let MatchOutcome::Solved(solved) = alone else { panic!("refused without a mirror: {alone:?}") };
     assert_eq!(solved.pattern.similarity.mirrored, Handedness::AsIs);

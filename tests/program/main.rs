@@ -35,6 +35,7 @@ mod heights;
 mod inputs;
 mod main_job;
 mod mask;
+mod misled;
 mod mistakes;
 mod orthorectify;
 mod outputs;

@@ -273,7 +273,7 @@ impl GrossErrors<'_> {
             (
                 Mistake::MirroredImage,
                 "the image is mirrored",
-                "flip it left to right",
+                "give --allow-mirrored, or flip it left to right",
                 "easting and northing may be swapped in the list instead",
             )
         };

@@ -14,6 +14,8 @@ use autoref_solve::Pair;
 const PLACES: std::ops::RangeInclusive<i32> = -1..=6;
 /// Mistakes of many rows alike that are tried: swapped, two kinds of feet, two zones.
 const FAMILIES: f64 = 5.0;
+/// The least that points are taken to deviate by, pixels: few may agree by luck, and centres of the scan are rough.
+const LEAST_DEVIATION_PX: f64 = 0.3;
 /// No candidate is closer to its GCP than this by merit, pixels.
 const CLOSEST_PX: f64 = 1.0;
 
@@ -99,6 +101,15 @@ impl<'a> Rest<'a> {
         let p = self.place(position)?;
         let (index, distance_px) = self.field.nearest(p, self.tolerance(p))?;
         Some(Hit { candidate: self.field.points()[index], distance_px })
+    }
+
+    /// The mark that a repaired row falls on. It must fit as the other points do: a mark is looked for generously, but
+    /// a mistake that is undone leaves nothing over.
+    fn repaired_at(&self, position: MapPoint) -> Option<Hit> {
+        let p = self.place(position)?;
+        let deviation_px = self.pattern.deviation_px.max(LEAST_DEVIATION_PX);
+        let fits_px = tolerance_px(deviation_px, self.pattern.pairs.len(), self.centre, self.spread, p);
+        self.mark_at(position).filter(|hit| hit.distance_px <= fits_px)
     }
 
     /// Chance of a mark that close to a place.
@@ -191,7 +202,7 @@ impl<'a> Rest<'a> {
                     |east: MapPoint, north: MapPoint| MapPoint { easting: east.easting, northing: north.northing };
                 // Both exchanges put the marks at the same two places; what differs is which row is at which. Names
                 // cannot be seen, so they are one hypothesis.
-                if let (Some(one), Some(other)) = (self.mark_at(mixed(b, a)), self.mark_at(mixed(a, b)))
+                if let (Some(one), Some(other)) = (self.repaired_at(mixed(b, a)), self.repaired_at(mixed(a, b)))
                     && one.candidate != other.candidate
                 {
                     // P[product of two uniform numbers ≤ t] = t·(1 − ln t).
@@ -243,7 +254,7 @@ impl<'a> Rest<'a> {
                         continue;
                     }
                     tests += 1;
-                    if let Some(hit) = self.mark_at(position) {
+                    if let Some(hit) = self.repaired_at(position) {
                         let what = format!("{column} {edited:.3} for {value:.3}");
                         best.push((self.chance(&hit).log10(), gcp, mistake, what));
                     }

@@ -596,7 +596,7 @@
       ["Candidates", String(d.candidates_found)],
       ["Hypotheses tried", d.search ? `${d.search.hypotheses_tried} of ${Number(d.search.hypotheses_possible).toPrecision(3)} possible` : null],
       ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, false alarms ${chance(d.runner_up[1])}` : "none"],
-      ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `its centre moves by ${ground(d.moved_m)}` : null],
+      ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `${typeof d.corner_moved_m === "number" ? `its corners move by up to ${ground(d.corner_moved_m)}, ` : ""}its centre moves by ${ground(d.moved_m)}` : null],
       ["Written", d.files_written.join(", ")]]);
     const how = list([["Time", `${seconds(d.elapsed_s)}: open ${seconds(t.open_s)}, scan ${seconds(t.scan_s)}, straddling marks ${seconds(t.examine_s)}, match ${seconds(t.match_s)}, refinement ${seconds(t.rematch_s)}, report ${seconds(t.report_s)}`],
       ["Memory", d.peak_memory_bytes ? `${mib(d.peak_memory_bytes)} at most${plan ? `, ${mib(plan.memory_budget_bytes)} allowed` : ""}` : null],

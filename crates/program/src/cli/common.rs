@@ -1,11 +1,13 @@
 //! Flags and helpers that several commands share.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use autoref_raster::atomic::Existing;
+use autoref_raster::coords::{GeoTransform, Handedness};
 use autoref_raster::crs::Crs;
 use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{self, PlanOptions, ScanPlan};
@@ -165,6 +167,19 @@ impl MatchArgs {
     }
 }
 
+/// Whether a file begins as the usual images do: TIFF, PNG, JPEG, JPEG 2000.
+fn is_image(path: &Path) -> bool {
+    const BEGINNINGS: [&[u8]; 7] =
+        [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x89PNG", b"\xff\xd8\xff", b"\0\0\0\x0cjP"];
+    // A pipe would wait for its writer.
+    if !path.is_file() {
+        return false;
+    }
+    let mut start = Vec::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(8).read_to_end(&mut start));
+    read.is_ok() && BEGINNINGS.iter().any(|beginning| start.starts_with(beginning))
+}
+
 /// How the list of GCPs is read.
 #[derive(Args, Debug)]
 pub struct GcpArgs {
@@ -195,7 +210,11 @@ pub struct GcpArgs {
 
 impl GcpArgs {
     pub fn path(&self) -> anyhow::Result<&Path> {
-        self.gcps.as_deref().context("no list of GCPs: give --gcps FILE")
+        let path = self.gcps.as_deref().context("no list of GCPs: give --gcps FILE")?;
+        if is_image(path) {
+            bail!("{}: an image, no list of GCPs; the image comes first, the list behind --gcps", path.display());
+        }
+        Ok(path)
     }
 
     /// `image`: where the points are, when the list names no CRS.
@@ -505,17 +524,31 @@ pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
     ladder
 }
 
-/// The matcher that was asked for, knowing how many sets of priors it may be tried with.
-pub fn matcher(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
+/// Mirrored, where the image's own georeference is: rows that go north, or columns that go west.
+pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedness> {
+    // Pixels counted as if they were places are no georeference.
+    const PIXELS: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let GeoTransform(g) = info.geotransform.filter(|own| matching.prior == PriorArg::Auto && own.0 != PIXELS)?;
+    (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
+}
+
+/// The matcher that was asked for, knowing how many sets of priors it may be tried with. `own`: what the image says of
+/// its handedness; both ways are tried then.
+pub fn matcher(
+    matching: &MatchArgs,
+    own: Option<Handedness>,
+    tries: usize,
+    time_limit: &TimeLimit,
+) -> anyhow::Result<Box<dyn Matcher>> {
     if !(matching.max_false_alarms > 0.0 && matching.max_false_alarms <= 1.0) {
         bail!("--max-false-alarms {} is not between 0 and 1", matching.max_false_alarms);
     }
     if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
         bail!("--north-up takes degrees from 0 to 180");
     }
-    if matching.allow_mirrored {
+    if matching.allow_mirrored || own.is_some() {
         let within = one_way(matching, 2 * tries, time_limit)?;
-        return Ok(Box::new(MirrorMatcher { within }));
+        return Ok(Box::new(MirrorMatcher { within, expected: own }));
     }
     one_way(matching, tries, time_limit)
 }

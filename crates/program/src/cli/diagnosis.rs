@@ -9,7 +9,7 @@ use autoref_raster::error::Error;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
 use autoref_stream::matching::diagnosis::{Certainty, KnownPlace, exchanged_labels};
-use autoref_stream::matching::{Evidence, Priors, TimeLimit};
+use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
 use crate::cli::common::MatchArgs;
@@ -32,7 +32,59 @@ pub fn examine(
     let surroundings =
         Surroundings { crs, known, max_false_alarms: matching.max_false_alarms, time_limit: time_limit.clone() };
     diagnose(outcome, candidates, &list.gcps, &priors.with_mark_sizes(candidates), surroundings);
+    blame_options(outcome, candidates, list, priors, (matching, time_limit));
     refuse_mistakes(outcome, forced);
+}
+
+/// Options that narrow the search and are wrong: where nothing fits with them, what fits without is told. It is not
+/// written: who gives an option has a reason.
+fn blame_options(
+    outcome: &mut Outcome,
+    candidates: &[Candidate],
+    list: &GcpList,
+    priors: &Priors,
+    (matching, time_limit): (&MatchArgs, &TimeLimit),
+) {
+    let Outcome::Refused(evidence) = outcome else { return };
+    // A mistake of the whole list that was found explains the refusal.
+    if evidence.diagnoses.iter().any(|diagnosis| diagnosis.certainty == Certainty::Claimed) {
+        return;
+    }
+    let mut attempts: Vec<(&str, Priors)> = Vec::new();
+    if matching.gsd.is_some() {
+        attempts.push(("--gsd", Priors { gsd_m_per_px: None, ..priors.clone() }));
+    }
+    if matching.north_up.is_some() {
+        attempts.push(("--north-up", Priors { rotation_deg: None, ..priors.clone() }));
+    }
+    if attempts.len() == 2 {
+        let neither = Priors { gsd_m_per_px: None, rotation_deg: None, ..priors.clone() };
+        attempts.push(("--gsd and --north-up", neither));
+    }
+    let matcher = RobustMatcher {
+        max_false_alarms: matching.max_false_alarms,
+        // Each attempt is one more chance for a false alarm.
+        tries: 1.0 + attempts.len() as f64,
+        time_limit: time_limit.clone(),
+        ..RobustMatcher::default()
+    };
+    for (options, priors) in attempts {
+        let priors = priors.with_mark_sizes(candidates);
+        if let MatchOutcome::Solved(solved) = matcher.find(candidates, &list.gcps, &priors) {
+            evidence.advice.insert(0, fits_without(options, &solved.pattern));
+            return;
+        }
+    }
+}
+
+/// `without --gsd it fits at 0.0300 m per pixel, turned by 12.3°: 10 points have a mark`.
+fn fits_without(options: &str, pattern: &Pattern) -> String {
+    let (scale, turned) = (pattern.similarity.scale_m_per_px(), pattern.similarity.rotation_deg());
+    format!(
+        "without {options} it fits at {scale:.4} m per pixel, turned {turned:.1}° anticlockwise from east: {} points have \
+         a mark; leave the option out, or mend it",
+        pattern.pairs.len()
+    )
 }
 
 /// A solution whose whole list is plainly mistaken is refused, unless the mistake was named: it would be written wrong.

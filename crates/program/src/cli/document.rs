@@ -5,7 +5,6 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use autoref_raster::RasterInfo;
-use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan;
 use autoref_stream::candidate::Candidate;
@@ -18,6 +17,8 @@ use autoref_stream::result::{
     FitFigures, ImageInfo, LEAST_MISFIT_PX, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
     SolvedRun, Status, Timings,
 };
+
+use crate::cli::overridden::Overridden;
 
 /// A result under construction.
 pub struct Document {
@@ -120,20 +121,22 @@ impl Document {
             }
             _ => false,
         };
-        let centre = PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 };
-        let moved_m = self.result.geotransform().filter(|_| same_crs).map(|new| {
-            let (a, b) = (old.apply(centre), new.apply(centre));
-            (a.easting - b.easting).hypot(a.northing - b.northing)
-                * list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit())
-        });
+        let per_unit = list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
+        let change = self
+            .result
+            .geotransform()
+            .filter(|_| same_crs)
+            .map(|new| Overridden::between(&old, &new, (info.width, info.height), per_unit));
         if self.result.solved().is_some() {
-            self.result.warnings.push(match moved_m {
-                Some(moved) => format!("the image's own georeference is overridden; its centre moves by {moved:.3} m"),
-                None => "the image's own georeference is overridden".into(),
-            });
+            let plain = || "the image's own georeference is overridden".to_owned();
+            self.result.warnings.push(change.as_ref().map_or_else(plain, Overridden::note));
         }
-        self.result.prior_georeference =
-            Some(PriorGeoreference { geotransform: old, crs: info.crs_wkt.clone(), moved_m });
+        self.result.prior_georeference = Some(PriorGeoreference {
+            geotransform: old,
+            crs: info.crs_wkt.clone(),
+            moved_m: change.as_ref().map(|change| change.centre_moved_m),
+            corner_moved_m: change.as_ref().map(|change| change.corner_moved_m),
+        });
     }
 
     pub fn finish(&mut self, started: Instant) {

@@ -31,6 +31,7 @@ mod mask_camera;
 mod mask_light;
 pub mod mosaic;
 pub mod option_errors;
+mod overridden;
 pub mod patterns;
 pub mod plan;
 pub mod positions;

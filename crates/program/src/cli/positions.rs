@@ -17,7 +17,7 @@ use crate::cli::working_crs;
 #[derive(Debug, clap::Args)]
 pub struct PositionArgs {
     /// Position of the middle of a mark, pixels from the upper left corner; repeat for more marks.
-    #[arg(long = "at", value_name = "X,Y", value_parser = parse_point)]
+    #[arg(long = "at", value_name = "X,Y", value_parser = parse_point, allow_hyphen_values = true)]
     at: Vec<PixelPoint>,
     /// Take the marks from the matches of an earlier run's .autoref.json.
     #[arg(long, value_name = "JSON")]
@@ -123,8 +123,12 @@ impl PositionArgs {
 pub fn parse_point(text: &str) -> Result<PixelPoint, String> {
     let wrong = || format!("\"{text}\" is not X,Y in pixels");
     let (x, y) = text.split_once(',').ok_or_else(wrong)?;
-    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
-    Ok(PixelPoint { x: number(x).ok_or_else(wrong)?, y: number(y).ok_or_else(wrong)? })
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite());
+    let at = PixelPoint { x: number(x).ok_or_else(wrong)?, y: number(y).ok_or_else(wrong)? };
+    if at.x < 0.0 || at.y < 0.0 {
+        return Err(format!("\"{text}\" lies outside the image: pixels are counted from its upper left corner"));
+    }
+    Ok(at)
 }
 
 /// Names and positions of the matches in a result file.

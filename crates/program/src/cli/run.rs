@@ -107,7 +107,12 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     args.solving.check(Existing::Keep)?;
     let info = source.info();
     let priors = common::priors(info, &args.matching);
-    let matcher = common::matcher(&args.matching, priors.len(), &args.matching.limit())?;
+    let matcher = common::matcher(
+        &args.matching,
+        common::own_handedness(info, &args.matching),
+        priors.len(),
+        &args.matching.limit(),
+    )?;
     let bar = Bar::new(info, args.quiet || args.json);
     let refiner = detector.relaxed();
     let run = georeference(&Job {
@@ -155,7 +160,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
-    let matcher_of = |chances: usize| common::matcher(&args.matching, priors.len() * chances, &time_limit);
+    let own = common::own_handedness(info, &args.matching);
+    let matcher_of = |chances: usize| common::matcher(&args.matching, own, priors.len() * chances, &time_limit);
     let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 })?, matcher_of(4)?);
     let cluster_matcher = matcher_of(4 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);

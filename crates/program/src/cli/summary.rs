@@ -3,6 +3,7 @@
 
 use std::fmt::Write;
 
+use autoref_stream::matching::diagnosis::Certainty;
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
 
@@ -91,6 +92,9 @@ fn solved(result: &RunResult, run: &SolvedRun, detail: Detail, lines: &mut Lines
     }
 }
 
+/// How a verdict speaks of a mistake that chance may explain as well.
+const MAY_BE_MISTAKEN: &str = "and a mistake in the list is possible";
+
 /// One plain sentence, and what it leaves unsaid of the chance of a false alarm and of the check points.
 struct Verdict {
     sentence: String,
@@ -105,16 +109,28 @@ impl Verdict {
             .map(|log10| format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()));
         let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
         let tested = tested(run);
-        if let Some(diagnosis) = result.diagnoses.first() {
-            let sentence = format!("solved, but a mistake in the list is likely: {}", diagnosis.message);
+        let misfit = Misfit::of(run, &result.candidates);
+        let outlier = run.matches.iter().chain(&run.check_points).any(|m| m.outlier);
+        // The surest mistake speaks; it does not hide that points do not fit.
+        let claimed = result.diagnoses.iter().find(|diagnosis| diagnosis.certainty == Certainty::Claimed);
+        if let Some(diagnosis) = claimed.or(result.diagnoses.first()) {
+            let certainty = if claimed.is_some() { "but a mistake in the list is likely" } else { MAY_BE_MISTAKEN };
+            let mut sentence = format!("solved, {certainty}: {}", diagnosis.message);
+            if outlier {
+                sentence += "; a point does not fit, too: look at it before you trust the rest";
+            }
+            if let Some(misfit) = misfit {
+                let verdict = misfit.verdict();
+                sentence += &format!("; {}", verdict.strip_prefix("solved, but ").unwrap_or(&verdict));
+            }
             return Verdict { sentence, chance, tested };
         }
-        if run.matches.iter().chain(&run.check_points).any(|m| m.outlier) {
+        if outlier {
             let sentence =
                 format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
             return Verdict { sentence, chance: None, tested };
         }
-        if let Some(misfit) = Misfit::of(run, &result.candidates) {
+        if let Some(misfit) = misfit {
             return Verdict { sentence: misfit.verdict(), chance, tested };
         }
         let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
@@ -149,7 +165,10 @@ fn tested(run: &SolvedRun) -> Option<String> {
 fn look_at(run: &SolvedRun) -> Vec<String> {
     let all = run.matches.iter().chain(&run.check_points);
     let unfit = all.filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
-    let missing = run.not_found.iter().filter(|point| point.reason != Reason::Outside).map(NotFound::line);
+    // A mark that is there, elsewhere, is worth more of a look than one that is not.
+    let displaced = run.not_found.iter().filter(|point| point.reason == Reason::Displaced);
+    let others = run.not_found.iter().filter(|point| !matches!(point.reason, Reason::Outside | Reason::Displaced));
+    let missing = displaced.chain(others).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);
     if more > 0 {
