@@ -124,7 +124,7 @@ fn odd_files_are_read_or_refused_in_one_line() {
         ("simple-laszip-compressor-version-1.2r0.laz", "before 2011"),
         ("sized_dims.ply", "no property `z`"),
         ("unsized_dims.ply", "no property `z`"),
-        ("utm17_space.pcd", "VERSION"),
+        ("utm17_space.pcd", "pcl_pcd2ply"),
     ];
     let counted = [
         ("1.2-empty-geotiff-vlrs.las", 43),
