@@ -23,6 +23,6 @@ pub mod kraus;
 pub mod partial;
 pub mod planar;
 pub mod similarity;
-mod weights;
+pub mod weights;
 
 pub use similarity::{Pair, PairResult, Similarity, Solution, Unsolvable, solve, solve_as};
