@@ -209,6 +209,7 @@ pub(super) fn refuse_elsewhere(
 /// before the eastings, leading digits left out.
 pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
     const ZONE_M: f64 = 1e6;
+    const LEAST_MM: f64 = 1e8;
     // International and US survey feet are the same here.
     let all = |place: &dyn Fn(f64, f64) -> (f64, f64)| {
         points.iter().all(|p| {
@@ -250,7 +251,9 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
     if all(&feet) {
         return Some(FEET.to_string());
     }
-    all(&|e, n| (e / 1000.0, n / 1000.0)).then(|| MILLIMETRES.to_string())
+    // A hundred kilometres. What is less in millimetres lies at the corner of a zone, on the equator.
+    let far = points.iter().all(|p| p.gcp.easting.abs().max(p.gcp.northing.abs()) >= LEAST_MM);
+    (far && all(&|e, n| (e / 1000.0, n / 1000.0))).then(|| MILLIMETRES.to_string())
 }
 
 /// What, added to all coordinates, is about as much as wanted (east, north) when only leading digits are changed: whole
