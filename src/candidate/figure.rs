@@ -162,8 +162,10 @@ pub(super) fn figure_in_part(scene: &Scene<'_>, profile: &Profile) -> Figure {
     if own == scene.own || found.and(&own).first() != Some(first) {
         return Figure::No;
     }
-    match figure(&Scene::of_pixels(scene.patch, own.clone(), &paint), profile) {
-        Figure::Elsewhere if with_other_field(&Scene::of_pixels(scene.patch, own.clone(), &paint)) == own => Figure::No,
+    let grown = Scene::of_pixels(scene.patch, own, &paint);
+    match figure(&grown, profile) {
+        // Grown alone it is no field: what colour found of it is looked at as any other region.
+        Figure::Elsewhere if with_other_field(&grown) == grown.own => Figure::No,
         found => found,
     }
 }

@@ -273,20 +273,7 @@ fn joined(
     inputs: &[PathBuf],
     out: &Path,
 ) -> autoref_raster::Result<autoref_elevation::mosaic::Made> {
-    let job = MosaicJob {
-        inputs,
-        out,
-        choice,
-        resolution,
-        resampling,
-        use_index: None,
-        write_index: None,
-        balance: None,
-        balance_to: None,
-        page: None,
-        blend_px: 0,
-        resources: resources(),
-    };
+    let job = MosaicJob { choice, resolution, resampling, ..joining::job(inputs, out) };
     job.run()
 }
 

@@ -26,7 +26,8 @@ fn plate<T: GdalType + Copy>(
     path.to_path_buf()
 }
 
-fn job<'a>(inputs: &'a [PathBuf], out: &'a Path) -> MosaicJob<'a> {
+/// The sources joined, the first on top, and nothing else.
+pub(super) fn job<'a>(inputs: &'a [PathBuf], out: &'a Path) -> MosaicJob<'a> {
     MosaicJob {
         inputs,
         out,

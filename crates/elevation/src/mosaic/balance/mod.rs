@@ -162,9 +162,7 @@ impl Balance {
         let any = |cell: &usize| (0..bands).any(|band| clipped(*cell, band, values[band * index.len() + cell]));
         (0..index.len()).filter(any).count() as u64
     }
-}
 
-impl Balance {
     /// Keeps how many of the filled cells were clipped, and says so.
     pub fn tell_clipped(&mut self, clipped: u64, filled: u64) {
         self.clipped_cells = clipped;
