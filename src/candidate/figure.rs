@@ -56,6 +56,9 @@ const MOST_MOVED_PX: f64 = 2.0;
 /// So far from the patch's edge shares are still told, wherever the middle moves.
 const SHOWN_PX: f64 = 2.0 * MOST_MOVED_PX + 2.0;
 
+/// With less in common a figure is none, whatever is left out.
+const LEAST_WITH_HOLES: f64 = 0.7;
+
 struct Alike {
     half: f64,
     quarter: f64,
@@ -274,11 +277,9 @@ fn without_holes(
     const DIFFERENT: f64 = 0.5;
     /// Of the paint, what may have come off.
     const MOST_GONE: f64 = 0.2;
-    /// With less in common a figure is none, whatever is left out.
-    const LEAST_WITH_HOLES: f64 = 0.7;
     let turned = picture.turned_half(places, start)?;
     let mut holes = PixelSet::empty(scene.width, scene.height);
-    if turned.correlation >= STRICT.half || turned.correlation < LEAST_WITH_HOLES {
+    if turned.correlation >= STRICT.half {
         return Some((turned, holes));
     }
     let opposite = |p: Vector2<f64>| 2.0 * turned.middle - p;
@@ -408,7 +409,8 @@ impl Picture<'_> {
         Some(scatter)
     }
 
-    /// The middle about which the shares turn onto themselves, by Gauss and Newton from `middle`.
+    /// The middle about which the shares turn onto themselves, by Gauss and Newton from `middle`; `None` where they
+    /// never do.
     fn turned_half(&self, places: &[Vector2<f64>], mut middle: Vector2<f64>) -> Option<Turned> {
         /// Near its middle a figure is alike already; most else is not, and the way to the middle is long.
         const LEAST_AT_START: f64 = 0.5;
@@ -441,6 +443,9 @@ impl Picture<'_> {
             }
         }
         let correlation = self.correlation(places, |p| 2.0 * middle - p)?;
+        if correlation < LEAST_WITH_HOLES {
+            return None;
+        }
         let mean_square = square / places.len() as f64;
         let inverse = normal.try_inverse()?;
         // Each two places are compared twice.
