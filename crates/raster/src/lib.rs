@@ -47,6 +47,7 @@ mod pool;
 pub mod protected;
 pub mod random;
 pub mod referred;
+pub mod sets;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;

@@ -4,6 +4,7 @@
 //! `scipy.ndimage.label` with its default structure, and `skimage.morphology.remove_small_objects(…, connectivity=1)`.
 
 use crate::bits::BitMask;
+use autoref_raster::sets::Sets;
 
 /// Pixels `start..end` of a row.
 #[derive(Clone, Copy)]
@@ -32,12 +33,12 @@ impl Areas {
     /// The connected areas of the pixels that have `value`.
     pub fn of(mask: &BitMask, value: bool) -> Areas {
         let mut runs: Vec<Run> = Vec::new();
-        let mut parent: Vec<u32> = Vec::new();
+        let mut sets = Sets::default();
         let mut above = 0..0;
         for y in 0..mask.height() {
             let first = runs.len();
             mask.runs(y, value, |start, end| {
-                parent.push(runs.len() as u32);
+                sets.add();
                 runs.push(Run { row: y as u32, start: start as u32, end: end as u32 });
             });
             let mut i = above.start;
@@ -47,18 +48,18 @@ impl Areas {
                 }
                 let mut k = i;
                 while k < above.end && runs[k].start < runs[j].end {
-                    unite(&mut parent, k as u32, j as u32);
+                    sets.unite(k, j);
                     k += 1;
                 }
             }
             above = first..runs.len();
         }
         let mut pixels = vec![0; runs.len()];
-        for i in 0..runs.len() {
-            let root = find(&mut parent, i as u32);
-            pixels[root as usize] += runs[i].pixels();
+        let root = sets.roots();
+        for (run, root) in runs.iter().zip(&root) {
+            pixels[*root as usize] += run.pixels();
         }
-        Areas { runs, root: parent, pixels }
+        Areas { runs, root, pixels }
     }
 
     /// Number of areas.
@@ -78,25 +79,6 @@ impl Areas {
             }
         }
     }
-}
-
-/// Root of `i`, at which all on the path to it point from now on; after `of` every run points at its root.
-fn find(parent: &mut [u32], i: u32) -> u32 {
-    let mut root = i;
-    while parent[root as usize] != root {
-        root = parent[root as usize];
-    }
-    let mut at = i;
-    while parent[at as usize] != root {
-        at = std::mem::replace(&mut parent[at as usize], root);
-    }
-    root
-}
-
-/// The earlier run becomes the root.
-fn unite(parent: &mut [u32], a: u32, b: u32) {
-    let (a, b) = (find(parent, a), find(parent, b));
-    parent[a.max(b) as usize] = a.min(b);
 }
 
 /// Turns over the areas of pixels with `value` that hold less than `share` of the image.

@@ -2,7 +2,7 @@
 // The weighted similarity of crates/solve/src/similarity.rs with the same operations in the same order, so that a replay of a
 // patch gives the numbers that this page showed. Change both together; tests/program/report compares them.
 const Fit = (() => {
-  const BAARDA_SQRT_LAMBDA = 4.13;
+  const BAARDA_SQRT_LAMBDA = 4.13, LEAST_SIGMA_PX = 0.02;
   const length = (x, y) => Math.sqrt(x * x + y * y);
   const sum = (values) => values.reduce((a, b) => a + b, 0);
 
@@ -68,7 +68,7 @@ const Fit = (() => {
     const same = (s) => s.centre === stated[0].centre && s.survey === stated[0].survey;
     if (freedom <= 0 || stated.every(same)) return pairs.map(() => 1);
     const squares = pairs.map((pair) => residual(equal, pair)).map(([e, n]) => e * e + n * n);
-    const floor = 0.02 * scale * (0.02 * scale), swallowed = 2 * pairs.length / freedom;
+    const floor = LEAST_SIGMA_PX * scale * (LEAST_SIGMA_PX * scale), swallowed = 2 * pairs.length / freedom;
     let most = -Infinity, best = null;
     for (const [share, odds] of [[1, 0.8], [0.1, 0.1], [0.01, 0.1]]) {
       const own = stated.map((s) => Math.max(share * s.centre + s.survey, floor));
@@ -99,13 +99,14 @@ const Fit = (() => {
     return median / 1.1774 * Math.sqrt(n / (n - 2));
   }
 
+  // No mark is measured, and no point surveyed, so well that less than the least deviation tells a wrong one.
   function huberWeights(pairs, s, base) {
     const lengths = pairs.map((pair, i) => {
       const [e, n] = residual(s, pair);
       return length(e, n) * Math.sqrt(base[i]);
     });
-    const sigma = robustSigma(lengths), limit = 4.5 * sigma;
-    return lengths.map((l, i) => (l > limit && sigma > 0 ? base[i] * limit / l : base[i]));
+    const sigma = Math.max(robustSigma(lengths), LEAST_SIGMA_PX * scaleOf(s)), limit = 4.5 * sigma;
+    return lengths.map((l, i) => (l > limit ? base[i] * limit / l : base[i]));
   }
 
   // `pairs`: {x, y, covariance: [xx, xy, yy] | null, e, n, sigma | null}. Null when there is no solution.

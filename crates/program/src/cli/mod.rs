@@ -42,7 +42,6 @@ mod residual_analysis;
 pub mod run;
 pub mod sample;
 pub mod selftest;
-mod sets;
 pub mod shell;
 pub mod solve;
 pub mod solving;

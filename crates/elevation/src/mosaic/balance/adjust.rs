@@ -10,6 +10,7 @@ use super::super::graph::Normal;
 use super::blocks::Block;
 use super::relation::{Evidence, Pair, Relation};
 use super::{Balancing, Frame, TERMS, dot};
+use autoref_raster::sets::Sets;
 
 /// Variance of the logarithm of gains that is expected before anything is known.
 const GAIN_VARIANCE: f64 = 0.25;
@@ -235,22 +236,11 @@ impl Band<'_> {
 
 /// Which sources hang together by relations that tie: the first source of each one's group.
 fn groups_of(pairs: &[Pair], relations: &[Relation], sources: usize, ties: impl Fn(&Relation) -> bool) -> Vec<usize> {
-    let mut parents: Vec<usize> = (0..sources).collect();
-    let root = |parents: &[usize], mut at: usize| {
-        while parents[at] != at {
-            at = parents[at];
-        }
-        at
-    };
+    let mut groups = Sets::apart(sources);
     for (pair, _) in pairs.iter().zip(relations).filter(|(_, relation)| ties(relation)) {
-        let (a, b) = (root(&parents, pair.sources.0), root(&parents, pair.sources.1));
-        parents[a.max(b)] = a.min(b);
+        groups.unite(pair.sources.0, pair.sources.1);
     }
-    // A parent has the smaller number: it is settled before its children.
-    for source in 0..sources {
-        parents[source] = parents[parents[source]];
-    }
-    parents
+    groups.roots().into_iter().map(|first| first as usize).collect()
 }
 
 /// What the surfaces of all sources have in common beside `known`: those coefficients of the second degree whose mean

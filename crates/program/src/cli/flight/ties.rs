@@ -16,7 +16,7 @@ use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::progress::Steps;
-use crate::cli::sets::Sets;
+use autoref_raster::sets::Sets;
 
 use super::views::{Counted, Interior, Masks, Shelf, View, homography, mapped};
 

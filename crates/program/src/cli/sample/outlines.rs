@@ -8,7 +8,7 @@ use autoref_raster::window::Window;
 use autoref_raster::{RasterInfo, RasterSource, read_patch};
 use autoref_stream::learn::{OUTLINE_REACH_PX, Outlined};
 
-use crate::cli::sets::Sets;
+use autoref_raster::sets::Sets;
 
 /// Most marks of a mask or a file of polygons.
 const MOST_MARKS: usize = 10_000;
