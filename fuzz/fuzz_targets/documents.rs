@@ -3,7 +3,7 @@
 
 mod common;
 
-use autoref_raster::mosaic::tile_map::TileMap;
+use autoref_raster::tile_folder::tile_map::TileMap;
 use autoref_review::{PatchFile, Subject};
 use autoref_stream::georef::candidate_list;
 use autoref_stream::learn::read_colours;

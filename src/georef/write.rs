@@ -15,8 +15,8 @@ use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
-use autoref_raster::mosaic;
 use autoref_raster::protected::same_file;
+use autoref_raster::tile_folder;
 
 /// One kind of output: `--write KIND,…`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -147,9 +147,9 @@ pub struct WriteRequest {
 impl WriteRequest {
     /// Outputs beside the image, or in the folder `out`.
     pub fn new(image: &Path, out: Option<&Path>, kinds: &[Output], existing: Existing) -> Self {
-        let mosaic = mosaic::is_mosaic(image);
+        let is_folder = tile_folder::is_tile_folder(image);
         // `tiles/` and `tiles.txt` are written as `tiles.vrt` is.
-        let own = if mosaic { image.with_extension("vrt") } else { image.to_path_buf() };
+        let own = if is_folder { image.with_extension("vrt") } else { image.to_path_buf() };
         let name = own.file_name().map_or_else(|| "image".into(), std::ffi::OsStr::to_os_string);
         let mut unique: Vec<Output> = Vec::new();
         for kind in Output::ALL {
@@ -169,19 +169,19 @@ impl WriteRequest {
         }
     }
 
-    /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a mosaic, each with its
+    /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a folder, each with its
     /// corner in pixels of the whole.
     fn parts(&self) -> Result<Vec<Part>> {
-        if !mosaic::is_mosaic(&self.image) {
+        if !tile_folder::is_tile_folder(&self.image) {
             return Ok(vec![Part { path: self.image.clone(), base: self.base.clone(), tile: None }]);
         }
-        let mosaic = mosaic::Mosaic::open(&self.image)?;
-        let part = |tile: mosaic::Tile| {
+        let folder = tile_folder::TileFolder::open(&self.image)?;
+        let part = |tile: tile_folder::Tile| {
             let path = tile.path.clone();
             let name = path.file_name().unwrap_or_default();
             Part { base: self.out.as_ref().map_or(path.clone(), |out| out.join(name)), path, tile: Some(tile) }
         };
-        Ok(mosaic.tiles.into_iter().map(part).collect())
+        Ok(folder.tiles.into_iter().map(part).collect())
     }
 
     fn files_of(&self, kind: Output, parts: &[Part]) -> Vec<PathBuf> {
@@ -194,7 +194,7 @@ impl WriteRequest {
     /// Every file that will be written, the image itself not counted.
     ///
     /// # Errors
-    /// When the tiles of a mosaic cannot be opened.
+    /// When the tiles of a folder cannot be opened.
     pub fn files(&self) -> Result<Vec<PathBuf>> {
         let parts = self.parts()?;
         Ok(self.kinds.iter().flat_map(|&kind| self.files_of(kind, &parts)).collect())
@@ -344,13 +344,13 @@ struct Part {
     path: PathBuf,
     /// Its output names extend this path.
     base: PathBuf,
-    tile: Option<mosaic::Tile>,
+    tile: Option<tile_folder::Tile>,
 }
 
 impl Part {
     /// Its transform when the whole has `transform`.
     fn transform(&self, transform: &GeoTransform) -> GeoTransform {
-        self.tile.as_ref().map_or(*transform, |tile| mosaic::Mosaic::transform_of(tile, transform))
+        self.tile.as_ref().map_or(*transform, |tile| tile_folder::TileFolder::transform_of(tile, transform))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{RasterSource, ReaderChoice, SampleType, gdal, mosaic, tiff};
+use super::{RasterSource, ReaderChoice, SampleType, gdal, tiff, tile_folder};
 use crate::bounded;
 use crate::error::{Error, Result};
 
@@ -28,7 +28,7 @@ pub fn open(path: &Path, choice: ReaderChoice, page: usize, cache_bytes: u64) ->
         }
         return Ok(Arc::new(gdal::open_gdal(path, page, cache_bytes)?));
     }
-    if mosaic::is_mosaic(path) {
+    if tile_folder::is_tile_folder(path) {
         if choice.is_native() {
             return Err(Error::unsupported(path, "tiles by the native reader", "use --reader auto or gdal"));
         }
@@ -94,11 +94,11 @@ fn gdal_name(path: &Path, page: usize) -> Result<PathBuf> {
     if path.to_string_lossy().starts_with("/vsi") {
         return Ok(path.to_path_buf());
     }
-    if mosaic::is_mosaic(path) {
+    if tile_folder::is_tile_folder(path) {
         if page > 0 {
             return Err(Error::usage(format!("{}: page {page} of tiles", path.display()), "leave --page away"));
         }
-        return mosaic::Mosaic::open(path)?.virtual_file();
+        return tile_folder::TileFolder::open(path)?.virtual_file();
     }
     check_file(path)?;
     let absolute = std::fs::canonicalize(path).map_err(|e| Error::io(path, "resolve", e))?;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
-use crate::{mosaic, open, unheard};
+use crate::{open, tile_folder, unheard};
 
 /// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
 const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
@@ -57,7 +57,7 @@ fn parts_of(path: &Path) -> Vec<PathBuf> {
     if !path.is_file() {
         return Vec::new();
     }
-    if mosaic::is_mosaic(path) {
+    if tile_folder::is_tile_folder(path) {
         let opened = unheard(|| open::open_dataset(path, 0));
         return opened.map_or(Vec::new(), |(_, dataset)| files_of(&dataset));
     }

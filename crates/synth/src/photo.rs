@@ -211,7 +211,7 @@ fn stretch(dataset: &Dataset, path: &Path, bands: &[usize]) -> Result<f64> {
 /// Photographs laid out over an endless plane like bricks: each brick is a piece of a photograph, which goes on
 /// mirrored where it ends; neighbouring bricks melt into each other over a narrow seam, so no straight cut remains.
 #[derive(Debug)]
-pub(crate) struct Mosaic {
+pub(crate) struct Patchwork {
     store: Arc<PhotoStore>,
     seed: u64,
     brick: (i64, i64),
@@ -222,7 +222,7 @@ pub(crate) struct Mosaic {
 /// Width of the seams.
 const SEAM_PX: i64 = 48;
 
-impl Mosaic {
+impl Patchwork {
     pub(crate) fn new(store: Arc<PhotoStore>, seed: u64) -> Self {
         let mut total = 0;
         let shares = store
@@ -233,7 +233,7 @@ impl Mosaic {
                 total
             })
             .collect();
-        Mosaic { store, seed, brick: (2400, 1800), shares }
+        Patchwork { store, seed, brick: (2400, 1800), shares }
     }
 
     pub(crate) fn render(&self, window: Window, out: &mut [u8]) -> Result<()> {

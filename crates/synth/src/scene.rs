@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::landscape::Landscape;
 use super::mark::Mark;
-use super::photo::{Mosaic, PhotoStore};
+use super::photo::{Patchwork, PhotoStore};
 use super::rng::{NoiseTable, Rng, hash2, mix, value_noise};
 use super::shape::Shape;
 use super::spec::{Background, Border, MarkSize, MarkStyle, MarkTurn, SynthSpec};
@@ -31,7 +31,7 @@ const BUCKET_PX: f64 = 512.0;
 enum Ground {
     Landscape(Landscape),
     Flat([u8; 3]),
-    Mosaic(Mosaic),
+    Patchwork(Patchwork),
     AsIs(Arc<PhotoStore>),
 }
 
@@ -118,7 +118,7 @@ impl Scene {
         }
         let plan = super::plan::lay_out(&spec)?;
         let ground = match (&spec.background, store) {
-            (Background::Photographs(_), Some(store)) => Ground::Mosaic(Mosaic::new(store, spec.seed)),
+            (Background::Photographs(_), Some(store)) => Ground::Patchwork(Patchwork::new(store, spec.seed)),
             (Background::AsIs(_), Some(store)) => Ground::AsIs(store),
             (Background::Flat(rgb), _) => Ground::Flat(*rgb),
             _ => Ground::Landscape(Landscape::new(spec.seed, spec.gsd_m)),
@@ -272,7 +272,7 @@ impl Scene {
         match &self.ground {
             Ground::Landscape(l) => l.render(window, &mut ground),
             Ground::Flat(rgb) => ground.chunks_exact_mut(3).for_each(|p| p.copy_from_slice(rgb)),
-            Ground::Mosaic(m) => m.render(window, &mut ground)?,
+            Ground::Patchwork(m) => m.render(window, &mut ground)?,
             Ground::AsIs(store) => store.read_plain(0, window, &mut ground)?,
         }
         let mut out: Vec<T> = ground.iter().map(|&v| T::from_scaled(f32::from(v) * T::SCALE)).collect();
@@ -441,7 +441,7 @@ fn check(spec: &SynthSpec) -> Result<()> {
     Ok(())
 }
 
-/// A stable hash of a spec's cell, for the mosaic.
+/// A stable hash of a spec's cell, for the patchwork.
 pub(crate) fn cell_hash(seed: u64, column: i64, row: i64) -> u64 {
     hash2(mix(seed ^ purpose::MOSAIC), column, row)
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Existing;
-use autoref_raster::mosaic;
+use autoref_raster::tile_folder;
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
 use autoref_stream::georef::write::{Output, WriteRequest};
 use clap::Args;
@@ -75,7 +75,7 @@ impl WriteArgs {
     fn kinds(&self, image: &Path) -> Vec<Output> {
         match (self.write.is_empty(), &self.out) {
             // The tiles' own world files are what places them: nothing replaces them unasked.
-            (true, _) if mosaic::is_mosaic(image) => vec![Output::Vrt],
+            (true, _) if tile_folder::is_tile_folder(image) => vec![Output::Vrt],
             (false, _) => self.write.clone(),
             (true, None) => vec![Output::World, Output::Aux],
             (true, Some(_)) => vec![Output::World, Output::Aux, Output::Vrt],

@@ -25,7 +25,7 @@ const LIST_EXTENSIONS: [&str; 2] = ["txt", "lst"];
 /// World files are rounded; more than this many pixels off the common grid is another grid.
 const OFF_GRID_PX: f64 = 0.05;
 
-/// One tile and where it lies in the mosaic, in pixels.
+/// One tile and where it lies in the whole, in pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
     pub path: PathBuf,
@@ -37,7 +37,7 @@ pub struct Tile {
 
 /// Tiles on one grid.
 #[derive(Clone, Debug)]
-pub struct Mosaic {
+pub struct TileFolder {
     /// The folder or list.
     pub path: PathBuf,
     pub tiles: Vec<Tile>,
@@ -66,7 +66,7 @@ struct Opened {
 }
 
 /// Whether a path is a folder or list of tiles rather than an image.
-pub fn is_mosaic(path: &Path) -> bool {
+pub fn is_tile_folder(path: &Path) -> bool {
     path.is_dir() || (path.is_file() && has_extension(path, &LIST_EXTENSIONS)) || tile_map::is_tile_map(path)
 }
 
@@ -74,21 +74,21 @@ fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     path.extension().is_some_and(|e| extensions.iter().any(|known| e.eq_ignore_ascii_case(known)))
 }
 
-impl Mosaic {
+impl TileFolder {
     /// Opens all tiles of a folder or list and lays them on one grid.
     ///
     /// # Errors
     /// When there are none, or one of them cannot be opened, has no georeference, or does not fit the first; the
     /// message names it.
-    pub fn open(path: &Path) -> Result<Mosaic> {
-        Mosaic::open_tiles(path).map_err(|error| match path.is_dir() {
+    pub fn open(path: &Path) -> Result<TileFolder> {
+        TileFolder::open_tiles(path).map_err(|error| match path.is_dir() {
             // Somebody may have meant a file in it.
             true => Error::format(path, "this directory as tiles of one raster", error.to_string()),
             false => error,
         })
     }
 
-    fn open_tiles(path: &Path) -> Result<Mosaic> {
+    fn open_tiles(path: &Path) -> Result<TileFolder> {
         super::initialise_gdal(0);
         let opened = open_all(path)?;
         let Some(first) = opened.first() else {
@@ -120,7 +120,7 @@ impl Mosaic {
             let what = format!("the tiles span {width} × {height} pixels; some of them belong elsewhere");
             return Err(Error::format(path, "tiles", what));
         }
-        Ok(Mosaic {
+        Ok(TileFolder {
             path: path.to_path_buf(),
             tiles,
             width,
@@ -145,7 +145,7 @@ impl Mosaic {
     pub fn virtual_file(&self) -> Result<PathBuf> {
         static COUNTER: AtomicU64 = AtomicU64::new(0);
         let number = COUNTER.fetch_add(1, Ordering::Relaxed);
-        let name = PathBuf::from(format!("/vsimem/autoref-mosaic-{}-{number}.vrt", std::process::id()));
+        let name = PathBuf::from(format!("/vsimem/autoref-tiles-{}-{number}.vrt", std::process::id()));
         gdal::vsi::create_mem_file(&name, self.xml().into_bytes()).map_err(|e| Error::gdal(&self.path, e))?;
         Ok(name)
     }
