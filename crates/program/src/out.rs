@@ -2,8 +2,11 @@
 //! device is an error in the end, and neither is a panic. The macros stand before those of the standard library.
 
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
+
+use autoref_raster::atomic::Existing;
 
 /// Words for people are left out, by stream.
 static MUTE: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
@@ -67,6 +70,16 @@ pub fn keep(result: std::io::Result<()>) {
 pub fn fault() -> Option<String> {
     keep(std::io::stdout().flush());
     FAULT.lock().unwrap_or_else(PoisonError::into_inner).take()
+}
+
+/// Writes text to a file, whole or not at all, or to standard output for "-".
+pub fn write_text(path: &Path, text: &[u8], existing: Existing) -> anyhow::Result<()> {
+    if path.as_os_str() == "-" {
+        keep(std::io::stdout().write_all(text));
+        return Ok(());
+    }
+    autoref_raster::atomic::check_outputs(&[path], existing)?;
+    Ok(autoref_raster::atomic::write(path, text)?)
 }
 
 macro_rules! println {

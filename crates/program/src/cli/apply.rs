@@ -11,7 +11,8 @@ use autoref_stream::georef::write::Output;
 use autoref_stream::result::RunResult;
 use clap::Args;
 
-use crate::cli::common::{Bytes, threads};
+use crate::cli::prepare::threads;
+use crate::cli::values::Bytes;
 use crate::cli::write::{WarpBar, WriteArgs};
 
 /// Write outputs from the result of an earlier run, without looking for marks again.

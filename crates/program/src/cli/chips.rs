@@ -7,8 +7,8 @@ use autoref_raster::Patch;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
 
-use super::common::SampleArgs;
 use super::positions::{PositionArgs, patch_around};
+use crate::cli::args::SampleArgs;
 
 /// Cut a window around every mark and write the windows and a contact sheet as PNG.
 #[derive(Debug, clap::Args)]

@@ -10,7 +10,8 @@ use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES;
 use clap::{Args, Subcommand};
 
-use super::common::{self, Bytes};
+use crate::cli::prepare;
+use crate::cli::values::Bytes;
 
 /// Clean, grid and describe point clouds (LAS, LAZ, COPC, PLY, E57, text) of any size in bounded memory.
 #[derive(Args, Debug)]
@@ -78,7 +79,7 @@ impl MeansArgs {
         }
         autoref_raster::initialise_gdal(64 << 20);
         // Fails only when a pool exists already, which then serves.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(common::threads(self.threads)).build_global();
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(prepare::threads(self.threads)).build_global();
         let asked = self.crs.as_deref().map(Crs::parse).transpose()?;
         let mut of_clouds = asked.clone();
         let mut first: Option<(&Path, String)> =

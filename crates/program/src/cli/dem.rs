@@ -16,7 +16,7 @@ use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic::{self, Existing};
 use clap::{Args, Subcommand, ValueEnum};
 
-use crate::cli::common::{Bytes, positive};
+use crate::cli::values::{Bytes, positive};
 use align::{AlignArgs, align};
 
 /// Align, compare and draw elevation models.

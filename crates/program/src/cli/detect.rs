@@ -9,8 +9,10 @@ use autoref_stream::georef::candidate_list;
 use autoref_stream::pipeline::scan;
 use clap::Args;
 
-use crate::cli::common::{self, Gsd, MarkArgs, PaintArg, ReadArgs};
+use crate::cli::args::{MarkArgs, PaintArg, ReadArgs};
+use crate::cli::prepare;
 use crate::cli::progress::Bar;
+use crate::cli::values::Gsd;
 
 /// Find the marks in an image and write the candidates as CSV or GeoJSON.
 #[derive(Args, Debug)]
@@ -62,7 +64,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     if args.output.as_os_str() != "-" {
         autoref_raster::atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     }
-    let prepared = common::prepare(&args.image, &args.read, &args.paint.of(&args.marks), args.gsd)?;
+    let prepared = prepare::open(&args.image, &args.read, &args.paint.of(&args.marks), args.gsd)?;
     let bar = Bar::new(prepared.source.info(), args.quiet || args.json);
     let found = scan(prepared.source.as_ref(), &prepared.plan, prepared.detector.as_detector(), &bar)?;
     bar.finish();
@@ -74,7 +76,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
     }
     let to_stdout = args.output.as_os_str() == "-";
     if !(args.json && to_stdout) {
-        common::write_text(&args.output, &text, Existing::of_flag(args.overwrite))?;
+        crate::out::write_text(&args.output, &text, Existing::of_flag(args.overwrite))?;
     }
     if args.json {
         let info = prepared.source.info();

@@ -12,7 +12,7 @@ use autoref_stream::matching::diagnosis::{Certainty, KnownPlace, exchanged_label
 use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
-use crate::cli::common::MatchArgs;
+use crate::cli::args::MatchArgs;
 use crate::cli::working_crs::Force;
 
 /// Titles of a column with names of marks.

@@ -12,7 +12,7 @@ use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::spatial_ref::SpatialRef;
 
-use super::common::{PaintArg, SampleArgs};
+use crate::cli::args::{PaintArg, SampleArgs};
 
 /// Write the colour distance under a profile as a one-band 32-bit float GeoTIFF.
 #[derive(Debug, clap::Args)]

@@ -15,9 +15,10 @@ use autoref_terrain::write::MaskCompression;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::common::{Bytes, threads};
 use super::mask_camera::CameraArgs;
 use super::mask_light::{BandingArg, LightingArg, corrections};
+use crate::cli::prepare::threads;
+use crate::cli::values::Bytes;
 
 /// Mask the ground that image matching can use: without water, clouds, sky, featureless snow, film borders and text.
 ///

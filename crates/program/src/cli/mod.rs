@@ -6,11 +6,11 @@ use clap::{Parser, Subcommand};
 
 pub mod accuracy;
 pub mod apply;
+pub mod args;
 pub mod chips;
 pub mod cloud;
 mod cloud_clean;
 mod cloud_grid;
-pub mod common;
 pub mod compare_solvers;
 pub mod dem;
 pub mod detect;
@@ -35,6 +35,7 @@ mod overridden;
 pub mod patterns;
 pub mod plan;
 pub mod positions;
+mod prepare;
 mod progress;
 pub mod replay;
 pub mod report;
@@ -51,6 +52,7 @@ pub mod synth;
 pub mod synth_film;
 pub mod synth_flight;
 pub mod undo;
+mod values;
 pub mod working_crs;
 pub mod write;
 

@@ -14,7 +14,8 @@ use autoref_stream::matching::tpp::{Anchors, Space, Thresholds};
 use autoref_stream::matching::{MatchOutcome, Matcher, Pattern, Priors, TppMatcher};
 use serde_json::{Value, json};
 
-use crate::cli::common::{Gsd, write_text};
+use crate::cli::values::Gsd;
+use crate::out::write_text;
 
 /// What `--thresholds` tries, for radii and for angles; 0.21 was the preset of the thesis's program, 0.05 what it then
 /// used.

@@ -11,8 +11,8 @@ use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use autoref_stream::planning::{self, PaintRank, Plan, PlanRequest};
 use clap::Args;
 
-use crate::cli::common::{Gsd, MarkSize};
 use crate::cli::progress::Busy;
+use crate::cli::values::{Gsd, MarkSize};
 
 /// Before the flight: is the pattern of the marks unique, how well will it hold the image, how large must a mark be,
 /// and which paint stands out?

@@ -92,11 +92,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());
-        crate::cli::common::write_text(
-            output,
-            document.result.to_json().as_bytes(),
-            Existing::of_flag(args.overwrite),
-        )?;
+        crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
     run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())

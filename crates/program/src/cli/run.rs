@@ -22,12 +22,14 @@ use autoref_stream::report::Gathered;
 use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, residual_rms_px};
 use clap::Args;
 
-use crate::cli::common::{self, GcpArgs, MarkArgs, MatchArgs, PaintArg, Prepared, ReadArgs, word_of};
+use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
+use crate::cli::prepare::{self, Prepared};
 use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
+use crate::cli::values::word_of;
 use crate::cli::working_crs;
 use crate::cli::write::{self, WriteArgs};
 use crate::cli::{accuracy, diagnosis};
@@ -102,14 +104,14 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
     let marks = args.paint.of(&args.marks);
-    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     args.solving.check(Existing::Keep)?;
     let info = source.info();
-    let priors = common::priors(info, &args.matching);
-    let matcher = common::matcher(
+    let priors = prepare::priors(info, &args.matching);
+    let matcher = prepare::matcher(
         &args.matching,
-        common::own_handedness(info, &args.matching),
+        prepare::own_handedness(info, &args.matching),
         priors.len(),
         &args.matching.limit(),
     )?;
@@ -139,10 +141,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.gcps.path()?;
     let marks = args.paint.of(&args.marks);
     let opening = tracing::info_span!("open").entered();
-    let Prepared { source, detector, plan, .. } = common::prepare(image, &args.read, &marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     drop(opening);
-    let request = args.write.request(image, args.read.page, args.read.memory.0, common::threads(args.read.threads))?;
+    let request = args.write.request(image, args.read.page, args.read.memory.0, prepare::threads(args.read.threads))?;
     request.check_local(list.crs.as_ref())?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
@@ -153,15 +155,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     args.solving.check(existing)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
-    let priors = common::priors(info, &args.matching);
+    let priors = prepare::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
     // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
-    let own = common::own_handedness(info, &args.matching);
-    let matcher_of = |chances: usize| common::matcher(&args.matching, own, priors.len() * chances, &time_limit);
+    let own = prepare::own_handedness(info, &args.matching);
+    let matcher_of = |chances: usize| prepare::matcher(&args.matching, own, priors.len() * chances, &time_limit);
     let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 })?, matcher_of(4)?);
     let cluster_matcher = matcher_of(4 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);

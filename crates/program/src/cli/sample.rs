@@ -17,8 +17,9 @@ use autoref_stream::learn::{
 use autoref_stream::profile::Profile;
 use autoref_stream::profile::colour::lab_from_srgb;
 
-use super::common::{MarkSize, SampleArgs};
 use super::positions::{Mark, PositionArgs, patch_around};
+use crate::cli::args::SampleArgs;
+use crate::cli::values::MarkSize;
 
 /// Learn a mark profile from marks in an image, or from a table of colours, and write it as TOML.
 #[derive(Debug, clap::Args)]

@@ -11,8 +11,10 @@ use autoref_synth::plant::Cell;
 use autoref_synth::{Paint, Shape};
 use clap::Args;
 
-use crate::cli::common::{self, Gsd, MarkArgs, ReadArgs};
+use crate::cli::args::{MarkArgs, ReadArgs};
+use crate::cli::prepare;
 use crate::cli::progress::Bar;
+use crate::cli::values::{Gsd, MarkSize};
 
 /// Plant marks into an image as it is read (the file is not touched), run the detector, and say what it finds of them.
 ///
@@ -69,7 +71,7 @@ fn shape(text: &str) -> Result<Shape, String> {
 
 pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     let conditions = conditions(args)?;
-    let prepared = common::prepare(&args.image, &args.read, &args.profile, args.gsd)?;
+    let prepared = prepare::open(&args.image, &args.read, &args.profile, args.gsd)?;
     let info = prepared.source.info().clone();
     let sizes_px = sizes(args, prepared.detector.as_detector().largest_mark_px() as f64)?;
     let bar = Bar::new(&info, args.quiet || args.json);
@@ -150,7 +152,7 @@ fn sizes(args: &SelftestArgs, largest_px: f64) -> anyhow::Result<Vec<f64>> {
         return Ok(args.sizes.clone());
     }
     let (low, high) = match args.profile.mark_size {
-        Some(common::MarkSize::Pixels(low, high)) => (low, high),
+        Some(MarkSize::Pixels(low, high)) => (low, high),
         _ => (0.0, largest_px),
     };
     let ladder: Vec<f64> = LADDER.into_iter().filter(|s| (low..=high).contains(s)).collect();

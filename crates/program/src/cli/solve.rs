@@ -12,9 +12,10 @@ use autoref_stream::pipeline::georeference::solve_candidates;
 use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
-use crate::cli::common::{self, GcpArgs, MatchArgs};
+use crate::cli::args::{GcpArgs, MatchArgs};
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
+use crate::cli::prepare;
 use crate::cli::replay;
 use crate::cli::run;
 use crate::cli::solving::{ImagePlace, SolvingArgs};
@@ -80,7 +81,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         image_size_px: size,
     };
     let time_limit = args.matching.limit();
-    let matcher = common::matcher(&args.matching, None, 1, &time_limit)?;
+    let matcher = prepare::matcher(&args.matching, None, 1, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     diagnosis::examine(
@@ -110,7 +111,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     document.finish(started);
     if let Some(output) = &args.output {
         document.result.files_written.push(output.display().to_string());
-        common::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
+        crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
     run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())

@@ -10,9 +10,9 @@ use anyhow::{Context, Result, bail};
 use autoref_flight::render::{Effects, FrameRenderer, Landscape, Plan};
 use autoref_flight::{Camera, Parameter};
 
-use super::common::positive;
 use super::flight::ortho::Dem;
 use super::synth::Pair;
+use crate::cli::values::positive;
 
 /// Render the frames of a flight over a known landscape, with a rough camera table, GCPs and the truth beside them;
 /// ready for `flight solve`.

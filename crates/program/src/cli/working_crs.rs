@@ -7,7 +7,7 @@ use autoref_stream::matching::diagnosis::Mistake;
 use autoref_stream::result::RunResult;
 use clap::{Args, ValueEnum};
 
-use super::common::word_of;
+use crate::cli::values::word_of;
 
 #[derive(Args, Debug)]
 pub struct WorkingCrsArgs {

@@ -13,7 +13,7 @@ use clap::Args;
 use serde_json::{Map, Value, json};
 
 use super::ResourceArgs;
-use crate::cli::common::unsigned_zero;
+use crate::cli::values::unsigned_zero;
 
 #[derive(Args, Debug)]
 pub struct AlignArgs {

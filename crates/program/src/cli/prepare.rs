@@ -1,0 +1,197 @@
+//! From options to what a run needs: the open image, its detector and plan, priors and a matcher.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::bail;
+use autoref_raster::coords::{GeoTransform, Handedness};
+use autoref_raster::crs::Crs;
+use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
+use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
+use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
+use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
+use autoref_stream::pipeline::MarkDetector;
+use autoref_stream::profile::Profile;
+
+use crate::cli::args::{MarkArgs, MatchArgs, MatcherArg, PriorArg, ReadArgs};
+use crate::cli::values::Gsd;
+
+/// An opened image with the detector and the plan for scanning it.
+pub struct Prepared {
+    pub source: Arc<dyn RasterSource>,
+    pub detector: MarkDetector,
+    pub plan: ScanPlan,
+    /// What the plan was made with.
+    pub options: PlanOptions,
+}
+
+/// As asked for, else one for each core.
+pub fn threads(asked: Option<u64>) -> usize {
+    asked.map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize)
+}
+
+/// Opens the image, builds the detector, and plans before the first read.
+pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -> anyhow::Result<Prepared> {
+    let threads = threads(read.threads);
+    // Fails only when a pool exists already, which then serves.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    let cache_bytes = autoref_raster::memory_plan::cache_share_bytes(read.memory.0);
+    let choice = read.reader.choice();
+    let profile = profile(marks)?;
+    // Both take about as long. The image is opened on this thread, which will ask its coordinate system's library for
+    // more.
+    let (source, colours) = std::thread::scope(|scope| {
+        let colours = scope.spawn(|| MarkDetector::colours(&profile));
+        let source = raster::open(image, choice, read.page, cache_bytes);
+        (source, colours.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    });
+    let source = raster::with_white(source?, read.white)?;
+    let info = source.info();
+    let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
+    let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
+    let options = PlanOptions {
+        tile_px: read.tile,
+        threads,
+        memory_budget_bytes: read.memory.0,
+        baseline_bytes: autoref_raster::memory_plan::baseline_bytes(),
+        cache_bytes,
+    };
+    let plan = autoref_raster::memory_plan::plan(info, detector.as_detector().halo_px(), &options)?;
+    tracing::info!(
+        "{}: {}×{} px, {} bands, {} ({})",
+        image.display(),
+        info.width,
+        info.height,
+        info.bands,
+        info.description,
+        info.reader
+    );
+    tracing::info!("memory plan: {}", plan.line());
+    Ok(Prepared { source, detector, plan, options })
+}
+
+fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
+    let mut profile = Profile::load(&marks.profile)?;
+    if let Some(size) = marks.mark_size {
+        profile.size = size.of_profile();
+    }
+    if !marks.gate.is_empty() && profile.is_target() {
+        bail!("--gate is of paint; `{}` is found by its shape", profile.name);
+    }
+    let elements = [&marks.closing, &marks.opening];
+    if elements.iter().any(|path| path.is_some()) && profile.is_target() {
+        bail!("--closing and --opening are of paint; `{}` is found by its shape", profile.name);
+    }
+    let [closing, opening] = elements.map(|path| path.as_deref().map(structuring_element).transpose());
+    profile.filters.closing_element = closing?.or(profile.filters.closing_element);
+    profile.filters.opening_element = opening?.or(profile.filters.opening_element);
+    for rule in &marks.gate {
+        profile.gates.rule = Some(match profile.gates.rule.take() {
+            Some(own) => own.and(rule.clone()),
+            None => rule.clone(),
+        });
+    }
+    Ok(profile)
+}
+
+/// The pixels of a small image that are not 0.
+fn structuring_element(path: &Path) -> anyhow::Result<Element> {
+    let source = raster::open(path, ReaderChoice::Auto, 0, 1 << 20)?;
+    let (width, height) = (source.info().width, source.info().height);
+    if width.max(height) > LONGEST_SIDE_PX as u64 {
+        bail!(
+            "{}: {width} × {height} pixels; a structuring element has at most {LONGEST_SIDE_PX} a side",
+            path.display()
+        );
+    }
+    let patch = raster::read_patch(source.as_ref(), source.info().bounds())?;
+    let set = patch.rgb.iter().zip(&patch.valid).map(|(rgb, valid)| *valid && rgb.iter().any(|v| *v > 0)).collect();
+    Element::new(set, width as usize).map_err(|what| anyhow::anyhow!("{}: {what}", path.display()))
+}
+
+/// Ground size of a pixel by the image's own account.
+fn known_gsd(info: &RasterInfo) -> Option<f64> {
+    prior_scale(info).map(|(low, high)| (low * high).sqrt())
+}
+
+/// Scale range by an existing georeference in metres (±10 %), or by one that names no system or the resolution tags
+/// (±20 %): its unit may be anything.
+fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
+    let crs = info.crs_wkt.as_deref().and_then(|wkt| Crs::parse(wkt).ok());
+    let unit_m = match &crs {
+        Some(crs) if crs.is_geographic() => None,
+        Some(crs) => Some(crs.metres_per_unit()),
+        None => Some(1.0),
+    };
+    let georeferenced = info.geotransform.as_ref().zip(unit_m).map(|(t, unit_m)| t.scale() * unit_m);
+    match (georeferenced, info.resolution_m_per_px) {
+        (Some(gsd), _) if (1e-4..1e4).contains(&gsd) => {
+            let open = if crs.is_some() { 0.1 } else { 0.2 };
+            Some((gsd * (1.0 - open), gsd * (1.0 + open)))
+        }
+        (_, Some(gsd)) => Some((gsd * 0.8, gsd * 1.2)),
+        _ => None,
+    }
+}
+
+/// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's
+/// part.
+pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
+    let size = Some((info.width as f64, info.height as f64));
+    let asked = Priors {
+        gsd_m_per_px: matching.gsd.map(|g| (g.0, g.1)),
+        rotation_deg: matching.north_up.map(|half| (0.0, half)),
+        image_size_px: size,
+    };
+    let mut ladder = vec![asked.clone()];
+    if matching.prior == PriorArg::Auto
+        && asked.gsd_m_per_px.is_none()
+        && let Some(scale) = prior_scale(info)
+    {
+        ladder.insert(0, Priors { gsd_m_per_px: Some(scale), ..asked });
+    }
+    ladder
+}
+
+/// Mirrored, where the image's own georeference is: rows that go north, or columns that go west.
+pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedness> {
+    // Pixels counted as if they were places are no georeference.
+    const PIXELS: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let GeoTransform(g) = info.geotransform.filter(|own| matching.prior == PriorArg::Auto && own.0 != PIXELS)?;
+    (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
+}
+
+/// The matcher that was asked for, knowing how many sets of priors it may be tried with. `own`: what the image says of
+/// its handedness; both ways are tried then.
+pub fn matcher(
+    matching: &MatchArgs,
+    own: Option<Handedness>,
+    tries: usize,
+    time_limit: &TimeLimit,
+) -> anyhow::Result<Box<dyn Matcher>> {
+    if !(matching.max_false_alarms > 0.0 && matching.max_false_alarms <= 1.0) {
+        bail!("--max-false-alarms {} is not between 0 and 1", matching.max_false_alarms);
+    }
+    if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
+        bail!("--north-up takes degrees from 0 to 180");
+    }
+    if matching.allow_mirrored || own.is_some() {
+        let within = one_way(matching, 2 * tries, time_limit)?;
+        return Ok(Box::new(MirrorMatcher { within, expected: own }));
+    }
+    one_way(matching, tries, time_limit)
+}
+
+/// The matcher of images that are not mirrored.
+fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
+    if matching.matcher == MatcherArg::Tpp {
+        let max_false_alarms = matching.max_false_alarms / tries as f64;
+        return Ok(Box::new(matching.patterns.matcher(matching.gsd, max_false_alarms)?));
+    }
+    Ok(Box::new(RobustMatcher {
+        max_false_alarms: matching.max_false_alarms,
+        tries: tries as f64,
+        time_limit: time_limit.clone(),
+        ..RobustMatcher::default()
+    }))
+}

@@ -1,0 +1,173 @@
+//! Values of options, as people write them: bytes, ground sample distances, sizes of marks.
+
+use std::str::FromStr;
+
+use autoref_raster::memory_plan::{self};
+use autoref_stream::profile::Size;
+
+/// A number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite());
+    value.ok_or_else(|| format!("`{text}` is no positive number"))
+}
+
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let value = text.trim().trim_end_matches('s').parse::<f64>().ok().filter(|v| *v >= 0.0 && v.is_finite());
+    value.ok_or_else(|| format!("`{text}` is no number of seconds"))
+}
+
+/// A number of bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Bytes(pub u64);
+
+impl FromStr for Bytes {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let trimmed = text.trim().trim_end_matches(['b', 'B']).trim_end_matches(['i', 'I']);
+        let (number, unit) = match trimmed.char_indices().last() {
+            Some((at, 'k' | 'K')) => (&trimmed[..at], 1u64 << 10),
+            Some((at, 'm' | 'M')) => (&trimmed[..at], 1 << 20),
+            Some((at, 'g' | 'G')) => (&trimmed[..at], 1 << 30),
+            _ => (trimmed, 1),
+        };
+        let value: f64 = number.trim().parse().map_err(|_| format!("`{text}` is no size; write 512M or 2G"))?;
+        let bytes = value * unit as f64;
+        if !(1.0..1e18).contains(&bytes) {
+            return Err(format!("`{text}` is no sensible size"));
+        }
+        Ok(Bytes(bytes as u64))
+    }
+}
+
+/// A budget that the libraries fit into.
+pub fn memory_budget(text: &str) -> Result<Bytes, String> {
+    let bytes: Bytes = text.parse()?;
+    if bytes.0 < memory_plan::SMALLEST_BUDGET_BYTES {
+        return Err(format!("the least that is allowed is {}M", memory_plan::SMALLEST_BUDGET_BYTES >> 20));
+    }
+    Ok(bytes)
+}
+
+/// Smallest and largest ground size of a pixel, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gsd(pub f64, pub f64);
+
+impl FromStr for Gsd {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |t: &str| {
+            let t = t.trim().trim_end_matches('m').trim();
+            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| {
+                let hint = if t.contains(',') { "; write a decimal point" } else { "" };
+                format!("`{t}` is no positive length in metres{hint}")
+            })
+        };
+        let range = if let Some((low, high)) = text.split_once("..") {
+            Gsd(number(low)?, number(high)?)
+        } else if let Some((centre, tolerance)) = text.split_once('±').or_else(|| text.split_once("+-")) {
+            let centre = number(centre)?;
+            let half = match tolerance.trim().strip_suffix('%') {
+                Some(percent) => centre * number(percent)? / 100.0,
+                None => number(tolerance)?,
+            };
+            if half >= centre {
+                return Err(format!("`{text}`: the tolerance is larger than the value"));
+            }
+            Gsd(centre - half, centre + half)
+        } else {
+            let centre = number(text)?;
+            Gsd(centre * 0.9, centre * 1.1)
+        };
+        if range.0 > range.1 {
+            return Err(format!("`{text}`: the smaller value comes first"));
+        }
+        Ok(range)
+    }
+}
+
+/// A range of mark sides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum MarkSize {
+    Pixels(f64, f64),
+    Metres(f64, f64),
+}
+
+impl MarkSize {
+    /// The same as a profile has it.
+    pub fn of_profile(self) -> Size {
+        match self {
+            MarkSize::Pixels(low, high) => Size { min_px: Some(low), max_px: Some(high), min_m: None, max_m: None },
+            MarkSize::Metres(low, high) => Size { min_px: None, max_px: None, min_m: Some(low), max_m: Some(high) },
+        }
+    }
+}
+
+/// As the command line takes it: `10..20px`.
+impl std::fmt::Display for MarkSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            MarkSize::Pixels(low, high) => write!(f, "{low}..{high}px"),
+            MarkSize::Metres(low, high) => write!(f, "{low}..{high}m"),
+        }
+    }
+}
+
+/// The word of a choice on the command line.
+pub fn word_of(choice: impl clap::ValueEnum) -> String {
+    choice.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+impl FromStr for MarkSize {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (low, high) = text.split_once("..").unwrap_or((text, text));
+        let metres = high.trim_end().ends_with('m');
+        let number = |t: &str| {
+            let t = t.trim().trim_end_matches("px").trim_end_matches('m').trim();
+            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or(format!("`{t}` is no size"))
+        };
+        // A single size means about that size.
+        let (low, high) = match (number(low)?, number(high)?) {
+            (low, high) if low == high => (low * 0.75, high * 1.25),
+            (low, high) if low < high => (low, high),
+            _ => return Err(format!("`{text}`: the smaller size comes first")),
+        };
+        Ok(if metres { MarkSize::Metres(low, high) } else { MarkSize::Pixels(low, high) })
+    }
+}
+
+/// Rounded to so many digits; what is printed as zero has no sign.
+pub fn unsigned_zero(value: f64, digits: i32) -> f64 {
+    let parts = 10f64.powi(digits);
+    (value * parts).round() / parts + 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_printed_as_they_are_read() {
+        for text in ["10..20px", "0.3..0.5m", "5.25..8.75px"] {
+            assert_eq!(text.parse::<MarkSize>().map(|size| size.to_string()).as_deref(), Ok(text));
+        }
+    }
+
+    #[test]
+    fn ground_sample_distances_as_people_write_them() {
+        assert_eq!("0.02..0.05".parse(), Ok(Gsd(0.02, 0.05)));
+        let Gsd(low, high) = "0.03±5%".parse().expect("a range");
+        assert!((low - 0.0285).abs() < 1e-12 && (high - 0.0315).abs() < 1e-12);
+        let Gsd(low, high) = "0.03".parse().expect("a number");
+        assert!((low - 0.027).abs() < 1e-12 && (high - 0.033).abs() < 1e-12);
+        assert!("-1".parse::<Gsd>().is_err() && "0.05..0.02".parse::<Gsd>().is_err());
+    }
+
+    #[test]
+    fn sizes_with_units() {
+        assert_eq!("512M".parse::<Bytes>().expect("a size").0, 512 << 20);
+        assert_eq!("2GiB".parse::<Bytes>().expect("a size").0, 2 << 30);
+        assert!("many".parse::<Bytes>().is_err());
+        assert_eq!("0.3m..0.5m".parse(), Ok(MarkSize::Metres(0.3, 0.5)));
+    }
+}
