@@ -284,13 +284,17 @@ fn bad_input_is_one_line_that_names_the_file() {
         (folder.to_path_buf(), list.clone(), "directory"),
         (folder.join("absent.tif"), list.clone(), "absent.tif"),
     ];
+    let out = folder.join("out/results");
+    let out_args = ["--quiet", "--out", out.to_str().expect("plain")];
     for (image, gcps, word) in cases {
-        let output = autoref(&[image.to_str().expect("plain"), "--gcps", gcps.to_str().expect("plain"), "--quiet"]);
+        let input = [image.to_str().expect("plain"), "--gcps", gcps.to_str().expect("plain")];
+        let output = autoref(&[&input[..], &out_args].concat());
         let message = stderr(&output);
         assert_eq!(output.status.code(), Some(2), "{image:?} {gcps:?}: {message}");
         assert!(message.contains(word), "no `{word}` in: {message}");
         assert_eq!(message.trim_end().lines().count(), 1, "more than one line: {message}");
         assert!(!message.contains("panicked"), "{message}");
+        assert!(!folder.join("out").exists(), "a folder is left: {message}");
     }
     let leftovers = std::fs::read_dir(folder).expect("readable").filter_map(|entry| {
         let name = entry.expect("readable").file_name().to_string_lossy().into_owned();

@@ -18,6 +18,7 @@ use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::output_folder::OutputFolder;
 
 /// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg`
 /// and `mirrored` of `options` turn them.
@@ -193,7 +194,7 @@ pub fn learn_files(
     let visit =
         |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(open_scan(readable[k])?.as_ref());
     let templates = learn_visiting(readable.len(), &visit, camera, pointed, window_mm, options)?;
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+    let _folder = OutputFolder::make(folder)?;
     let mut learned = camera.clone();
     learned.name = format!("{}-learned", camera.name);
     learned.marks.clear();

@@ -15,6 +15,7 @@ use autoref_raster::bounded;
 use autoref_raster::cells::csv_text;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::output_folder::OutputFolder;
 
 /// How a roll came out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -108,7 +109,7 @@ pub fn run(
     progress: &(dyn Fn(usize, &FrameResult) + Sync),
 ) -> Result<Summary> {
     refuse_same_names(scans, folder)?;
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+    let _folder = OutputFolder::make(folder)?;
     let done = AtomicUsize::new(0);
     let resumed = AtomicUsize::new(0);
     let facts = scans

@@ -41,6 +41,7 @@ pub mod masked;
 pub mod memory;
 pub mod memory_plan;
 mod open;
+pub mod output_folder;
 mod patch;
 mod pool;
 pub mod protected;

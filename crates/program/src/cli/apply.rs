@@ -64,6 +64,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
             (image_of(args, &result, page)?, result, page)
         }
     };
+    let _folder = args.write.folder()?;
     let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
     let bar = WarpBar::new(request.wants(Output::Warp) && !args.quiet && !args.json);

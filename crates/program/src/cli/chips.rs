@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use autoref_raster::Patch;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::output_folder::OutputFolder;
 
 use super::positions::{PositionArgs, patch_around};
 use crate::cli::args::SampleArgs;
@@ -45,7 +46,7 @@ pub fn run(args: &Args) -> Result<()> {
     let marks = &found.marks;
     let sheet_path = args.output.join("contact.png");
     let paths: Vec<PathBuf> = marks.iter().map(|mark| args.output.join(format!("{}.png", plain(&mark.name)))).collect();
-    std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot make it", args.output.display()))?;
+    let _folder = OutputFolder::make(&args.output)?;
     let outputs: Vec<&Path> = paths.iter().chain([&sheet_path]).map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
     let side = args.side_px as usize;

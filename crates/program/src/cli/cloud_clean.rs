@@ -12,6 +12,7 @@ use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
 use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -172,14 +173,14 @@ impl CleanArgs {
         Ok(Written::Step(step))
     }
 
-    /// Where each cloud goes.
-    fn targets(&self) -> anyhow::Result<Vec<PathBuf>> {
+    /// Where each cloud goes, and the folder that was made for them.
+    fn targets(&self) -> anyhow::Result<(Vec<PathBuf>, Option<OutputFolder>)> {
         let named = io::format_of(&self.output).is_ok() && !self.output.is_dir();
         if named && self.clouds.len() == 1 {
             if self.copc && io::format_of(&self.output)? != io::Format::Copc {
                 bail!("--copc: name the output .copc.laz, not {}", self.output.display());
             }
-            return Ok(vec![self.output.clone()]);
+            return Ok((vec![self.output.clone()], None));
         }
         let extension = self.output.extension();
         if named || (extension.is_some() && !self.output.is_dir()) {
@@ -187,8 +188,7 @@ impl CleanArgs {
             io::format_of(&self.output)?;
             bail!("--out {}: several clouds need a folder", self.output.display());
         }
-        std::fs::create_dir_all(&self.output)
-            .with_context(|| format!("{}: cannot make the folder", self.output.display()))?;
+        let folder = OutputFolder::make(&self.output)?;
         let end = if self.copc { "copc.laz" } else { "laz" };
         let targets: Vec<PathBuf> =
             self.clouds.iter().map(|cloud| self.output.join(format!("{}.{end}", stem(cloud)))).collect();
@@ -203,7 +203,7 @@ impl CleanArgs {
                 );
             }
         }
-        Ok(targets)
+        Ok((targets, Some(folder)))
     }
 }
 
@@ -219,7 +219,7 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
     }
     let Begun { asked, of_clouds } = args.means.begin(&args.clouds)?;
     let written = args.steps(of_clouds.as_ref())?;
-    let targets = args.targets()?;
+    let (targets, _folder) = args.targets()?;
     let mut plan = Plan {
         steps: Vec::new(),
         drop_noise: args.drop.iter().any(|name| name.trim() == "noise"),

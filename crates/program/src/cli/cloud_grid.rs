@@ -7,6 +7,7 @@ use anyhow::{Context, bail};
 use autoref_cloud::grid::{self, Dimension, Manner, Noise, Options, Stat};
 use autoref_cloud::params;
 use autoref_raster::atomic::{self, Existing};
+use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 
 use super::cloud::{Cameras, MeansArgs};
@@ -102,23 +103,6 @@ impl GridArgs {
 /// Coordinates of maps have no finer digits.
 const LEAST_CELL: f64 = 1e-9;
 
-/// A folder that this run makes: gone again when nothing came to lie in it.
-struct UnusedFolder(PathBuf);
-
-impl UnusedFolder {
-    /// `None` for a folder that is there already.
-    fn to_be_made(folder: &Path) -> Option<Self> {
-        (!folder.exists()).then(|| UnusedFolder(folder.to_owned()))
-    }
-}
-
-impl Drop for UnusedFolder {
-    fn drop(&mut self) {
-        // Fails where there are files in it.
-        let _ = std::fs::remove_dir(&self.0);
-    }
-}
-
 pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     params::positive("--cell", "cell", args.cell)?;
     if args.cell < LEAST_CELL {
@@ -142,9 +126,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
     let crs_wkt = args.means.begin(&args.clouds)?.asked.map(|crs| crs.wkt().to_string());
-    let _unused = UnusedFolder::to_be_made(&args.output);
-    std::fs::create_dir_all(&args.output)
-        .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
+    let _folder = OutputFolder::make(&args.output)?;
     let fill = usize::from(args.fill);
     let mut options = Options {
         cell_m: args.cell,

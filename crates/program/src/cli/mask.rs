@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES;
+use autoref_raster::output_folder::OutputFolder;
 use autoref_raster::{Error, ReaderChoice};
 use autoref_terrain::batch::{Extras, Given, Method, Options, Report, mask_frame, teach};
 use autoref_terrain::clean::Cleaning;
@@ -307,8 +308,7 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     pool.install(|| {
         tell_mended_elsewhere(&given.mended, &frames);
         let taught = teach(&frames, &given, &options)?;
-        std::fs::create_dir_all(&args.output)
-            .with_context(|| format!("{}: cannot make the folder", args.output.display()))?;
+        let _folder = OutputFolder::make(&args.output)?;
         let bar = if args.quiet || args.json { ProgressBar::hidden() } else { ProgressBar::new(frames.len() as u64) };
         bar.set_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {eta} {msg}").expect("a sound template"));
         let (mut failed, mut sheet) = (0, Sheet::new(&args.output, &given.mended));

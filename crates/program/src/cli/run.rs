@@ -144,6 +144,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Prepared { source, detector, plan, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     drop(opening);
+    let _folder = args.write.folder()?;
     let request = args.write.request(image, args.read.page, args.read.memory.0, prepare::threads(args.read.threads))?;
     request.check_local(list.crs.as_ref())?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;

@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use autoref_film::drawn::{FilmGround, FilmScene, FilmSpec, write_film};
 use autoref_film::load_camera;
+use autoref_raster::output_folder::OutputFolder;
 use autoref_synth::photographs;
 use clap::Args;
 
@@ -55,7 +56,7 @@ pub fn run(args: &SynthFilmArgs) -> anyhow::Result<()> {
     let camera = load_camera(&args.camera)?;
     let ground =
         if args.photos.is_empty() { FilmGround::Noise } else { FilmGround::open(&photographs(&args.photos)?)? };
-    std::fs::create_dir_all(&args.output).with_context(|| format!("{}: cannot create it", args.output.display()))?;
+    let _folder = OutputFolder::make(&args.output)?;
     for seed in args.seed..args.seed.saturating_add(args.frames) {
         let path = args.output.join(format!("{}-{seed}.tif", camera.name));
         if path.exists() && !args.overwrite {

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use autoref_flight::render::{Effects, FrameRenderer, Landscape, Plan};
 use autoref_flight::{Camera, Parameter};
+use autoref_raster::output_folder::OutputFolder;
 
 use super::flight::ortho::Dem;
 use super::synth::Pair;
@@ -166,7 +167,7 @@ pub fn run(args: &Args) -> Result<()> {
     let control = control::draw(&frames, gcps, checks, [args.sigma_ground, args.sigma_image], args.seed)
         .with_context(|| format!("{}: no flight was written", args.output.display()))?;
     let folder = args.output.join(if film.is_some() { "scans" } else { "frames" });
-    std::fs::create_dir_all(&folder).with_context(|| format!("{}: cannot create it", folder.display()))?;
+    let _folder = OutputFolder::make(&folder)?;
     for frame in &frames {
         let path = folder.join(format!("{}.tif", frame.exposure.name));
         if path.exists() && !args.overwrite {

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Existing;
+use autoref_raster::output_folder::OutputFolder;
 use autoref_raster::tile_folder;
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
 use autoref_stream::georef::write::{Output, WriteRequest};
@@ -82,6 +83,11 @@ impl WriteArgs {
         }
     }
 
+    /// The folder of `--out`, for as long as the run lasts.
+    pub fn folder(&self) -> anyhow::Result<Option<OutputFolder>> {
+        Ok(self.out.as_deref().map(OutputFolder::make).transpose()?)
+    }
+
     /// What these flags ask for, checked as far as that goes before any work.
     pub fn request(
         &self,
@@ -90,10 +96,6 @@ impl WriteArgs {
         memory_budget_bytes: u64,
         threads: usize,
     ) -> anyhow::Result<WriteRequest> {
-        if let Some(folder) = &self.out {
-            std::fs::create_dir_all(folder)
-                .map_err(|e| autoref_raster::Error::io(folder, "create the output folder", e))?;
-        }
         let mut request =
             WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), Existing::of_flag(self.overwrite));
         request.page = page;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::Error;
 use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint, TextFile};
 use autoref_raster::atomic::{self, Existing};
+use autoref_raster::output_folder::OutputFolder;
 
 use super::project::{OrderedFrames, Project, ordered_frames, read_project};
 use super::runs;
@@ -40,7 +40,7 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     let mut flight = ordered_frames(&project, &base)?;
     flight.rows_on_map(&project, &base, None)?;
     let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
-    std::fs::create_dir_all(&args.output).map_err(|e| Error::io(&args.output, "create", e))?;
+    let _folder = OutputFolder::make(&args.output)?;
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
     for path in &paths {
         check_output(Some(path), Existing::of_flag(args.overwrite))?;
