@@ -2,14 +2,13 @@
 //! wide tolerance, and the image's corners would follow it.
 
 use crate::matching::Pattern;
+use crate::matching::doubtful::FAR_ARM;
 use crate::matching::search::Search;
 use crate::matching::settle::{FEWEST_NEAR, centre_and_spread, usual_noise_px};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// A pair lies far from the others when the square of its distance from their middle is more than the sum of theirs.
-const FAR_ARM: f64 = 1.0;
 /// Pairs agree when the others, fitted without one, put it within so many of their deviations: F(2, 8) exceeds 18.5
 /// once in a thousand.
 const AGREEING_SIGMAS: f64 = 6.1;

@@ -29,6 +29,7 @@
 
 mod bitmap;
 pub mod diagnosis;
+pub(crate) mod doubtful;
 mod draws;
 mod duplicates;
 pub mod evidence;

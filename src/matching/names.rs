@@ -112,6 +112,11 @@ impl Search<'_> {
         self.names.as_ref().is_none_or(|names| names.allow(candidate, gcp))
     }
 
+    /// Whether a mark bears the name of the GCP.
+    pub(super) fn bears_name_of(&self, candidate: usize, gcp: usize) -> bool {
+        self.names.as_ref().is_some_and(|names| names.of[candidate] == Some(gcp))
+    }
+
     /// The nearest candidate within `reach_px` that may be the GCP.
     #[inline]
     pub fn nearest_allowed(&self, p: PixelPoint, reach_px: f64, gcp: usize) -> Option<(usize, f64)> {

@@ -376,6 +376,9 @@ impl RobustMatcher {
             }
         }
         found.tell_apart(&search);
+        if let Some(sure) = found.best.as_ref().and_then(|best| search.without_doubtful_far(best)) {
+            found.best = Some(sure);
+        }
         found.names = found.best.as_ref().and_then(|best| search.names_agree(best));
         found
     }

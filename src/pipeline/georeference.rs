@@ -8,11 +8,13 @@ use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::diagnosis::{Diagnosis, GrossErrors, KnownPlace};
+use crate::matching::doubtful::{Ground, doubtful_far};
+use crate::matching::field::Field;
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, Refinement, rematch};
 use autoref_raster::RasterSource;
-use autoref_raster::coords::PixelPoint;
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_raster::error::Result;
 use autoref_raster::memory_plan::ScanPlan;
 use autoref_solve::{Pair, Solution, solve_as};
@@ -265,6 +267,9 @@ fn orient(
         }
     }
     marks.sort_by_key(|mark| mark.gcp);
+    let may_be_asked = |mark: &FoundMark| evidence.names.is_none() || labels.named_by(&mark.mark) != Some(mark.gcp);
+    not_found.extend(without_doubtful(&mut marks, &outside, candidates, gcps, (mirrored, &may_be_asked)));
+    not_found.sort_unstable();
     match solve_as(&pairs(gcps, &marks), mirrored) {
         Ok(solution) => Ok(Outcome::Solved(Box::new(Orientation {
             evidence,
@@ -277,6 +282,26 @@ fn orient(
         }))),
         Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
     }
+}
+
+/// Takes doubtful far marks away ([`doubtful_far`]) and tells whose they were.
+fn without_doubtful(
+    marks: &mut Vec<FoundMark>,
+    outside: &[usize],
+    candidates: &[Candidate],
+    gcps: &[Gcp],
+    (mirrored, may_be_asked): (Handedness, &dyn Fn(&FoundMark) -> bool),
+) -> Vec<usize> {
+    let may_have_mark = |gcp: &usize| gcps[*gcp].role == GcpRole::Control && !outside.contains(gcp);
+    let in_image: Vec<MapPoint> = (0..gcps.len()).filter(may_have_mark).map(|gcp| gcps[gcp].position()).collect();
+    let field = Field::new(candidates.iter().map(|candidate| candidate.centre).collect(), None);
+    let density = |p: PixelPoint| field.density_near(p);
+    let ground = Ground { gcps: &in_image, mirrored, density: &density };
+    let mut gone = Vec::new();
+    while let Some(doubtful) = doubtful_far(&pairs(gcps, marks), &ground, |i| may_be_asked(&marks[i])) {
+        gone.push(marks.remove(doubtful).gcp);
+    }
+    gone
 }
 
 /// What surrounds a matched or refused list, for the diagnosis.

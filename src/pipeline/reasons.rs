@@ -12,7 +12,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterSource, read_patch};
-use autoref_solve::Similarity;
+use autoref_solve::{Similarity, Solution};
 
 /// Why a point was not found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -172,7 +172,7 @@ pub fn reasons(
         }
         let taken = |mark: PixelPoint| marks().any(|found| near_each_other(found.mark.centre, mark, side_px));
         if let Some(&mark) = beside.first().filter(|mark| !taken(**mark)) {
-            all.push(displaced(name, at, mark, &orientation.solution.similarity));
+            all.push(beside_its_place(name, at, mark, &orientation.solution));
             continue;
         }
         let seen = match source {
@@ -200,6 +200,21 @@ fn near_each_other(a: PixelPoint, b: PixelPoint, reach_px: f64) -> bool {
     (a.x - b.x).hypot(a.y - b.y) <= reach_px
 }
 
+/// A whole mark, no other point's, that was not taken: beside its place, or where the others do not say so surely.
+fn beside_its_place(name: String, at: PixelPoint, mark: PixelPoint, solution: &Solution) -> NotFound {
+    /// Of the deviations of a place so many hold the mark.
+    const HOLDING: f64 = 4.0;
+    let (off_px, sigma_px) = ((mark.x - at.x).hypot(mark.y - at.y), solution.sigma_at_m(at) / solution.scale_m_per_px);
+    if off_px > HOLDING * sigma_px.max(1.0) || sigma_px <= 1.0 {
+        return displaced(name, at, mark, &solution.similarity);
+    }
+    let detail = format!(
+        "a mark lies {off_px:.1} px beside its place, which the other points give to {sigma_px:.1} px only: its own, or \
+         another as often"
+    );
+    NotFound { between: vec![name.clone()], ..NotFound::new(name, Reason::Ambiguous, at, detail) }
+}
+
 /// The mark lies whole, but elsewhere than the list has it.
 fn displaced(name: String, at: PixelPoint, mark: PixelPoint, similarity: &Similarity) -> NotFound {
     let (listed, seen) = (similarity.apply(at), similarity.apply(mark));
@@ -219,19 +234,15 @@ const FULL: f64 = 0.7;
 fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option<[u8; 3]>) -> NotFound {
     /// What stands out less is ground; as in the examination.
     const LEAST_CONTRAST: f64 = 4.0;
-    /// A trace of paint is at least this share of it.
+    /// A trace of paint is at least this share of it, and so many times what bare ground around looks like.
     const TRACE: f64 = 0.08;
+    const MORE_THAN_GROUND: f64 = 1.5;
     /// Hues that lie further apart are other paints, radians.
     const HUES: f64 = 0.45;
     /// A colour that lies no farther beside the line from ground to paint is ground that paint shows on.
     const MIXED: f64 = 0.3;
     let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
-    let distance = |i: usize| ((i % width) as f64 + 0.5 + x0 - at.x).hypot((i / width) as f64 + 0.5 + y0 - at.y);
-    let ring: Vec<[u16; 3]> = (0..patch.rgb.len())
-        .filter(|&i| patch.valid[i] && distance(i) > 1.1 * side_px && distance(i) <= 2.0 * side_px + 6.0)
-        .map(|i| patch.rgb[i])
-        .collect();
-    let Some(ground) = sample_ground(&ring, patch.white) else {
+    let Some(ground) = ground_around(at, patch, side_px) else {
         return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
     };
     let scale = 255.0 / f64::from(patch.white);
@@ -264,6 +275,12 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     let share = paint.map_or(0.0, |paint| share_of(&ground, &colour, paint));
     let apart = paint.map_or(0.0, |paint| hues_apart(&colour, paint));
     let mixed = paint.is_none_or(|paint| off_line(&ground, &colour, paint) < MIXED);
+    let is_trace = || {
+        let of_ground = around(1.5 * side_px)
+            .filter_map(mean_about)
+            .map(|colour| paint.map_or(0.0, |paint| share_of(&ground, &colour, paint)));
+        share >= TRACE && contrast >= 1.0 && share >= MORE_THAN_GROUND * of_ground.fold(0.0, f64::max)
+    };
     let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && !mixed {
         (Reason::OtherColour, format!("what stands out there is {hex}"))
     } else if contrast >= LEAST_CONTRAST && share >= FULL {
@@ -280,7 +297,7 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
              cut, or of another shape"
         );
         (Reason::Hidden, what)
-    } else if contrast >= LEAST_CONTRAST || share >= TRACE && contrast >= 1.0 {
+    } else if contrast >= LEAST_CONTRAST || is_trace() {
         (
             Reason::Faint,
             format!("{:.0} % of the paint's contrast, {contrast:.1} deviations of the ground", 100.0 * share),
@@ -290,6 +307,25 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
         (Reason::Hidden, what)
     };
     NotFound { contrast: Some(contrast), colour: Some(hex), ..NotFound::new(name, reason, at, detail) }
+}
+
+/// The ground beside a mark that would lie there.
+fn ground_around(at: PixelPoint, patch: &Patch, side_px: f64) -> Option<Ground> {
+    let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
+    let distance = |i: usize| ((i % width) as f64 + 0.5 + x0 - at.x).hypot((i / width) as f64 + 0.5 + y0 - at.y);
+    let is_beside = |i: &usize| distance(*i) > 1.1 * side_px && distance(*i) <= 2.0 * side_px + 6.0;
+    let ring: Vec<[u16; 3]> =
+        (0..patch.rgb.len()).filter(|&i| patch.valid[i]).filter(is_beside).map(|i| patch.rgb[i]).collect();
+    sample_ground(&ring, patch.white)
+}
+
+/// Places all around, so far away.
+fn around(radius_px: f64) -> impl Iterator<Item = (f64, f64)> {
+    const PLACES: u32 = 16;
+    (0..PLACES).map(move |k| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / f64::from(PLACES)).sin_cos();
+        (radius_px * cos, radius_px * sin)
+    })
 }
 
 /// Share of paint that the colour is, from the ground.
