@@ -24,7 +24,7 @@ pub(super) fn write_dem(
 }
 
 /// First band and last (alpha) of an orthophoto with its geotransform.
-fn ortho(path: &Path) -> (Vec<u8>, Vec<u8>, (usize, usize), [f64; 6]) {
+pub(super) fn ortho(path: &Path) -> (Vec<u8>, Vec<u8>, (usize, usize), [f64; 6]) {
     let file = gdal::Dataset::open(path).expect("it opens");
     let size = file.raster_size();
     let read = |b: usize| {
@@ -52,7 +52,7 @@ fn with_palette(grey: &Path, out: &Path) {
     copy.create_copy(&driver("PNG"), out, &Default::default()).expect("a PNG").close().expect("written");
 }
 
-fn correlation(pairs: &[(f64, f64)]) -> f64 {
+pub(super) fn correlation(pairs: &[(f64, f64)]) -> f64 {
     let n = pairs.len() as f64;
     let mean = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
     let sum = |f: &dyn Fn(&(f64, f64)) -> f64| pairs.iter().map(f).sum::<f64>();

@@ -3,11 +3,14 @@
 //! Pixels count from the outer corner of the first pixel, x to the right, y down; its centre is (0.5, 0.5). The camera
 //! looks along +z, x to the right and y down in the image.
 
+use std::f64::consts::{FRAC_PI_2, PI};
+
 use serde::{Deserialize, Serialize};
 
 use crate::dual::{Dual, Real};
+use crate::plane::PlaneMap;
 
-/// How the angle off the axis becomes a distance from the principal point.
+/// How the angle θ off the axis becomes a distance from the principal point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Projection {
@@ -16,6 +19,14 @@ pub enum Projection {
     Perspective,
     /// r = θ (Kannala–Brandt; OpenCV's and COLMAP's fisheye).
     Fisheye,
+    /// r = 2 sin(θ/2): equal areas.
+    Equisolid,
+    /// r = 2 tan(θ/2).
+    Stereographic,
+    /// r = sin θ.
+    Orthographic,
+    /// Longitude and latitude, no radius: x = atan(X/Z), y = asin(Y/R).
+    Equirectangular,
 }
 
 /// The parameters of a lens in a fixed order, so that any of them can be adjusted.
@@ -24,6 +35,9 @@ pub enum Projection {
 /// L = (1 + k1 r² + … + k6 r¹²) / (1 + d1 r² + d2 r⁴ + d3 r⁶);
 /// x′ = x L + 2 p1 x y + p2 (r² + 2x²) + b1 x + b2 y; y′ = y L + p1 (r² + 2y²) + 2 p2 x y;
 /// u = cx + f x′, v = cy + f·aspect y′ (the centre of distortion added back).
+///
+/// What a camera has in [`Camera::before`] moves (cx + f x, cy + f·aspect y) before these terms, what it has in
+/// [`Camera::after`] moves (u, v).
 ///
 /// Radial and tangential terms: Brown, *Close-range camera calibration*, 1971, in OpenCV's order; affine terms:
 /// El-Hakim and Fraser, as MicMac's `ModPhgrStd`. The rational terms serve models of other programs.
@@ -70,26 +84,33 @@ impl Parameter {
     }
 }
 
-/// A polynomial that goes before the lens's other terms, in pixels about a centre: MicMac's `eModelePolyDegN`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PixelPolynomial {
-    pub degree: usize,
-    pub centre_px: [f64; 2],
-    /// Pixels that count as one.
-    pub scale_px: f64,
-    pub coefficients: Vec<f64>,
+/// What a camera's size is of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SizeOf {
+    /// The image: one of another size has other pixels.
+    #[default]
+    Image,
+    /// The film on a scan, which may be larger; pixels are the scan's.
+    Film,
 }
 
-/// A camera: size, projection and parameters.
+/// A camera: size, projection, parameters, and maps of its plane.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     pub name: String,
     pub size_px: [f64; 2],
+    #[serde(default)]
+    pub size_of: SizeOf,
     pub projection: Projection,
     /// In the order of [`Parameter`]; f, cx, cy in pixels, the others without unit.
     pub values: [f64; PARAMETERS],
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub polynomial: Option<PixelPolynomial>,
+    /// What moves the plane before the lens's terms, in the order of application.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub before: Vec<PlaneMap>,
+    /// What moves the image behind them: the other lenses of a chain, a scan that lies turned.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub after: Vec<PlaneMap>,
 }
 
 impl Camera {
@@ -100,7 +121,9 @@ impl Camera {
         values[Parameter::Aspect as usize] = 1.0;
         values[Parameter::Cx as usize] = pp_px[0];
         values[Parameter::Cy as usize] = pp_px[1];
-        Camera { name: name.into(), size_px, projection: Projection::Perspective, values, polynomial: None }
+        let (before, after) = (Vec::new(), Vec::new());
+        let (size_of, projection) = (SizeOf::Image, Projection::Perspective);
+        Camera { name: name.into(), size_px, size_of, projection, values, before, after }
     }
     pub fn get(&self, parameter: Parameter) -> f64 {
         self.values[parameter as usize]
@@ -122,8 +145,8 @@ impl Camera {
 
     /// Pixel of a point in the camera's axes (x right, y down, z forward); `None` when the point is not in front.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        (point[2] > 0.0 || self.projection == Projection::Fisheye)
-            .then(|| project(self.projection, &self.values, self.polynomial.as_ref(), point))
+        (point[2] > 0.0 || self.projection.sees_behind())
+            .then(|| self.image(&self.values, self.projection.plane(point)))
             .filter(|p| p[0].is_finite() && p[1].is_finite())
     }
 
@@ -131,7 +154,7 @@ impl Camera {
     pub fn project_with_jacobian(&self, point: [f64; 3]) -> ([f64; 2], [[f64; 3]; 2]) {
         let values = self.values.map(Dual::<3>::constant);
         let x = std::array::from_fn(|i| Dual::variable(point[i], i));
-        let [u, v] = project(self.projection, &values, self.polynomial.as_ref(), x);
+        let [u, v] = self.image(&values, self.projection.plane(x));
         ([u.v, v.v], [u.d, v.d])
     }
 
@@ -146,38 +169,46 @@ impl Camera {
             values[*p as usize] = Dual::variable(self.get(*p), i + 3);
         }
         let x = std::array::from_fn(|i| Dual::variable(point[i], i));
-        project(self.projection, &values, self.polynomial.as_ref(), x)
+        self.image(&values, self.projection.plane(x))
+    }
+
+    /// Pixel of a place in the plane of the projection, for plain numbers and for those with derivatives.
+    fn image<T: Real>(&self, values: &[T; PARAMETERS], place: [T; 2]) -> [T; 2] {
+        let get = |p: Parameter| values[p as usize];
+        let centre = [get(Parameter::Cx), get(Parameter::Cy)];
+        let scale = [get(Parameter::F), get(Parameter::F) * get(Parameter::Aspect)];
+        let mut place = place;
+        if !self.before.is_empty() {
+            let on_plane = [0, 1].map(|k| centre[k] + scale[k] * place[k]);
+            let moved = self.before.iter().fold(on_plane, |at, map| map.apply(at));
+            place = [0, 1].map(|k| (moved[k] - centre[k]) / scale[k]);
+        }
+        let seen = lens(values, place);
+        let pixel = [0, 1].map(|k| centre[k] + scale[k] * seen[k]);
+        self.after.iter().fold(pixel, |at, map| map.apply(at))
     }
 
     /// Unit vector, in the camera's axes, that a pixel looks along; `None` when no direction gives that pixel.
     pub fn ray(&self, pixel: [f64; 2]) -> Option<[f64; 3]> {
-        let (f, aspect) = (self.f_px(), self.get(Parameter::Aspect));
-        let start = [(pixel[0] - self.get(Parameter::Cx)) / f, (pixel[1] - self.get(Parameter::Cy)) / (f * aspect)];
-        let r = start[0].hypot(start[1]);
-        let (mut x, mut y) = match self.projection {
-            Projection::Perspective => (start[0], start[1]),
-            Projection::Fisheye if r > 1e-9 => {
-                let t = r.min(1.5).tan() / r;
-                (start[0] * t, start[1] * t)
-            }
-            Projection::Fisheye => (start[0], start[1]),
-        };
+        let f = self.f_px();
+        let [mut x, mut y] = self.without_lens(pixel)?;
         let off = |x: f64, y: f64| {
-            let p = project(self.projection, &self.values, self.polynomial.as_ref(), [x, y, 1.0]);
+            let p = self.image(&self.values, [x, y]);
             (p[0] - pixel[0]).hypot(p[1] - pixel[1])
         };
+        let values = self.values.map(Dual::<2>::constant);
         let mut error = off(x, y);
         for _ in 0..50 {
             if error < 1e-10 * f {
                 break;
             }
-            let (at, j) = self.project_with_jacobian([x, y, 1.0]);
-            let (rx, ry) = (pixel[0] - at[0], pixel[1] - at[1]);
-            let det = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-            if det.abs() < 1e-12 * f * f {
+            let [u, v] = self.image(&values, [Dual::variable(x, 0), Dual::variable(y, 1)]);
+            let (rx, ry) = (pixel[0] - u.v, pixel[1] - v.v);
+            let det = u.d[0] * v.d[1] - u.d[1] * v.d[0];
+            if det.is_nan() || det.abs() < 1e-12 * f * f {
                 return None;
             }
-            let (dx, dy) = ((j[1][1] * rx - j[0][1] * ry) / det, (j[0][0] * ry - j[1][0] * rx) / det);
+            let (dx, dy) = ((v.d[1] * rx - u.d[1] * ry) / det, (u.d[0] * ry - v.d[0] * rx) / det);
             let mut step = 1.0;
             loop {
                 let next = off(x + step * dx, y + step * dy);
@@ -188,11 +219,22 @@ impl Camera {
                 step *= 0.5;
                 if step < 1e-6 {
                     // The rounding of the projection: nothing better is near.
-                    return (error < 1e-6 * f).then(|| unit([x, y, 1.0]));
+                    return if error < 1e-6 * f { self.projection.direction([x, y]) } else { None };
                 }
             }
         }
-        (error < 1e-6 * f).then(|| unit([x, y, 1.0]))
+        if error < 1e-6 * f { self.projection.direction([x, y]) } else { None }
+    }
+
+    /// Where a pixel lies in the plane of the projection, were it not for the lens's terms.
+    fn without_lens(&self, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        let (centre, f) = (self.pp_px(), self.f_px());
+        let scale = [f, f * self.get(Parameter::Aspect)];
+        let back = |maps: &[PlaneMap], at| maps.iter().rev().try_fold(at, |at, map| map.undo(at));
+        let at = back(&self.after, pixel)?;
+        // The lens may hold the pixel where the maps before it alone do not reach.
+        let at = back(&self.before, at).unwrap_or(at);
+        Some([0, 1].map(|k| (at[k] - centre[k]) / scale[k]))
     }
 
     /// Whether the image's mapping is one to one out to the place of an undistorted point: beyond the fold of a radial
@@ -213,11 +255,16 @@ impl Camera {
         (0.0..=self.size_px[0]).contains(&pixel[0]) && (0.0..=self.size_px[1]).contains(&pixel[1])
     }
 
+    /// Whether it is more than projection and parameters.
+    pub fn has_plane_maps(&self) -> bool {
+        !(self.before.is_empty() && self.after.is_empty())
+    }
+
     /// Only f, principal point and k1 differ from a plain camera: COLMAP's SIMPLE_RADIAL holds it.
     pub fn is_simple_radial(&self) -> bool {
         use Parameter::*;
         self.projection == Projection::Perspective
-            && self.polynomial.is_none()
+            && !self.has_plane_maps()
             && self.get(Aspect) == 1.0
             && [K2, K3, K4, K5, K6, D1, D2, D3, P1, P2, B1, B2, Dx, Dy].iter().all(|p| self.get(*p) == 0.0)
     }
@@ -228,31 +275,69 @@ fn unit(v: [f64; 3]) -> [f64; 3] {
     v.map(|c| c / n)
 }
 
-/// The projection itself, for plain numbers and for those with derivatives.
-fn project<T: Real>(
-    kind: Projection,
-    values: &[T; PARAMETERS],
-    polynomial: Option<&PixelPolynomial>,
-    point: [T; 3],
-) -> [T; 2] {
-    use Parameter::*;
-    let get = |p: Parameter| values[p as usize];
-    let one = T::of(1.0);
-    let two = T::of(2.0);
-    let (mut x, mut y) = (point[0] / point[2], point[1] / point[2]);
-    if kind == Projection::Fisheye {
-        let off = (point[0] * point[0] + point[1] * point[1]).sqrt();
-        if off.value() > 1e-12 * point[2].value().abs() {
-            let per = off.atan2(point[2]) / off;
-            (x, y) = (point[0] * per, point[1] * per);
+impl Projection {
+    pub const ALL: [Projection; 6] = {
+        use Projection::*;
+        [Perspective, Fisheye, Equisolid, Stereographic, Orthographic, Equirectangular]
+    };
+
+    pub fn name(self) -> &'static str {
+        ["perspective", "fisheye", "equisolid", "stereographic", "orthographic", "equirectangular"][self as usize]
+    }
+
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|p| p.name() == name)
+    }
+
+    /// Whether points beside and behind the camera have a place.
+    fn sees_behind(self) -> bool {
+        !matches!(self, Projection::Perspective | Projection::Orthographic)
+    }
+
+    /// Place in the plane, f as unit.
+    fn plane<T: Real>(self, [x, y, z]: [T; 3]) -> [T; 2] {
+        let (one, two) = (T::of(1.0), T::of(2.0));
+        let aside2 = x * x + y * y;
+        let times = |k: T| [x * k, y * k];
+        let far = || (aside2 + z * z).sqrt();
+        match self {
+            Projection::Perspective => [x / z, y / z],
+            Projection::Fisheye => {
+                let off = aside2.sqrt();
+                if off.value() > 1e-12 * z.value().abs() { times(off.atan2(z) / off) } else { [x / z, y / z] }
+            }
+            Projection::Equisolid => times(two / (two * far() * (far() + z)).sqrt()),
+            Projection::Stereographic => times(two / (far() + z)),
+            Projection::Orthographic => times(one / far()),
+            Projection::Equirectangular => [x.atan2(z), y.atan2((x * x + z * z).sqrt())],
         }
     }
-    if let Some(polynomial) = polynomial {
-        let [u, v] = polynomial.apply(get(Cx) + get(F) * x, get(Cy) + get(F) * get(Aspect) * y);
-        (x, y) = ((u - get(Cx)) / get(F), (v - get(Cy)) / (get(F) * get(Aspect)));
+
+    /// The direction of a place in the plane, a unit vector; `None` where the plane has ended.
+    fn direction(self, [x, y]: [f64; 2]) -> Option<[f64; 3]> {
+        let r = x.hypot(y);
+        let angle = match self {
+            Projection::Perspective => return Some(unit([x, y, 1.0])),
+            Projection::Equirectangular => {
+                let within = x.abs() <= PI && y.abs() <= FRAC_PI_2;
+                return within.then(|| [y.cos() * x.sin(), y.sin(), y.cos() * x.cos()]);
+            }
+            Projection::Fisheye => r,
+            Projection::Equisolid => 2.0 * (r / 2.0).asin(),
+            Projection::Stereographic => 2.0 * (r / 2.0).atan(),
+            Projection::Orthographic => r.asin(),
+        };
+        let per = if r > 0.0 { angle.sin() / r } else { 1.0 };
+        (angle <= PI).then(|| [x * per, y * per, angle.cos()])
     }
-    x = x - get(Dx);
-    y = y - get(Dy);
+}
+
+/// The lens's terms in the plane of the projection.
+fn lens<T: Real>(values: &[T; PARAMETERS], [x, y]: [T; 2]) -> [T; 2] {
+    use Parameter::*;
+    let get = |p: Parameter| values[p as usize];
+    let (one, two) = (T::of(1.0), T::of(2.0));
+    let (x, y) = (x - get(Dx), y - get(Dy));
     let r2 = x * x + y * y;
     let mut radial = get(K6);
     for k in [K5, K4, K3, K2, K1] {
@@ -265,48 +350,15 @@ fn project<T: Real>(
     let xy = two * x * y;
     let xd = x * l + get(P1) * xy + get(P2) * (r2 + two * x * x) + get(B1) * x + get(B2) * y;
     let yd = y * l + get(P1) * (r2 + two * y * y) + get(P2) * xy;
-    let u = get(Cx) + get(F) * (xd + get(Dx));
-    let v = get(Cy) + get(F) * get(Aspect) * (yd + get(Dy));
-    [u, v]
-}
-
-impl PixelPolynomial {
-    /// MicMac's general polynomial (`cDistGen_Deg0_DegN`, "eModelePolyDeg2…7"): six terms of low degree without those
-    /// that turn, shift and scale, then x^(d−k) y^k of the degrees from 3 up, for x and then for y.
-    fn apply<T: Real>(&self, u: T, v: T) -> [T; 2] {
-        let s = T::of(1.0 / self.scale_px);
-        let x = (u - T::of(self.centre_px[0])) * s;
-        let y = (v - T::of(self.centre_px[1])) * s;
-        let c = |i: usize| T::of(self.coefficients.get(i).copied().unwrap_or(0.0));
-        let two = T::of(2.0);
-        let mut dx = c(0) * x + c(1) * y - two * c(2) * x * x + c(3) * x * y + c(4) * y * y;
-        let mut dy = -(c(0) * y) + c(1) * x + c(2) * x * y - two * c(3) * y * y + c(5) * x * x;
-        let mut at = 6;
-        for degree in 3..=self.degree {
-            for part in [&mut dx, &mut dy] {
-                for k in 0..=degree {
-                    let mut term = c(at);
-                    for _ in 0..degree - k {
-                        term = term * x;
-                    }
-                    for _ in 0..k {
-                        term = term * y;
-                    }
-                    *part = *part + term;
-                    at += 1;
-                }
-            }
-        }
-        let scale = T::of(self.scale_px);
-        [u + dx * scale, v + dy * scale]
-    }
+    [xd + get(Dx), yd + get(Dy)]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plane::Polynomial;
 
-    fn lens() -> Camera {
+    fn some_lens() -> Camera {
         use Parameter::*;
         let mut camera = Camera::pinhole("test", [4000.0, 3000.0], 3200.0, [2010.0, 1490.0]);
         for (p, v) in
@@ -317,10 +369,22 @@ mod tests {
         camera
     }
 
+    fn between_maps() -> Camera {
+        let mut camera = some_lens();
+        let mut bent = Polynomial::new([1900.0, 1500.0], 3000.0);
+        bent.add([2, 1], [0.01, -0.02]).add([0, 2], [-0.01, 0.005]);
+        let mut turned = Polynomial::new([2010.0, 1490.0], 1.0);
+        turned.add([1, 0], [-1.0, 1.0]).add([0, 1], [-1.0, -1.0]);
+        camera.before = vec![PlaneMap::Polynomial(bent.clone()), PlaneMap::Undo(bent.clone())];
+        camera.after = vec![PlaneMap::Undo(bent), PlaneMap::Polynomial(turned)];
+        camera
+    }
+
     #[test]
     fn rays_undo_projections() {
-        for projection in [Projection::Perspective, Projection::Fisheye] {
-            let camera = Camera { projection, ..lens() };
+        let kinds = Projection::ALL.map(|projection| Camera { projection, ..some_lens() });
+        for camera in kinds.into_iter().chain([between_maps()]) {
+            let projection = camera.projection;
             for pixel in [[0.0, 0.0], [4000.0, 10.0], [2010.0, 1490.0], [1234.5, 2999.0]] {
                 let ray = camera.ray(pixel).expect("inside the image");
                 let back = camera.project(ray).expect("in front");
@@ -331,8 +395,14 @@ mod tests {
 
     #[test]
     fn derivatives_agree_with_differences() {
+        for camera in [some_lens(), between_maps()] {
+            derivatives_agree(&camera);
+        }
+    }
+
+    fn derivatives_agree(camera: &Camera) {
         use Parameter::*;
-        let (camera, point, h) = (lens(), [0.3, -0.2, 1.1], 1e-6);
+        let (point, h) = ([0.3, -0.2, 1.1], 1e-6);
         let which = [F, Aspect, Cx, Cy, K1, K2, P1, P2, B1, B2, Dx, Dy];
         let exact = camera.project_with_parameters::<16>(point, &which);
         for (i, p) in which.iter().enumerate() {

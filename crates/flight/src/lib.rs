@@ -10,6 +10,7 @@ pub mod intersect;
 pub mod lines;
 pub mod micmac_files;
 pub mod ortho;
+pub mod plane;
 pub mod pose;
 pub mod read;
 pub mod render;
@@ -20,6 +21,6 @@ pub mod ties;
 pub mod world;
 mod xml;
 
-pub use camera::{Camera, Parameter, Projection};
+pub use camera::{Camera, Parameter, Projection, SizeOf};
 pub use error::{Error, Result};
 pub use pose::{Pose, Similarity, YawPitchRoll};

@@ -5,6 +5,7 @@ mod adjust;
 mod feet;
 mod files;
 mod resect;
+mod scans;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

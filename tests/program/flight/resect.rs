@@ -223,6 +223,6 @@ fn a_camera_file_is_read_or_refused() {
          </OrientationConique>",
     );
     expect(&resect(&place.at("Ori/Orientation-f2.png.xml")), 0, &[]);
-    let fish = "<ModUnif><TypeModele>eModele_FishEye_10_5_5</TypeModele></ModUnif>";
-    expect(&resect(&place.write("Ori/Fish.xml", &calibration(fish))), 2, &["Fish.xml", "eModele_FishEye_10_5_5"]);
+    let grid = place.write("Ori/Grid.xml", &calibration("<ModGrid/>"));
+    expect(&resect(&grid), 2, &["Grid.xml", "<ModGrid>", "FraserBasic"]);
 }

@@ -6,8 +6,9 @@
 
 use std::path::Path;
 
-use crate::camera::{Camera, Parameter};
+use crate::camera::{Camera, Parameter, SizeOf};
 use crate::error::{Error, Result};
+use crate::plane::{PlaneMap, Polynomial};
 use crate::xml::{Element, numbers};
 
 /// shift + columns · (x, y).
@@ -22,6 +23,15 @@ pub(super) struct Affinity {
 pub(super) enum SizeIn {
     Pixels,
     Plane,
+}
+
+/// Which way the axes of the camera in pixels run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Axes {
+    /// As those of the plane that a rotation is stated for, however the image lies on it.
+    Plane,
+    /// x to the right and y down in the image, where no rotation is stated.
+    Image,
 }
 
 /// What an affinity may turn or shear over a frame unseen, pixels.
@@ -47,79 +57,115 @@ impl Affinity {
     /// `None` where both axes are one.
     pub(super) fn inverse(&self) -> Option<Self> {
         let [[a, c], [b, d]] = self.columns;
-        let determinant = a * d - b * c;
+        let determinant = self.determinant();
         let columns = [[d / determinant, -c / determinant], [-b / determinant, a / determinant]];
         let bare = Affinity { shift: [0.0; 2], columns };
         let shift = bare.apply(self.shift).map(|v| -v);
         columns.iter().flatten().chain(&shift).all(|v| v.is_finite()).then_some(Affinity { shift, columns })
     }
 
+    /// First `self`, then `next`.
+    pub(super) fn then(&self, next: &Affinity) -> Self {
+        let bare = Affinity { shift: [0.0; 2], ..*next };
+        Affinity { shift: next.apply(self.shift), columns: self.columns.map(|column| bare.apply(column)) }
+    }
+
+    fn determinant(&self) -> f64 {
+        let [[a, c], [b, d]] = self.columns;
+        a * d - b * c
+    }
+
     fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|k| self.shift[k] + self.columns[0][k] * x + self.columns[1][k] * y)
     }
 
-    /// A camera of this plane in pixels. Shifts and scales along the axes are held exactly, two scales as `aspect`.
+    /// A camera of this plane in pixels. Shifts and scales along the axes go into its parameters, two scales as
+    /// `aspect`; what else the affinity does to the image stays behind the lens. `element` is where the file has it.
     ///
     /// # Errors
-    /// What cannot be held: an affinity that turns or shears, two scales or a mirror under a polynomial. `element` is
-    /// where the file has it.
-    pub(super) fn to_pixels(self, path: &Path, element: &str, camera: &Camera, size: SizeIn) -> Result<Camera> {
+    /// When the frame would lie outside the image.
+    pub(super) fn to_pixels(
+        self,
+        path: &Path,
+        element: &str,
+        camera: &Camera,
+        size: SizeIn,
+        axes: Axes,
+    ) -> Result<Camera> {
         if self == Affinity::IDENTITY {
             return Ok(camera.clone());
         }
-        let refuse = |what: &str| Err(Error::format(path, format!("<{element}>"), what));
-        let scale = [self.columns[0][0], self.columns[1][1]];
         let size_px = match size {
             SizeIn::Pixels => camera.size_px,
-            SizeIn::Plane => {
-                let [near, far] = [[0.0; 2], camera.size_px].map(|corner| self.apply(corner));
-                // To a millionth: the files' rounding makes 1406.9999999999998 of 1407.
-                [near[0].max(far[0]), near[1].max(far[1])].map(|side| (side * 1e6).round() / 1e6)
-            }
+            SizeIn::Plane => self.extent(camera.size_px),
         };
-        // Millimetres of the frame's edges, as this plane counts them.
-        let reach = [size_px[0] / scale[0].abs(), size_px[1] / scale[1].abs()];
-        let aside = (self.columns[1][0] * reach[1]).abs().max((self.columns[0][1] * reach[0]).abs());
-        // An axis without a scale makes `aside` no number.
-        if aside.is_nan() || aside > UNSEEN_PX {
-            return refuse(
-                "turns or shears the image, which no camera here holds; resample the scans to the film's frame \
-                 (MicMac's ReSampFid, or `fiducials --resample`)",
-            );
-        }
         if size_px.iter().any(|s| *s <= 0.0) {
-            return refuse("puts the frame outside the image; correct <I00>");
+            return Err(Error::format(path, format!("<{element}>"), "puts the frame outside the image; correct <I00>"));
         }
-        let one_scale = (scale[1].abs() / scale[0].abs() - 1.0).abs() < ONE_SCALE;
-        let [mirror_x, mirror_y] = scale.map(f64::signum);
-        let mut pixels = camera.clone();
+        let signs = if axes == Axes::Image { self.signs() } else { [1.0; 2] };
+        let along = [self.columns[0][0] * signs[0], self.columns[1][1] * signs[1]];
+        let one_scale = (along[1] / along[0] - 1.0).abs() < ONE_SCALE;
+        let held =
+            along[0] > 0.0 && along[1] > 0.0 && self.lies_along(size_px) && (one_scale || !camera.has_plane_maps());
+        let scale = match held {
+            true if one_scale => [along[0]; 2],
+            true => along,
+            false => [self.determinant().abs().sqrt(); 2],
+        };
+        let mut pixels = self.scaled(camera, scale, signs);
         pixels.size_px = size_px;
-        if let Some(polynomial) = &mut pixels.polynomial {
-            if !one_scale || mirror_x < 0.0 || mirror_y < 0.0 {
-                return refuse(
-                    "scales x and y differently, or mirrors, under a polynomial; calibrate with FraserBasic or RadialStd",
-                );
-            }
-            polynomial.centre_px = self.apply(polynomial.centre_px);
-            polynomial.scale_px *= scale[0];
-        }
-        use Parameter::{Aspect, B2, Cx, Cy, Dx, Dy, F, P1, P2};
-        let principal = self.apply(camera.pp_px());
-        pixels.set(F, camera.f_px() * scale[0].abs()).set(Cx, principal[0]).set(Cy, principal[1]);
-        if !one_scale {
-            pixels.set(Aspect, camera.get(Aspect) * (scale[1] / scale[0]).abs());
-        }
-        // A plane whose y points up, as on film: x to the right and y down, as pixels run.
-        for (parameter, sign) in
-            [(P1, mirror_y), (P2, mirror_x), (B2, mirror_x * mirror_y), (Dx, mirror_x), (Dy, mirror_y)]
-        {
-            pixels.set(parameter, camera.get(parameter) * sign);
+        pixels.size_of = if size == SizeIn::Plane { SizeOf::Film } else { SizeOf::Image };
+        if !held {
+            let mut rest = Polynomial::new(pixels.pp_px(), 1.0);
+            let [[a, c], [b, d]] = [0, 1].map(|k| self.columns[k].map(|v| v / (scale[k] * signs[k])));
+            rest.add([1, 0], [a - 1.0, c]).add([0, 1], [b, d - 1.0]);
+            pixels.after.push(PlaneMap::Polynomial(rest));
         }
         Ok(pixels)
     }
 
-    /// Whether an axis of the image runs against that of the plane.
-    pub(super) fn mirrors(&self) -> bool {
-        self.columns[0][0] < 0.0 || self.columns[1][1] < 0.0
+    /// Width and height of the image that holds a frame of the plane.
+    fn extent(&self, [w, h]: [f64; 2]) -> [f64; 2] {
+        let corners = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]].map(|corner| self.apply(corner));
+        // To a millionth: the files' rounding makes 1406.9999999999998 of 1407.
+        [0, 1].map(|k| (corners.iter().map(|c| c[k]).fold(f64::MIN, f64::max) * 1e6).round() / 1e6)
+    }
+
+    /// Whether it turns and shears an image of that size by nothing that is seen.
+    fn lies_along(&self, size_px: [f64; 2]) -> bool {
+        // Millimetres of the frame's edges, as this plane counts them.
+        let reach = [size_px[0] / self.columns[0][0].abs(), size_px[1] / self.columns[1][1].abs()];
+        let aside = (self.columns[1][0] * reach[1]).abs().max((self.columns[0][1] * reach[0]).abs());
+        aside <= UNSEEN_PX
+    }
+
+    /// The axes of the plane that run against those of the image, as −1. One that is turned far runs with them.
+    fn signs(&self) -> [f64; 2] {
+        let [[a, c], [b, d]] = self.columns;
+        match a.abs() > c.abs() && d.abs() > b.abs() {
+            true => [a.signum(), d.signum()],
+            false => [1.0, self.determinant().signum()],
+        }
+    }
+
+    /// The camera on a plane of that scale and sense, its principal point where this affinity has it.
+    fn scaled(&self, camera: &Camera, scale: [f64; 2], signs: [f64; 2]) -> Camera {
+        use Parameter::{Aspect, B2, Cx, Cy, Dx, Dy, F, P1, P2};
+        let (mut pixels, from, to) = (camera.clone(), camera.pp_px(), self.apply(camera.pp_px()));
+        let shift = [0, 1].map(|k| to[k] - scale[0] * signs[k] * from[k]);
+        for maps in [&mut pixels.before, &mut pixels.after] {
+            maps.iter_mut().for_each(|map| *map = map.moved(scale[0], signs, shift));
+        }
+        pixels.set(F, camera.f_px() * scale[0]).set(Cx, to[0]).set(Cy, to[1]);
+        if scale[0] != scale[1] {
+            pixels.set(Aspect, camera.get(Aspect) * (scale[1] / scale[0]));
+        }
+        // A plane whose y points up, as on film: x to the right and y down, as pixels run.
+        for (parameter, sign) in
+            [(P1, signs[1]), (P2, signs[0]), (B2, signs[0] * signs[1]), (Dx, signs[0]), (Dy, signs[1])]
+        {
+            pixels.set(parameter, camera.get(parameter) * sign);
+        }
+        pixels
     }
 }

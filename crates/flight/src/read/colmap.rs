@@ -367,12 +367,15 @@ pub fn parameters(camera: &Camera) -> Result<(&'static str, Vec<f64>), String> {
     let [cx, cy] = camera.pp_px();
     let (f, fy) = (camera.f_px(), camera.f_px() * g(Aspect));
     let zero = |list: &[Parameter]| list.iter().all(|p| g(*p) == 0.0);
-    if camera.polynomial.is_some() || !zero(&[K5, K6, B1, B2, Dx, Dy]) {
+    if camera.has_plane_maps() || !zero(&[K5, K6, B1, B2, Dx, Dy]) {
         return Err("its distortion is of no model of COLMAP's".into());
     }
     match camera.projection {
         Projection::Fisheye if zero(&[D1, D2, D3, P1, P2]) => {
             Ok(("OPENCV_FISHEYE", vec![f, fy, cx, cy, g(K1), g(K2), g(K3), g(K4)]))
+        }
+        Projection::Equisolid | Projection::Stereographic | Projection::Orthographic | Projection::Equirectangular => {
+            Err(format!("its projection ({}) is of no model of COLMAP's", camera.projection.name()))
         }
         Projection::Fisheye => Err("its distortion is of no model of COLMAP's".into()),
         Projection::Perspective if camera.is_simple_radial() => Ok(("SIMPLE_RADIAL", vec![f, cx, cy, g(K1)])),

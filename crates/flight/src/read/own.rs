@@ -5,12 +5,14 @@ use std::path::Path;
 
 use autoref_raster::crs::Crs;
 use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
 use serde_json::Value;
 
 use super::opensfm::{number, triple};
 use super::{Photograph, Reconstruction};
-use crate::camera::{Camera, PARAMETERS, Parameter, Projection};
+use crate::camera::{Camera, PARAMETERS, Parameter, Projection, SizeOf};
 use crate::error::{Error, Result};
+use crate::plane::{HIGHEST_POWER, PlaneMap};
 use crate::pose::{Pose, orthonormal};
 
 /// R times its transpose may be off from one by so much: digits that were rounded, and no scale or shear.
@@ -29,8 +31,7 @@ pub(super) fn read(path: &Path, root: &Value) -> Result<Reconstruction> {
         let place = if name.is_empty() { format!("camera {}", i + 1) } else { format!("camera `{name}`") };
         let pose = Pose { rotation: rotation(path, c, &place)?, centre: Vector3::from(triple(path, c, "C", &place)?) };
         let camera = interior(path, c, &name, &place)?;
-        let same =
-            |k: &Camera| k.values == camera.values && k.size_px == camera.size_px && k.projection == camera.projection;
+        let same = |k: &Camera| Camera { name: camera.name.clone(), ..k.clone() } == camera;
         let at = result.cameras.iter().position(same).unwrap_or_else(|| {
             result.cameras.push(camera.clone());
             result.cameras.len() - 1
@@ -89,17 +90,29 @@ fn interior(path: &Path, c: &Value, name: &str, place: &str) -> Result<Camera> {
         return Err(Error::format(path, place, what));
     }
     let mut camera = Camera::pinhole(name, size, f, pp);
+    if let Some(value) = c.get("size_of") {
+        camera.size_of = SizeOf::deserialize(value)
+            .map_err(|_| Error::format(path, place, format!("`size_of` is {value}; `image` or `film` is expected")))?;
+    }
     for (key, value) in c.get("distortion").and_then(Value::as_object).into_iter().flatten() {
-        if key == "projection" {
-            camera.projection = match value.as_str() {
-                Some("fisheye") => Projection::Fisheye,
-                Some("perspective") => Projection::Perspective,
-                _ => {
-                    let what = format!("the projection {value} is not known; `fisheye` or `perspective` is expected");
-                    return Err(Error::format(path, place, what));
-                }
-            };
-            continue;
+        match key.as_str() {
+            "projection" => {
+                camera.projection = value.as_str().and_then(Projection::by_name).ok_or_else(|| {
+                    let known = Projection::ALL.map(Projection::name).join(", ");
+                    let what = format!("the projection {value} is not known; there are {known}");
+                    Error::format(path, place, what)
+                })?;
+                continue;
+            }
+            "before" => {
+                camera.before = plane_maps(path, key, value, place)?;
+                continue;
+            }
+            "after" => {
+                camera.after = plane_maps(path, key, value, place)?;
+                continue;
+            }
+            _ => {}
         }
         let is_term = |p: &Parameter| !matches!(p, Parameter::F | Parameter::Cx | Parameter::Cy);
         let Some(parameter) = Parameter::by_name(key).filter(is_term) else {
@@ -113,6 +126,17 @@ fn interior(path: &Path, c: &Value, name: &str, place: &str) -> Result<Camera> {
         camera.set(parameter, term);
     }
     Ok(camera)
+}
+
+/// What moves the plane before or behind the lens's terms.
+fn plane_maps(path: &Path, key: &str, value: &Value, place: &str) -> Result<Vec<PlaneMap>> {
+    let refuse =
+        |what: String| Error::format(path, place, format!("`{key}`: {what}; write it as `flight adjust` does"));
+    let maps = Vec::<PlaneMap>::deserialize(value).map_err(|e| refuse(e.to_string()))?;
+    match maps.iter().all(PlaneMap::is_sound) {
+        true => Ok(maps),
+        false => Err(refuse(format!("a scale is not positive, or a power is above {HIGHEST_POWER}"))),
+    }
 }
 
 #[cfg(test)]
@@ -142,8 +166,16 @@ mod tests {
             ("distortion", json!({"K1": -0.3}), "`K1` is no term of a distortion"),
             ("distortion", json!({"k1": "a"}), "a number is expected"),
             ("distortion", json!({"projection": "spherical"}), "projection"),
+            ("distortion", json!({"before": [{"polynomial": {"centre_px": [0.0, 0.0], "scale_px": 1.0}}]}), "`terms`"),
+            ("distortion", json!({"after": [{"undo": {"centre_px": [0, 0], "scale_px": 0, "terms": []}}]}), "a scale"),
+            (
+                "distortion",
+                json!({"before": [{"polynomial": {"centre_px": [0, 0], "scale_px": 1, "terms": [[42, 0, 1, 0]]}}]}),
+                "a power is above 41",
+            ),
             ("size_px", json!([0.0, 0.0]), "`size_px` is [0, 0]"),
             ("size_px", json!([400.0]), "2 numbers"),
+            ("size_of", json!("plate"), "`film` is expected"),
             ("f_px", json!(0.0), "positive"),
         ] {
             let said = read(path, &camera(key, value)).map(|_| ()).expect_err(words).to_string();

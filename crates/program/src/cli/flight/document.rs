@@ -7,7 +7,7 @@ use autoref_flight::read::Reconstruction;
 use autoref_flight::resect::{Resection, Seen};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
-use autoref_flight::{Camera, Parameter, Pose, Projection};
+use autoref_flight::{Camera, Parameter, Pose, Projection, SizeOf};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde_json::{Map, Value, json};
 
@@ -34,13 +34,22 @@ fn interior(camera: &Camera) -> Map<String, Value> {
             distortion.insert(p.name().into(), number(camera.get(*p)));
         }
     }
-    if camera.projection == Projection::Fisheye {
-        distortion.insert("projection".into(), "fisheye".into());
+    if camera.projection != Projection::Perspective {
+        distortion.insert("projection".into(), camera.projection.name().into());
+    }
+    for (key, maps) in [("before", &camera.before), ("after", &camera.after)] {
+        if !maps.is_empty() {
+            // Numbers and words alone, which JSON always holds.
+            distortion.insert(key.into(), serde_json::to_value(maps).unwrap_or_default());
+        }
     }
     let mut m = Map::new();
     m.insert("f_px".into(), number(camera.f_px()));
     m.insert("pp_px".into(), list(&camera.pp_px()));
     m.insert("size_px".into(), list(&camera.size_px));
+    if camera.size_of == SizeOf::Film {
+        m.insert("size_of".into(), "film".into());
+    }
     m.insert("distortion".into(), Value::Object(distortion));
     m
 }

@@ -8,7 +8,7 @@ use autoref_elevation::grid::Grid;
 use autoref_flight::ortho::{Surface, View};
 use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
-use autoref_flight::{Camera, Error, Pose};
+use autoref_flight::{Camera, Error, Pose, SizeOf};
 use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error as RasterError;
@@ -127,11 +127,19 @@ fn posed_by_reconstruction(
     Ok((model.cameras[model.photographs[i].camera].clone(), pose, frame))
 }
 
-/// The camera of a frame of another size: the same lens, other pixels.
+/// A scan may be this much smaller than the film on it, whose edges are cut.
+const CUT: f64 = 0.9;
+
+/// The camera of a frame of another size: the same lens, other pixels. A scan is larger than its film, and its pixels
+/// are what they are.
 fn resize(camera: &mut Camera, of: &Path, size: [f64; 2]) -> Result<()> {
     use autoref_flight::Parameter::{Cx, Cy, F};
     let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
-    if (across / down - 1.0).abs() > 1e-3 || camera.polynomial.is_some() {
+    let holds = match camera.size_of {
+        SizeOf::Image => (across / down - 1.0).abs() <= 1e-3,
+        SizeOf::Film => across >= CUT && down >= CUT,
+    };
+    if !holds {
         bail!(
             "{}: is {} x {} px, its camera {} x {}; give the frame that was measured",
             of.display(),
@@ -141,8 +149,13 @@ fn resize(camera: &mut Camera, of: &Path, size: [f64; 2]) -> Result<()> {
             camera.size_px[1]
         );
     }
-    for p in [F, Cx, Cy] {
-        camera.set(p, camera.get(p) * across);
+    if camera.size_of == SizeOf::Image {
+        for p in [F, Cx, Cy] {
+            camera.set(p, camera.get(p) * across);
+        }
+        for maps in [&mut camera.before, &mut camera.after] {
+            maps.iter_mut().for_each(|map| *map = map.moved(across, [1.0; 2], [0.0; 2]));
+        }
     }
     camera.size_px = size;
     Ok(())
