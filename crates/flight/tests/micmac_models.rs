@@ -117,7 +117,10 @@ fn four() -> Stated {
     (text, Box::new(formula))
 }
 
-fn fisheye(kind: &'static str, law: fn(f64) -> f64) -> Stated {
+/// Distance from the centre by the angle off the axis.
+type Law = fn(f64) -> f64;
+
+fn fisheye(kind: &'static str, law: Law) -> Stated {
     let mut v = drawn(50, |k| if (2..12).contains(&k) { 0.01 * 0.6_f64.powi(k as i32) } else { 1e-3 });
     (v[0], v[1]) = (2020.0, 1470.0);
     let text = model(kind, &v, &[3000.0]);
@@ -293,7 +296,7 @@ fn terms_of_mmvii_are_one_sum() {
     };
     let terms =
         "<K1>-0.1</K1><p1>1e-3</p1><p4>2e-3</p4><b2>-1e-3</b2><x_1_2>0.01</x_1_2><y_3_0>-0.02</y_3_0><y_0_2>0</y_0_2>";
-    let plane: [(&str, fn(f64) -> f64); 4] = [
+    let plane: [(&str, Law); 4] = [
         ("Stenope", f64::tan),
         ("FE_EquiSolid", |angle| 2.0 * (angle / 2.0).sin()),
         ("StereroGraphik", |angle| 2.0 * (angle / 2.0).tan()),

@@ -56,8 +56,8 @@ impl Fisheye {
             Law::Equisolid => 2.0 * (r / 2.0).asin(),
             Law::Stereographic => 2.0 * (r / 2.0).atan(),
         };
-        // The plane of a perspective ends at a right angle; what is no number is beyond it too.
-        if !(angle < std::f64::consts::FRAC_PI_2) {
+        // The plane of a perspective ends at a right angle, an equisolid one before; arcs beyond are no number.
+        if angle.is_nan() || angle >= std::f64::consts::FRAC_PI_2 {
             return None;
         }
         let ratio = if r < 1e-9 { 1.0 } else { angle.tan() / r };
