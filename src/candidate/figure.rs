@@ -192,7 +192,7 @@ fn touch_px(field: &PixelSet) -> usize {
 
 /// The share of its convex hull that a set fills: 1 when all pixels whose middle lies in the hull are there (G. Pick,
 /// "Geometrisches zur Zahlenlehre", 1899).
-fn filled(set: &PixelSet, width: usize) -> f64 {
+pub(super) fn filled(set: &PixelSet, width: usize) -> f64 {
     // First and last pixel of every row.
     let mut rows: Vec<[(i64, i64); 2]> = Vec::new();
     set.for_each(|i| {

@@ -5,8 +5,8 @@
 
 use super::Candidate;
 use super::examine::{examine_part, examine_whole, figure_of, measure_scene, near};
-use super::figure::Figure;
-use super::gates::Gates;
+use super::figure::{Figure, filled};
+use super::gates::{Gates, eccentricity};
 use super::pixel_set::PixelSet;
 use super::scene::{OwnPaint, Scene};
 use super::score::score;
@@ -39,7 +39,7 @@ pub fn examine_parts(
     let single = gates.single(region);
     let whole = single.then(|| examine_whole(&scene, pixels, region, classifier, profile, gates)).flatten();
     let middles = middles(&scene, region, classifier, profile, gates.mark_side_px().0);
-    if middles.len() < 2 || middles.len() > MOST_PARTS {
+    if middles.len() < 2 || middles.len() > MOST_PARTS || whole.is_some() && is_one_piece(&scene, region) {
         return whole.into_iter().collect();
     }
     let mut owned = vec![PixelSet::empty(scene.width, scene.height); middles.len()];
@@ -53,11 +53,28 @@ pub fn examine_parts(
         })
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);
-    let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
     match whole {
-        Some(whole) if whole.score.is_some_and(|s| s >= best) => vec![whole],
+        Some(whole) if !are_likelier(&parts, &whole) => vec![whole],
         _ => parts,
     }
+}
+
+/// Whether parts are marks rather than the whole is. Of a worn mark the part without holes is a better square than the
+/// whole; of marks that touch each is one, and what touches a mark makes the whole far less likely.
+fn are_likelier(parts: &[Candidate], whole: &Candidate) -> bool {
+    /// Logarithm of the odds.
+    const FAR: f64 = 6.0;
+    let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
+    let lead = if parts.len() > 1 { 0.0 } else { FAR };
+    whole.score.is_none_or(|score| best > score + lead)
+}
+
+/// Whether a region has no waist and is no longer than wide: marks that touch have, or are.
+fn is_one_piece(scene: &Scene<'_>, region: &Region) -> bool {
+    const LEAST_FILL: f64 = 0.94;
+    /// Half as long again as it is wide.
+    const MOST_ECCENTRICITY: f64 = 0.75;
+    eccentricity(region) <= MOST_ECCENTRICITY && filled(&scene.own, scene.width) >= LEAST_FILL
 }
 
 /// Two parts of one mark give its centre twice: of candidates closer than `least_px` the likeliest stays, in the old
@@ -196,4 +213,46 @@ pub(crate) fn score_of(
     profile.examine.min_score = f64::NEG_INFINITY;
     let scene = Scene::of_pixels(patch, own.clone(), own);
     Some(score(&measure_scene(&scene, None, &region, classifier, &profile), &profile, gates))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drawn::{colour, patch_of};
+    use super::*;
+    use autoref_raster::coords::PixelPoint;
+
+    fn is_piece(wanted: impl Fn(f64, f64) -> bool) -> bool {
+        let set = PixelSet::from_fn(48, 48, |i| wanted((i % 48) as f64 - 23.5, (i / 48) as f64 - 23.5));
+        let patch = patch_of(|i| colour(i, set.has(i)));
+        let region = region_of(&set, &patch).expect("paint");
+        is_one_piece(&Scene::of_pixels(&patch, set.clone(), &set), &region)
+    }
+
+    #[test]
+    fn squares_and_discs_are_one_piece_and_two_that_touch_are_not() {
+        assert!(is_piece(|x, y| x.abs().max(y.abs()) < 8.0));
+        assert!(is_piece(|x, y| x.hypot(y) < 9.0));
+        assert!(is_piece(|x, y| (x + y).abs() < 12.0 && (x - y).abs() < 12.0));
+        assert!(!is_piece(|x, y| (x.abs() - 6.0).abs() < 6.5 && y.abs() < 6.0), "side by side");
+        assert!(!is_piece(|x, y| (x - 5.0).hypot(y - 5.0).min((x + 5.0).hypot(y + 5.0)) < 7.0), "two discs");
+        assert!(!is_piece(|x, y| x.abs().max(y.abs()) < 9.0 && x.abs().min(y.abs()) < 4.0), "a cross");
+    }
+
+    #[test]
+    fn one_part_alone_must_be_far_likelier_than_the_whole() {
+        let of = |score: f64| Candidate {
+            centre: PixelPoint { x: 0.0, y: 0.0 },
+            covariance_px2: None,
+            score: Some(score),
+            area_px: None,
+            size_px: None,
+            elevation_m: None,
+            code: None,
+            paint: None,
+        };
+        assert!(!are_likelier(&[of(5.0)], &of(1.0)));
+        assert!(are_likelier(&[of(9.0)], &of(1.0)));
+        assert!(are_likelier(&[of(5.0), of(2.0)], &of(1.0)));
+        assert!(!are_likelier(&[], &of(1.0)));
+    }
 }

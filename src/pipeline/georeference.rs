@@ -117,13 +117,28 @@ pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> 
     job.progress.stage("looking again where every point must be");
     let _span = tracing::info_span!("solve and look again").entered();
     let outcome = match outcome {
-        MatchOutcome::NoMatch(evidence) => Outcome::Refused(evidence),
+        MatchOutcome::NoMatch(mut evidence) => {
+            evidence.advice.extend(of_other_shape(&scan));
+            Outcome::Refused(evidence)
+        }
         MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| match job.refine {
             Refine::Always => rematch(job.source, job.refiner, &scan.candidates, expected),
             Refine::Never => Ok(unrefined(job, &scan.candidates, expected)),
         })?,
     };
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
+}
+
+/// What is said where the paint was seen, but hardly a mark.
+fn of_other_shape(scan: &ScanOutcome) -> Option<String> {
+    const FEWEST: u64 = 3;
+    let n = scan.regions_examined;
+    (scan.candidates.len() < FEWEST as usize && n >= FEWEST).then(|| {
+        format!(
+            "{n} patches of this paint were looked at and turned down: squares, discs, crosses, rings, chequers and \
+             hourglasses are measured; triangles, arrows, L and T are not"
+        )
+    })
 }
 
 /// What the scan saw of check points, and nothing of any other.

@@ -96,7 +96,7 @@ impl Misfit {
 
     /// What may be the cause, and the remedy.
     pub fn note(&self) -> String {
-        let parts = "parts of marks were measured (name their paint with --paint, or their --profile)";
+        let parts = "parts of marks were measured (unless it is named already, name their paint with --paint, or their --profile)";
         match self {
             Misfit::Stretched { rmse_px, affine_px } => format!(
                 "the points fit a similarity to {rmse_px:.1} px and an affine transform to {affine_px:.1} px: the image is \

@@ -62,13 +62,16 @@ impl SampleArgs {
     }
 }
 
+/// The profile of paint where none is named.
+pub const DEFAULT_PROFILE: &str = "orange";
+
 /// What the marks look like.
 #[derive(Args, Clone, Debug)]
 pub struct MarkArgs {
     /// Mark profile: a built-in name, a RAL number (`ral-2007`), or a TOML file. `orange` takes safety orange from
     /// saturated to faded, 5 to 60 px wide; `apriltag-36h11`, `aruco-4x4-50` and other coded targets need a build with
     /// `--features coded`.
-    #[arg(long, value_name = "NAME|FILE", default_value = "orange", help_heading = "Marks")]
+    #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROFILE, help_heading = "Marks")]
     pub profile: String,
     /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the
     /// profile says.

@@ -6,12 +6,13 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use autoref_stream::profile::{self, Profile};
+use autoref_stream::segment::classify::PaintTest;
 use autoref_stream::selftest::{self, Selftest, SelftestOptions, WANTED_RECALL};
 use autoref_synth::plant::Cell;
 use autoref_synth::{Paint, Shape};
 use clap::Args;
 
-use crate::cli::args::{MarkArgs, ReadArgs};
+use crate::cli::args::{DEFAULT_PROFILE, MarkArgs, ReadArgs};
 use crate::cli::prepare;
 use crate::cli::progress::Bar;
 use crate::cli::values::{Gsd, MarkSize};
@@ -30,7 +31,8 @@ pub struct SelftestArgs {
     /// Marks of each size.
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=100_000), help_heading = "Planted marks")]
     pub marks: u64,
-    /// Colour in full sun: a name or #rrggbb. Default: the profile's.
+    /// Colour in full sun: a name or #rrggbb. Default: the profile's. A colour that the default profile does not take is
+    /// looked for as `--paint` of the main job does.
     #[arg(long, value_name = "COLOUR", help_heading = "Planted marks")]
     pub paint: Option<Paint>,
     /// Square, disc, cross, checker or cross-plate. Default: the profile's, a square when it takes any.
@@ -70,10 +72,12 @@ fn shape(text: &str) -> Result<Shape, String> {
 }
 
 pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
-    let conditions = conditions(args)?;
-    let prepared = prepare::open(&args.image, &args.read, &args.profile, args.gsd)?;
+    let marks = marks(args)?;
+    let conditions = conditions(args, &marks)?;
+    let prepared = prepare::open(&args.image, &args.read, &marks, args.gsd)?;
     let info = prepared.source.info().clone();
-    let sizes_px = sizes(args, prepared.detector.as_detector().largest_mark_px() as f64)?;
+    let range_px = Profile::load(&marks.profile)?.side_range_px(args.gsd.map(|gsd| (gsd.0 * gsd.1).sqrt()))?;
+    let sizes_px = sizes(args, range_px)?;
     let bar = Bar::new(&info, args.quiet || args.json);
     // What is above the smallest budget is shared with tiles and cache.
     let spare = args.read.memory.0.saturating_sub(autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES);
@@ -100,7 +104,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
         let document = serde_json::json!({
             "program": format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
             "image": args.image.display().to_string(),
-            "profile": args.profile.profile,
+            "profile": marks.profile,
             "selftest": result,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
@@ -110,15 +114,30 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     Ok(if result.advice.is_some() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
+/// The marks to look for: those of the profile, or of a paint that nobody's default profile takes.
+fn marks(args: &SelftestArgs) -> anyhow::Result<MarkArgs> {
+    let Some(Paint(colour)) = args.paint.filter(|_| args.profile.profile == DEFAULT_PROFILE) else {
+        return Ok(args.profile.clone());
+    };
+    if PaintTest::new(&Profile::load(DEFAULT_PROFILE)?)?.is_paint(colour) {
+        return Ok(args.profile.clone());
+    }
+    let profile = Profile::of_paint(colour).name;
+    if !(args.quiet || args.json) {
+        println!("Looked for as with --paint \"{profile}\": the profile {DEFAULT_PROFILE} does not take this colour");
+    }
+    Ok(MarkArgs { profile, ..args.profile.clone() })
+}
+
 /// How the marks are painted: as in the benchmark, but for what was asked.
-fn conditions(args: &SelftestArgs) -> anyhow::Result<Cell> {
+fn conditions(args: &SelftestArgs, marks: &MarkArgs) -> anyhow::Result<Cell> {
     if !(0.0..1.0).contains(&args.fading) {
         bail!("--fading takes a share from 0 to below 1");
     }
     if !(0.2..=10.0).contains(&args.blur) {
         bail!("--blur takes 0.2 to 10 pixels");
     }
-    let profile = Profile::load(&args.profile.profile)?;
+    let profile = Profile::load(&marks.profile)?;
     if profile.tag.is_some() {
         bail!("the self-test paints no coded targets; docs/decisions/coded-targets.md has what was measured of them");
     }
@@ -140,7 +159,7 @@ fn conditions(args: &SelftestArgs) -> anyhow::Result<Cell> {
     })
 }
 
-fn sizes(args: &SelftestArgs, largest_px: f64) -> anyhow::Result<Vec<f64>> {
+fn sizes(args: &SelftestArgs, range_px: (f64, f64)) -> anyhow::Result<Vec<f64>> {
     const LADDER: [f64; 8] = [5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 30.0];
     if let Some(bad) = args.sizes.iter().find(|s| !(2.0..=200.0).contains(*s)) {
         bail!("--sizes {bad}: sizes are 2 to 200 pixels");
@@ -153,7 +172,7 @@ fn sizes(args: &SelftestArgs, largest_px: f64) -> anyhow::Result<Vec<f64>> {
     }
     let (low, high) = match args.profile.mark_size {
         Some(MarkSize::Pixels(low, high)) => (low, high),
-        _ => (0.0, largest_px),
+        _ => range_px,
     };
     let ladder: Vec<f64> = LADDER.into_iter().filter(|s| (low..=high).contains(s)).collect();
     Ok(if ladder.is_empty() { vec![(low + high) / 2.0] } else { ladder })
