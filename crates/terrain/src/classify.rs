@@ -12,6 +12,7 @@ use crate::features::{FEATURES, FrameScale, Measured};
 use crate::forest::Forest;
 use crate::judge::{keep_doubtful, kept_though_even, mask_clouds};
 use crate::knn::Neighbours;
+use crate::mirror::mask_mirrored;
 use crate::model::{CORE_PX, frame_scale, measured};
 use crate::plane::Plane;
 use crate::reduce::Reduced;
@@ -40,7 +41,7 @@ pub enum Cleaner {
     Thesis(Cleaning),
     /// None: the classes as they are.
     Nothing,
-    /// Masked areas are judged whole, clouds in a sky masked; then areas under this share of the image change class,
+    /// Masked areas are judged whole, clouds in a sky and lakes that mirror masked; then areas under this share of the image change class,
     /// background first.
     Areas(f64),
 }
@@ -142,6 +143,7 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
             if let Some(votes) = &probability {
                 keep_doubtful(&mut keep, votes, fineness.as_ref(), &reduced.valid)?;
                 mask_clouds(&mut keep);
+                mask_mirrored(&mut keep, &reduced.grey, &reduced.valid)?;
             }
             flip_small(&mut keep, false, *share);
             flip_small(&mut keep, true, *share);

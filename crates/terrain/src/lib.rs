@@ -19,6 +19,7 @@ pub mod judge;
 pub mod knn;
 mod labelled;
 pub mod light;
+pub mod mirror;
 pub mod model;
 pub mod morphology;
 pub mod outline;

@@ -152,6 +152,48 @@ fn tiles_threads_layout_and_memory_do_not_change_a_byte() {
     }
 }
 
+/// Rough ground in large and small patches, in colour, and its darker, softer mirror image below the middle.
+fn draw_lake(path: &Path, layout: &[&str]) {
+    let driver = DriverManager::get_driver_by_name("GTiff").unwrap();
+    let layout = RasterCreationOptions::from_iter(layout.iter().copied());
+    let set = driver.create_with_band_type_with_options::<u8, _>(path, SIZE.0, SIZE.1, 3, &layout).unwrap();
+    let random = |x: usize, y: usize| {
+        let mixed = ((x * 7919 + y) as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        ((mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64 / (1u64 << 24) as f64
+    };
+    let ground = |x: usize, y: usize| 40.0 + 90.0 * random(x / 14, y / 14) + 70.0 * random(x, y + 5000);
+    for band in 1..=3 {
+        let level = |x: usize, y: usize| match y {
+            0..=401 => ground(x, y),
+            _ => 30.0 + 90.0 * random(x / 14, (802 - y) / 14) / 2.0 + 8.0 * random(x, y + 5000),
+        };
+        let tint = 0.7 + 0.1 * band as f64;
+        let pixels: Vec<u8> = (0..SIZE.0 * SIZE.1).map(|i| (tint * level(i % SIZE.0, i / SIZE.0)) as u8).collect();
+        set.rasterband(band).unwrap().write((0, 0), SIZE, &mut Buffer::new(SIZE, pixels)).unwrap();
+    }
+    set.close().unwrap();
+}
+
+#[test]
+fn a_lake_that_mirrors_is_masked_in_any_tiling() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("lake.tif");
+    draw_lake(&frame, &["TILED=YES"]);
+    let mut all: Vec<Vec<u8>> = Vec::new();
+    for (tile_px, threads, memory) in [(0, 2, 512u64), (130, 1, 112)] {
+        let options = Options { tile_px, memory_budget_bytes: memory << 20, ..options(Method::Auto) };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| all.push(run(&frame, folder.path(), &Given::default(), &options)));
+    }
+    assert!(all[0] == all[1]);
+    let kept = |rows: std::ops::Range<usize>| {
+        let part = &all[0][rows.start * SIZE.0..rows.end * SIZE.0];
+        part.iter().filter(|v| **v == 1).count() as f64 / part.len() as f64
+    };
+    let (ground, lake) = (kept(0..390), kept(440..790));
+    assert!(ground > 0.95 && lake < 0.1, "{ground} {lake}");
+}
+
 #[test]
 fn what_a_person_says_holds() {
     let folder = tempfile::tempdir().unwrap();
