@@ -41,8 +41,8 @@ pub enum Cleaner {
     Thesis(Cleaning),
     /// None: the classes as they are.
     Nothing,
-    /// Masked areas are judged whole, clouds in a sky and lakes that mirror masked; then areas under this share of the image change class,
-    /// background first.
+    /// Masked areas are judged whole, clouds in a sky and lakes that mirror masked; then areas under this share of the
+    /// image change class, background first.
     Areas(f64),
 }
 

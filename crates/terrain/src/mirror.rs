@@ -1,10 +1,10 @@
 //! Lakes that mirror what stands above them.
 //!
-//! A calm lake shows the trees and rocks of its shore, so that a forest that looks at windows of a few pixels keeps it.
-//! But it shows them upside down: about the line where they meet, rows below are like rows above. The frame is looked at
-//! in a few hundred cells. Of each cell's brightness only the difference to its neighbours in the row counts, because
-//! every level line, a horizon for one, is its own mirror image. Where the rows about one line are alike, and about all
-//! others are not, cells that are like their mirror image are water.
+//! A calm lake shows the trees and rocks of its shore, so that a forest that looks at windows of a few pixels keeps
+//! it. But it shows them upside down: about the line where they meet, rows below are like rows above. The frame is
+//! looked at in a few hundred cells. Of each cell's brightness only the difference to its neighbours in the row
+//! counts, because every level line, a horizon for one, is its own mirror image. Where the rows about one line are
+//! alike, and about all others are not, cells that are like their mirror image are water.
 //!
 //! All sums are of integers over the whole frame, in one order: nothing depends on tiles or threads.
 
@@ -33,8 +33,8 @@ const FAR: f64 = 0.22;
 const APART: f64 = 0.03;
 
 /// A line mirrors when its likeness (a correlation), squared, is at least so many times that of the best other line,
-/// which counts as [`LEAST_OTHER`] at least. Of 504 views of the frames that teach (as they are, turned, upside down and
-/// cut) those without a mirror reached 0.71; the faintest lake that is seen whole has 1.0.
+/// which counts as [`LEAST_OTHER`] at least. Of 504 views of the frames that teach (as they are, turned, upside down
+/// and cut) those without a mirror reached 0.71; the faintest lake that is seen whole has 1.0.
 const LEAST_CONTRAST: f64 = 0.85;
 const LEAST_OTHER: f64 = 0.05;
 
@@ -42,7 +42,7 @@ const LEAST_OTHER: f64 = 0.05;
 /// alike. Chosen; a lake had 2.4 at least.
 const LEAST_TIMES: f64 = 2.0;
 
-/// A cell is water when its window is at least so like its mirror image. With 0.4 more of the lakes that teach was kept.
+/// A cell is water when its window is at least so like its mirror image. With 0.4 more of the teaching lakes was kept.
 const LEAST_LIKENESS: f64 = 0.3;
 
 /// Mirror images are looked for up to this part of the height away: what is near stands above a lower line.
@@ -92,8 +92,8 @@ impl Cells {
         (of * self.height as f64) as usize
     }
 
-    /// How like the rows are that lie about a line, −1…1. `line` is twice its row: rows y and `line` − y mirror. Nothing
-    /// where not all of them lie in the frame.
+    /// How like the rows are that lie about a line, −1…1. `line` is twice its row: rows y and `line` − y mirror.
+    /// Nothing where not all of them lie in the frame.
     fn likeness(&self, line: usize, energies: &[i64]) -> Option<f64> {
         let middle = line.div_ceil(2);
         let rows = middle + self.part(NEAR).max(3)..middle + self.part(FAR);
