@@ -63,7 +63,7 @@ pub fn examine_parts(
 /// whole; of marks that touch each is one, and what touches a mark makes the whole far less likely.
 fn are_likelier(parts: &[Candidate], whole: &Candidate) -> bool {
     /// Logarithm of the odds.
-    const FAR: f64 = 6.0;
+    const FAR: f64 = 4.0;
     let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
     let lead = if parts.len() > 1 { 0.0 } else { FAR };
     whole.score.is_none_or(|score| best > score + lead)

@@ -191,9 +191,13 @@ fn the_command_leaves_the_file_alone_and_gives_advice() {
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one document");
     assert!(json["selftest"]["rows"][0]["recall"].as_f64().expect("a share") > 0.9, "{json}");
     assert_eq!(output.status.code(), Some(i32::from(json["selftest"]["advice"].is_null())));
-    // Paint of another colour than the profile's is not found: no size does.
-    let output = run(&["--sizes", "14", "--marks", "20", "--paint", "blue"]);
+    // Paint of another colour than the named profile's is not found: no size does.
+    let output = run(&["--sizes", "14", "--marks", "20", "--paint", "blue", "--profile", "ral-2007"]);
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
+    // Without a profile's name it is looked for as paint of its own.
+    let output = run(&["--sizes", "14", "--marks", "20", "--paint", "blue"]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.code() == Some(0) && text.contains("Looked for as"), "{text}");
     for wrong in [["--sizes", "1"], ["--fading", "2"], ["--shape", "bar"], ["--blur", "0"]] {
         let output = run(&wrong);
         assert_eq!(output.status.code(), Some(2), "{wrong:?}");
