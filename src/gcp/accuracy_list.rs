@@ -63,6 +63,22 @@ pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
     Ok(notes)
 }
 
+/// No survey is as coarse as a metre: what to say where most of the stated errors are larger.
+pub(super) fn no_survey(path: &Path, gcps: &[Gcp]) -> Option<String> {
+    const COARSE_M: f64 = 1.0;
+    let median = |of: fn(&Gcp) -> Option<f64>| {
+        let mut stated: Vec<f64> = gcps.iter().filter_map(of).collect();
+        stated.sort_by(f64::total_cmp);
+        stated.get(stated.len() / 2).copied().filter(|sigma| *sigma > COARSE_M)
+    };
+    let sigma = median(|gcp| gcp.sigma_m).or_else(|| median(|gcp| gcp.sigma_height_m))?;
+    Some(format!(
+        "{}: the stated accuracies, {sigma} m in the middle, are taken as metres; if they are millimetres, say so in the \
+         title, as in `sigma_mm`",
+        path.display()
+    ))
+}
+
 /// The separator that finds a name and an error in the header, since titles have blanks in them; else the one that cuts
 /// it into most titles.
 fn separator_of(header: &str) -> Separator {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::gcp::csv_list::is_check;
+use crate::gcp::columns::is_check;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::coords::PixelPoint;

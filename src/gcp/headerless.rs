@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
-use crate::gcp::csv_list::{Columns, Row, is_check, refuse_open_quote};
+use crate::gcp::columns::{Columns, is_check};
+use crate::gcp::csv_list::{Row, refuse_open_quote};
 use crate::gcp::marks::Marks;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
+use crate::gcp::{remarks, statistics};
 use autoref_raster::error::{Error, Result};
 
 /// Columns of numbers, with or without a name in front or behind.
@@ -31,6 +33,7 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     let numbered = shape.first_is_a_number && shape.first_is_a_name(&table);
     let mut columns = shape.columns(numbered, &table);
     let of_marks = columns.settle_marks(path, &table)?;
+    let aside = statistics::set_aside(&columns, &mut table);
     let mut points = Vec::new();
     for (line, fields) in &table {
         if fields.len() <= columns.easting.max(columns.northing) {
@@ -40,15 +43,28 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
                 format!("`{}` is no point: {} columns are expected as in the rows before", line.text, shape.fields),
             ));
         }
-        points.push(columns.point(path, line.place(), fields, &line.row.to_string())?);
+        points.push(columns.point(path, line.place(), fields, &(points.len() + 1).to_string())?);
     }
     if points.iter().all(|point| point.gcp.name.ends_with(':')) {
         points.iter_mut().for_each(|point| point.gcp.name.truncate(point.gcp.name.trim_end_matches(':').len()));
     }
     refuse_no_heights(path, &points, separator)?;
-    let mut list = RawList::new(points, CrsClaim::None);
+    let (crs, of_system) = match remarks::system(lines.iter().filter(|line| line.is_comment())) {
+        Ok(Some((crs, note))) => (CrsClaim::Known(crs), Some(note)),
+        Ok(None) => (CrsClaim::None, None),
+        Err(why) => (CrsClaim::None, Some(why)),
+    };
+    let mut list = RawList::new(points, crs);
     list.order = ColumnOrder::Assumed;
-    let notes = [of_marks, shape.left_over(&columns, &kept), words_of_check_points(&columns, &kept, &table)];
+    list.set_aside = aside.map(|what| format!("{}: {what}", path.display()));
+    let unnamed = columns.name.is_none().then(|| "no column holds names: the points are numbered from 1".to_owned());
+    let notes = [
+        of_marks,
+        of_system,
+        unnamed,
+        shape.left_over(&columns, &kept),
+        words_of_check_points(&columns, &kept, &table),
+    ];
     list.notes.extend(notes.into_iter().flatten().map(|what| format!("{}: {what}", path.display())));
     Ok(list)
 }

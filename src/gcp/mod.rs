@@ -14,6 +14,7 @@
 
 mod accuracy_list;
 mod angle;
+mod columns;
 pub mod convert;
 mod csv_list;
 mod dxf;
@@ -29,7 +30,11 @@ mod place;
 mod qgis;
 mod raw;
 mod read;
+mod recognise;
+mod remarks;
 mod select;
+mod sheet;
+mod statistics;
 pub(crate) mod text;
 mod titles;
 pub(crate) mod units;

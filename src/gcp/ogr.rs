@@ -9,7 +9,7 @@ use gdal::vector::{
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::{Gcp, csv_list, dxf, titles as known_titles};
+use crate::gcp::{Gcp, columns, dxf, sheet, titles as known_titles};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -18,11 +18,15 @@ const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
 
 pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     autoref_raster::initialise_gdal(0);
+    sheet::with_bare_cells(|| read(path, wanted))
+}
+
+fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
     let name = if zipped { PathBuf::from("/vsizip/").join(path) } else { path.to_path_buf() };
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("kml")) {
         // GDAL holds the whole text.
-        autoref_raster::bounded::read(path, "a list", super::read::LARGEST_LIST_BYTES)?;
+        autoref_raster::bounded::read(path, "a list", super::recognise::LARGEST_LIST_BYTES)?;
     }
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
     let open_options = autoref_raster::vector_options(path);
@@ -34,7 +38,8 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
             "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
         )
     })?;
-    let is_drawing = dataset.driver().short_name() == "DXF";
+    let driver = dataset.driver().short_name();
+    let is_drawing = driver == "DXF";
     let wanted_layer = wanted.filter(|name| !name.eq_ignore_ascii_case(dxf::ENTITIES));
     let index = layer(path, &dataset, if is_drawing { Some(dxf::ENTITIES) } else { wanted })?;
     let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
@@ -47,7 +52,7 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     }
     let titles: Vec<String> = layer.defn().fields().map(|field| field.name()).collect();
     if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
-        return table(path, &mut layer, titles);
+        return sheet::parse(path, &mut layer, sheet::Titles::of(&driver));
     }
     let titled = titles.into_iter().chain(PLACEHOLDERS.map(str::to_string)).collect::<Vec<_>>();
     let (mut points, mut without) = (Vec::new(), Vec::new());
@@ -119,27 +124,6 @@ pub(super) fn fields(feature: &Feature<'_>) -> Vec<String> {
     (0..feature.field_count()).map(value).collect()
 }
 
-/// A layer without geometry: a sheet of a spreadsheet, or a table with columns for the coordinates.
-fn table(path: &Path, layer: &mut impl LayerAccess, titles: Vec<String>) -> Result<RawList> {
-    let named = titles.join(", ");
-    let columns = csv_list::columns(titles).ok_or_else(|| {
-        Error::format(path, "its columns", format!("no easting and northing among {named}; name one of each"))
-    })?;
-    let mut points = Vec::new();
-    for (i, feature) in layer.features().enumerate() {
-        let row = fields(&feature);
-        if row.iter().all(String::is_empty) {
-            continue;
-        }
-        // The header is a row of its own.
-        points.push(columns.point(path, format!("row {}", i + 2), &row, &(i + 1).to_string())?);
-    }
-    let crs = if columns.geographic { CrsClaim::Known(Crs::from_epsg(4326)?) } else { CrsClaim::None };
-    let mut list = RawList::new(points, crs);
-    columns.tell(&mut list);
-    Ok(list)
-}
-
 fn point(
     path: &Path,
     number: usize,
@@ -171,7 +155,7 @@ fn point(
             *title = format!("attribute {i}");
         }
     }
-    let columns = csv_list::columns(titles).expect("the placeholders are among the titles");
+    let columns = columns::columns(titles).expect("the placeholders are among the titles");
     let mut point = columns.point(path, place, &row, &number.to_string())?;
     point.attributes.truncate(own.len());
     // No spreadsheet wrote an apostrophe here.

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use crate::gcp::Gcp;
 use crate::gcp::raw::RawPoint;
 use crate::gcp::read::{GcpOptions, ImageGeoreference};
 use autoref_raster::coords::{MapPoint, PixelPoint};
@@ -43,10 +44,14 @@ pub(super) fn check(
         return refuse_absurd(path, points);
     };
     let shown_in = if are_exchanged(points, crs, options.image.as_ref()) {
-        Some(crs)
+        Some(crs.clone())
     } else {
-        target.filter(|target| are_exchanged_for(points, crs, target))
+        // The outputs lie in the CRS that is asked for, the image in its own.
+        let own = options.image.as_ref().and_then(|image| Crs::parse(&image.crs_wkt).ok());
+        let others = [target.cloned(), own].into_iter().flatten();
+        others.filter(|other| !other.is_local()).find(|other| are_exchanged_for(points, crs, other))
     };
+    let shown_in = shown_in.as_ref();
     let axes = if crs.is_geographic() { "longitude and latitude" } else { "easting and northing" };
     if options.fix_axes && !points.is_empty() && shown_in.is_none() {
         notes.push(format!("{}: --fix-axes found nothing to exchange", path.display()));
@@ -125,6 +130,35 @@ fn are_exchanged_for(points: &[RawPoint], crs: &Crs, target: &Crs) -> bool {
             let (e, n) = (p.gcp.easting, p.gcp.northing);
             covers(e, n) == Some(false) && covers(n, e) == Some(true)
         })
+}
+
+/// What to think of where the pattern of the list is not found: degrees that no other place confirms, or coordinates of
+/// the size that the other one has in UTM.
+pub(super) fn may_be_exchanged(path: &Path, gcps: &[Gcp], crs: Option<&Crs>, options: &GcpOptions) -> Option<String> {
+    let name = path.display();
+    match crs {
+        Some(crs) if crs.is_geographic() && options.to_crs.is_none() => {
+            let could_be =
+                |gcp: &Gcp| gcp.easting.abs() <= 90.0 && crs.covers(gcp.northing, gcp.easting) != Some(false);
+            let placed = options.image.as_ref().is_some_and(|image| image.transform.is_some());
+            (!placed && gcps.iter().all(could_be)).then(|| {
+                format!(
+                    "{name}: latitude and longitude may be exchanged: exchange the columns, or give --fix-axes with the \
+                     --to-crs of the survey, which shows it"
+                )
+            })
+        }
+        None => {
+            let is_utm = |e: f64, n: f64| (1e5..1e6).contains(&e) && (1e6..1e7).contains(&n);
+            (!gcps.is_empty() && gcps.iter().all(|gcp| is_utm(gcp.northing, gcp.easting))).then(|| {
+                format!(
+                    "{name}: by the size of the numbers easting and northing may be exchanged: exchange the titles, or \
+                     give --crs and --fix-axes"
+                )
+            })
+        }
+        Some(_) => None,
+    }
 }
 
 /// Longitude and latitude of the middle of an image.

@@ -8,7 +8,7 @@
 
 use std::path::Path;
 
-use crate::gcp::csv_list::is_check;
+use crate::gcp::columns::is_check;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint, Seen};
 use crate::gcp::text::{Line, Separator, number, split};
 use crate::gcp::{Gcp, GcpRole};

@@ -71,6 +71,8 @@ pub(super) struct RawList {
     /// Titles say longitude and latitude.
     pub titled_degrees: bool,
     pub units: TitledUnits,
+    /// Rows that are no points, in plain words.
+    pub set_aside: Option<String>,
     pub notes: Vec<String>,
 }
 
@@ -83,6 +85,7 @@ impl RawList {
             order: ColumnOrder::Stated,
             titled_degrees: false,
             units: TitledUnits::default(),
+            set_aside: None,
             notes: Vec::new(),
         }
     }

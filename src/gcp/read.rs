@@ -1,32 +1,17 @@
 //! Lists of GCPs as files, of any format: recognised, chosen from, and brought into metres.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::{Reproject, WorkingCrs};
-use crate::gcp::{
-    Gcp, GcpRole, accuracy_list, csv_list, geojson, heights, image_crs, kof, odm, ogr, place, qgis, text, working_crs,
-    xml,
-};
-use autoref_raster::bounded;
+use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, place, recognise, working_crs};
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 
-/// Lists are small; what is larger is another file.
-pub(super) const LARGEST_LIST_BYTES: u64 = 32 << 20;
 /// Matching weighs every pair of points against every other point.
 const MOST_POINTS: usize = 2_000;
-/// Of which a list may be chosen by name.
-const MOST_ROWS: usize = 50_000;
-/// Ends of names that are GDAL's.
-const OGR: [&str; 18] = [
-    "gpkg", "shp", "shz", "zip", "kml", "kmz", "gpx", "gml", "fgb", "dxf", "tab", "mif", "sqlite", "xlsx", "xls",
-    "ods", "gdb", "dbf",
-];
 
 /// What the caller says about the list.
 #[derive(Clone, Debug)]
@@ -92,6 +77,8 @@ pub struct GcpList {
     pub working_crs: WorkingCrs,
     /// What was assumed or looks odd, in plain words.
     pub notes: Vec<String>,
+    /// What may be wrong with the list where its pattern is not found, with the remedy.
+    pub hints: Vec<String>,
 }
 
 /// Reads a list; the format follows from the content, and from the file's name where the content leaves it open.
@@ -101,132 +88,8 @@ pub struct GcpList {
 /// When the file cannot be read, is of no known format, has a row that is no point (the message names it), two points
 /// of one name, or fewer than two points; when its coordinates cannot be brought into metres as surely as is demanded.
 pub fn read(path: &Path, options: &GcpOptions) -> Result<GcpList> {
-    let (raw, _) = parse(path, options.layer.as_deref(), None)?;
+    let (raw, _) = recognise::parse(path, options.layer.as_deref(), None)?;
     finish(path, raw, options)
-}
-
-/// The list as it is, and the format it was read as.
-pub(super) fn parse(path: &Path, layer: Option<&str>, from: Option<ListFormat>) -> Result<(RawList, ListFormat)> {
-    bounded::refuse_endless(path)?;
-    let is_text = from.is_none_or(ListFormat::is_text);
-    if is_text && layer.is_none() && !path.is_dir() && !OGR.contains(&extension(path).as_str()) {
-        refuse_many(path)?;
-        let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
-        if let Some(text) = text::decode(&bytes) {
-            let format = from.unwrap_or_else(|| recognised(path, &text));
-            if format.is_text() {
-                return Ok((parse_as(path, &text, format)?, format));
-            }
-        }
-    }
-    std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
-    Ok((ogr::parse(path, layer)?, from.filter(|f| !f.is_text()).unwrap_or_else(|| ListFormat::of_vectors(path))))
-}
-
-fn extension(path: &Path) -> String {
-    path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default()
-}
-
-/// The format of a text, by its content and then by its name.
-fn recognised(path: &Path, text: &str) -> ListFormat {
-    let start = text.trim_start();
-    let extension = extension(path);
-    if matches!(extension.as_str(), "geojson" | "json") || start.starts_with('{') {
-        return ListFormat::GeoJson;
-    }
-    if start.starts_with('<') {
-        return match xml::dialect(start) {
-            Some(xml::Dialect::Metashape) => ListFormat::MetashapeXml,
-            Some(xml::Dialect::MicMac) => ListFormat::MicMac,
-            None => ListFormat::of_vectors(path),
-        };
-    }
-    if extension == "kof" {
-        return ListFormat::Kof;
-    }
-    let lines = text::lines(text);
-    if extension == "points" || qgis::is_points(&lines) {
-        return ListFormat::Qgis;
-    }
-    let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
-    // "WGS84 Latitude,WGS84 Longitude" begins as the name of a CRS does.
-    let is_wkt = |line: &text::Line<'_>| line.text.contains("[\"");
-    let has_titles = content.first().is_some_and(|first| !is_wkt(first) && csv_list::is_header(*first));
-    let has_crs = content.first().is_some_and(|first| odm::is_crs_line(first.text));
-    if !has_titles && (has_crs || odm::has_observations(&content)) {
-        return ListFormat::Odm;
-    }
-    ListFormat::Csv
-}
-
-fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
-    let lines = text::lines(text);
-    let content = || lines.iter().skip_while(|line| line.is_comment()).copied().collect::<Vec<_>>();
-    match format {
-        ListFormat::GeoJson => geojson::parse(path, text),
-        ListFormat::MetashapeXml => xml::parse(path, text, xml::Dialect::Metashape),
-        ListFormat::MicMac => xml::parse(path, text, xml::Dialect::MicMac),
-        ListFormat::Kof => kof::parse(path, text),
-        ListFormat::Qgis => qgis::parse(path, &lines),
-        ListFormat::Odm if content().is_empty() => {
-            Err(Error::format(path, "row 1", "the file holds no points; a CRS and one line for each are expected"))
-        }
-        ListFormat::Odm => odm::parse(path, &content()),
-        _ => csv_list::parse(path, &lines),
-    }
-}
-
-/// What begins a point in a text of one kind.
-fn beginnings(first: u8) -> &'static [&'static [u8]] {
-    match first {
-        b'{' => &[b"\"geometry\""],
-        b'<' => &[b"<OneAppuisDAF>", b"<marker id", b"<Placemark", b"<wpt "],
-        _ => &[b"\n"],
-    }
-}
-
-/// Each row or feature costs hundreds of bytes when it is read, so that they are counted before, in pieces.
-fn refuse_many(path: &Path) -> Result<()> {
-    const PIECE_BYTES: usize = 1 << 16;
-    /// Titles and remarks.
-    const HEAD_ROWS: usize = 20;
-    if path.is_dir() {
-        return Ok(());
-    }
-    let mut file = std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
-    let mut piece = vec![0; PIECE_BYTES];
-    let (mut kept, mut rows, mut kind) = (0, 0, None);
-    loop {
-        let read = file.read(&mut piece[kept..]).map_err(|e| Error::io(path, "read", e))?;
-        if read == 0 {
-            break;
-        }
-        let bytes = &piece[..kept + read];
-        if kind.is_none() && bytes.contains(&0) && !matches!(bytes, [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..]) {
-            return Ok(()); // no text: GDAL's
-        }
-        let first = || bytes.iter().find(|b| b.is_ascii_graphic()).copied().unwrap_or(b'\n');
-        let words = *kind.get_or_insert_with(|| beginnings(first()));
-        for word in words {
-            rows += bytes.windows(word.len()).filter(|window| window == word).count();
-        }
-        // A word may lie across two pieces; one that ends in what is kept was counted.
-        let longest = words.iter().map(|word| word.len()).max().unwrap_or(1);
-        let tail = bytes.len().min(longest - 1);
-        let from = bytes.len() - tail;
-        let again = words.iter().map(|word| bytes[from..].windows(word.len()).filter(|window| window == word).count());
-        rows -= again.sum::<usize>();
-        piece.copy_within(from..from + tail, 0);
-        kept = tail;
-    }
-    if rows <= MOST_ROWS + HEAD_ROWS {
-        return Ok(());
-    }
-    Err(Error::unsupported(
-        path,
-        format!("a list of {rows} rows; at most {MOST_ROWS} are read"),
-        "cut the list to the area of the image",
-    ))
 }
 
 /// The points with their coordinates in order, the CRS that is stated, and what was said.
@@ -276,6 +139,7 @@ fn titles_of_degrees(path: &Path, crs: &Crs) -> Error {
 
 fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList> {
     let units = std::mem::take(&mut raw.units);
+    raw.notes.extend(raw.set_aside.take());
     let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref())?;
     let source = match stated {
         Some(crs) => Some(crs),
@@ -295,10 +159,13 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
             "choose those of this image with --names, or cut the list to its area",
         ));
     }
+    let hint = place::may_be_exchanged(path, &gcps, source.as_ref(), options);
     let mut list = enter(path, gcps, (source, target), options, notes)?;
+    list.hints.extend(hint);
     if let Some(table) = &options.accuracy {
         list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
     }
+    list.notes.extend(accuracy_list::no_survey(path, &list.gcps));
     Ok(list)
 }
 
@@ -355,7 +222,7 @@ fn enter(
 ) -> Result<GcpList> {
     let Some(source) = source else {
         return match target {
-            None => Ok(GcpList { gcps, crs: None, working_crs: WorkingCrs::local(), notes }),
+            None => Ok(GcpList { gcps, crs: None, working_crs: WorkingCrs::local(), notes, hints: Vec::new() }),
             Some(_) => Err(Error::usage(
                 format!("{}: --to-crs needs to know where the coordinates come from", path.display()),
                 "give the --crs that they are in",
@@ -367,7 +234,7 @@ fn enter(
     }
     let (working_crs, crs) =
         WorkingCrs::enter(path, &mut gcps, source, target, options.reproject, options.datum_accuracy_m, &mut notes)?;
-    Ok(GcpList { gcps, crs: Some(crs), working_crs, notes })
+    Ok(GcpList { gcps, crs: Some(crs), working_crs, notes, hints: Vec::new() })
 }
 
 /// Duplicate names are an error, duplicate places a note; of rows that are alike in all they say one is enough.

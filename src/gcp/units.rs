@@ -15,12 +15,24 @@ pub(super) struct Unit {
 }
 
 impl Unit {
-    /// What stands in the brackets of a title; `None` where that is no length.
+    /// What stands in the brackets of a title, or behind it (`Easting_ft`); `None` where that is no length.
     pub fn of_title(title: &str) -> Option<Unit> {
-        let lower = title.to_lowercase();
-        let (_, rest) = lower.split_once(['[', '('])?;
-        let inner = rest.split([']', ')']).next()?;
-        let word: String = inner.chars().filter(|c| !" ._-".contains(*c)).collect();
+        let lower = title.to_lowercase().replace('（', "(").replace('）', ")");
+        match lower.split_once(['[', '(']) {
+            Some((_, rest)) => Unit::of_word(rest.split([']', ')']).next()?),
+            None => {
+                let mut words = lower.trim().rsplit(['_', ' ', '-']);
+                let (last, before) = (words.next()?, words.next()?);
+                // "Easting_US_ft" is in feet of a certain kind.
+                Unit::of_word(&format!("{before}{last}")).or_else(|| Unit::of_word(last))
+            }
+        }
+    }
+
+    /// Of a word that stands alone.
+    pub fn of_word(word: &str) -> Option<Unit> {
+        let lower = word.to_lowercase();
+        let word: String = lower.chars().filter(|c| !" ._-".contains(*c)).collect();
         let unit = |metres: f64, name: &'static str| Some(Unit { metres, name });
         match word.as_str() {
             "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" | "millimètre" | "millimètres" => {
@@ -28,9 +40,8 @@ impl Unit {
             }
             "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" | "centimètre" | "centimètres"
             | "zentimeter" => unit(0.01, "centimetres"),
-            "m" | "meter" | "meters" | "metre" | "metres" | "mètre" | "mètres" | "metro" | "metros" | "metri" => {
-                unit(1.0, "metres")
-            }
+            "m" | "meter" | "meters" | "metre" | "metres" | "mètre" | "mètres" | "metro" | "metros" | "metri"
+            | "метр" | "м" => unit(1.0, "metres"),
             "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" | "kilomètre" | "kilomètres" => {
                 unit(1000.0, "kilometres")
             }

@@ -568,8 +568,8 @@ fn columns_that_tell_points_apart_are_names() {
     assert_eq!(place(&list, 0), ("a", 500_000.5, 6_000_000.5, Some(80.1)));
     assert_eq!((list.gcps[0].sigma_m, list.gcps[0].sigma_height_m), (None, None));
     // A survey's number is the same for all.
-    assert_eq!(named("survey_id,x,y,z", ["7", "7"]), ["2", "3"]);
-    assert_eq!(named("image_name,x,y,z", ["a.jpg", "b.jpg"]), ["2", "3"]);
+    assert_eq!(named("survey_id,x,y,z", ["7", "7"]), ["1", "2"]);
+    assert_eq!(named("image_name,x,y,z", ["a.jpg", "b.jpg"]), ["1", "2"]);
 }
 
 /// The axes of WKT are no titles.

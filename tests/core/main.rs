@@ -18,6 +18,7 @@ mod diagnosis;
 mod examples;
 mod gcp_drawings;
 mod gcp_lists;
+mod gcp_titles;
 mod gcp_units;
 mod matching;
 mod mutations;

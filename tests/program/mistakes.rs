@@ -131,7 +131,13 @@ fn unclear_columns_are_told() {
     let dir = folder.path();
     list(dir, "u.csv", "Høyde-navn,easting,northing", rows.into_iter());
     let run = program(dir, &[&["a.tif", "--gcps", "u.csv", "--no-report"], &ZONE_32[..]].concat());
-    answers(&run, 0, &["columns were taken as", "names: none", "not understood: `Høyde-navn`"]);
+    answers(&run, 0, &["names are taken from the column `Høyde-navn`"]);
+    // Beside names, a title with such a word in it is named.
+    let text = std::fs::read_to_string(dir.join("u.csv")).expect("the list");
+    let text = text.replacen("Høyde-navn", "navn", 1).lines().fold(String::new(), |rows, row| rows + row + ",Bolt\n");
+    std::fs::write(dir.join("v.csv"), text.replacen(",Bolt", ",Høyde-navn", 1)).expect("writable");
+    let run = program(dir, &[&["a.tif", "--gcps", "v.csv", "--no-report", "--overwrite"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["columns were taken as", "name `navn`", "not understood: `Høyde-navn`"]);
 }
 
 #[test]

@@ -119,10 +119,12 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
         let is_one_of = |number: Option<f64>| number.is_some() && values.contains(&number);
         let is_value = || {
             is_one_of(angle::angle(value))
+                || is_one_of(text::number(value))
                 || is_one_of(text::number(&value.replace(['.', ','], "")))
                 || heights::stands_for_none(value)
         };
-        let said = without_apostrophe(value) == name || (!value.is_empty() && is_value() && has_a_meaning(title));
+        let said = without_apostrophe(value) == name
+            || (!value.is_empty() && is_value() && (has_a_meaning(title) || titles::is_letter(title)));
         let tidied = titles::tidy(title);
         let own = OWN.contains(&title.as_str()) || titles::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)

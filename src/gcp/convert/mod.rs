@@ -14,8 +14,8 @@ use std::str::FromStr;
 
 use crate::gcp::Gcp;
 use crate::gcp::raw::{RawPoint, Seen};
-use crate::gcp::read;
 use crate::gcp::working_crs;
+use crate::gcp::{read, recognise};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
@@ -267,9 +267,14 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
             ));
         }
     };
-    let (mut raw, from) = read::parse(input, options.layer.as_deref(), options.from)?;
+    let (mut raw, from) = recognise::parse(input, options.layer.as_deref(), options.from)?;
     let units = std::mem::take(&mut raw.units);
+    let set_aside = raw.set_aside.take();
     let (mut points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
+    // What is said again in a column is known by its number, which another unit changes.
+    for point in &mut points {
+        point.attributes = losses::extra(point).cloned().collect();
+    }
     units.apply(input, &mut points, crs.as_ref(), &mut notes)?;
     if let Some(crs) = &crs {
         read::refuse_beyond_poles(input, &points, crs)?;
@@ -284,6 +289,7 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     }
     losses::refuse(input, &survey, to)?;
     let mut lost = losses::of(&survey, to);
+    lost.extend(set_aside);
     for point in &mut survey.points {
         point.gcp.name = names::held(to, &point.gcp.name).into_owned();
     }

@@ -45,7 +45,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         notes.push(format!("the patch was made from {}, not from {name}", patch.source));
     }
     let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
-    let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes };
+    let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes, hints: Vec::new() };
     let outcome = match replayed {
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {

@@ -1,0 +1,316 @@
+//! Where the columns of a table are, and a point from the cells under them.
+
+use std::path::Path;
+
+use crate::gcp::angle::{Letter, angle, letter};
+use crate::gcp::csv_list::Row;
+use crate::gcp::marks::{Cell, Marks};
+use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
+use crate::gcp::text;
+use crate::gcp::titles::{
+    CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
+    SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, may_name,
+    tidy,
+};
+use crate::gcp::units::{TitledUnits, Unit};
+use crate::gcp::{Gcp, GcpRole, heights};
+use autoref_raster::cells::without_apostrophe;
+use autoref_raster::coords::PixelPoint;
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+/// Where the columns of a table are.
+pub(super) struct Columns {
+    pub titles: Vec<String>,
+    pub name: Option<usize>,
+    /// Names, if its values tell the points apart.
+    pub likely_name: Option<usize>,
+    pub easting: usize,
+    pub northing: usize,
+    pub height: Option<usize>,
+    /// Of the plan; two for one of each coordinate.
+    pub sigma: [Option<usize>; 2],
+    pub sigma_height: Option<usize>,
+    pub role: Option<usize>,
+    pub check: Option<usize>,
+    pub enabled: Option<usize>,
+    pub crs: Option<usize>,
+    /// Emlid's: the system's name, as people say it.
+    pub crs_name: Option<usize>,
+    /// A title that stands over two columns, one of which would be taken.
+    pub doubled: Option<String>,
+    pub geographic: bool,
+    pub order: ColumnOrder,
+    /// Of easting, northing and height.
+    pub marks: Marks,
+}
+
+/// The columns that titles name, when both coordinates are among them.
+pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
+    let tidied: Vec<String> = titles.iter().map(|t| tidy(t)).collect();
+    let find = |names: &[&str]| find(&tidied, names);
+    let pair = |a: &[&str], b: &[&str]| find(a).zip(find(b)).filter(|(a, b)| a != b);
+    let (easting, northing, geographic, order) = if let Some((e, n)) = pair(EASTINGS, NORTHINGS) {
+        (e, n, false, ColumnOrder::Stated)
+    } else if let Some((e, n)) = pair(LONGITUDES, LATITUDES) {
+        (e, n, true, ColumnOrder::Stated)
+    } else if let Some((x, y)) = pair(XS, YS) {
+        (x, y, false, ColumnOrder::Assumed)
+    } else {
+        let (e, n) = LETTER_PAIRS.iter().find_map(|[e, n]| pair(&[e], &[n]))?;
+        (e, n, false, ColumnOrder::Stated)
+    };
+    let is_free = |i: &usize| *i != easting && *i != northing;
+    // Beside titles that are words, a letter is something else.
+    let letters = || find(SHORT_HEIGHTS).filter(|_| tidied[easting].len() == 1 && tidied[northing].len() == 1);
+    let height = find(HEIGHTS).or_else(letters).filter(is_free);
+    let name = find(NAMES).filter(|i| is_free(i) && Some(*i) != height);
+    // MicMac calls the name N, before X, Y and Z.
+    let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
+    let name = name.or_else(micmac);
+    // One of them alone may be a serial number or a signal's height; MicMac's Ix and Iy without Iz may be pixels.
+    let both = [find(SIGMA_EASTS), find(SIGMA_NORTHS)];
+    let is_pixel = |at: &Option<usize>| at.is_some_and(|at| tidied[at] == "ix") && find(&["iz"]).is_none();
+    let both = if both.contains(&None) || is_pixel(&both[0]) { [None; 2] } else { both };
+    let short = || find(SHORT_SIGMA_HEIGHTS).filter(|_| both[0].is_some());
+    let twice = |i: &usize| tidied.iter().filter(|title| **title == tidied[*i]).count() > 1;
+    let doubled = [Some(easting), Some(northing), name, height].into_iter().flatten().find(twice);
+    Some(Columns {
+        name,
+        likely_name: find_likely_name(&tidied).filter(is_free),
+        easting,
+        northing,
+        height,
+        doubled: doubled.map(|i| titles[i].trim().to_owned()),
+        sigma: find(SIGMAS).map_or(both, |one| [Some(one), None]),
+        sigma_height: find(SIGMA_HEIGHTS).or_else(short),
+        role: find(ROLES),
+        check: find(CHECKS),
+        enabled: find(ENABLED),
+        crs: find(&["crs"]),
+        crs_name: find(&["cs name"]),
+        geographic,
+        order,
+        titles,
+        marks: Marks::default(),
+    })
+}
+
+impl Columns {
+    /// The system that a column names in the same words in all rows; why its words are no help.
+    pub(super) fn named_system(&self, rows: &[Row<'_>]) -> std::result::Result<Option<Crs>, String> {
+        let Some(column) = self.crs_name else { return Ok(None) };
+        let title = self.titles[column].trim();
+        let said = |row: &Row<'_>| row.1.get(column).map_or("", |text| text.trim()).to_owned();
+        let names: std::collections::BTreeSet<String> = rows.iter().map(said).filter(|name| !name.is_empty()).collect();
+        let mut names = names.iter();
+        let (Some(name), other) = (names.next(), names.next()) else { return Ok(None) };
+        if let Some(other) = other {
+            return Err(format!("the column `{title}` names `{name}` and `{other}`, so neither was taken; give --crs"));
+        }
+        match Crs::parse(name) {
+            // Beside degrees the same tables have coordinates of the map.
+            Ok(crs) if crs.is_geographic() == self.geographic => Ok(Some(crs)),
+            Ok(_) => Err(format!("the column `{title}` names `{name}`, which is not what its coordinates count in")),
+            Err(_) => Err(format!("the column `{title}` names `{name}`, which PROJ does not know; give --crs")),
+        }
+    }
+
+    /// Where no title is one of a name's: the column whose title may be one, else the first column that may hold names,
+    /// if its values tell the points apart; says so.
+    pub(super) fn guess_name(&mut self, rows: &[Row<'_>]) -> Option<String> {
+        if self.name.is_some() {
+            return None;
+        }
+        let likely = self.likely_name.filter(|&column| tells_apart(column, rows));
+        let taken = self.used();
+        let mut left = (0..self.titles.len()).filter(|column| !taken.contains(column));
+        let is_free = |column: &usize| may_name(&self.titles[*column]) && tells_apart(*column, rows);
+        self.name =
+            likely.or_else(|| left.find(|column| is_free(column) && (*column == 0 || !measures(*column, rows))));
+        let title = self.titles[self.name?].trim();
+        Some(match title {
+            "" => format!("names are taken from column {}, which has no title", self.name? + 1),
+            title => format!("names are taken from the column `{title}`"),
+        })
+    }
+
+    /// The columns that say something of a point.
+    fn used(&self) -> Vec<usize> {
+        [Some(self.easting), Some(self.northing), self.name, self.height]
+            .into_iter()
+            .chain(self.sigma)
+            .chain([self.sigma_height, self.role, self.check, self.enabled, self.crs, self.crs_name])
+            .flatten()
+            .collect()
+    }
+
+    /// Finds out what points and commas in the coordinates stand for; says what is not plain.
+    pub(super) fn settle_marks(&mut self, path: &Path, rows: &[Row<'_>]) -> Result<Option<String>> {
+        if self.geographic {
+            return Ok(None); // degrees have no thousands
+        }
+        let columns = [Some(self.easting), Some(self.northing), self.height];
+        let cells = rows.iter().flat_map(|(line, fields)| {
+            let texts = columns.into_iter().flatten().filter_map(|column| fields.get(column));
+            texts.map(|text| Cell { place: line.place(), text })
+        });
+        let (marks, note) = Marks::of(path, cells)?;
+        self.marks = marks;
+        Ok(note)
+    }
+
+    /// The number in a cell of a coordinate.
+    pub(super) fn number(&self, cell: &str) -> Option<f64> {
+        if self.geographic { angle(cell) } else { self.marks.number(cell) }
+    }
+
+    /// What the titles say of all points.
+    pub(super) fn tell(&self, list: &mut RawList) {
+        list.order = self.order;
+        list.titled_degrees = self.geographic;
+        let title = |column: usize| self.titles[column].as_str();
+        list.units = TitledUnits::of(title(self.easting), title(self.northing), self.height.map(title));
+    }
+
+    /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's,
+    /// or a title that was passed over has such a word in it ("Høyde-navn").
+    pub(super) fn unclear(&self) -> Option<String> {
+        let used = self.used();
+        let telling = |title: &str| {
+            let known = [NAMES, EASTINGS, NORTHINGS, HEIGHTS];
+            tidy(title).split([' ', '/']).any(|word| word.len() > 2 && known.iter().any(|names| names.contains(&word)))
+        };
+        let passed_over: Vec<&str> = (0..self.titles.len())
+            .filter(|i| !used.contains(i))
+            .map(|i| self.titles[i].as_str())
+            .filter(|title| telling(title))
+            .collect();
+        if self.name.is_some() && passed_over.is_empty() {
+            return None;
+        }
+        let titled = |what: &str, column: Option<usize>| column.map(|i| format!("{what} `{}`", self.titles[i].trim()));
+        let taken = [
+            titled("easting", Some(self.easting)),
+            titled("northing", Some(self.northing)),
+            titled("height", self.height),
+            Some(titled("name", self.name).unwrap_or_else(|| "names: none, so the points are numbered from 1".into())),
+        ];
+        let taken: Vec<String> = taken.into_iter().flatten().collect();
+        let passed = if passed_over.is_empty() {
+            String::new()
+        } else {
+            format!("; not understood: `{}`", passed_over.join("`, `"))
+        };
+        Some(format!("columns were taken as {}{passed}", taken.join(", ")))
+    }
+
+    /// One point from the fields of a row; `number` stands in for a name.
+    pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
+        let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
+        let no_number = |text: &str, what: &str| {
+            Error::format(path, &place, format!("`{text}` is no number for the {what}; correct or remove the row"))
+        };
+        let required = |column: usize, what: &str, own: Letter| -> Result<f64> {
+            let Some(text) = text(column) else {
+                return Err(Error::format(path, &place, format!("the {what} is missing; complete or remove the row")));
+            };
+            if self.geographic {
+                self.refuse_other_letter(path, &place, (column, text), own)?;
+            }
+            self.number(text).ok_or_else(|| no_number(text, what))
+        };
+        let height = match self.height.and_then(text) {
+            Some(text) if heights::says_none(text) => Some(f64::NAN),
+            Some(text) => Some(self.marks.number(text).ok_or_else(|| no_number(text, "height"))?),
+            None => None,
+        };
+        let optional = |column: Option<usize>, what: &str| match column.and_then(text) {
+            Some(text) => text::number(text).map(Some).ok_or_else(|| no_number(text, what)),
+            None => Ok(None),
+        };
+        let unit = |column: Option<usize>| {
+            let titled = column.and_then(|c| Unit::of_accuracy(self.titles.get(c)?));
+            titled.map_or(1.0, |unit| unit.metres)
+        };
+        let sigma = |column: Option<usize>, what: &str| match optional(column, what)? {
+            Some(sigma) if sigma < 0.0 => {
+                Err(Error::format(path, &place, format!("the {what} {sigma} is negative; it is a standard deviation")))
+            }
+            // Zero is what programs write for "unknown".
+            sigma => Ok(sigma.filter(|s| *s > 0.0).map(|s| s * unit(column))),
+        };
+        let said = |column: Option<usize>| column.and_then(text).map(str::to_lowercase);
+        let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");
+        let check = said(self.role).is_some_and(|role| is_check(&role))
+            || said(self.check).is_some_and(|text| yes(&text))
+            // A marker that is switched off in Metashape is a check point.
+            || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
+        let [east, north] = if self.geographic { ["longitude", "latitude"] } else { ["easting", "northing"] };
+        let gcp = Gcp {
+            name: without_apostrophe(self.name.and_then(text).unwrap_or(number)).to_string(),
+            easting: required(self.easting, east, Letter::Longitude)?,
+            northing: required(self.northing, north, Letter::Latitude)?,
+            height,
+            sigma_m: match (sigma(self.sigma[0], "accuracy")?, sigma(self.sigma[1], "accuracy")?) {
+                (Some(e), Some(n)) => Some(((e * e + n * n) / 2.0).sqrt()),
+                (one, other) => one.or(other),
+            },
+            sigma_height_m: sigma(self.sigma_height, "accuracy of the height")?,
+            role: if check { GcpRole::Check } else { GcpRole::Control },
+        };
+        let attributes: Vec<(String, String)> =
+            self.titles.iter().cloned().zip(fields.iter().map(|field| without_apostrophe(field).to_owned())).collect();
+        Ok(RawPoint { pixels: seen(&attributes), ..RawPoint { attributes, ..RawPoint::bare(gcp, place) } })
+    }
+}
+
+impl Columns {
+    /// A letter of direction that is of the other axis, or of no certain one.
+    fn refuse_other_letter(&self, path: &Path, place: &str, (column, text): (usize, &str), own: Letter) -> Result<()> {
+        let title = self.titles.get(column).map_or("", |title| title.trim());
+        let what = match letter(text) {
+            Some(Letter::EastOrWest) => {
+                format!("the O of `{text}` is east in some languages and west in others; write E or W")
+            }
+            Some(other) if other != own => format!(
+                "`{text}` stands under `{title}`, and its letter belongs to the other coordinate; exchange the titles, \
+                 or correct the letter"
+            ),
+            _ => return Ok(()),
+        };
+        Err(Error::format(path, place, what))
+    }
+}
+
+/// Whether every row has another value in this column; rows that are alike in all their cells are one.
+fn tells_apart(column: usize, rows: &[Row<'_>]) -> bool {
+    let mut seen = std::collections::HashMap::new();
+    !rows.is_empty()
+        && rows.iter().all(|(_, cells)| {
+            let name = cells.get(column).map(|name| name.trim()).filter(|name| !name.is_empty());
+            name.is_some_and(|name| seen.insert(name, cells).is_none_or(|before| before == cells))
+        })
+}
+
+/// Whether a column holds numbers with decimals only, as names seldom are.
+fn measures(column: usize, rows: &[Row<'_>]) -> bool {
+    rows.iter().all(|(_, cells)| {
+        cells.get(column).is_some_and(|cell| cell.contains(['.', ',']) && text::number(cell).is_some())
+    })
+}
+
+/// The columns `pixel_x`, `pixel_y` and `image` of our own tables.
+fn seen(attributes: &[(String, String)]) -> Vec<Seen> {
+    let text = |title: &str| attributes.iter().find(|(t, _)| t == title).map(|(_, text)| text.trim());
+    let value = |title: &str| text(title).and_then(text::number);
+    let image = text("image").filter(|name| !name.is_empty()).map(str::to_owned);
+    let at = value("pixel_x").zip(value("pixel_y")).map(|(x, y)| PixelPoint { x, y });
+    at.map(|at| Seen { image, at }).into_iter().collect()
+}
+
+/// Words for a point that is kept out of the fit, as in Pix4D's and Metashape's lists.
+pub(super) fn is_check(role: &str) -> bool {
+    let role = role.to_lowercase().replace(['_', '-', ' '], "");
+    matches!(role.as_str(), "check" | "checkpoint" | "3dcheckpoint" | "cp" | "kontrollpunkt" | "kontroll")
+}

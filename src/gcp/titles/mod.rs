@@ -1,0 +1,197 @@
+//! The titles of tables that surveyors write, and what they stand for.
+
+mod fold;
+// A word to a line would make a file of a thousand lines of it.
+#[rustfmt::skip]
+mod words;
+
+pub(super) use words::{
+    CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
+    SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS,
+};
+
+use words::{COORDINATE_ENDINGS, COORDINATE_WORDS, NO_NAMES};
+
+/// "Easting [m]" and "EASTING_(m)" are "easting"; underscores and hyphens are blanks, accents are left out. A direction
+/// in brackets counts as the title's other half: "X (Est)" is "x/est".
+pub(super) fn tidy(title: &str) -> String {
+    let plain = fold::folded(title.trim_matches(['"', '\'', ' ', '\u{feff}']));
+    let (head, inner) = match plain.split_once(['[', '(']) {
+        Some((head, rest)) => (head, rest.split([']', ')']).next().unwrap_or_default()),
+        None => (plain.as_str(), ""),
+    };
+    let (head, inner) = (spaced(head), spaced(inner));
+    let is_direction = inner.chars().count() > 2 || !inner.is_ascii();
+    if is_direction && [EASTINGS, NORTHINGS].iter().any(|names| names.contains(&inner.as_str())) {
+        return format!("{head}/{inner}");
+    }
+    head
+}
+
+/// One blank for whatever stands between words.
+fn spaced(text: &str) -> String {
+    text.replace(['_', '-', '.', ':'], " ").split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves, and "E_GNSS" as
+/// what stands before the system.
+pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
+    // The halves of "Accuracy X/Y" are no coordinates.
+    let is_accuracy = |title: &str| ["accuracy", "sigma", "std", "error"].iter().any(|word| title.starts_with(word));
+    let whole = |title: &String, name: &str| {
+        title == name || (!is_accuracy(title) && title.split('/').any(|half| half.trim() == name))
+    };
+    let among = |is: &dyn Fn(&String, &str) -> bool| {
+        names.iter().find_map(|name| titles.iter().position(|title| is(title, name)))
+    };
+    // A title that is the word alone wins over one with a system, a unit or another word beside it.
+    among(&whole)
+        .or_else(|| among(&|title, name| without_system(title) == Some(name)))
+        .or_else(|| among(&|title, name| without_unit(title) == Some(name)))
+        .or_else(|| among(&|title, name| without_kind(title) == Some(name)))
+}
+
+/// "sigma mm" and "easting us ft" without their units.
+fn without_unit(title: &str) -> Option<&str> {
+    let (head, unit) = title.rsplit_once(' ')?;
+    let head = match unit {
+        "ft" | "feet" | "foot" => {
+            [" us", " us survey", " survey", " int"].iter().find_map(|word| head.strip_suffix(word))
+        }
+        "mm" | "cm" | "m" | "km" | "usft" | "ussft" | "ftus" | "ift" | "meter" | "metre" | "meters" | "metres" => None,
+        _ => return None,
+    }
+    .unwrap_or(head);
+    Some(head)
+}
+
+/// "coordenada x" and "ost koordinate" without the word for coordinate.
+fn without_kind(title: &str) -> Option<&str> {
+    let is_kind = |word: &str| COORDINATE_WORDS.contains(&word);
+    let first = title.split_once(' ').filter(|(word, _)| is_kind(word)).map(|(_, rest)| rest);
+    let last = || title.rsplit_once(' ').filter(|(_, word)| is_kind(word)).map(|(rest, _)| rest);
+    let ending =
+        || COORDINATE_ENDINGS.iter().find_map(|ending| title.strip_suffix(ending)).filter(|rest| !rest.is_empty());
+    first.or_else(last).or_else(ending)
+}
+
+/// A title of two words less the one that names what the coordinates were measured with or in.
+fn without_system(title: &str) -> Option<&str> {
+    let (head, tail) = title.split_once(' ')?;
+    let is_datum = |word: &str| matches!(word, "wgs84" | "etrs89" | "euref89" | "nad83" | "nad27");
+    let is_way = |word: &str| matches!(word, "gnss" | "gps" | "rtk") || word.starts_with("utm");
+    if is_datum(head) || head == "utm" { Some(tail) } else { (is_datum(tail) || is_way(tail)).then_some(head) }
+}
+
+/// A column whose title has a word that names points have ("local_id", "GCP_PointNr"): its values must show that it
+/// does.
+pub(super) fn find_likely_name(titles: &[String]) -> Option<usize> {
+    titles.iter().position(|title| {
+        let words: Vec<&str> = title.split(' ').collect();
+        let is_of_an_image = ["image", "photo", "file", "camera"].iter().any(|word| words.contains(word));
+        let ends = ["id", "nr", "name", "pointnr", "punktnr"].contains(words.last().expect("a split has a part"));
+        !is_of_an_image && words.len() > 1 && (ends || words[0] == "id")
+    })
+}
+
+/// Whether a column with this title, which is none of a name's, may hold names all the same: neither measures nor times
+/// nor places in images.
+pub(super) fn may_name(title: &str) -> bool {
+    let tidied = tidy(title);
+    let is_measure = [EASTINGS, NORTHINGS, XS, YS, HEIGHTS, LONGITUDES, LATITUDES, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS]
+        .iter()
+        .any(|names| find(std::slice::from_ref(&tidied), names).is_some());
+    !is_measure && !is_role(&tidied) && !tidied.split([' ', '/']).any(|word| NO_NAMES.contains(&word))
+}
+
+/// Whether a title is one of those for the horizontal coordinates.
+pub(super) fn is_coordinate(title: &str) -> bool {
+    let tidied = [tidy(title)];
+    [EASTINGS, NORTHINGS, XS, YS, LONGITUDES, LATITUDES].iter().any(|names| find(&tidied, names).is_some())
+}
+
+/// Whether a title is a letter that stands for a coordinate beside certain others.
+pub(super) fn is_letter(title: &str) -> bool {
+    let tidied = tidy(title);
+    LETTER_PAIRS.as_flattened().contains(&tidied.as_str()) || SHORT_HEIGHTS.contains(&tidied.as_str())
+}
+
+/// Whether a title is that of a role, by any of its words.
+pub(super) fn is_role(title: &str) -> bool {
+    [ROLES, CHECKS, ENABLED].iter().any(|names| names.contains(&title))
+}
+
+/// Whether a title is one of those that a table's reader knows.
+pub(super) fn is_known(title: &str) -> bool {
+    let tidied = [tidy(title)];
+    is_coordinate(title)
+        || [NAMES, HEIGHTS, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS, SIGMA_HEIGHTS]
+            .iter()
+            .any(|names| find(&tidied, names).is_some())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_as_titles_are_compared() {
+        for names in [NAMES, EASTINGS, NORTHINGS, XS, YS, HEIGHTS, LONGITUDES, LATITUDES, SHORT_HEIGHTS] {
+            let mut seen = std::collections::HashSet::new();
+            for name in names {
+                assert_eq!(tidy(name), *name, "written otherwise, it is never found");
+                assert!(seen.insert(name), "{name} stands twice");
+            }
+        }
+        for name in EASTINGS {
+            assert!(!NORTHINGS.contains(name), "{name} is both");
+        }
+    }
+
+    #[test]
+    fn titles_of_many_languages() {
+        for title in [
+            "Puntnr",
+            "Punt",
+            "Nr punktu",
+            "Číslo bodu",
+            "Mat",
+            "Punktkennung",
+            "N° point",
+            "Nº punto",
+            "Pkt.-Nr.",
+            "PtNo",
+            "Nokta Adı",
+            "Номер точки",
+            "Όνομα",
+            "点号",
+            "点番号",
+            "점번호",
+            "Pisteen numero",
+            "Pont",
+            "Bod",
+        ] {
+            assert!(find(&[tidy(title)], NAMES).is_some(), "{title}");
+        }
+        for (titles, easting) in [
+            ("Easting_ft;Northing_ft", 0),
+            ("E (m);N (m)", 0),
+            ("北坐标;东坐标", 1),
+            ("北座標;東座標", 1),
+            ("북;동", 1),
+            ("Y (Sağa);X (Yukarı)", 0),
+            ("Ost-Koordinate;Nord-Koordinate", 0),
+            ("Coordenada Este;Coordenada Norte", 0),
+            ("Північ;Схід", 1),
+            ("Итого;Восток", 1),
+            ("Východ;Sever", 0),
+            ("Easting US ft;Northing US ft", 0),
+        ] {
+            let tidied: Vec<String> = titles.split(';').map(tidy).collect();
+            assert_eq!(find(&tidied, EASTINGS), Some(easting), "{titles}: {tidied:?}");
+        }
+        for title in ["X座標", "X坐标", "X좌표", "Souřadnice X", "Coordonnée X", "Ｘ"] {
+            assert_eq!(find(&[tidy(title)], XS), Some(0), "{title}");
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! Titles in the languages of surveyors, names without a title, statistics below a list, systems in remarks, sheets.
+
+use std::path::PathBuf;
+
+use autoref_stream::gcp::convert::{ConvertOptions, Converted, convert};
+use autoref_stream::gcp::{self, GcpList, GcpOptions};
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Folder(tempfile::tempdir().expect("a temporary folder"))
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.0.path().join(name);
+        std::fs::write(&path, content).expect("writable");
+        path
+    }
+
+    fn converted(&self, name: &str, content: impl AsRef<[u8]>) -> Converted {
+        let options = ConvertOptions { crs: Some("local".into()), ..ConvertOptions::default() };
+        let output = self.0.path().join(format!("{name}.out.csv"));
+        convert(&self.write(name, content), &output, &options).unwrap_or_else(|e| panic!("{e}"))
+    }
+}
+
+fn read_in(crs: Option<&str>, text: &str) -> Result<GcpList, String> {
+    let options = GcpOptions { crs: crs.map(str::to_owned), ..GcpOptions::default() };
+    gcp::read(&Folder::new().write("l.csv", text), &options).map_err(|e| e.to_string())
+}
+
+fn read(text: &str) -> GcpList {
+    read_in(Some("local"), text).unwrap_or_else(|e| panic!("{text}: {e}"))
+}
+
+fn names(list: &GcpList) -> Vec<&str> {
+    list.gcps.iter().map(|gcp| gcp.name.as_str()).collect()
+}
+
+#[track_caller]
+fn says(list: &GcpList, what: &str) {
+    assert!(list.notes.iter().any(|note| note.contains(what)), "no `{what}` in {:?}", list.notes);
+}
+
+/// Three rows under four titles: name, easting, northing, height, in this order unless `order` says another.
+fn rows(order: [usize; 4]) -> String {
+    let cells = [
+        ["101", "569834.26", "7031894.72", "47.2"],
+        ["102", "570032.87", "7031837.65", "43.9"],
+        ["103", "569991.62", "7031863.91", "46.6"],
+    ];
+    cells.iter().map(|row| order.map(|column| row[column]).join(";") + "\n").collect()
+}
+
+#[test]
+fn titles_of_many_languages() {
+    let (east_first, north_first) = ([0, 1, 2, 3], [0, 2, 1, 3]);
+    for (titles, order) in [
+        ("Puntnr;X;Y;Z", east_first),
+        ("Punt;X;Y;Z", east_first),
+        ("Nr punktu;X;Y;H", north_first),
+        ("Číslo bodu;Y;X;Výška", east_first),
+        ("Mat;X;Y;Z", east_first),
+        ("Punktkennung;East;North;Height", east_first),
+        ("N° point;Est;Nord;Alt.", east_first),
+        ("Piste;P;I;K", north_first),
+        ("Ponto;M;P;Cota", east_first),
+        ("PtNo;Easting_m;Northing_m;Elev_m", east_first),
+        ("Point;E (m);N (m);H (m)", east_first),
+        ("点号;北坐标;东坐标;高程", north_first),
+        ("点名;X座標;Y座標;標高", north_first),
+        ("점번호;북;동;표고", north_first),
+        ("Nokta No;Y (Sağa);X (Yukarı);Kot", east_first),
+        ("Σημείο;Ανατολικά;Βόρεια;Υψόμετρο", east_first),
+        ("Имя точки;Север;Восток;Отметка", north_first),
+        ("NUMER PUNKTU;POLNOC;WSCHOD;WYSOKOSC", north_first),
+        ("Vértice;Coordenada Este;Coordenada Norte;Elevación", east_first),
+        ("Pontszám;Kelet;Észak;Magasság", east_first),
+    ] {
+        let list = read_in(None, &format!("{titles}\n{}", rows(order))).unwrap_or_else(|e| panic!("{titles}: {e}"));
+        assert_eq!(names(&list), ["101", "102", "103"], "{titles}");
+        let first = &list.gcps[0];
+        let place = (first.easting, first.northing, first.height);
+        assert_eq!(place, (569_834.26, 7_031_894.72, Some(47.2)), "{titles}");
+        let is_of_names = |note: &&String| note.contains("names are taken") || note.contains("numbered");
+        assert_eq!(list.notes.iter().find(is_of_names), None, "{titles}");
+    }
+    // Y before X, with a height that one letter names.
+    let list = read_in(Some("EPSG:23700"), "Pont;Y;X;M\n7;650834.26;240894.72;47.2\n8;650900;240900;48\n");
+    let list = list.unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!((list.gcps[0].easting, list.gcps[0].height), (650_834.26, Some(47.2)));
+    // Beside titles that are words, the letter is none's height.
+    let list = read("name;easting;northing;M\nA;1;2;steel\nB;3;4;wood\n");
+    assert_eq!(list.gcps[0].height, None);
+}
+
+#[test]
+fn feet_behind_a_title_are_a_unit() {
+    let list = read("PtNo,Easting_US_ft,Northing_US_ft,Elev_ft\n1,3280.8333,6561.6667,328.08\n2,3300,6600,330\n");
+    assert!((list.gcps[0].easting - 1000.0).abs() < 1e-3 && (list.gcps[0].northing - 2000.0).abs() < 1e-3);
+    assert!(list.gcps[0].height.is_some_and(|h| (h - 100.0).abs() < 0.01), "{:?}", list.gcps[0]);
+    let text = "PtNo,Easting_ft,Northing_ft\n1,1869534.97,23070520.75\n2,1870186.57,23070333.5\n";
+    let error = read_in(Some("EPSG:25832"), text).expect_err("feet of no certain kind");
+    assert!(error.contains("`Easting_ft`") && error.contains("(US ft)"), "{error}");
+}
+
+#[test]
+fn a_column_that_tells_rows_apart_names_them() {
+    // Under a title that no list of words has, in front and behind.
+    let list = read("Schild;E;N\nA7;1;2\nA9;3;4\nB2;5;9\n");
+    assert_eq!(names(&list), ["A7", "A9", "B2"]);
+    says(&list, "names are taken from the column `Schild`");
+    let list = read("E;N;Kode;Schild\n1;2;GCP;A7\n3;4;GCP;A9\n5;9;GCP;B2\n");
+    assert_eq!(names(&list), ["A7", "A9", "B2"]);
+    let list = read(";E;N\n20;1;2\n21;3;4\n22;5;9\n");
+    assert_eq!(names(&list), ["20", "21", "22"]);
+    says(&list, "names are taken from column 1, which has no title");
+    // Neither measures nor times, nor what repeats, names a point: these are counted, from 1.
+    let list = read("E;N;Datum;Kode;PDOP\n1;2;2026-05-01;GCP;1.25\n3;4;2026-05-02;GCP;1.5\n5;9;2026-05-03;GCP;1.75\n");
+    assert_eq!(names(&list), ["1", "2", "3"]);
+    says(&list, "the points are numbered from 1");
+    let list = read("# no titles\n569834.26 7031894.72\n570032.87 7031837.65\n569991.62 7031863.91\n");
+    assert_eq!(names(&list), ["1", "2", "3"]);
+    says(&list, "the points are numbered from 1");
+}
+
+/// Four corners of no square, and rows below them.
+fn below(statistics: &str) -> String {
+    format!("name;easting;northing;height\nA;100;7000;10\nB;300;7000;20\nMax;300;7200;30\nD;120;7240;12\n{statistics}")
+}
+
+#[test]
+fn statistics_below_a_list_are_no_points() {
+    for statistics in [
+        "Mittelwert;205;7110;18\n",
+        "Mean;205.0;7110.0;18.0\nStdAbw;110.0;128.1;9.1\n",
+        "Summe;820;28440;72\n",
+        "Total:;820;28440;\n",
+        "Max;300;7240;30\nMin;100;7000;10\n",
+        "Anzahl;4;;\nMoyenne;205;7110;18\n",
+        "std dev;0.012;0.010;0.020\n",
+        "Écart-type;95.2;111;8\n",
+    ] {
+        let list = read(&below(statistics));
+        assert_eq!(names(&list), ["A", "B", "Max", "D"], "{statistics}");
+        says(&list, "set aside, since they are statistics of the rows above: `");
+        let done = Folder::new().converted("l.csv", below(statistics));
+        assert_eq!(done.points, 4, "{statistics}");
+        assert!(done.lost.iter().any(|lost| lost.contains("set aside")), "{statistics}: {:?}", done.lost);
+    }
+    // A point may be called so: it lies among the others, and is no statistic.
+    let list = read(&below("Min;160;7100;5\n"));
+    assert_eq!(names(&list), ["A", "B", "Max", "D", "Min"]);
+    assert!(!list.notes.iter().any(|note| note.contains("set aside")), "{:?}", list.notes);
+    // Without titles.
+    let bare = below("Mittelwert;205;7110;18\n");
+    let list = read(bare.split_once('\n').expect("a header").1);
+    assert_eq!(names(&list), ["A", "B", "Max", "D"]);
+}
+
+#[test]
+fn a_system_in_a_remark_is_taken_when_it_is_one() {
+    let points = "name;easting;northing\n1;569834.26;7031894.724\n2;570032.865;7031837.651\n";
+    for text in [
+        format!("{points}# EPSG:25832\n"),
+        format!("Koordinatensystem: ETRS89 / UTM 32N (EPSG 25832)\n\n{points}"),
+        format!("# ETRS89 / UTM zone 32N\n{points}"),
+        format!("{points}# Lage EPSG: 25832, Höhe EPSG: 7837\n"),
+        format!("# EPSG 25832\n{}", points.split_once('\n').expect("a header").1),
+    ] {
+        let list = read_in(None, &text).unwrap_or_else(|e| panic!("{text}: {e}"));
+        assert_eq!(list.crs.as_ref().map(|crs| crs.label()).as_deref(), Some("EPSG:25832"), "{text}");
+        says(&list, "names EPSG:25832");
+    }
+    let two = read_in(None, &format!("# EPSG:25832 or EPSG:25833\n{points}")).expect("readable");
+    assert!(two.crs.is_none());
+    says(&two, "neither was taken; give --crs");
+    let other = read_in(Some("EPSG:32632"), &format!("{points}# EPSG:25832\n")).expect("readable");
+    assert_eq!(other.crs.map(|crs| crs.label()).as_deref(), Some("EPSG:32632"));
+}
+
+#[test]
+fn a_row_of_units_is_no_point() {
+    let list = read("name,easting,northing,height,sigma\n-,mm,mm,m,mm\nA,1000,2000,5,12\nB,3000,4000,6,12\n");
+    let first = &list.gcps[0];
+    assert_eq!((first.name.as_str(), first.easting, first.northing, first.height), ("A", 1.0, 2.0, Some(5.0)));
+    assert_eq!((first.sigma_m, list.gcps.len()), (Some(0.012), 2));
+    says(&list, "row 2 holds the units of the columns");
+    let list = read("name;e;n\n;[US survey feet];[ft-us]\nA;3937;7874\nB;3940;7880\n");
+    assert!((list.gcps[0].easting - 1200.0).abs() < 1e-9 && (list.gcps[0].northing - 2400.0).abs() < 1e-9);
+}
+
+#[test]
+fn accuracies_beyond_a_metre_are_doubted() {
+    let list = read("name,e,n,sigma\nA,1,2,12\nB,3,4,12\nC,5,9,0.5\n");
+    says(&list, "the stated accuracies, 12 m in the middle");
+    let list = read("name,e,n,sigma_mm\nA,1,2,12\nB,3,4,12\nC,5,9,10\n");
+    assert!(!list.notes.iter().any(|note| note.contains("accuracies")), "{:?}", list.notes);
+}
+
+#[test]
+fn what_is_kept_is_not_said_to_be_lost() {
+    let french = "N° point;Est;Nord;Alt.\n1;569\u{a0}834,260;7\u{a0}031\u{a0}894,724;47,211\n2;570 032,865;7 031 837,651;43,898\n";
+    let finnish = "Piste;P;I;K\n1;6700894,724;24490834,260;47,211\n2;6700837,651;24491032,865;43,898\n";
+    let feet = "Point;Easting_ft;Northing_ft\n1;1869534.97;23070520.75\n2;1870186.57;23070333.5\n";
+    for text in [french, finnish, feet] {
+        let folder = Folder::new();
+        let done = folder.converted("l.csv", text);
+        assert!(done.lost.is_empty(), "{text}: {:?}", done.lost);
+        let written = std::fs::read_to_string(&done.files[0]).expect("written");
+        assert!(written.lines().next().is_some_and(|titles| titles.split(',').count() <= 5), "{written}");
+    }
+}
+
+/// A sheet as spreadsheets write it: every cell a text in place.
+fn sheet(path: &std::path::Path, rows: &[&[&str]]) {
+    use gdal::vector::{LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
+    autoref_raster::initialise_gdal(0);
+    let driver = gdal::DriverManager::get_driver_by_name("XLSX").expect("GDAL has it");
+    let mut dataset = driver.create_vector_only(path).expect("writable");
+    let layer = dataset
+        .create_layer(LayerOptions { name: "Punkte", srs: None, ty: OGRwkbGeometryType::wkbNone, options: None })
+        .expect("a sheet");
+    // GDAL writes the titles of the fields as the first row.
+    let titles: Vec<(&str, _)> = rows[0].iter().map(|title| (*title, OGRFieldType::OFTString)).collect();
+    layer.create_defn_fields(&titles).expect("columns");
+    for row in &rows[1..] {
+        let mut feature = gdal::vector::Feature::new(layer.defn()).expect("a row");
+        for (column, cell) in row.iter().enumerate().filter(|(_, cell)| !cell.is_empty()) {
+            feature.set_field_string(column, cell).expect("text");
+        }
+        feature.create(&layer).expect("written");
+    }
+}
+
+#[test]
+fn sheets_of_text_and_below_a_title() {
+    let folder = Folder::new();
+    let options = GcpOptions { crs: Some("local".into()), ..GcpOptions::default() };
+    let points: [&[&str]; 3] = [
+        &["#1", "569.834,260", "7.031.894,724", "47,211"],
+        &["#2", "570.032,865", "7.031.837,651", "43,898"],
+        &["Summe", "1.139.867,125", "14.063.732,375", "91,109"],
+    ];
+    let titles: &[&str] = &["Punkt", "Rechtswert", "Hochwert", "Höhe"];
+    for (name, above) in [
+        ("a.xlsx", vec![titles]),
+        ("b.xlsx", vec![&["Passpunkte 2026", "a", "b", "c"][..], titles, &["", "[m]", "[m]", "[m]"]]),
+    ] {
+        let path = folder.0.path().join(name);
+        sheet(&path, &above.iter().chain(&points).copied().collect::<Vec<_>>());
+        let list = gcp::read(&path, &options).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(names(&list), ["#1", "#2"], "{name}: {:?}", list.notes);
+        let first = &list.gcps[0];
+        let place = (first.easting, first.northing, first.height);
+        assert_eq!(place, (569_834.26, 7_031_894.724, Some(47.211)), "{name}");
+    }
+    let path = folder.0.path().join("c.xlsx");
+    sheet(&path, &[&["Punkt", "Höhe"], &["1", "47"], &["2", "48"]]);
+    let error = gcp::read(&path, &options).expect_err("no coordinates").to_string();
+    assert!(error.contains("c.xlsx") && error.contains("easting") && !error.contains('\n'), "{error}");
+}
