@@ -74,6 +74,13 @@ SEEDS = {
         (".points", b"#CRS: EPSG:25832\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n570406,7032516,3,-4,1,0,0,0\n"),
         (".kof", b" 05 P1        5001     7032516.804   570406.861  80.318\n"),
         (".xml", b'<document><chunk><markers><marker label="A"><reference x="570406" y="7032516" z="80" enabled="1"/></marker></markers></chunk></document>'),
+        (".csv", "Číslo bodu;Y (Východ);X (Sever);Výška\n;[m];[m];[m]\n1;570406,8;7032516,8;80\n2;570413;7032503;79\nPrůměr;570409,9;7032509,9;79,5\n# EPSG 25832\n".encode()),
+        (".csv", "点名,X座標,Y座標,標高\n1,7032516,570406,80\n".encode()),
+        (".txt", b"*110001+0000000000000101 81..10+0000000569834260 82..10+0000007031894724 83..10+0000000000047211 \n110002+00000102 81..16+01234567 82..16+00500000\n"),
+        (".txt", b"00NMSDR33\n08KI             101     7031894.724      569834.260          47.211GCP\n"),
+        (".txt", b"JB,NMj\nMO,AD0,UN1\nSP,PN101,N 7031894.724,E 569834.26,EL47.211,--GCP\n--GS,PN7,N 7031900.1,E 569840.2,EL48.1,--n\n"),
+        (".xml", b'<LandXML><Units><Imperial linearUnit="USSurveyFoot"/></Units><CoordinateSystem epsgCode="25832"/><CgPoints><CgPoint name="101">7031894.7 569834.2 47.2</CgPoint></CgPoints></LandXML>'),
+        (".xml", b"<JOBFile><Reductions><Point><Name>101</Name><Grid><North>7031894.7</North><East>569834.2</East><Elevation>47.2</Elevation></Grid></Point></Reductions></JOBFile>"),
         (".geojson", b'{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"name":"A"},"geometry":{"type":"Point","coordinates":[10.4,63.4,80]}}]}'),
     ]),
     "documents": (DOCUMENTS, [

@@ -22,6 +22,7 @@ mod geojson;
 mod headerless;
 mod heights;
 mod image_crs;
+mod instruments;
 mod kof;
 mod marks;
 pub mod odm;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::RawList;
-use crate::gcp::{csv_list, geojson, kof, odm, ogr, qgis, text, xml};
+use crate::gcp::{csv_list, geojson, instruments, kof, odm, ogr, qgis, text, xml};
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
@@ -48,6 +48,9 @@ fn recognised(path: &Path, text: &str) -> ListFormat {
     if matches!(extension.as_str(), "geojson" | "json") || start.starts_with('{') {
         return ListFormat::GeoJson;
     }
+    if let Some(format) = instruments::recognised(&extension, text) {
+        return format;
+    }
     if start.starts_with('<') {
         return match xml::dialect(start) {
             Some(xml::Dialect::Metashape) => ListFormat::MetashapeXml,
@@ -76,6 +79,9 @@ fn recognised(path: &Path, text: &str) -> ListFormat {
 fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
     let lines = text::lines(text);
     let content = || lines.iter().skip_while(|line| line.is_comment()).copied().collect::<Vec<_>>();
+    if let Some(list) = instruments::parse(path, text, &lines, format) {
+        return list;
+    }
     match format {
         ListFormat::GeoJson => geojson::parse(path, text),
         ListFormat::MetashapeXml => xml::parse(path, text, xml::Dialect::Metashape),
@@ -94,7 +100,7 @@ fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
 fn beginnings(first: u8) -> &'static [&'static [u8]] {
     match first {
         b'{' => &[b"\"geometry\""],
-        b'<' => &[b"<OneAppuisDAF>", b"<marker id", b"<Placemark", b"<wpt "],
+        b'<' => &[b"<OneAppuisDAF>", b"<marker id", b"<Placemark", b"<wpt ", b"<CgPoint ", b"<PointRecord"],
         _ => &[b"\n"],
     }
 }

@@ -87,6 +87,12 @@ impl TitledUnits {
         TitledUnits { plan: [titled(easting), titled(northing)], height: height.and_then(titled) }
     }
 
+    /// The same unit for all coordinates, as a format's own `word` says.
+    pub fn all(unit: Unit, word: &str) -> Self {
+        let said = || Some((unit, word.to_owned()));
+        TitledUnits { plan: [said(), said()], height: said() }
+    }
+
     /// Brings local coordinates, and those of a CRS in metres, into metres, and heights into the unit of the CRS; says
     /// so in `notes`.
     ///

@@ -40,18 +40,18 @@ pub(super) fn parse(path: &Path, text: &str, dialect: Dialect) -> Result<RawList
 }
 
 /// Lines of bytes, counted from 1. Asked for one place after another, it counts each line once.
-struct Lines<'a> {
+pub(super) struct Lines<'a> {
     text: &'a str,
     position: usize,
     line: usize,
 }
 
 impl<'a> Lines<'a> {
-    fn of(text: &'a str) -> Lines<'a> {
+    pub(super) fn of(text: &'a str) -> Lines<'a> {
         Lines { text, position: 0, line: 1 }
     }
 
-    fn row(&mut self, position: u64) -> String {
+    pub(super) fn row(&mut self, position: u64) -> String {
         let end = (position as usize).min(self.text.len());
         if end < self.position {
             *self = Lines::of(self.text);
@@ -62,15 +62,21 @@ impl<'a> Lines<'a> {
     }
 }
 
-fn broken(path: &Path, text: &str, reader: &Reader<&[u8]>, error: impl std::fmt::Display) -> Error {
+pub(super) fn broken(path: &Path, text: &str, reader: &Reader<&[u8]>, error: impl std::fmt::Display) -> Error {
     let place = Lines::of(text).row(reader.error_position());
     Error::format(path, place, format!("the XML is broken: {error}"))
 }
 
-fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
+pub(super) fn attribute(start: &BytesStart<'_>, name: &str) -> Option<String> {
     let attribute = start.attributes().flatten().find(|a| a.key.as_ref() == name)?;
     // An entity that the document defines for itself stays as it is written.
     Some(unescaped(&attribute.value))
+}
+
+/// The name of an element without its prefix.
+pub(super) fn local_name<'a>(start: &'a BytesStart<'_>) -> &'a str {
+    let name = start.name().into_inner();
+    name.rsplit(':').next().unwrap_or(name)
 }
 
 fn unescaped(text: &str) -> String {
@@ -78,7 +84,7 @@ fn unescaped(text: &str) -> String {
 }
 
 /// The words of a text or of an entity (`&quot;`), which comes as an event of its own between two texts.
-fn words(event: &Event<'_>) -> String {
+pub(super) fn words(event: &Event<'_>) -> String {
     match event {
         Event::Text(content) => unescaped(content.as_ref()),
         Event::GeneralRef(entity) => unescaped(&format!("&{};", entity.as_ref())),

@@ -17,6 +17,7 @@ mod detection;
 mod diagnosis;
 mod examples;
 mod gcp_drawings;
+mod gcp_instruments;
 mod gcp_lists;
 mod gcp_titles;
 mod gcp_units;

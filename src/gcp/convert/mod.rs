@@ -45,6 +45,14 @@ pub enum ListFormat {
     Gml,
     Kml,
     Gpx,
+    /// Leica's, read and never written, as all below.
+    Gsi,
+    /// Sokkia's.
+    Sdr,
+    /// RW5.
+    Carlson,
+    LandXml,
+    JobXml,
     /// Read by GDAL, never written.
     OtherVector,
 }
@@ -69,6 +77,10 @@ impl ListFormat {
         ListFormat::Gpx,
     ];
 
+    /// Those of instruments and field programs, which are read only.
+    const OF_INSTRUMENTS: [ListFormat; 5] =
+        [ListFormat::Gsi, ListFormat::Sdr, ListFormat::Carlson, ListFormat::LandXml, ListFormat::JobXml];
+
     pub fn name(self) -> &'static str {
         match self {
             ListFormat::GeoJson => "geojson",
@@ -86,6 +98,11 @@ impl ListFormat {
             ListFormat::Gml => "gml",
             ListFormat::Kml => "kml",
             ListFormat::Gpx => "gpx",
+            ListFormat::Gsi => "gsi",
+            ListFormat::Sdr => "sdr",
+            ListFormat::Carlson => "rw5",
+            ListFormat::LandXml => "landxml",
+            ListFormat::JobXml => "jobxml",
             ListFormat::OtherVector => "vector",
         }
     }
@@ -108,6 +125,11 @@ impl ListFormat {
             ListFormat::Gml => "GML",
             ListFormat::Kml => "KML",
             ListFormat::Gpx => "GPX",
+            ListFormat::Gsi => "Leica's GSI",
+            ListFormat::Sdr => "Sokkia's SDR",
+            ListFormat::Carlson => "Carlson's RW5",
+            ListFormat::LandXml => "LandXML",
+            ListFormat::JobXml => "Trimble's JobXML",
             ListFormat::OtherVector => "a vector format of GDAL",
         }
     }
@@ -115,7 +137,8 @@ impl ListFormat {
     /// Read and written here, not by GDAL.
     pub(super) fn is_text(self) -> bool {
         use ListFormat::{Csv, GeoJson, Kof, MetashapeCsv, MetashapeXml, MicMac, Odm, Pix4d, Qgis};
-        matches!(self, GeoJson | Csv | Kof | Odm | Qgis | MetashapeCsv | MetashapeXml | Pix4d | MicMac)
+        ListFormat::OF_INSTRUMENTS.contains(&self)
+            || matches!(self, GeoJson | Csv | Kof | Odm | Qgis | MetashapeCsv | MetashapeXml | Pix4d | MicMac)
     }
 
     /// Of a file that GDAL reads, by its name.
@@ -162,10 +185,13 @@ impl FromStr for ListFormat {
             "geopackage" => "gpkg",
             "shapefile" => "shp",
             "flatgeobuf" => "fgb",
+            "jxl" => "jobxml",
+            "rw7" => "rw5",
             other => other,
         };
-        ListFormat::WRITTEN.into_iter().find(|format| format.name() == plain).ok_or_else(|| {
-            let names = ListFormat::WRITTEN.map(ListFormat::name).join(", ");
+        let formats = || ListFormat::WRITTEN.into_iter().chain(ListFormat::OF_INSTRUMENTS);
+        formats().find(|format| format.name() == plain).ok_or_else(|| {
+            let names = formats().map(ListFormat::name).collect::<Vec<_>>().join(", ");
             format!("`{text}` is no format of lists; there are {names}")
         })
     }
@@ -267,6 +293,12 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
             ));
         }
     };
+    if !ListFormat::WRITTEN.contains(&to) {
+        return Err(Error::usage(
+            format!("{} is read, never written", to.title()),
+            format!("give --to with one of {}", ListFormat::WRITTEN.map(ListFormat::name).join(", ")),
+        ));
+    }
     let (mut raw, from) = recognise::parse(input, options.layer.as_deref(), options.from)?;
     let units = std::mem::take(&mut raw.units);
     let set_aside = raw.set_aside.take();

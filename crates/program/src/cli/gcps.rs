@@ -28,10 +28,10 @@ pub struct ConvertArgs {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Format of the input: geojson, csv, kof, odm, qgis, metashape-csv, metashape-xml, pix4d, micmac, gpkg, shp, fgb,
-    /// gml, kml, gpx. Default: recognised by its content and name.
+    /// gml, kml, gpx, gsi, sdr, rw5, landxml, jobxml. Default: recognised by its content and name.
     #[arg(long, value_name = "FORMAT")]
     from: Option<ListFormat>,
-    /// Format of the output, of the same ones. Default: by its name.
+    /// Format of the output, of the same ones up to gpx. Default: by its name.
     #[arg(long, value_name = "FORMAT")]
     to: Option<ListFormat>,
     /// CRS of the coordinates (EPSG code, WKT, PROJ string or a file with one), over what the list says.

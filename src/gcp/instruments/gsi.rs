@@ -1,0 +1,153 @@
+//! Leica GSI: a block a line, of words of 8 or (after a `*`) 16 digits.
+//!
+//! After the chapter "Data format" of the TPS1100's user manual: a word is its index (two digits), four signs of which
+//! the last is the unit, the sign and the data. Words 11 (point), 81, 82 and 83 (easting, northing, height of the
+//! target) make a point, 84 to 86 (of the station) too where a block has no target. Data have no decimal point: the
+//! unit says where it stands.
+
+use std::path::Path;
+
+use super::no_number;
+use crate::gcp::Gcp;
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::text::Line;
+use crate::gcp::units::{TitledUnits, Unit};
+use autoref_raster::error::{Error, Result};
+
+/// Whether a line begins as a block does: a word for a point (11) or a code (41).
+pub(super) fn is_block(line: &str) -> bool {
+    let word = line.trim_start_matches('*').split_whitespace().next().unwrap_or_default();
+    let is_data = |b: &u8| b.is_ascii_alphanumeric() || b"._-+#/?".contains(b);
+    Word::of(word).is_some_and(|word| matches!(word.index, 11 | 41))
+        && word.as_bytes()[2..6].iter().all(|b| b.is_ascii_digit() || *b == b'.')
+        && word.bytes().skip(6).all(|b| is_data(&b))
+        && matches!(word.len(), 15 | 23)
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Word<'a> {
+    index: u8,
+    unit: char,
+    sign: f64,
+    data: &'a str,
+}
+
+impl<'a> Word<'a> {
+    fn of(text: &'a str) -> Option<Word<'a>> {
+        let (head, data) = (text.get(..7)?, text.get(7..)?);
+        let sign = match head.as_bytes()[6] {
+            b'+' => 1.0,
+            b'-' => -1.0,
+            _ => return None,
+        };
+        Some(Word { index: head.get(..2)?.parse().ok()?, unit: head.chars().nth(5)?, sign, data })
+    }
+
+    /// The length, and the unit that it counts in.
+    fn length(&self) -> Option<(f64, Unit)> {
+        let (digits, unit) = match self.unit {
+            '0' => (3, "m"),
+            '1' => (3, "ft"),
+            '6' => (4, "m"),
+            '7' => (4, "ft"),
+            '8' => (5, "m"),
+            _ => return None,
+        };
+        let is_whole = !self.data.is_empty() && self.data.bytes().all(|b| b.is_ascii_digit());
+        // Divided as text, so that 569834260 is 569834.26 to the last digit.
+        let (whole, rest) = self.data.split_at_checked(self.data.len().checked_sub(digits)?)?;
+        let value: f64 = format!("{whole}.{rest}").parse().ok()?;
+        Some((self.sign * value, Unit::of_word(unit)?)).filter(|_| is_whole)
+    }
+}
+
+pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+    let (mut points, mut others) = (Vec::new(), 0_usize);
+    let mut units: Option<Unit> = None;
+    for line in lines {
+        let place = line.place();
+        let words: Vec<Word<'_>> = line.text.trim_start_matches('*').split_whitespace().filter_map(Word::of).collect();
+        let find = |index: u8| words.iter().find(|word| word.index == index);
+        let [east, north, up] = if find(81).is_some() { [81, 82, 83] } else { [84, 85, 86] };
+        let (Some(name), Some(easting), Some(northing)) = (find(11), find(east), find(north)) else {
+            others += 1;
+            continue;
+        };
+        let mut length = |word: &Word<'_>, what: &str| {
+            let (value, unit) = word.length().ok_or_else(|| no_number(path, &place, word.data, what))?;
+            if *units.get_or_insert(unit) != unit {
+                return Err(Error::format(
+                    path,
+                    &place,
+                    "its lengths count in another unit than those before; export it in one",
+                ));
+            }
+            Ok(value)
+        };
+        let (easting, northing) = (length(easting, "easting")?, length(northing, "northing")?);
+        let height = find(up).map(|word| length(word, "height")).transpose()?;
+        let name = match name.data.trim_start_matches('0') {
+            "" => "0",
+            name => name,
+        };
+        points.push(RawPoint::bare(Gcp { height, ..Gcp::control(name, easting, northing) }, place));
+    }
+    if points.is_empty() {
+        return Err(Error::format(
+            path,
+            "the file",
+            "this Leica GSI holds no coordinates (words 81, 82), only measurements or codes; export coordinates of \
+             targets from the instrument",
+        ));
+    }
+    let mut list = RawList::new(points, CrsClaim::None);
+    list.units = units.map_or_else(TitledUnits::default, |unit| TitledUnits::all(unit, "the words 81 to 83"));
+    if others > 0 {
+        list.notes.push(format!("{}: {others} blocks hold no coordinates and were passed over", path.display()));
+    }
+    Ok(list)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gcp::text;
+
+    fn read(content: &str) -> Result<RawList> {
+        parse(Path::new("a.gsi"), &text::lines(content))
+    }
+
+    #[test]
+    fn words_of_8_and_16_digits() {
+        let wide = "*110001+0000000000000A01 81..10+0000000569834260 82..10+0000007031894724 83..10-0000000000047211\n";
+        let list = read(wide).expect("readable");
+        let gcp = &list.points[0].gcp;
+        assert_eq!((gcp.name.as_str(), gcp.easting, gcp.northing), ("A01", 569_834.26, 7_031_894.724));
+        assert_eq!(gcp.height, Some(-47.211));
+        let narrow = "410001+00000001 42....+00000000\n110002+00000102 81..16+01234567 82..16+00500000\n";
+        let list = read(narrow).expect("tenths of a millimetre");
+        let gcp = &list.points[0].gcp;
+        assert_eq!((gcp.name.as_str(), gcp.easting, gcp.northing, gcp.height), ("102", 123.4567, 50.0, None));
+        assert!(list.notes[0].contains("1 blocks"), "{:?}", list.notes);
+    }
+
+    #[test]
+    fn blocks_are_told_from_tables() {
+        assert!(
+            is_block("110001+00000101 81..10+00834260") && is_block("*110001+0000000000000101 81..10+0000000569834260")
+        );
+        for line in ["110001 570406 7032516", "110001+5 3", "P1,1,2", "", "*", "11+", "410001;1;2"] {
+            assert!(!is_block(line), "{line}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_point_is_said() {
+        let error = read("110001+00000101 21.102+19723700 22.102+10000000\n").err().expect("polar").to_string();
+        assert!(error.contains("this Leica GSI holds no coordinates"), "{error}");
+        let error = read("110001+00000101 81..10+0083426A 82..10+00894724\n").err().expect("a letter").to_string();
+        assert!(error.contains("row 1") && error.contains("easting"), "{error}");
+        let mixed = "110001+00000101 81..10+00834260 82..11+00894724\n";
+        assert!(read(mixed).err().expect("two units").to_string().contains("another unit"));
+    }
+}

@@ -1,0 +1,55 @@
+//! Coordinates as instruments and field programs write them. Measurements are never reduced here: a file without
+//! coordinates is refused with what to export instead.
+
+mod carlson;
+mod gsi;
+mod jobxml;
+mod landxml;
+mod sdr;
+
+use std::path::Path;
+
+use crate::gcp::convert::ListFormat;
+use crate::gcp::raw::RawList;
+use crate::gcp::text::Line;
+use autoref_raster::error::{Error, Result};
+
+/// The format of a text, by its content; by the end of its name where that tells more.
+pub(super) fn recognised(extension: &str, text: &str) -> Option<ListFormat> {
+    let start = text.trim_start();
+    let first = start.lines().next().unwrap_or_default();
+    if start.starts_with('<') {
+        let head: String = start.chars().take(4096).collect();
+        return match () {
+            () if head.contains("<LandXML") => Some(ListFormat::LandXml),
+            () if head.contains("<JOBFile") => Some(ListFormat::JobXml),
+            () => None,
+        };
+    }
+    match () {
+        () if extension == "gsi" || gsi::is_block(first) => Some(ListFormat::Gsi),
+        () if extension == "sdr" || first.starts_with("00NMSDR") => Some(ListFormat::Sdr),
+        () if matches!(extension, "rw5" | "rw7") || carlson::is_record(first) => Some(ListFormat::Carlson),
+        () => None,
+    }
+}
+
+/// The list in one of the formats of this room; `None` when the format is another.
+///
+/// # Errors
+/// When a record is broken, or none holds a point.
+pub(super) fn parse(path: &Path, text: &str, lines: &[Line<'_>], format: ListFormat) -> Option<Result<RawList>> {
+    Some(match format {
+        ListFormat::Gsi => gsi::parse(path, lines),
+        ListFormat::Sdr => sdr::parse(path, text),
+        ListFormat::Carlson => carlson::parse(path, lines),
+        ListFormat::LandXml => landxml::parse(path, text),
+        ListFormat::JobXml => jobxml::parse(path, text),
+        _ => return None,
+    })
+}
+
+/// What a number that is none says.
+fn no_number(path: &Path, place: &str, text: &str, what: &str) -> Error {
+    Error::format(path, place, format!("`{text}` is no number for the {what}; correct or remove the record"))
+}

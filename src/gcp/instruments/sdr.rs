@@ -1,0 +1,82 @@
+//! Sokkia SDR33 (and SDR20): records of fixed columns, of which 08 holds a point's coordinates.
+//!
+//! A record begins with its type (two digits) and how it came about (two letters). In 08 of SDR33 five fields of 16
+//! columns follow: point, northing, easting, height, description; in SDR20 the point has 4 and each number 10.
+
+use std::path::Path;
+
+use super::no_number;
+use crate::gcp::Gcp;
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::text;
+use autoref_raster::error::{Error, Result};
+
+/// Columns of a record's type and origin, of a point's name, of each number.
+#[derive(Clone, Copy, Debug)]
+struct Widths {
+    name: usize,
+    number: usize,
+}
+
+const SDR33: Widths = Widths { name: 16, number: 16 };
+const SDR20: Widths = Widths { name: 4, number: 10 };
+const HEAD: usize = 4;
+
+pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
+    let widths = if content.trim_start().starts_with("00NMSDR2") { SDR20 } else { SDR33 };
+    let mut points = Vec::new();
+    for (at, line) in content.lines().enumerate().filter(|(_, line)| line.starts_with("08")) {
+        let place = format!("row {}", at + 1);
+        let letters: Vec<char> = line.chars().collect();
+        let field = |from: usize, width: usize| -> String {
+            letters.iter().skip(from).take(width).collect::<String>().trim().to_owned()
+        };
+        let coordinate = |index: usize| field(HEAD + widths.name + index * widths.number, widths.number);
+        let number = |index: usize, what: &str| {
+            let text = coordinate(index);
+            text::number(&text).ok_or_else(|| no_number(path, &place, &text, what))
+        };
+        let name = field(HEAD, widths.name);
+        if name.is_empty() {
+            return Err(Error::format(path, place, "the point has no name; correct or remove the record"));
+        }
+        let (northing, easting) = (number(0, "northing")?, number(1, "easting")?);
+        let height = if coordinate(2).is_empty() { None } else { Some(number(2, "height")?) };
+        points.push(RawPoint::bare(Gcp { height, ..Gcp::control(name, easting, northing) }, place));
+    }
+    if points.is_empty() {
+        return Err(Error::format(
+            path,
+            "the file",
+            "this Sokkia SDR holds no coordinates (records 08), only measurements; export coordinates from the \
+             instrument",
+        ));
+    }
+    let mut list = RawList::new(points, CrsClaim::None);
+    // An instrument can be set to write the easting first.
+    list.order = ColumnOrder::Ruled;
+    Ok(list)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_of_coordinates() {
+        let record = |name: &str| {
+            format!("08KI{name:>16}{:>16}{:>16}{:>16}{:<16}\n", "7031894.724", "569834.260", "47.211", "GCP")
+        };
+        let list = parse(Path::new("a.sdr"), &format!("00NMSDR33\n{}09F1 1\n", record("P 1"))).expect("readable");
+        let gcp = &list.points[0].gcp;
+        assert_eq!((gcp.name.as_str(), gcp.easting, gcp.northing), ("P 1", 569_834.26, 7_031_894.724));
+        assert_eq!((gcp.height, list.points.len()), (Some(47.211), 1));
+        let short = format!("00NMSDR20\n08TP{:>4}{:>10}{:>10}{:>10}\n", 12, 894.724, 834.26, "");
+        let list = parse(Path::new("a.sdr"), &short).expect("readable");
+        assert_eq!((list.points[0].gcp.name.as_str(), list.points[0].gcp.height), ("12", None));
+        let error = parse(Path::new("a.sdr"), "00NMSDR33\n09F1 1\n").err().expect("polar").to_string();
+        assert!(error.contains("records 08"), "{error}");
+        let error = parse(Path::new("a.sdr"), "00NMSDR33\n08KI  P1 7031894.724 569834.260\n").err().expect("blanks");
+        assert!(error.to_string().contains("row 2"), "{error}");
+    }
+}
