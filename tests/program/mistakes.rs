@@ -201,6 +201,39 @@ fn a_table_of_candidates_from_a_german_spreadsheet_is_read() {
 }
 
 #[test]
+fn a_list_is_no_image_and_stands_behind_its_option() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    answers(
+        &program(dir, &["l.csv", "--gcps", "l.csv"]),
+        2,
+        &["l.csv: this is a list of 9 points, no image", "--gcps"],
+    );
+    answers(&program(dir, &["a.tif", "l.csv"]), 2, &["give the list with --gcps l.csv"]);
+    answers(&program(dir, &["a.tif", "b.tif", "--gcps", "l.csv"]), 2, &["`b.tif` is a second image"]);
+    answers(&program(dir, &["a.tif", "--gcps", "l.csv", "--gsd", "2.5ell"]), 2, &["`2.5ell` is no positive length"]);
+}
+
+#[test]
+fn exchanged_coordinates_are_named_where_nothing_fits() {
+    let (folder, rows) = workplace();
+    let dir = folder.path();
+    // An image without a place and marks of another colour than the default's.
+    std::fs::remove_file(dir.join("a.tif.aux.xml")).ok();
+    list(dir, "utm.csv", "name,northing,easting", rows.iter().cloned());
+    let image = ["a.tif", "--profile", "blue", "--no-report"];
+    let job = |list: &str| program(dir, &[&image[..], &["--gcps", list, "--overwrite"]].concat());
+    answers(&job("utm.csv"), 1, &["Not solved", "easting and northing may be exchanged"]);
+    let degrees = |k: usize| (format!("P{k}"), 10.4 + 0.0001 * k as f64, 63.4 + 0.0001 * (k * k) as f64);
+    list(dir, "degrees.csv", "name,lat,lon", (0..8).map(degrees));
+    answers(&job("degrees.csv"), 1, &["Not solved", "latitude and longitude may be exchanged", "--fix-axes"]);
+    let found =
+        program(dir, &[&image[..], &["--gcps", "degrees.csv", "--overwrite", "--to-crs", "EPSG:25832"]].concat());
+    answers(&found, 2, &["longitude and latitude exchanged", "--fix-axes"]);
+}
+
+#[test]
 fn an_image_is_no_result_and_a_list_has_a_format() {
     let (folder, _) = workplace();
     let dir = folder.path();

@@ -118,8 +118,8 @@ fn paint(text: &str) -> Result<String, String> {
 /// What is known before matching.
 #[derive(Args, Debug)]
 pub struct MatchArgs {
-    /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05. Default: from the image's georeference
-    /// or resolution, else unknown.
+    /// Ground size of a pixel, in metres: 0.03 (±10 %), 0.03±5%, or 0.02..0.05; also 3cm or 30mm. Default: from the
+    /// image's georeference or resolution, else unknown.
     #[arg(long, value_name = "M", allow_negative_numbers = true, help_heading = "Matching")]
     pub gsd: Option<Gsd>,
     /// The image's top points north within DEG degrees.

@@ -1,9 +1,10 @@
 //! What the option parser refuses, said as every other error: one line, and an object with `--json`.
 
 use std::ffi::OsString;
+use std::path::Path;
 use std::process::ExitCode;
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use serde_json::json;
 
 use crate::out;
@@ -14,7 +15,8 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
         error.exit();
     }
     let help = help(arguments);
-    let line = format!("{}; see {help}", about_negatives(message(error), arguments));
+    let said = about_files(error).unwrap_or_else(|| about_negatives(message(error), arguments));
+    let line = format!("{said}; see {help}");
     out::error_line(&format!("autoref-stream: {line}"));
     if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
         let said =
@@ -43,6 +45,22 @@ fn message(error: &clap::Error) -> String {
         }
     }
     crate::printable(paragraphs.join("; ").trim_start_matches("error: "))
+}
+
+/// A second file behind the image is taken for a subcommand: what to do with it.
+fn about_files(error: &clap::Error) -> Option<String> {
+    const PICTURES: [&str; 10] = ["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "ecw", "img", "webp"];
+    let word = match error.get(ContextKind::InvalidSubcommand)? {
+        ContextValue::String(word) => word,
+        _ => return None,
+    };
+    let ending = Path::new(word).extension()?.to_str()?.to_lowercase();
+    let shown = crate::printable(word);
+    Some(if PICTURES.contains(&ending.as_str()) {
+        format!("`{shown}` is a second image: a run takes one; start one for each")
+    } else {
+        format!("`{shown}` stands without its option; give the list with --gcps {shown}")
+    })
 }
 
 /// A negative number behind an option is taken for an option; the parser's advice would make it an argument of its own.
@@ -76,12 +94,13 @@ fn help(arguments: &[OsString]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{OsString, about_negatives, help, message};
+    use super::{OsString, about_files, about_negatives, help, message};
 
     fn refused(line: &str) -> (String, String) {
         let words: Vec<OsString> = ["autoref-stream"].into_iter().chain(line.split(' ')).map(OsString::from).collect();
         let error = crate::cli::everywhere::command().try_get_matches_from(&words).expect_err("a wrong option");
-        (about_negatives(message(&error), &words), help(&words))
+        let said = about_files(&error).unwrap_or_else(|| about_negatives(message(&error), &words));
+        (said, help(&words))
     }
 
     #[test]
@@ -92,6 +111,8 @@ mod tests {
             ("cloud clean", "not provided: --out <OUT>, <IN>...", "autoref-stream cloud clean --help"),
             ("dem align a.tif --to b.tif -o c --stabel x", "a similar argument exists: '--stable'", "dem align --help"),
             ("gcps converd", "convert", "--help"),
+            ("a.tif w.csv", "give the list with --gcps w.csv", "autoref-stream --help"),
+            ("a.tif b.tif --gcps w.csv", "`b.tif` is a second image: a run takes one", "autoref-stream --help"),
             ("dem hillshade a.tif -o b.tif --z -1", "is written --z=-1", "dem hillshade --help"),
         ] {
             let (said, help) = refused(line);

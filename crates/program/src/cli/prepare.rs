@@ -9,6 +9,7 @@ use autoref_raster::crs::Crs;
 use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
+use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::Profile;
@@ -30,6 +31,18 @@ pub fn threads(asked: Option<u64>) -> usize {
     asked.map_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get), |n| n as usize)
 }
 
+/// A list that was given for the image is named as one.
+fn of_a_list(image: &Path, error: autoref_raster::Error) -> autoref_raster::Error {
+    let read = gcp::read(image, &GcpOptions { crs: Some("local".into()), ..GcpOptions::default() });
+    match read {
+        Ok(list) => autoref_raster::Error::usage(
+            format!("{}: this is a list of {} points, no image", image.display(), list.gcps.len()),
+            format!("name the orthophoto first and the list behind it: IMAGE --gcps {}", image.display()),
+        ),
+        Err(_) => error,
+    }
+}
+
 /// Opens the image, builds the detector, and plans before the first read.
 pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -> anyhow::Result<Prepared> {
     let threads = threads(read.threads);
@@ -45,7 +58,8 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
         let source = raster::open(image, choice, read.page, cache_bytes);
         (source, colours.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
     });
-    let source = raster::with_white(source?, read.white)?;
+    let source = source.map_err(|error| of_a_list(image, error))?;
+    let source = raster::with_white(source, read.white)?;
     let info = source.info();
     let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
     let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;

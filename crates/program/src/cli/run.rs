@@ -196,7 +196,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    advise(&mut document.result, colours, (source.as_ref(), &args.paint.of(&args.marks).profile))?;
+    advise(&mut document.result, colours, &list.hints, (source.as_ref(), &args.paint.of(&args.marks).profile))?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
     let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -235,6 +235,7 @@ fn diagnose(
 fn advise(
     result: &mut RunResult,
     colours: Option<ColourSearch>,
+    hints: &[String],
     (source, profile): (&dyn autoref_raster::RasterSource, &str),
 ) -> anyhow::Result<()> {
     if let Some(search) = &colours {
@@ -243,6 +244,7 @@ fn advise(
     }
     result.colour_search = colours;
     if result.refused().is_some() {
+        result.advice.extend(hints.iter().cloned());
         result.advice.extend(unusual(source)?.iter().map(ToString::to_string));
     }
     Ok(())

@@ -55,19 +55,15 @@ pub struct Gsd(pub f64, pub f64);
 impl FromStr for Gsd {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
-        let number = |t: &str| {
-            let t = t.trim().trim_end_matches('m').trim();
-            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| {
-                let hint = if t.contains(',') { "; write a decimal point" } else { "" };
-                format!("`{t}` is no positive length in metres{hint}")
-            })
-        };
+        let number = |t: &str| length_m(t, Some(1.0));
         let range = if let Some((low, high)) = text.split_once("..") {
-            Gsd(number(low)?, number(high)?)
+            // "2..3cm" names its unit once.
+            let unit = length_unit(high).1;
+            Gsd(length_m(low, unit)?, number(high)?)
         } else if let Some((centre, tolerance)) = text.split_once('±').or_else(|| text.split_once("+-")) {
             let centre = number(centre)?;
             let half = match tolerance.trim().strip_suffix('%') {
-                Some(percent) => centre * number(percent)? / 100.0,
+                Some(percent) => centre * length_m(percent, Some(1.0))? / 100.0,
                 None => number(tolerance)?,
             };
             if half >= centre {
@@ -83,6 +79,24 @@ impl FromStr for Gsd {
         }
         Ok(range)
     }
+}
+
+/// The number before a unit of length, and the metres of the unit, when one is named.
+fn length_unit(text: &str) -> (&str, Option<f64>) {
+    const UNITS: [(&str, f64); 3] = [("mm", 0.001), ("cm", 0.01), ("m", 1.0)];
+    let text = text.trim();
+    let unit = UNITS.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?.trim(), Some(*metres))));
+    unit.unwrap_or((text, None))
+}
+
+/// A positive length in metres; `unit` is that of a number alone.
+fn length_m(text: &str, unit: Option<f64>) -> Result<f64, String> {
+    let (number, own) = length_unit(text);
+    let metres = own.or(unit).unwrap_or(1.0);
+    number.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).map(|v| v * metres).ok_or_else(|| {
+        let hint = if number.contains(',') { "; write a decimal point" } else { "" };
+        format!("`{}` is no positive length in metres (m, cm, mm){hint}", text.trim())
+    })
 }
 
 /// A range of mark sides.
@@ -160,6 +174,16 @@ mod tests {
         assert!((low - 0.0285).abs() < 1e-12 && (high - 0.0315).abs() < 1e-12);
         let Gsd(low, high) = "0.03".parse().expect("a number");
         assert!((low - 0.027).abs() < 1e-12 && (high - 0.033).abs() < 1e-12);
+        for (text, least, most) in [
+            ("2.5cm", 0.0225, 0.0275),
+            ("30 mm±10%", 0.027, 0.033),
+            ("2..3cm", 0.02, 0.03),
+            ("20mm..0.03m", 0.02, 0.03),
+        ] {
+            let Gsd(low, high) = text.parse().unwrap_or_else(|e| panic!("{text}: {e}"));
+            assert!((low - least).abs() < 1e-12 && (high - most).abs() < 1e-12, "{text}: {low} {high}");
+        }
+        assert!("2.5dm".parse::<Gsd>().is_err_and(|said| said.contains("`2.5dm`")), "quoted as it was written");
         assert!("-1".parse::<Gsd>().is_err() && "0.05..0.02".parse::<Gsd>().is_err());
     }
 
