@@ -7,6 +7,7 @@ pub mod complete;
 pub mod dual;
 pub mod error;
 pub mod intersect;
+mod line;
 pub mod lines;
 pub mod micmac_files;
 pub mod ortho;

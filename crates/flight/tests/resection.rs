@@ -1,7 +1,8 @@
 //! Blunders of single frames: named where they are, and only there.
 
 use autoref_flight::camera::Camera;
-use autoref_flight::resect::{ResectOptions, Seen, resect, three_points};
+use autoref_flight::pose::{Pose, YawPitchRoll};
+use autoref_flight::resect::{Focal, ResectOptions, Resection, Seen, resect, three_points};
 use nalgebra::Vector3;
 
 #[path = "../../../tests/common/random.rs"]
@@ -123,5 +124,159 @@ fn points_on_a_line_are_said_to_be() {
     let spread = seen(&|t| [10.0 * t, 7.0 * t * t, 0.0], &|t| [9.0 * t, 1.0]);
     if let Err(refused) = resect(&camera, &spread, &ResectOptions::default()) {
         assert!(!refused.to_string().contains("one line"), "{refused}");
+    }
+}
+
+/// How a drawn photograph was taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Taken {
+    /// Straight down from 100 m, points known to 2 cm, pixels to 0.5.
+    Down,
+    /// The same with the points on a cylinder through the camera, where three points and their neighbours say least.
+    OverCylinder,
+    /// To the side from 3000 m, points known to 25 m.
+    Sideways,
+}
+
+/// A drawn photograph: its points as measured, and the true place.
+fn photograph(random: &mut Random, taken: Taken, count: usize) -> (Camera, Vec<Seen>, Vector3<f64>, f64) {
+    let (f, height, relief, sigma_px, sigma_m) = match taken {
+        Taken::Down | Taken::OverCylinder => (3000.0, 100.0, 15.0, 0.5, 0.02),
+        Taken::Sideways => (3500.0, 3000.0, 500.0, 1.0, 25.0),
+    };
+    let camera = Camera::pinhole("drawn", [4000.0, 3000.0], f, [2000.0, 1500.0]);
+    let centre = Vector3::new(500.0, 800.0, height + random.uniform(-8.0, 8.0));
+    let pitch_deg = if taken == Taken::Sideways { random.uniform(-35.0, -20.0) } else { random.uniform(-90.0, -85.0) };
+    let angles = YawPitchRoll { yaw_deg: random.uniform(0.0, 360.0), pitch_deg, roll_deg: 3.0 * random.normal() };
+    let pose = Pose::looking(centre, angles);
+    let axis = random.uniform(0.0, std::f64::consts::TAU);
+    let mut seen: Vec<Seen> = Vec::new();
+    while seen.len() < count {
+        let ground = random.uniform(-relief / 2.0, relief / 2.0);
+        let xyz = if taken == Taken::OverCylinder {
+            let about = axis + std::f64::consts::PI + [0.6, 2.6, 4.4][seen.len() % 3] + 0.2 * random.normal();
+            let radius = 30.0;
+            let level = Vector3::new(axis.cos() + about.cos(), axis.sin() + about.sin(), 0.0) * radius;
+            Vector3::new(centre.x, centre.y, ground) + level
+        } else {
+            let top = if taken == Taken::Sideways { 900.0 } else { 60.0 };
+            let pixel = [random.uniform(60.0, 3940.0), random.uniform(top, 2940.0)];
+            let ray = pose.rotation.transpose() * Vector3::from(camera.ray(pixel).expect("inside"));
+            if ray.z > -0.02 {
+                continue;
+            }
+            centre + ray * ((ground - centre.z) / ray.z)
+        };
+        let Some(at) = camera.project(pose.to_camera(&xyz).into()).filter(|at| camera.contains(*at)) else { continue };
+        let pixel = at.map(|v| v + sigma_px * random.normal());
+        let off = Vector3::new(random.normal(), random.normal(), random.normal()) * sigma_m;
+        let sigma_m = Vector3::repeat(sigma_m);
+        seen.push(Seen { name: format!("P{}", seen.len()), xyz: xyz + off, sigma_m, pixel });
+    }
+    (camera, seen, centre, sigma_px)
+}
+
+/// Whether the stated deviations cover the true place, five times over; nothing is claimed where none are stated.
+fn covers(found: &Resection, centre: &Vector3<f64>) -> bool {
+    let Some(covariance) = &found.covariance else { return true };
+    (0..3).all(|k| (found.pose.centre[k] - centre[k]).abs() <= 5.0 * covariance[(3 + k, 3 + k)].sqrt())
+}
+
+/// Poses that stand elsewhere with a small deviation are never stated alone: where few points fit several poses, the
+/// right one is stated, or another one is said to be possible.
+#[test]
+fn few_points_hide_no_other_pose() {
+    let mut random = Random::new(71);
+    for (taken, count, draws) in [
+        (Taken::Down, 4, 60),
+        (Taken::OverCylinder, 4, 60),
+        (Taken::Sideways, 4, 60),
+        (Taken::Sideways, 6, 40),
+        (Taken::Down, 3, 60),
+        (Taken::Sideways, 3, 60),
+    ] {
+        let (mut alone, mut lost, mut several) = (0, 0, 0);
+        for _ in 0..draws {
+            let (camera, seen, centre, sigma_px) = photograph(&mut random, taken, count);
+            let options = ResectOptions { sigma_px, ..ResectOptions::default() };
+            let found = match resect(&camera, &seen, &options) {
+                Ok(found) => found,
+                Err(refused) => {
+                    assert!(refused.to_string().contains("one line"), "{taken:?} {count}: {refused}");
+                    continue;
+                }
+            };
+            several += usize::from(!found.alternatives.is_empty());
+            let off = |pose: &Pose| (pose.centre - centre).norm();
+            let nearer = found.alternatives.iter().any(|a| off(&a.pose) < off(&found.pose));
+            alone += usize::from(!covers(&found, &centre) && found.alternatives.is_empty());
+            lost += usize::from(!covers(&found, &centre) && !nearer);
+        }
+        println!(
+            "{taken:?}, {count} points: of {draws} {several} with others, {alone} wrong alone, {lost} without the truth"
+        );
+        assert!(alone == 0, "{taken:?} {count}: {alone} of {draws} stated wrong, alone");
+        assert!(50 * lost <= draws, "{taken:?} {count}: {lost} of {draws} lists lack the truth");
+        assert!(count <= 3 || 4 * several <= draws, "{taken:?} {count}: {several} of {draws} have others");
+    }
+}
+
+/// Four points that leave the focal length open state more than one pose, or a deviation that holds.
+#[test]
+fn a_sought_focal_length_hides_no_other_pose() {
+    let mut random = Random::new(72);
+    let draws = 25;
+    let mut alone = 0;
+    for _ in 0..draws {
+        let (camera, seen, centre, sigma_px) = photograph(&mut random, Taken::Down, 4);
+        let options = ResectOptions { sigma_px, focal: Focal::Sought, ..ResectOptions::default() };
+        let found = resect(&camera, &seen, &options).expect("a pose");
+        alone += usize::from(!covers(&found, &centre) && found.alternatives.is_empty());
+    }
+    assert!(alone == 0, "{alone} of {draws}");
+}
+
+/// One of four points is wrong, and nothing says which: that is said.
+#[test]
+fn one_wrong_point_of_four_is_no_pose() {
+    let mut random = Random::new(73);
+    let draws = 40;
+    let mut alone = 0;
+    for _ in 0..draws {
+        let (camera, mut seen, centre, sigma_px) = photograph(&mut random, Taken::Down, 4);
+        seen[random.below(4)].pixel[0] += random.uniform(30.0, 200.0);
+        let options = ResectOptions { sigma_px, ..ResectOptions::default() };
+        let found = resect(&camera, &seen, &options).expect("a pose");
+        let silent = found.alternatives.is_empty() && found.widened <= 1.0;
+        alone += usize::from(!covers(&found, &centre) && silent);
+    }
+    assert!(20 * alone <= draws, "{alone} of {draws}");
+}
+
+/// Points that are surveyed along a line are on it within their errors, and those tell nothing of the turn about it;
+/// a known place does.
+#[test]
+fn points_on_a_line_but_for_their_errors_are_said_to_be() {
+    let mut random = Random::new(74);
+    let camera = Camera::pinhole("c", [4000.0, 3000.0], 3000.0, [2000.0, 1500.0]);
+    let centre = Vector3::new(500.0, 800.0, 100.0);
+    let pose = Pose::looking(centre, YawPitchRoll { yaw_deg: 40.0, pitch_deg: -87.0, roll_deg: 1.0 });
+    for count in [3, 4, 10] {
+        let seen: Vec<Seen> = (0..count)
+            .map(|i| {
+                let along = f64::from(2 * i) / f64::from(count - 1) - 1.0;
+                let xyz = Vector3::new(500.0 + 40.0 * along, 800.0 + 20.0 * along, 0.0);
+                let at = camera.project(pose.to_camera(&xyz).into()).expect("in front");
+                let pixel = at.map(|v| v + 0.5 * random.normal());
+                let off = Vector3::new(random.normal(), random.normal(), random.normal()) * 0.02;
+                Seen { name: i.to_string(), xyz: xyz + off, sigma_m: Vector3::repeat(0.02), pixel }
+            })
+            .collect();
+        let options = ResectOptions { sigma_px: 0.5, ..ResectOptions::default() };
+        let refused = resect(&camera, &seen, &options).expect_err("the pose is open").to_string();
+        assert!(refused.contains("one line") && refused.contains("--position"), "{refused}");
+        let position = Some((centre, Vector3::repeat(0.1)));
+        let found = resect(&camera, &seen, &ResectOptions { position, ..options }).expect("the place fixes the turn");
+        assert!((found.pose.centre - centre).norm() < 1.0, "{:?}", found.pose.centre);
     }
 }

@@ -4,7 +4,7 @@ use autoref_flight::adjust::{Adjustment, Blunder, Role};
 use autoref_flight::bundle::Ended;
 use autoref_flight::pose::angle_sigmas;
 use autoref_flight::read::Reconstruction;
-use autoref_flight::resect::{Resection, Seen};
+use autoref_flight::resect::{Alternative, Resection, Seen};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Parameter, Pose, Projection, SizeOf};
@@ -201,7 +201,7 @@ pub fn resection(
     m.extend(camera(name, &found.camera, &found.pose, found.covariance.as_ref(), world));
     m.insert("rms_px".into(), number(found.rms_px));
     m.insert("sigma0".into(), found.sigma0.map_or(Value::Null, number));
-    let other = |pose: &Pose| pose_alone(&camera(name, &found.camera, pose, None, world));
+    let other = |a: &Alternative| pose_alone(&camera(name, &a.camera, &a.pose, None, world));
     m.insert("alternatives".into(), found.alternatives.iter().map(other).collect());
     let gcps = seen.iter().zip(&found.residuals_px).enumerate().map(|(i, (s, r))| {
         let d = r.map(|r| r[0].hypot(r[1]));
@@ -221,7 +221,7 @@ pub fn resection(
 
 /// Where a camera stands and looks, and no more.
 fn pose_alone(camera: &Map<String, Value>) -> Value {
-    const KEYS: [&str; 5] = ["C", "R", "yaw_deg", "pitch_deg", "roll_deg"];
+    const KEYS: [&str; 6] = ["C", "R", "yaw_deg", "pitch_deg", "roll_deg", "f_px"];
     camera
         .iter()
         .filter(|(key, _)| KEYS.contains(&key.as_str()))
@@ -236,10 +236,15 @@ fn notes(found: &Resection) -> Vec<String> {
     let mut notes = Vec::new();
     if !found.alternatives.is_empty() {
         notes.push(format!(
-            "three points allow {} other pose(s) as good as this one (alternatives): measure a fourth point, or give \
-             --position",
+            "the points allow {} other pose(s) about as good as this one (alternatives), and the standard deviations hold \
+             only if this one is right: measure another point, or give --position",
             found.alternatives.len()
         ));
+    }
+    if found.covariance.is_none() {
+        notes.push(
+            "two poses fall together here, and no standard deviations can be stated: measure another point".into(),
+        );
     }
     if let Some(sigma0) = found.sigma0.filter(|s| *s > MISFIT) {
         notes.push(format!(

@@ -1,0 +1,222 @@
+//! A pose from its start to the least squares' minimum, without the points that are wrong.
+
+use nalgebra::Vector3;
+
+use super::testing::{excess, far_off, least_share, off_by, worst_points};
+use super::{Focal, ResectOptions, Resection, Seen};
+use crate::bundle::{
+    BundleCamera, BundleFrame, BundlePoint, Factored, Loss, Observation, Options, Problem, Treatment, Trust, factor,
+    solve,
+};
+use crate::camera::{Camera, Parameter};
+use crate::error::{Error, Result};
+use crate::pose::Pose;
+
+/// A minimum, and what speaks against it: χ² of its points in the image and on the ground, and of a known position.
+#[derive(Clone, Debug)]
+pub(super) struct Minimum {
+    pub found: Resection,
+    pub points: f64,
+    pub position: f64,
+    /// Of the points, before a position pulls that they can do without.
+    redundancy: usize,
+}
+
+impl Minimum {
+    /// How many times as large the points' variance is as was stated; 1 where it is smaller, or nothing tells.
+    pub fn scale(&self) -> f64 {
+        if self.redundancy > 0 { (self.points / self.redundancy as f64).max(1.0) } else { 1.0 }
+    }
+}
+
+fn problem(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions, trust: Trust) -> Problem {
+    let mut bundle = BundleCamera::held(camera.clone());
+    if options.focal == Focal::Sought {
+        bundle = bundle.treat(Parameter::F, Treatment::Free);
+    }
+    let spread = seen.iter().map(|s| (s.xyz - seen[0].xyz).norm()).fold(0.0, f64::max);
+    // Exact points are held by a σ that no residual notices.
+    let sigma = |s: &Seen| s.sigma_m.map(|sigma| if sigma > 0.0 { sigma } else { spread * 1e-7 });
+    Problem {
+        cameras: vec![bundle],
+        frames: vec![BundleFrame { camera: 0, pose: *pose, position: options.position, direction: None }],
+        points: seen.iter().map(|s| BundlePoint { xyz: s.xyz, survey: Some((s.xyz, sigma(s))) }).collect(),
+        observations: seen
+            .iter()
+            .enumerate()
+            .map(|(i, s)| Observation { frame: 0, point: i, pixel: s.pixel, sigma_px: options.sigma_px, trust })
+            .collect(),
+    }
+}
+
+fn unknowns(options: &ResectOptions) -> usize {
+    6 + usize::from(options.focal == Focal::Sought)
+}
+
+/// How points are judged. A known position may be what is wrong: where the points can do without it, it has no say.
+pub(super) fn judging(seen: &[Seen], options: &ResectOptions) -> ResectOptions {
+    let counts = 2 * seen.len() < unknowns(options) + 4;
+    ResectOptions { position: options.position.filter(|_| counts), ..options.clone() }
+}
+
+/// So many points can spare one.
+const SPARE_ONE: usize = 5;
+
+/// From a start to the end; `at_first` is what becomes of the focal length until the points far off are named.
+pub(super) fn refine(
+    camera: &Camera,
+    pose: &Pose,
+    seen: &[Seen],
+    options: &ResectOptions,
+    at_first: Focal,
+) -> Result<Minimum> {
+    let first = judging(seen, options);
+    let mut refining = Refining {
+        seen,
+        options,
+        is_judged_with_position: first.position.is_some(),
+        position_counts: first.position.is_some() || options.position.is_none(),
+        camera: camera.clone(),
+        pose: *pose,
+        kept: (0..seen.len()).collect(),
+        blunders: Vec::new(),
+        aside: 0,
+    };
+    // Where none can be spared, robustness would only lead away from the start.
+    if seen.len() >= SPARE_ONE {
+        let robust = Options { loss: Loss::Cauchy(2.0), ..Options::default() };
+        let mut at = problem(camera, pose, seen, &ResectOptions { focal: at_first, ..first }, Trust::Robust);
+        solve(&mut at, &robust)?;
+        (refining.camera, refining.pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
+        refining.set_aside();
+    }
+    let mut of_points = None;
+    loop {
+        let fit = refining.fit()?;
+        if refining.mend(&fit) {
+            continue;
+        }
+        let now = (fit.chi2_of(refining.options), fit.redundancy);
+        if !refining.position_counts {
+            refining.position_counts = true;
+            // What the points say before a position pulls.
+            of_points = Some(now);
+            continue;
+        }
+        let ((points, position), redundancy) = of_points.unwrap_or(now);
+        return Ok(Minimum { found: refining.resection(&fit)?, points, position, redundancy });
+    }
+}
+
+/// The least squares of the points that are kept.
+struct Fit {
+    at: Problem,
+    cost: f64,
+    redundancy: usize,
+    known: usize,
+    sigma0: Option<f64>,
+    factored: Option<Factored>,
+    subset: Vec<Seen>,
+}
+
+impl Fit {
+    /// χ² of the points, and of the position that is known, whether it counted or not.
+    fn chi2_of(&self, options: &ResectOptions) -> (f64, f64) {
+        let off = |(at, sigma): &(Vector3<f64>, Vector3<f64>)| {
+            (self.at.frames[0].pose.centre - at).component_div(sigma).norm_squared()
+        };
+        let counted = self.at.frames[0].position.as_ref().map_or(0.0, off);
+        (2.0 * self.cost - counted, options.position.as_ref().map_or(0.0, off))
+    }
+}
+
+struct Refining<'a> {
+    seen: &'a [Seen],
+    options: &'a ResectOptions,
+    is_judged_with_position: bool,
+    position_counts: bool,
+    camera: Camera,
+    pose: Pose,
+    kept: Vec<usize>,
+    blunders: Vec<usize>,
+    /// Of the blunders so many, the first, were set aside from afar.
+    aside: usize,
+}
+
+impl Refining<'_> {
+    fn set_aside(&mut self) {
+        self.blunders = far_off(&self.camera, &self.pose, self.seen, self.options);
+        self.kept.retain(|i| !self.blunders.contains(i));
+        self.aside = self.blunders.len();
+    }
+
+    fn fit(&mut self) -> Result<Fit> {
+        let subset: Vec<Seen> = self.kept.iter().map(|i| self.seen[*i].clone()).collect();
+        let position = self.options.position.filter(|_| self.position_counts);
+        let now = ResectOptions { position, ..self.options.clone() };
+        let mut at = problem(&self.camera, &self.pose, &subset, &now, Trust::Full);
+        let plain = Options { loss: Loss::Squared, ..Options::default() };
+        let summary = solve(&mut at, &plain)?;
+        (self.camera, self.pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
+        let known = 2 * self.kept.len() + if position.is_some() { 3 } else { 0 };
+        let redundancy = known.saturating_sub(unknowns(self.options));
+        let sigma0 = (redundancy > 0).then(|| (2.0 * summary.cost / redundancy as f64).sqrt());
+        let factored = factor(&at, Loss::Squared);
+        Ok(Fit { at, cost: summary.cost, redundancy, known, sigma0, factored, subset })
+    }
+
+    /// Puts back what was set aside and is right, or takes the worst point out. Whether anything changed.
+    fn mend(&mut self, fit: &Fit) -> bool {
+        let Some(factored) = &fit.factored else { return false };
+        // What was set aside from afar may be right after all.
+        if self.aside > 0 {
+            let unit = (fit.sigma0.unwrap_or(1.0) / least_share(fit.redundancy)).max(1.0);
+            let off = |i: &usize| off_by(&self.camera, &self.pose, factored, &self.seen[*i], self.options);
+            let right = |i: &&usize| off(i) <= self.options.critical * unit;
+            let back: Vec<usize> = self.blunders[..self.aside].iter().filter(right).copied().collect();
+            self.blunders.retain(|i| !back.contains(i));
+            self.aside = 0;
+            if !back.is_empty() {
+                self.kept.extend(back);
+                self.kept.sort_unstable();
+                return true;
+            }
+        }
+        // The worst normalised residual, as long as the rest still fixes the pose with something to spare, and only
+        // where the points are judged: later on, a wrong position would make some of them look wrong.
+        let judged = self.options.position.is_none() || !self.position_counts || self.is_judged_with_position;
+        if fit.known < unknowns(self.options) + 3 || self.kept.len() < SPARE_ONE || !judged {
+            return false;
+        }
+        let worst = worst_points(&fit.at, factored, &fit.subset, self.options, (2.0 * fit.cost, fit.redundancy));
+        self.blunders.extend(worst.iter().map(|index| self.kept[*index]));
+        self.kept.retain(|i| !self.blunders.contains(i));
+        !worst.is_empty()
+    }
+
+    fn resection(mut self, fit: &Fit) -> Result<Resection> {
+        let (camera, pose) = (&self.camera, &self.pose);
+        let residual = |s: &Seen| {
+            let at = camera.project(pose.to_camera(&s.xyz).into());
+            at.map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]])
+        };
+        let residuals_px: Vec<Option<[f64; 2]>> = self.seen.iter().map(residual).collect();
+        if self.kept.iter().any(|i| residuals_px[*i].is_none()) {
+            return Err(Error::no_result("a point lies behind the camera", "check the points"));
+        }
+        let widened = excess(fit.sigma0, fit.redundancy);
+        let sum: f64 = self.kept.iter().filter_map(|i| residuals_px[*i]).map(|r| r[0] * r[0] + r[1] * r[1]).sum();
+        self.blunders.sort_unstable();
+        Ok(Resection {
+            covariance: fit.factored.as_ref().map(|f| f.frame(0) * widened.powi(2)),
+            widened,
+            rms_px: (sum / (2 * self.kept.len()) as f64).sqrt(),
+            camera: self.camera,
+            pose: self.pose,
+            residuals_px,
+            blunders: self.blunders,
+            sigma0: fit.sigma0,
+            alternatives: Vec::new(),
+        })
+    }
+}
