@@ -47,8 +47,38 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     Ok(bounded::read(path, "a description of a flight", bounded::DOCUMENT_BYTES)?)
 }
 
-/// A text file whole; what is no UTF-8 is taken as Latin-1.
+/// A text file whole, in UTF-16 where its first two bytes say so; what is no UTF-8 is taken as Latin-1.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    let bytes = read_bytes(path)?;
-    Ok(String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().iter().map(|b| char::from(*b)).collect()))
+    Ok(decoded(read_bytes(path)?))
+}
+
+fn decoded(bytes: Vec<u8>) -> String {
+    let wide = |of: fn([u8; 2]) -> u16| {
+        let units: Vec<u16> = bytes[2..].chunks_exact(2).map(|pair| of([pair[0], pair[1]])).collect();
+        String::from_utf16_lossy(&units)
+    };
+    if bytes.starts_with(&[0xFF, 0xFE]) {
+        return wide(u16::from_le_bytes);
+    }
+    if bytes.starts_with(&[0xFE, 0xFF]) {
+        return wide(u16::from_be_bytes);
+    }
+    String::from_utf8(bytes).unwrap_or_else(|e| e.into_bytes().iter().map(|b| char::from(*b)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_read_in_the_encodings_of_spreadsheets() {
+        let text = "name,x\nTück,1\n";
+        let wide = |mark: [u8; 2], of: fn(u16) -> [u8; 2]| -> Vec<u8> {
+            mark.into_iter().chain(text.encode_utf16().flat_map(of)).collect()
+        };
+        assert_eq!(decoded(wide([0xFF, 0xFE], u16::to_le_bytes)), text);
+        assert_eq!(decoded(wide([0xFE, 0xFF], u16::to_be_bytes)), text);
+        assert_eq!(decoded(text.into()), text);
+        assert_eq!(decoded(b"T\xFCck".to_vec()), "Tück");
+    }
 }

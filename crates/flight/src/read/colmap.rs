@@ -172,9 +172,18 @@ impl Raw {
             let mut seen = Vec::with_capacity(track.len());
             for (image, point) in track {
                 let at = index.get(&image).and_then(|i| Some((*i, *images[*i].4.get(point as usize)?)));
-                seen.push(
-                    at.ok_or_else(|| Error::format(folder, "points3D", format!("image {image} has no point {point}")))?,
-                );
+                seen.push(at.ok_or_else(|| {
+                    // Either file may be the one that was cut.
+                    let what = match index.get(&image) {
+                        None => format!("names the image {image}, which `images` lacks"),
+                        Some(_) => format!("names the point {point} of image {image}, which `images` lacks"),
+                    };
+                    Error::format(
+                        folder,
+                        "points3D",
+                        format!("{what}: one of both files is cut short or of another model"),
+                    )
+                })?);
             }
             ties.push(TiePoint { xyz: Vector3::from(xyz), seen });
         }
@@ -217,7 +226,11 @@ impl Bytes<'_> {
     fn count(&mut self, least: usize) -> Result<usize> {
         let n = self.u64()?;
         if n > (self.bytes.len() / least) as u64 {
-            return Err(Error::format(self.path, format!("byte {}", self.at - 8), format!("{n} entries do not fit")));
+            return Err(Error::format(
+                self.path,
+                format!("byte {}", self.at - 8),
+                format!("{n} entries are announced, which the file is too short for; it ends too early"),
+            ));
         }
         Ok(n as usize)
     }
@@ -329,6 +342,13 @@ fn text(folder: &Path, parts: Parts) -> Result<Raw> {
         let mut points = Vec::new();
         if let Some((row, line)) = lines.next() {
             let words: Vec<&str> = line.split_whitespace().collect();
+            if !words.len().is_multiple_of(3) {
+                return Err(Error::format(
+                    &path,
+                    format!("row {}", row + 1),
+                    "a point is x, y and the number of its tie; the file ends too early",
+                ));
+            }
             for p in numbers(&path, row + 1, &words)?.chunks_exact(3) {
                 points.push([p[0], p[1]]);
             }

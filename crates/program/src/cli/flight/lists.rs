@@ -35,7 +35,7 @@ pub struct PointOptions {
     /// CRS of the list, or of positions that stand without one; `local` for metric coordinates on a plane.
     #[arg(long, value_name = "CRS")]
     pub crs: Option<String>,
-    /// Keep these points out of the fit and compare them afterwards.
+    /// Keep these points out of the fit and compare them afterwards; `C*` names all that begin so.
     #[arg(long, value_delimiter = ',', value_name = "A,B,…")]
     pub check: Vec<String>,
     /// 1σ of GCPs on the ground. Default: what the list says, else 25 m for `adjust`.
@@ -154,6 +154,11 @@ pub fn some_of(names: &[String]) -> String {
     if names.len() > 5 { format!("{first} and {} more", names.len() - 5) } else { first }
 }
 
+/// Whether a point is called so, or as a pattern with `*` says.
+fn is_called(name: &str, wanted: &str) -> bool {
+    name == wanted || super::project::matches_pattern(name, wanted)
+}
+
 /// Whether the word means a plane.
 pub fn is_local(crs: &str) -> bool {
     crs.trim().eq_ignore_ascii_case("local")
@@ -232,7 +237,7 @@ impl Control {
     /// # Errors
     /// With its name.
     pub fn named_checks(&self, args: &PointArgs) -> Result<()> {
-        if let Some(lost) = args.how.check.iter().find(|c| self.points.iter().all(|p| p.name != **c)) {
+        if let Some(lost) = args.how.check.iter().find(|c| self.points.iter().all(|p| !is_called(&p.name, c))) {
             bail!("{}: has no point `{lost}` to check with; name one of its points", args.gcps.display());
         }
         Ok(())
@@ -299,7 +304,7 @@ impl Control {
             if !sigma.iter().all(|s| *s > 0.0 && s.is_finite()) {
                 bail!("GCP `{}`: its standard deviation must be positive", p.name);
             }
-            let check = p.check || args.how.check.contains(&p.name);
+            let check = p.check || args.how.check.iter().any(|c| is_called(&p.name, c));
             let role = if check { Role::Check } else { Role::Control };
             points.push(GroundPoint { name: p.name.clone(), xyz, sigma: Vector3::from(sigma), role, seen });
         }

@@ -150,7 +150,8 @@ pub fn default_image_px() -> f64 {
     5.0
 }
 
-fn matches_pattern(name: &str, pattern: &str) -> bool {
+/// Whether a name is one of a pattern, in which `*` stands for any letters.
+pub fn matches_pattern(name: &str, pattern: &str) -> bool {
     let mut parts = pattern.split('*');
     let first = parts.next().unwrap_or("");
     let Some(mut rest) = name.strip_prefix(first) else { return false };
@@ -186,10 +187,25 @@ pub fn absolute(path: &Path) -> Result<PathBuf> {
 /// The project and the folder that its paths start from.
 pub fn read_project(path: &Path) -> Result<(Project, PathBuf)> {
     let text = bounded::read_to_string(path, "a project of a flight", bounded::TEXT_BYTES)?;
-    let project: Project =
-        toml::from_str(&text).map_err(|e| Error::format(path, "the file", e.to_string().trim().replace('\n', " ")))?;
+    let project: Project = toml::from_str(&text).map_err(|e| match valueless(&text) {
+        Some((row, key)) => {
+            Error::format(path, format!("row {row}"), format!("`{key}` has no value; give one, or remove the row"))
+        }
+        None => Error::format(path, "the file", e.to_string().trim().replace('\n', " ")),
+    })?;
     project.check(path)?;
     Ok((project, path.parent().unwrap_or(Path::new(".")).to_path_buf()))
+}
+
+/// The first row whose key has nothing after it, which TOML takes for text without quotes.
+fn valueless(text: &str) -> Option<(usize, &str)> {
+    let of_row = |(index, line): (usize, &'_ str)| -> Option<(usize, usize)> {
+        let (key, value) = line.split_once('=')?;
+        let value = value.split('#').next().unwrap_or_default();
+        (value.trim().is_empty() && !key.contains(['"', '#'])).then_some((index + 1, key.trim().len()))
+    };
+    let (row, length) = text.lines().enumerate().find_map(of_row)?;
+    Some((row, text.lines().nth(row - 1)?.trim_start().get(..length)?))
 }
 
 impl Project {
@@ -211,6 +227,19 @@ impl Project {
         for (key, value) in lengths {
             if let Some(value) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
                 return refuse(key, format!("is {value}; a positive number is expected"));
+            }
+        }
+        let named = [
+            ("frames.folder", Some(&self.frames.folder)),
+            ("rough.table", self.rough.as_ref().map(|rough| &rough.table)),
+            ("gcps.list", gcps.map(|gcps| &gcps.list)),
+            ("gcps.observations", gcps.and_then(|gcps| gcps.observations.as_ref())),
+            ("masks.folder", self.masks.as_ref().and_then(|masks| masks.folder.as_ref())),
+            ("masks.global", self.masks.as_ref().and_then(|masks| masks.global.as_ref())),
+        ];
+        for (key, named) in named {
+            if named.is_some_and(|named| named.as_os_str().is_empty()) {
+                return refuse(key, "is empty; name a file or a folder, or remove the key".into());
             }
         }
         if self.adjust.features == 0 {
@@ -317,6 +346,21 @@ pub fn point_args(project: &Project, base: &Path) -> Option<lists::PointArgs> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_empty_is_named() {
+        let text = "[frames]\nfolder = \"a\"\npattern = [\"*\"]\n[camera]\nf_px =\n";
+        assert_eq!(valueless(text), Some((5, "f_px")));
+        assert_eq!(valueless("a = \"b = \"\nc = [ # more\n 1]\n"), None);
+        let project = |rough: &str| -> Project {
+            let text = format!("[frames]\nfolder = \"a\"\npattern = [\"*\"]\n[camera]\n{rough}");
+            toml::from_str(&text).expect("a project")
+        };
+        let path = Path::new("FLIGHT.toml");
+        let refused = project("[rough]\ntable = \"\"\n").check(path).expect_err("no table").to_string();
+        assert!(refused.contains("rough.table") && refused.contains("remove the key"), "{refused}");
+        project("").check(path).expect("nothing is empty");
+    }
 
     /// Every key of the documented example is one that is read, and every default that it shows is the program's.
     #[test]

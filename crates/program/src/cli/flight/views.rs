@@ -223,15 +223,15 @@ impl Grey {
     /// A frame as it is, in grey, at most `largest_px` wide or high.
     pub fn plain(folder: &Path, name: &str, largest_px: usize) -> Result<Self> {
         let path = folder.join(name);
-        let failed = || format!("{}: cannot be read", path.display());
-        let frame = Dataset::open(&path).with_context(failed)?;
+        let failed = |error| autoref_raster::Error::gdal(&path, error);
+        let frame = Dataset::open(&path).map_err(failed)?;
         let layout = Layout::of(&frame, largest_px);
         let bands = if frame.raster_count() >= 3 { 3 } else { 1 };
         let mut sum = vec![0f32; layout.width * layout.height];
         for band in 1..=bands {
-            let part = frame.rasterband(band).with_context(failed)?;
+            let part = frame.rasterband(band).map_err(failed)?;
             let (from, to) = (frame.raster_size(), (layout.width, layout.height));
-            let part = part.read_as::<f32>((0, 0), from, to, Some(ResampleAlg::Average)).with_context(failed)?;
+            let part = part.read_as::<f32>((0, 0), from, to, Some(ResampleAlg::Average)).map_err(failed)?;
             for (sum, v) in sum.iter_mut().zip(part.data()) {
                 *sum += if v.is_finite() { *v } else { 0.0 } / bands as f32;
             }
