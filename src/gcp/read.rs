@@ -119,6 +119,7 @@ pub(super) fn settled(
         if titled_degrees && !crs.is_geographic() && !crs.is_local() && degrees(&points) {
             return Err(titles_of_degrees(path, crs));
         }
+        refuse_degrees_of_map(path, &points, crs)?;
     }
     refuse_geocentric(path, &points)?;
     Ok((points, stated, notes))
@@ -292,14 +293,19 @@ fn latitude_first(points: &[RawPoint]) -> bool {
     points.iter().all(|p| p.gcp.northing.abs() <= 180.0 && p.gcp.easting.abs() <= 90.0)
 }
 
-/// Points within one metre of each other are no survey: they are degrees without a CRS.
-pub(super) fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
+/// Points within one metre of each other are no survey: they are degrees.
+fn look_like_degrees(points: &[RawPoint]) -> bool {
     let small = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 180.0);
     let spread = |f: fn(&Gcp) -> f64| {
         let values = points.iter().map(|p| f(&p.gcp));
         values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
     };
-    if points.len() > 1 && small && spread(|g| g.easting) < 1.0 && spread(|g| g.northing) < 1.0 {
+    points.len() > 1 && small && spread(|g| g.easting) < 1.0 && spread(|g| g.northing) < 1.0
+}
+
+/// Degrees without a CRS.
+pub(super) fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
+    if look_like_degrees(points) {
         return Err(Error::format(
             path,
             "the coordinates",
@@ -361,7 +367,8 @@ fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: O
 /// that can be, and said.
 ///
 /// # Errors
-/// [`Error::Format`] when the places count from the centre of the Earth, or all lie outside the area of use of `crs`.
+/// [`Error::Format`] when the places count from the centre of the Earth, are degrees where `crs` has none or none where
+/// it has them, or all lie outside its area of use.
 pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) -> Result<Vec<String>> {
     let point = |(index, &[east, north, height]): (usize, &[f64; 3])| {
         let gcp = Gcp { height: Some(height), ..Gcp::control((index + 1).to_string(), east, north) };
@@ -372,6 +379,8 @@ pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) ->
     let mut notes = Vec::new();
     settle_order(path, &mut points, ColumnOrder::Ruled, crs, &mut notes);
     if let Some(crs) = crs {
+        refuse_no_degrees(path, &points, crs)?;
+        refuse_degrees_of_map(path, &points, crs)?;
         place::refuse_elsewhere(path, &points, crs, None, "")?;
     }
     for (place, point) in places.iter_mut().zip(&points) {
@@ -418,6 +427,18 @@ pub(super) fn refuse_beyond_poles(path: &Path, points: &[RawPoint], crs: &Crs) -
         )),
         None => Ok(()),
     }
+}
+
+/// Degrees under a system of metres or feet: beside its origin they would pass for coordinates of it.
+fn refuse_degrees_of_map(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
+    if crs.is_geographic() || crs.is_local() || !look_like_degrees(points) {
+        return Ok(());
+    }
+    Err(Error::format(
+        path,
+        "the coordinates",
+        format!("they look like degrees, but {} has none; give --crs EPSG:4326, or the CRS they are in", crs.title()),
+    ))
 }
 
 /// A system in degrees has no larger numbers.
