@@ -11,11 +11,15 @@ use crate::camera::Parameter;
 /// Terms of the lens that may be missing.
 const BROWN: [Parameter; 5] = [Parameter::K1, Parameter::K2, Parameter::K3, Parameter::P1, Parameter::P2];
 
-/// By how much χ² must fall for a lens to be not as its model. Five free terms take off 5 by chance, and 40 in one of
-/// 10⁷ blocks.
+/// The principal point, where it is held, may lie so far from there, 1σ as a share of the image's width: lenses are
+/// centred no better, and over level ground nothing but GCPs tells.
+const DECENTRED: f64 = 0.005;
+
+/// By how much χ² must fall for a lens to be not as its model. Seven terms take off 7 by chance, and 40 in one of 10⁶
+/// blocks.
 const BEYOND_CHANCE: f64 = 40.0;
 
-/// Where all unknowns would go, in one step, if the lens had all of Brown's terms.
+/// Where all unknowns would go, in one step, if the lens had all of Brown's terms and a principal point of its own.
 pub(super) struct OtherLens {
     layout: Layout,
     step: Step,
@@ -33,6 +37,14 @@ impl OtherLens {
             for p in BROWN {
                 if camera.treatment[p as usize] == Treatment::Held {
                     camera.treatment[p as usize] = Treatment::Free;
+                    terms.push(p);
+                }
+            }
+            let sigma = DECENTRED * camera.camera.size_px[0].max(camera.camera.size_px[1]);
+            for p in [Parameter::Cx, Parameter::Cy] {
+                if camera.treatment[p as usize] == Treatment::Held && sigma > 0.0 {
+                    let value = camera.camera.get(p);
+                    camera.treatment[p as usize] = Treatment::Constrained { value, sigma };
                     terms.push(p);
                 }
             }

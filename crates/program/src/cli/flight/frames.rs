@@ -57,6 +57,11 @@ pub fn usable(
     Ok((kept, left_out))
 }
 
+/// Width and height of an image that can be opened.
+pub fn size(frame: &Path) -> Option<(usize, usize)> {
+    Dataset::open(frame).ok().map(|image| image.raster_size())
+}
+
 /// The folder from which COLMAP reads the frames: `folder` itself, or one below `out` in which colour frames of more
 /// than eight bits, which COLMAP cannot read, are grey ones of eight, beside links to the others.
 ///
@@ -153,6 +158,13 @@ pub struct Told {
     pub above_start_m: Option<f64>,
 }
 
+/// A focal length in pixels by that of 35 mm film: of equal diagonals (CIPA DCG-001, *Guideline for Noting Digital
+/// Camera Specifications in Catalogs*), which by width are another twentieth apart on sensors of 4:3.
+fn of_small_picture(f_mm: f64, size_px: [usize; 2]) -> f64 {
+    const DIAGONAL_MM: f64 = 43.266_615_305_567_87;
+    f_mm / DIAGONAL_MM * (size_px[0] as f64).hypot(size_px[1] as f64)
+}
+
 fn numbers(text: &str) -> Vec<f64> {
     text.split(['(', ')', ' ', ',']).filter_map(|t| t.parse().ok()).collect()
 }
@@ -189,8 +201,7 @@ pub fn told(frame: &Path) -> Told {
         Some(positive(number("FocalPlaneXResolution"))? / unit_mm * scale)
     };
     let by_sensor = || Some(positive(number("FocalLength"))? * per_mm()?);
-    // 35 mm film is 36 mm wide.
-    let f_px = positive(number("FocalLengthIn35mmFilm")).map(|f| f / 36.0 * w.max(h) as f64).or_else(by_sensor);
+    let f_px = positive(number("FocalLengthIn35mmFilm")).map(|f_mm| of_small_picture(f_mm, [w, h])).or_else(by_sensor);
     // A hemisphere that is not named is not guessed.
     let degrees = |name: &str, [positive, negative]: [&str; 2], most: f64| {
         let n = numbers(&tag(name)?);
@@ -335,6 +346,13 @@ mod tests {
         assert_eq!(rtk_sigma_m(&rtk(50)), Some([0.012, 0.03]));
         // A float solution states deviations that nobody should trust.
         assert_eq!(rtk_sigma_m(&rtk(34)), None);
+    }
+
+    /// DJI's FC330, 3.61 mm over 6.25 mm of 4000 px, calls itself 20 mm.
+    #[test]
+    fn focal_lengths_of_small_pictures_count_by_the_diagonal() {
+        let f_px = of_small_picture(20.0, [4000, 3000]);
+        assert!((f_px - 3.61 / 6.25 * 4000.0).abs() < 5.0, "{f_px}");
     }
 
     #[test]

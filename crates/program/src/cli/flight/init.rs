@@ -77,10 +77,12 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
     if names.is_empty() {
         bail!("{}: there are no frames ({})", folder.display(), IMAGES.join(", "));
     }
+    check_sizes(&folder, &names)?;
     check_table(args, &folder, &names)?;
     check_points(args)?;
     let told: Vec<frames::Told> = names.iter().map(|n| frames::told(&folder.join(n))).collect();
     let camera = init_camera(args, &folder.join(&names[0]), &told)?;
+    let adjust = init_adjust(args, &folder.join(&names[0]), &camera, &told);
     let (crs, rough) = init_rough(args, &names, &told)?;
     let project = Project {
         crs,
@@ -90,13 +92,26 @@ pub fn init(args: &InitArgs) -> Result<ExitCode> {
         rough,
         gcps: init_gcps(args)?,
         pairs: Pairs::default(),
-        adjust: Adjust::default(),
+        adjust,
     };
     let text = format!("# A flight of {} frames; `autoref-stream flight solve` takes it.\n", names.len())
         + &toml::to_string(&project)?;
     autoref_raster::atomic::write(&args.output, text.as_bytes())?;
     println!("{}", args.output.display());
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a folder whose files are all empty, and tells of single ones, as copies that broke off leave them.
+fn check_sizes(folder: &Path, names: &[String]) -> Result<()> {
+    let is_empty = |name: &&String| std::fs::metadata(folder.join(name)).is_ok_and(|file| file.len() == 0);
+    let empty: Vec<String> = names.iter().filter(is_empty).cloned().collect();
+    if empty.len() == names.len() {
+        bail!("{}: all {} frames are files of no bytes; copy them again", folder.display(), names.len());
+    }
+    if !empty.is_empty() {
+        eprintln!("files of no bytes, which `flight solve` leaves out: {}; copy them again", lists::some_of(&empty));
+    }
+    Ok(())
 }
 
 /// Refuses numbers of the command line that cannot be.
@@ -210,6 +225,24 @@ fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<C
         }
     }
     Ok(CameraPart { f_px, pp_px, focal: if f_px.is_some() { Focal::Rough } else { Focal::Held } })
+}
+
+/// What is adjusted of the interior: of a lens that nobody has calibrated the principal point too, where GCPs tell it
+/// from the tilt of the frames. Flights that look to the side leave it to the lens model.
+fn init_adjust(args: &InitArgs, first: &Path, camera: &CameraPart, told: &[frames::Told]) -> Adjust {
+    /// Straight down is −90°.
+    const STEEP_DEG: f64 = -60.0;
+    /// 1σ of the principal point, a share of the width.
+    const CENTRED: f64 = 0.01;
+    let mut adjust = Adjust::default();
+    let pitch_deg = frames::median(told.iter().filter_map(|t| t.angles_deg[1]).collect());
+    let tells = args.gcps.is_some() && pitch_deg.is_none_or(|pitch| pitch <= STEEP_DEG);
+    let uncalibrated = camera.focal == Focal::Rough && camera.pp_px.is_none();
+    if let (true, Some((width, height))) = (tells && uncalibrated, frames::size(first)) {
+        let sigma_px = (CENTRED * width.max(height) as f64).ceil();
+        adjust.free.extend(["cx", "cy"].map(|name| format!("{name}={sigma_px}")));
+    }
+    adjust
 }
 
 /// The table that the command line names, or one written from the frames' GPS beside the project; and the CRS of the
