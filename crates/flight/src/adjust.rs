@@ -3,9 +3,11 @@
 
 mod astray;
 mod datum;
+mod misfit;
 mod outcome;
 mod positions;
 mod rays;
+mod reason;
 mod screening;
 mod snooping;
 
@@ -141,8 +143,9 @@ const SCREENINGS: usize = 5;
 /// Adjusts.
 ///
 /// # Errors
-/// When the datum is not fixed: fewer than three GCPs seen in two photographs each and no rough poses. When the block
-/// collapses: a focal length that is not positive.
+/// When the datum is not fixed: fewer than three GCPs seen in two photographs each, or all on one line, and no rough
+/// poses. When more than half of the measurements of GCPs contradict the block. When the block collapses: a focal length
+/// that is not positive.
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
     let astray = astray::frames(model, points);
     if astray.is_empty() {
@@ -209,10 +212,11 @@ fn adjust_all(
     if control.is_empty() {
         notes.extend(positions::snoop(&mut problem, &world)?);
     }
-    let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened)?;
+    let explained = |error| reason::explained(error, model, &control);
+    let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened).map_err(explained)?;
     // What was set aside early may be right after all.
     if snooped.factored.as_ref().is_some_and(|f| screened.readmit(&mut problem, f, options.critical)) {
-        let again = snooping::snoop(&mut problem, ties, &control, options, &mut screened)?;
+        let again = snooping::snoop(&mut problem, ties, &control, options, &mut screened).map_err(explained)?;
         snooped = Snooped { blunders: snooped.blunders.into_iter().chain(again.blunders).collect(), ..again };
     }
     let Snooped { mut blunders, summary, mut factored } = snooped;
@@ -228,12 +232,18 @@ fn adjust_all(
         ));
     }
     notes.extend(snooping::unfixed(&problem, &world, astray));
-    notes.extend(snooping::contradictions(&problem, &world, &control, &blunders));
+    let contradictions = snooping::contradictions(&problem, &world, &control, &blunders);
+    if !contradictions.is_empty() {
+        notes.extend(reason::guess(model, &control).map(|said| format!("the GCPs do not fit: {said}")));
+    }
+    notes.extend(contradictions);
     let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
     notes.extend(deviations.as_ref().and_then(|d| snooping::missing_terms(&problem, d)));
     let end = End { problem, deviations, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
     let mut adjusted = outcome::outcome(&world, points, &control, end);
     adjusted.notes.extend(snooping::rays_apart(&adjusted.points, options.sigma_image_px));
+    let bent = misfit::notes(&adjusted.points, points, &adjusted.model, options.sigma_image_px);
+    adjusted.notes.extend(bent);
     Ok(adjusted)
 }
 

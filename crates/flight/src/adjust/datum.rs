@@ -2,9 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{GroundPoint, Role, RoughPose, astray};
+use super::{GroundPoint, Role, RoughPose, astray, reason};
 use crate::error::{Error, Result};
 use crate::intersect::{datum, intersect_seen};
+use crate::line;
 use crate::pose::{Pose, Similarity};
 use crate::read::Reconstruction;
 
@@ -45,11 +46,61 @@ pub(super) fn placing(
             to.push(p.xyz);
         }
     }
-    let mut move_by = if from.len() >= 3 { datum(&from, &to) } else { None };
+    let refused = in_line(control).or_else(|| unlike(model, control, &from, &to));
+    let mut move_by = if from.len() >= 3 && refused.is_none() { datum(&from, &to) } else { None };
     if move_by.is_none() {
         move_by = by_rough_poses(model, rough);
     }
-    move_by.ok_or_else(|| unplaced(model, control, from.len()))
+    move_by.ok_or_else(|| match refused {
+        Some(error) if from.len() >= 3 => error,
+        _ => reason::explained(unplaced(model, control, from.len()), model, control),
+    })
+}
+
+/// What is to be said of GCPs that lie on one line but for what they may err: the block would turn about it as its
+/// errors have it. `None` where they spread to the side.
+fn in_line(control: &[&GroundPoint]) -> Option<Error> {
+    /// A set that is wider against its length is no line, however coarse its points are.
+    const NARROW: f64 = 0.05;
+    let places: Vec<Vector3<f64>> = control.iter().map(|p| p.xyz).collect();
+    let spread = line::spread(&places);
+    let squares: f64 = control.iter().map(|p| p.sigma.max().powi(2)).sum();
+    let sigma_m = (squares / control.len().max(1) as f64).sqrt();
+    if spread.across > line::BY_CHANCE * sigma_m || spread.across > NARROW * spread.along {
+        return None;
+    }
+    Some(Error::no_result(
+        format!(
+            "all {} GCPs lie on one line as far as their standard deviations tell ({:.2} m beside it, σ {sigma_m:.2} m), \
+             and the block may turn about it",
+            control.len(),
+            spread.across
+        ),
+        "measure a GCP to the side of it, give positions with --cameras, or state --sigma-ground if they are known better",
+    ))
+}
+
+/// What is to be said of GCPs that no similarity brings to where the block has them, not even half of them to a tenth of
+/// their spread: no block is bent so much. `None` where one does.
+fn unlike(
+    model: &Reconstruction,
+    control: &[&GroundPoint],
+    from: &[Vector3<f64>],
+    to: &[Vector3<f64>],
+) -> Option<Error> {
+    const BENT: f64 = 0.1;
+    let miss_m = reason::middle_miss(from, to)?;
+    let spread_m = line::spread(to).along;
+    let sigma_m = control.iter().map(|p| p.sigma.max()).fold(0.0, f64::max);
+    if miss_m <= BENT * spread_m || miss_m <= line::BY_CHANCE * sigma_m {
+        return None;
+    }
+    let what = format!(
+        "the GCPs lie otherwise than the block has them: half of them are {miss_m:.1} m off or more, spread over \
+         {spread_m:.0} m"
+    );
+    let remedy = "check their coordinates, their CRS, and the names of points and frames";
+    Some(reason::explained(Error::no_result(what, remedy), model, control))
 }
 
 /// Why the GCPs, of which the rays of so many meet, do not place the block.
@@ -87,7 +138,7 @@ fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option
     let (from, to): (Vec<_>, Vec<_>) = all().map(|(p, r)| (p.centre, r.pose.centre)).unzip();
     let mut sigmas: Vec<f64> = all().map(|(_, r)| r.sigma_m.max()).collect();
     sigmas.sort_by(f64::total_cmp);
-    let spread = sigmas.get(sigmas.len() / 2).is_some_and(|sigma_m| across_m(&to) > *sigma_m);
+    let spread = sigmas.get(sigmas.len() / 2).is_some_and(|sigma_m| line::spread(&to).across > *sigma_m);
     if pairs.len() < 2 || spread {
         let by_positions = (from.len() >= 3).then(|| datum(&from, &to)).flatten();
         if by_positions.is_some() || pairs.len() < 2 {
@@ -113,16 +164,6 @@ pub(crate) fn by_poses(pairs: &[(&Pose, &Pose)]) -> Option<Similarity> {
     }
     let scale = up / down;
     (scale.is_finite() && scale > 0.0).then(|| Similarity { scale, rotation, shift: mr - rotation * mm * scale })
-}
-
-/// How far positions lie beside the line that fits them best, root mean square.
-fn across_m(positions: &[Vector3<f64>]) -> f64 {
-    let n = positions.len().max(1) as f64;
-    let mean = positions.iter().sum::<Vector3<f64>>() / n;
-    let about: Matrix3<f64> = positions.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
-    let mut moments: [f64; 3] = about.symmetric_eigenvalues().into();
-    moments.sort_by(f64::total_cmp);
-    (moments[1].max(0.0) / n).sqrt()
 }
 
 /// The turn from the model to the ground that half of the directions agree on: Weiszfeld's steps towards the rotation
@@ -152,6 +193,26 @@ mod tests {
     }
 
     #[test]
+    fn gcps_on_a_line_are_told_by_what_they_may_err() {
+        let points = |beside_m: f64, sigma_m: f64| -> Vec<GroundPoint> {
+            let point = |i: i32| GroundPoint {
+                name: i.to_string(),
+                xyz: Vector3::new(50.0 * f64::from(i), beside_m * f64::from(i % 2), 0.1 * beside_m * f64::from(i % 3)),
+                sigma: Vector3::repeat(sigma_m),
+                role: Role::Control,
+                seen: Vec::new(),
+            };
+            (0..8).map(point).collect()
+        };
+        let told = |points: &[GroundPoint]| in_line(&points.iter().collect::<Vec<_>>()).map(|e| e.to_string());
+        assert!(told(&points(0.05, 0.05)).is_some_and(|line| line.contains("one line")));
+        assert!(told(&points(0.0, 0.05)).is_some());
+        assert!(told(&points(2.0, 0.05)).is_none());
+        // Coarse points of a wide block.
+        assert!(told(&points(60.0, 50.0)).is_none());
+    }
+
+    #[test]
     fn directions_turned_the_other_way_do_not_pull_the_middle_along() {
         let model: Vec<Pose> = (0..9).map(|i| down(0.5 * f64::from(i), [f64::from(i), 0.0, 0.0])).collect();
         // The ground is turned by 40°; four of nine directions are half a turn off.
@@ -167,14 +228,5 @@ mod tests {
         let truth = rough[0].rotation.transpose() * model[0].rotation;
         let turn = Rotation3::from_matrix(&(middle_rotation(&pairs).transpose() * truth));
         assert!(turn.angle().to_degrees() < 1.0, "{}", turn.angle().to_degrees());
-    }
-
-    #[test]
-    fn positions_in_a_row_have_no_width() {
-        let row: Vec<Vector3<f64>> = (0..5).map(|i| Vector3::new(100.0 * f64::from(i), 0.0, 500.0)).collect();
-        assert!(across_m(&row) < 1e-6);
-        let two: Vec<Vector3<f64>> =
-            row.iter().flat_map(|p| [p - Vector3::y() * 30.0, p + Vector3::y() * 30.0]).collect();
-        assert!((across_m(&two) - 30.0).abs() < 1e-6);
     }
 }

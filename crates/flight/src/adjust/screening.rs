@@ -134,6 +134,12 @@ impl Screened {
         self.surveys.len() + self.images.len() < before
     }
 
+    /// How many measurements are aside, with those of a survey that is.
+    pub(super) fn measurements(&self, ties: usize, control: &[&GroundPoint]) -> usize {
+        let of_surveys = self.surveys.iter().map(|(point, _)| control[*point - ties].seen.len());
+        self.images.len() + of_surveys.sum::<usize>()
+    }
+
     /// What stayed aside, by how much it is wrong as the block has it.
     pub(super) fn blunders(&self, problem: &Problem, ties: usize, control: &[&GroundPoint]) -> Vec<Blunder> {
         let survey = |(point, (at, sigma)): &(usize, Survey)| {

@@ -10,7 +10,7 @@ use crate::bundle::{
     solve,
 };
 use crate::camera::Parameter;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::read::Reconstruction;
 
 /// What the last adjustment makes of ties that do not fit.
@@ -28,7 +28,7 @@ pub(super) struct Snooped {
 /// GCP that runs away is brought back, and what drove it off is set aside.
 ///
 /// # Errors
-/// When the adjustment fails.
+/// When the adjustment fails, or most measurements are called wrong.
 pub(super) fn snoop(
     problem: &mut Problem,
     ties: usize,
@@ -39,6 +39,7 @@ pub(super) fn snoop(
     let solving = Options { loss: LOSS, ..Options::default() };
     let mut blunders = Vec::new();
     loop {
+        refuse_most(control, &blunders, screened, ties)?;
         hold(problem, ties, control);
         hold_frames(problem);
         let before = problem.clone();
@@ -63,6 +64,26 @@ pub(super) fn snoop(
             }
         }
     }
+}
+
+/// Of more than half of the measurements nothing says that it is they that are wrong, and no search goes on.
+///
+/// # Errors
+/// When so many are called wrong.
+fn refuse_most(control: &[&GroundPoint], blunders: &[Blunder], screened: &Screened, ties: usize) -> Result<()> {
+    /// Fewer measurements say nothing of most of them.
+    const FEWEST: usize = 10;
+    let measured: usize = control.iter().map(|p| p.seen.len()).sum();
+    let of_survey = |name: &str| control.iter().filter(|p| p.name == name).map(|p| p.seen.len()).sum::<usize>();
+    let named = blunders.iter().map(|b| if b.photograph.is_some() { 1 } else { of_survey(&b.gcp) });
+    let wrong = named.sum::<usize>() + screened.measurements(ties, control);
+    if measured < FEWEST || 2 * wrong <= measured {
+        return Ok(());
+    }
+    Err(Error::no_result(
+        format!("{wrong} of {measured} measurements of GCPs contradict the block, and nothing says which are right"),
+        "check the coordinates, their CRS and order, what is stated of them, and the names of points and frames",
+    ))
 }
 
 /// What drove a GCP off: of all that moved farther than they were from a camera that shows them, or behind it, the
@@ -175,7 +196,12 @@ pub(super) fn unfixed(problem: &Problem, world: &Reconstruction, astray: &[Astra
 pub(super) fn missing_terms(problem: &Problem, deviations: &Deviations) -> Option<String> {
     let missing = deviations.missing_terms()?;
     let terms = missing.terms.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
-    let free = "let them free (--free, or free under [adjust])";
+    // Distortion and an unbounded principal point would take each other's place.
+    let bound = missing.terms.iter().find(|p| matches!(p, Parameter::Cx | Parameter::Cy)).map(|p| {
+        let width = problem.cameras.iter().map(|c| c.camera.size_px[0]).fold(0.0, f64::max);
+        format!(", the principal point within its bounds, as {}={:.0}", p.name(), (0.01 * width).max(1.0))
+    });
+    let free = format!("let them free (--free, or free under [adjust]){}", bound.unwrap_or_default());
     let Some(Moved { camera, parameter, by }) = missing.moved else {
         return Some(format!(
             "the lens is not as its interior orientation, which is held: with {terms} free the ties would fit better \

@@ -1,0 +1,98 @@
+//! Blocks that do not fit what was measured on the ground say so, and why.
+
+use autoref_flight::adjust::{AdjustOptions, AdjustedCamera, Adjustment, GroundPoint, Role, adjust};
+use autoref_flight::camera::{Camera, Parameter};
+use autoref_flight::pose::{Pose, YawPitchRoll};
+use autoref_flight::read::{Photograph, Reconstruction, TiePoint};
+use nalgebra::Vector3;
+
+mod drawn;
+use drawn::{Draw, block, noisy, shaken};
+
+/// Lists that are wrong as a whole: no hunt for blunders, one line, and the slip where one explains it.
+#[test]
+fn lists_that_are_wrong_as_a_whole_are_refused() {
+    let mut draw = Draw(81);
+    let (mut model, mut points) = block(&mut draw, 6, 400, 14);
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
+    let start = shaken(&mut draw, &model);
+    let said = |change: &dyn Fn(&mut GroundPoint)| {
+        let mut wrong = points.clone();
+        wrong.iter_mut().for_each(change);
+        match adjust(&start, &wrong, &AdjustOptions::default()) {
+            Ok(found) => found.notes.join("; "),
+            Err(refused) => format!("refused: {refused}"),
+        }
+    };
+    let column = said(&|p| p.xyz.x = 5000.0);
+    assert!(column.starts_with("refused: the GCPs lie otherwise than the block has them"), "{column}");
+    let feet = said(&|p| p.xyz.z /= 0.3048);
+    assert!(feet.contains("if the heights were in feet"), "{feet}");
+    let half = said(&|p| p.seen.iter_mut().for_each(|(_, at)| *at = at.map(|v| v / 2.0)));
+    assert!(half.contains("in frames of half the size"), "{half}");
+    let exchanged = said(&|p| p.xyz = Vector3::new(p.xyz.y, p.xyz.x, p.xyz.z));
+    assert!(exchanged.contains("easting and northing exchanged"), "{exchanged}");
+    let fine = said(&|_| {});
+    assert!(!fine.contains("would fit if") && !fine.contains("half of the"), "{fine}");
+}
+
+/// A block flown straight down whose principal point is held where it is not: the lens is said to lack it, and the
+/// deviations count it in.
+#[test]
+fn a_principal_point_that_is_held_and_wrong_is_said() {
+    let mut draw = Draw(82);
+    let camera = Camera::pinhole("c", [1500.0, 1200.0], 1480.0, [765.0, 592.0]);
+    let mut model = Reconstruction { cameras: vec![camera.clone()], ..Reconstruction::default() };
+    for i in 0..18 {
+        let (line, along) = (i / 6, i % 6);
+        let centre = Vector3::new(25.0 * f64::from(along), 40.0 * f64::from(line), 100.0) + draw.vector(1.0);
+        let yaw_deg = if line % 2 == 0 { 90.0 } else { 270.0 } + 2.0 * draw.normal();
+        let angles = YawPitchRoll { yaw_deg, pitch_deg: -90.0 + draw.uniform(0.0, 2.0), roll_deg: draw.normal() };
+        model.photographs.push(Photograph { name: format!("f{i}"), camera: 0, pose: Pose::looking(centre, angles) });
+    }
+    let mut points = Vec::new();
+    while model.ties.len() < 800 {
+        let x = Vector3::new(draw.uniform(-30.0, 155.0), draw.uniform(-30.0, 110.0), draw.uniform(-3.0, 3.0));
+        let all = model.photographs.iter().enumerate();
+        let seen: Vec<(usize, [f64; 2])> = all
+            .filter_map(|(i, p)| {
+                Some((i, camera.project(p.pose.to_camera(&x).into()).filter(|at| camera.contains(*at))?))
+            })
+            .collect();
+        match (seen.len() >= 3, points.len()) {
+            (false, _) => {}
+            (true, 0..=11) => points.push(GroundPoint {
+                name: format!("G{}", points.len()),
+                xyz: x,
+                sigma: Vector3::repeat(0.02),
+                role: Role::Control,
+                seen,
+            }),
+            (true, _) => model.ties.push(TiePoint { xyz: x, seen }),
+        }
+    }
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.02);
+    let found = |at: [f64; 2], interior: Vec<(Parameter, Option<f64>)>| {
+        let mut start = shaken(&mut Draw(83), &model);
+        start.cameras[0] = start.cameras[0].clone().with(Parameter::Cx, at[0]).with(Parameter::Cy, at[1]);
+        let options = AdjustOptions { interior, sigma_image_px: 0.3, ..AdjustOptions::default() };
+        adjust(&start, &points, &options).expect("adjusted")
+    };
+    let plain = vec![(Parameter::F, None), (Parameter::K1, None)];
+    let bounded = [plain.clone(), vec![(Parameter::Cx, Some(15.0)), (Parameter::Cy, Some(15.0))]].concat();
+    let worst = |found: &Adjustment| {
+        let z = |p: &AdjustedCamera| {
+            let off = found.model.photographs[p.photograph].pose.centre - model.photographs[p.photograph].pose.centre;
+            let variance = p.covariance.expect("determined").diagonal();
+            (0..3).map(|k| off[k].abs() / variance[3 + k].sqrt()).fold(0.0, f64::max)
+        };
+        found.photographs.iter().map(z).fold(0.0, f64::max)
+    };
+    let held = found([750.0, 600.0], plain.clone());
+    assert!(held.notes.iter().any(|note| note.contains("cx, cy")), "{:?}", held.notes);
+    assert!(worst(&held) < 5.0, "{}", worst(&held));
+    let right = found([765.0, 592.0], plain);
+    assert!(right.notes.iter().all(|note| !note.contains("cx, cy")), "{:?}", right.notes);
+    let freed = found([750.0, 600.0], bounded);
+    assert!(worst(&freed) < 5.0 && (freed.cameras[0].get(Parameter::Cx) - 765.0).abs() < 2.0, "{:?}", freed.cameras);
+}
