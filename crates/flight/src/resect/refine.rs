@@ -23,9 +23,10 @@ pub(super) struct Minimum {
 }
 
 impl Minimum {
-    /// How many times as large the points' variance is as was stated; 1 where it is smaller, or nothing tells.
+    /// How many times as large the points' variance is as was stated; 1 where chance explains it, or nothing tells.
     pub fn scale(&self) -> f64 {
-        if self.redundancy > 0 { (self.points / self.redundancy as f64).max(1.0) } else { 1.0 }
+        let sigma0 = (self.redundancy > 0).then(|| (self.points / self.redundancy as f64).sqrt());
+        excess(sigma0, self.redundancy).powi(2)
     }
 }
 
