@@ -434,11 +434,9 @@ fn refuse_degrees_of_map(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<
     if crs.is_geographic() || crs.is_local() || !look_like_degrees(points) {
         return Ok(());
     }
-    Err(Error::format(
-        path,
-        "the coordinates",
-        format!("they look like degrees, but {} has none; give --crs EPSG:4326, or the CRS they are in", crs.title()),
-    ))
+    let title = crs.title();
+    let what = format!("they look like degrees, but {title} has none; give --crs EPSG:4326, or the CRS they are in");
+    Err(Error::format(path, "the coordinates", what))
 }
 
 /// A system in degrees has no larger numbers.

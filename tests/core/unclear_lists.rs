@@ -181,6 +181,14 @@ fn titles_of_instruments_and_countries() {
     }
 }
 
+/// Beside the origin of a zone degrees would pass for metres.
+#[test]
+fn degrees_under_a_map_are_refused() {
+    let degrees = "name,e,n\nA,15.00020,54.14805\nB,15.00005,54.14818\nC,15.00033,54.14810\n";
+    refused("EPSG:32633", degrees, &["look like degrees", "--crs EPSG:4326"]);
+    read_in("EPSG:4326", degrees).expect("degrees as what they are");
+}
+
 #[test]
 fn remedies_work() {
     let feet = |titles: &str| format!("name,{titles}\nA,1640420.5,15255170.1\nB,1640520.5,15255270.1\n");

@@ -144,8 +144,8 @@ const SCREENINGS: usize = 5;
 ///
 /// # Errors
 /// When the datum is not fixed: fewer than three GCPs seen in two photographs each, or all on one line, and no rough
-/// poses. When more than half of the measurements of GCPs contradict the block. When the block collapses: a focal length
-/// that is not positive.
+/// poses. When more than half of the measurements of GCPs contradict the block. When the block collapses: a focal
+/// length that is not positive.
 pub fn adjust(model: &Reconstruction, points: &[GroundPoint], options: &AdjustOptions) -> Result<Adjustment> {
     let astray = astray::frames(model, points);
     if astray.is_empty() {

@@ -80,8 +80,8 @@ fn in_line(control: &[&GroundPoint]) -> Option<Error> {
     ))
 }
 
-/// What is to be said of GCPs that no similarity brings to where the block has them, not even half of them to a tenth of
-/// their spread: no block is bent so much. `None` where one does.
+/// What is to be said of GCPs that no similarity brings to where the block has them, not even half of them to a tenth
+/// of their spread: no block is bent so much. `None` where one does.
 fn unlike(
     model: &Reconstruction,
     control: &[&GroundPoint],

@@ -95,7 +95,7 @@ pub fn files(
         let points: Vec<SurveyedPoint> = control
             .points
             .into_iter()
-            .filter(|p| !p.check && !gcps.check.contains(&p.name))
+            .filter(|p| !p.check && !gcps.check.iter().any(|wanted| lists::is_called(&p.name, wanted)))
             .map(|p| SurveyedPoint {
                 sigma_m: p.sigma_or(gcps.sigma_ground_m).map(|m| m / unit_m),
                 name: p.name,

@@ -155,7 +155,7 @@ pub fn some_of(names: &[String]) -> String {
 }
 
 /// Whether a point is called so, or as a pattern with `*` says.
-fn is_called(name: &str, wanted: &str) -> bool {
+pub fn is_called(name: &str, wanted: &str) -> bool {
     name == wanted || super::project::matches_pattern(name, wanted)
 }
 
