@@ -39,7 +39,9 @@ pub fn examine_parts(
     let single = gates.single(region);
     let whole = single.then(|| examine_whole(&scene, pixels, region, classifier, profile, gates)).flatten();
     let middles = middles(&scene, region, classifier, profile, gates.mark_side_px().0);
-    if middles.len() < 2 || middles.len() > MOST_PARTS || whole.is_some() && is_one_piece(&scene, region) {
+    let as_large_as_one = is_as_large_as_one(region, profile);
+    let is_one = whole.is_some() && as_large_as_one && is_one_piece(&scene, region);
+    if middles.len() < 2 || middles.len() > MOST_PARTS || is_one {
         return whole.into_iter().collect();
     }
     let mut owned = vec![PixelSet::empty(scene.width, scene.height); middles.len()];
@@ -54,19 +56,26 @@ pub fn examine_parts(
         .collect();
     let parts = apart(parts, gates.mark_side_px().0 / 2.0);
     match whole {
-        Some(whole) if !are_likelier(&parts, &whole) => vec![whole],
+        Some(whole) if !are_likelier(&parts, &whole, as_large_as_one) => vec![whole],
         _ => parts,
     }
 }
 
 /// Whether parts are marks rather than the whole is. Of a worn mark the part without holes is a better square than the
-/// whole; of marks that touch each is one, and what touches a mark makes the whole far less likely.
-fn are_likelier(parts: &[Candidate], whole: &Candidate) -> bool {
+/// whole, so that one part alone must be far likelier; of marks that touch each is one, and they are larger than one.
+fn are_likelier(parts: &[Candidate], whole: &Candidate, as_large_as_one: bool) -> bool {
     /// Logarithm of the odds.
     const FAR: f64 = 4.0;
     let best = parts.iter().filter_map(|c| c.score).fold(f64::NEG_INFINITY, f64::max);
-    let lead = if parts.len() > 1 { 0.0 } else { FAR };
+    let lead = if parts.len() == 1 && as_large_as_one { FAR } else { 0.0 };
     whole.score.is_none_or(|score| best > score + lead)
+}
+
+/// Whether a region is no larger than the largest example.
+fn is_as_large_as_one(region: &Region, profile: &Profile) -> bool {
+    const SLACK: f64 = 1.1;
+    let largest_px = profile.learned.as_ref().map_or(0.0, |learned| SLACK * learned.side_px_max);
+    region.area as f64 <= largest_px * largest_px
 }
 
 /// Whether a region has no waist and is no longer than wide: marks that touch have, or are.
@@ -250,9 +259,10 @@ mod tests {
             code: None,
             paint: None,
         };
-        assert!(!are_likelier(&[of(5.0)], &of(1.0)));
-        assert!(are_likelier(&[of(9.0)], &of(1.0)));
-        assert!(are_likelier(&[of(5.0), of(2.0)], &of(1.0)));
-        assert!(!are_likelier(&[], &of(1.0)));
+        assert!(!are_likelier(&[of(5.0)], &of(1.0), true));
+        assert!(are_likelier(&[of(9.0)], &of(1.0), true));
+        assert!(are_likelier(&[of(5.0), of(2.0)], &of(1.0), true));
+        assert!(are_likelier(&[of(5.0)], &of(1.0), false));
+        assert!(!are_likelier(&[], &of(1.0), true));
     }
 }

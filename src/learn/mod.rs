@@ -245,7 +245,7 @@ fn widened(paint: &[[f64; 3]]) -> Result<(CloudSpec, Cloud)> {
 }
 
 /// The score that the next mark should reach: four standard deviations below the examples' mean, no more than 3 below
-/// the least of twenty examples (60/n of n fewer), and at most the usual 0.
+/// the least of twenty examples (3·(20/n)² of n fewer), and at most the usual 0.
 ///
 /// What was pointed at is known to be a mark, however little it resembles flat paint on even ground, which the score
 /// was made for. Few examples say little of their spread, so it is taken as at least 1.5; clean and worn marks together
@@ -270,6 +270,6 @@ fn least_score(profile: &Profile, patches: &[&Patch], examples: &[Example]) -> R
     let mean = scores.iter().sum::<f64>() / n;
     let sd = (scores.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)).sqrt();
     let least = scores.iter().copied().fold(f64::INFINITY, f64::min);
-    let below_least = 2.0 * LEAST_SPREAD * (MANY / n).max(1.0);
+    let below_least = 2.0 * LEAST_SPREAD * (MANY / n).max(1.0).powi(2);
     Ok((mean - 4.0 * sd.max(LEAST_SPREAD)).max(least - below_least).min(0.0))
 }

@@ -31,8 +31,8 @@ pub struct SelftestArgs {
     /// Marks of each size.
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..=100_000), help_heading = "Planted marks")]
     pub marks: u64,
-    /// Colour in full sun: a name or #rrggbb. Default: the profile's. A colour that the default profile does not take is
-    /// looked for as `--paint` of the main job does.
+    /// Colour in full sun: a name or #rrggbb. Default: the profile's. What the default profile does not take is looked
+    /// for as `--paint` of the main job does.
     #[arg(long, value_name = "COLOUR", help_heading = "Planted marks")]
     pub paint: Option<Paint>,
     /// Square, disc, cross, checker or cross-plate. Default: the profile's, a square when it takes any.
