@@ -25,7 +25,7 @@ impl Statistic {
     #[rustfmt::skip]
     const WORDS: &[(Statistic, &[&str])] = &[
         (Statistic::Mean, &[
-            "mittelwert", "mittel", "mittelwerte", "durchschnitt", "mw", "mean", "average", "avg", "moyenne", "moy",
+            "mittelwert", "mean value", "mittel", "mittelwerte", "durchschnitt", "mw", "mean", "average", "avg", "moyenne", "moy",
             "media", "promedio", "prom", "gemiddelde", "gjennomsnitt", "snitt", "middelverdi", "medel", "medelvarde",
             "gennemsnit", "keskiarvo", "srednia", "prumer", "priemer", "prosjek", "povprecje", "atlag", "ortalama",
             "medie", "среднее", "середнє", "μεσοσ οροσ", "平均", "平均値", "平均值", "평균", "ø", "∅",
@@ -41,13 +41,13 @@ impl Statistic {
         ]),
         (Statistic::Range, &["range", "spannweite", "span", "differenz", "difference", "etendue", "rango", "escursione"]),
         (Statistic::Sum, &[
-            "summe", "sum", "total", "totals", "grand total", "gesamt", "insgesamt", "suma", "somme", "somma", "totale",
+            "summe", "gesamtsumme", "zwischensumme", "subtotal", "sub total", "total general", "sum", "total", "totals", "grand total", "gesamt", "insgesamt", "suma", "somme", "somma", "totale",
             "totaux", "totaal", "som", "soma", "summa", "sum total", "yhteensa", "razem", "celkem", "spolu", "ukupno",
             "skupaj", "osszesen", "osszeg", "toplam", "итого", "всего", "сумма", "усього", "συνολο", "合計", "合计", "合計値",
             "합계", "i alt", "σ",
         ]),
         (Statistic::Spread, &[
-            "stdabw", "standardabweichung", "streuung", "std", "stdev", "std dev", "stddev", "sd", "standard deviation",
+            "stdabw", "std abw", "standardabw", "standardabweichung", "streuung", "std", "stdev", "std dev", "stddev", "sd", "standard deviation",
             "sigma", "rms", "rmse", "ecart type", "ecarttype", "desviacion estandar", "desv est", "desvio padrao",
             "deviazione standard", "dev std", "standaardafwijking", "standardavvik", "standardavvikelse",
             "standardafvigelse", "keskihajonta", "odchylenie standardowe", "smerodatna odchylka", "szoras",

@@ -13,8 +13,10 @@ use crate::matching::settle::centre_and_spread;
 
 /// A pair lies far from the others when the square of its distance from their middle is more than the sum of theirs.
 pub(super) const FAR_ARM: f64 = 1.0;
-/// A far mark is that of its GCP when that is so many times likelier than that chance put a candidate there.
+/// A far mark is that of its GCP when that is so many times likelier than that chance put a candidate there; where
+/// others lie as far out they bear it out.
 const LEAST_ODDS: f64 = 50.0;
+const LEAST_ODDS_AMONG_OTHERS: f64 = 10.0;
 /// Fewer others do not place one.
 const FEWEST_OTHERS: usize = 5;
 /// The deviation of marks is hardly less.
@@ -37,10 +39,11 @@ pub(crate) fn doubtful_far(pairs: &[Pair], ground: &Ground<'_>, may_be_asked: im
     }
     let arms = arms(pairs);
     let far: Vec<usize> = (0..pairs.len()).filter(|&i| arms[i] > FAR_ARM).collect();
+    let least_odds = if far.len() > 1 { LEAST_ODDS_AMONG_OTHERS } else { LEAST_ODDS };
     far.iter()
         .filter(|&&i| may_be_asked(i))
         .filter_map(|&i| Some((i, odds(pairs, i, (arms[i], far.len()), ground)?)))
-        .filter(|(_, odds)| *odds < LEAST_ODDS)
+        .filter(|(_, odds)| *odds < least_odds)
         .min_by(|a, b| a.1.total_cmp(&b.1))
         .map(|(i, _)| i)
 }
@@ -89,6 +92,7 @@ fn off_px(similarity: &Similarity, pair: &Pair) -> f64 {
 
 impl Search<'_> {
     /// The pattern without doubtful far marks; `None` when there are none. A mark with the GCP's own name is not asked.
+    /// That the whole pattern is no accident stays true without them.
     pub(super) fn without_doubtful_far(&self, pattern: &Pattern) -> Option<Pattern> {
         let in_image = |gcp: &&MapPoint| self.field.contains(pattern.similarity.invert(**gcp));
         let gcps: Vec<MapPoint> = self.gcps.iter().filter(in_image).copied().collect();
@@ -101,7 +105,10 @@ impl Search<'_> {
             let Some(doubtful) = doubtful_far(&pairs, &ground, is_unnamed) else { break };
             taken.remove(doubtful);
         }
-        if taken.len() == pattern.pairs.len() { None } else { self.weighed(taken) }
+        let mut sure = (taken.len() < pattern.pairs.len()).then(|| self.weighed(taken)).flatten()?;
+        sure.log10_false_alarms = sure.log10_false_alarms.min(pattern.log10_false_alarms);
+        sure.log10_whole_false_alarms = sure.log10_whole_false_alarms.min(pattern.log10_whole_false_alarms);
+        Some(sure)
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! `Reductions/Point` holds what came of all measurements: `Name`, perhaps `Code`, and `Grid` with `North`, `East` and
 //! `Elevation`, in metres whatever the program shows. A job without reductions has the points that were typed in, in
-//! the records of its field book. Deleted points are none.
+//! the records of its field book. Deleted points are none, and what was measured again as a check or when a point was
+//! staked out is not the point.
 
 use std::path::Path;
 
@@ -22,6 +23,7 @@ struct Open {
     name: String,
     code: String,
     deleted: String,
+    class: String,
     north: String,
     east: String,
     elevation: String,
@@ -96,17 +98,31 @@ impl Open {
             ("Point" | "PointRecord", "Name") => &mut self.name,
             ("Point" | "PointRecord", "Code") => &mut self.code,
             ("Point" | "PointRecord", "Deleted") => &mut self.deleted,
-            ("Grid", "North") => &mut self.north,
-            ("Grid", "East") => &mut self.east,
-            ("Grid", "Elevation") => &mut self.elevation,
+            ("Point" | "PointRecord", "Classification") => &mut self.class,
+            ("Grid" | "ComputedGrid", "North") => &mut self.north,
+            ("Grid" | "ComputedGrid", "East") => &mut self.east,
+            ("Grid" | "ComputedGrid", "Elevation") => &mut self.elevation,
             _ => return,
         };
-        text.clone_into(field);
+        // What was computed stands in for a place that was not typed in.
+        if !text.is_empty() && (parent != "ComputedGrid" || field.is_empty()) {
+            text.clone_into(field);
+        }
     }
 
-    /// `None` for what has no place on the grid, or was deleted.
+    /// A point that was measured again to be compared.
+    fn is_check(&self) -> bool {
+        matches!(self.class.as_str(), "Check" | "AsStaked")
+    }
+
+    /// `None` for what has no place on the grid, was deleted, or only checked.
     fn point(self, path: &Path, place: String) -> Result<Option<RawPoint>> {
-        if self.north.is_empty() || self.east.is_empty() || self.name.is_empty() || self.deleted == "true" {
+        if self.north.is_empty()
+            || self.east.is_empty()
+            || self.name.is_empty()
+            || self.deleted == "true"
+            || self.is_check()
+        {
             return Ok(None);
         }
         let number = |text: &str, what: &str| text::number(text).ok_or_else(|| no_number(path, &place, text, what));
@@ -139,6 +155,12 @@ mod tests {
             format!("<JOBFile><FieldBook>{RECORD}{}</FieldBook></JOBFile>", RECORD.replace("7031800", "7031801"));
         let list = parse(Path::new("a.jxl"), &text).expect("typed in");
         assert_eq!((list.points.len(), list.points[0].gcp.northing), (1, 7_031_801.0));
+        let check =
+            RECORD.replace("7031800", "7031802").replace("<Grid>", "<Classification>Check</Classification><Grid>");
+        let computed = RECORD.replace("Grid>", "ComputedGrid>").replace("<Name>A", "<Name>B");
+        let text = format!("<JOBFile><FieldBook>{RECORD}{check}{computed}</FieldBook></JOBFile>");
+        let list = parse(Path::new("a.jxl"), &text).expect("a point, its check, and one that was computed");
+        assert_eq!(list.points.iter().map(|p| p.gcp.northing).collect::<Vec<_>>(), [7_031_800.0, 7_031_800.0]);
         let error = parse(Path::new("a.jxl"), "<JOBFile/>").err().expect("none").to_string();
         assert!(error.contains("no points on the grid"), "{error}");
     }

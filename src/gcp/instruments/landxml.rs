@@ -34,7 +34,8 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
         let mut place = || lines.row(reader.buffer_position());
         match &event {
             Event::Start(start) | Event::Empty(start) => match local_name(start) {
-                "Metric" | "Imperial" => unit = unit_of(start),
+                // Those of other elements that follow say nothing of the points.
+                "Metric" | "Imperial" if unit.is_none() => unit = Some(unit_of(path, place(), start)?),
                 "CoordinateSystem" => {
                     if let Some(code) = attribute(start, "epsgCode").filter(|code| !code.trim().is_empty()) {
                         let code = code.trim().to_uppercase();
@@ -77,15 +78,18 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
 }
 
 /// `Metric` is metres unless it says otherwise; of `Imperial` the foot that it names.
-fn unit_of(start: &BytesStart<'_>) -> Option<Unit> {
+fn unit_of(path: &Path, place: String, start: &BytesStart<'_>) -> Result<Unit> {
     let named = attribute(start, "linearUnit").unwrap_or_default();
-    match (local_name(start), named.as_str()) {
+    let unit = match (local_name(start), named.as_str()) {
         ("Metric", "") => Unit::of_word("m"),
         (_, "USSurveyFoot") => Unit::of_word("us ft"),
         // The schema's foot is the international one.
         ("Imperial", "foot" | "") => Unit::of_word("ft"),
         (_, named) => Unit::of_word(named),
-    }
+    };
+    unit.ok_or_else(|| {
+        Error::format(path, place, format!("`{named}` is no unit of lengths that is known; export in metres or feet"))
+    })
 }
 
 fn point(path: &Path, place: String, open: Open, number: usize) -> Result<RawPoint> {
@@ -126,6 +130,8 @@ mod tests {
         assert!(matches!(&list.crs, CrsClaim::Known(crs) if crs.label() == "EPSG:25832"));
         let error = read("", "<CgPoint name=\"A\">1 b</CgPoint>\n").err().expect("no number").to_string();
         assert!(error.contains("row 5") && error.contains("`A`"), "{error}");
+        let error = read("<Imperial linearUnit=\"mile\"/>", points).err().expect("miles").to_string();
+        assert!(error.contains("`mile`") && error.contains("export in metres"), "{error}");
         assert!(read("", "").err().expect("none").to_string().contains("no CgPoints"));
     }
 }

@@ -1,7 +1,9 @@
 //! Sokkia SDR33 (and SDR20): records of fixed columns, of which 08 holds a point's coordinates.
 //!
 //! A record begins with its type (two digits) and how it came about (two letters). In 08 of SDR33 five fields of 16
-//! columns follow: point, northing, easting, height, description; in SDR20 the point has 4 and each number 10.
+//! columns follow: point, northing, easting, height, description; in SDR20 the point has 4 and each number 10. The
+//! head, 00, ends in a row of digits: the second is the unit of lengths (1 metres), the fifth the order of coordinates
+//! (1 northing, 2 easting first).
 
 use std::path::Path;
 
@@ -22,7 +24,35 @@ const SDR33: Widths = Widths { name: 16, number: 16 };
 const SDR20: Widths = Widths { name: 4, number: 10 };
 const HEAD: usize = 4;
 
+/// The coordinate that comes first.
+#[derive(Clone, Copy, Debug)]
+enum First {
+    Northing,
+    Easting,
+}
+
+/// What the head says of coordinates.
+struct Settings {
+    first: First,
+}
+
+impl Settings {
+    fn read(path: &Path, content: &str) -> Result<Settings> {
+        const FEWEST_DIGITS: usize = 5;
+        let head = content.lines().find(|line| line.starts_with("00NM")).unwrap_or_default();
+        let is_settings = |word: &&str| word.len() >= FEWEST_DIGITS && word.bytes().all(|byte| byte.is_ascii_digit());
+        let digits = head.split_whitespace().next_back().filter(is_settings).unwrap_or("11111").as_bytes();
+        if digits[1] != b'1' {
+            let what =
+                "the head says that lengths are not in metres, and which foot is meant nowhere; export in metres";
+            return Err(Error::format(path, "the head", what));
+        }
+        Ok(Settings { first: if digits[4] == b'2' { First::Easting } else { First::Northing } })
+    }
+}
+
 pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
+    let head = Settings::read(path, content)?;
     let widths = if content.trim_start().starts_with("00NMSDR2") { SDR20 } else { SDR33 };
     let mut points = Vec::new();
     for (at, line) in content.lines().enumerate().filter(|(_, line)| line.starts_with("08")) {
@@ -40,7 +70,10 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
         if name.is_empty() {
             return Err(Error::format(path, place, "the point has no name; correct or remove the record"));
         }
-        let (northing, easting) = (number(0, "northing")?, number(1, "easting")?);
+        let (northing, easting) = match head.first {
+            First::Northing => (number(0, "northing")?, number(1, "easting")?),
+            First::Easting => (number(1, "northing")?, number(0, "easting")?),
+        };
         let height = if coordinate(2).is_empty() { None } else { Some(number(2, "height")?) };
         points.push(RawPoint::bare(Gcp { height, ..Gcp::control(name, easting, northing) }, place));
     }
@@ -71,6 +104,11 @@ mod tests {
         let gcp = &list.points[0].gcp;
         assert_eq!((gcp.name.as_str(), gcp.easting, gcp.northing), ("P 1", 569_834.26, 7_031_894.724));
         assert_eq!((gcp.height, list.points.len()), (Some(47.211), 1));
+        let head = "00NMSDR33 V04-04.02     01-Jan-26 12:00 11";
+        let list = parse(Path::new("a.sdr"), &format!("{head}1121\n{}", record("P 1"))).expect("readable");
+        assert_eq!(list.points[0].gcp.easting, 7_031_894.724, "easting first");
+        let error = parse(Path::new("a.sdr"), &format!("00NMSDR33 121111\n{}", record("P 1"))).err().expect("feet");
+        assert!(error.to_string().contains("export in metres"), "{error}");
         let short = format!("00NMSDR20\n08TP{:>4}{:>10}{:>10}{:>10}\n", 12, 894.724, 834.26, "");
         let list = parse(Path::new("a.sdr"), &short).expect("readable");
         assert_eq!((list.points[0].gcp.name.as_str(), list.points[0].gcp.height), ("12", None));
