@@ -25,7 +25,15 @@ fn check_point(label: &str) -> Option<&str> {
 /// Whether a first line can be a CRS of such a list.
 pub(super) fn is_crs_line(line: &str) -> bool {
     let upper = line.trim().to_uppercase();
-    ["EPSG:", "+PROJ", "+INIT", "WGS84", "WGS 84", "ETRS89", "EUREF89", "NAD83", "PUWG", "PROJCS", "PROJCRS", "GEOGCS"]
+    // A point may be called `EPSG:1`; but in PROJ strings no CRS has two numbers behind its first comma.
+    let mut cells = upper.split(',').skip(1);
+    let numbers = [cells.next(), cells.next()].iter().all(|cell| cell.is_some_and(|cell| number(cell).is_some()));
+    let is_point = numbers && !upper.starts_with('+');
+    !is_point
+        && [
+            "EPSG:", "+PROJ", "+INIT", "WGS84", "WGS 84", "ETRS89", "EUREF89", "NAD83", "PUWG", "PROJCS", "PROJCRS",
+            "GEOGCS",
+        ]
         .iter()
         .chain(&["GEOGCRS", "COMPD_CS", "COMPOUNDCRS", "URN:OGC", "ESRI:"])
         .any(|start| upper.starts_with(start))

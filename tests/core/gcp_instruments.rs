@@ -1,23 +1,8 @@
 //! Coordinates as instruments and field programs write them.
 
-use std::path::PathBuf;
-
+use crate::lists_folder::Folder;
 use autoref_stream::gcp::convert::{ConvertOptions, ListFormat, convert};
 use autoref_stream::gcp::{self, GcpOptions};
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::write(&path, content).expect("writable");
-        path
-    }
-}
 
 const GSI16: &str = "*110001+0000000000000101 81..10+0000000569834260 82..10+0000007031894724 83..10+0000000000047211 \n\
                      *110002+0000000000000102 81..10+0000000570032865 82..10+0000007031837651 83..10+0000000000043898 \n";

@@ -1,29 +1,12 @@
 //! Lists of control points as found in the field and as other programs write them: read right, or refused with the line
 //! at fault.
 
-use std::path::{Path, PathBuf};
+use crate::lists_folder::Folder;
+use std::path::Path;
 
 use crate::common::data;
 use autoref_raster::crs::Coordinate;
 use autoref_stream::gcp::{self, GcpList, GcpOptions, GcpRole, Reproject};
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::write(&path, content).expect("writable");
-        path
-    }
-
-    fn read(&self, name: &str, content: impl AsRef<[u8]>, options: &GcpOptions) -> Result<GcpList, String> {
-        gcp::read(&self.write(name, content), options).map_err(|e| e.to_string())
-    }
-}
 
 fn with_crs(crs: &str) -> GcpOptions {
     GcpOptions { crs: Some(crs.into()), ..GcpOptions::default() }

@@ -1,29 +1,7 @@
 //! Titles in the languages of surveyors, names without a title, statistics below a list, systems in remarks, sheets.
 
-use std::path::PathBuf;
-
-use autoref_stream::gcp::convert::{ConvertOptions, Converted, convert};
+use crate::lists_folder::Folder;
 use autoref_stream::gcp::{self, GcpList, GcpOptions};
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::write(&path, content).expect("writable");
-        path
-    }
-
-    fn converted(&self, name: &str, content: impl AsRef<[u8]>) -> Converted {
-        let options = ConvertOptions { crs: Some("local".into()), ..ConvertOptions::default() };
-        let output = self.0.path().join(format!("{name}.out.csv"));
-        convert(&self.write(name, content), &output, &options).unwrap_or_else(|e| panic!("{e}"))
-    }
-}
 
 fn read_in(crs: Option<&str>, text: &str) -> Result<GcpList, String> {
     let options = GcpOptions { crs: crs.map(str::to_owned), ..GcpOptions::default() };

@@ -21,6 +21,7 @@ mod gcp_instruments;
 mod gcp_lists;
 mod gcp_titles;
 mod gcp_units;
+mod lists_folder;
 mod matching;
 mod mutations;
 mod names;

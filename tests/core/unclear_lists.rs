@@ -1,24 +1,11 @@
 //! Lists that can be read in more than one way: read rightly with a note, or refused with file, row and remedy.
 
-use std::path::{Path, PathBuf};
+use crate::lists_folder::Folder;
+use std::path::Path;
 
 use autoref_stream::gcp::convert::{ConvertOptions, Converted, ListFormat, convert};
 use autoref_stream::gcp::{self, GcpList, GcpOptions, GcpRole};
 use proptest::prelude::*;
-
-struct Folder(tempfile::TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Folder(tempfile::tempdir().expect("a temporary folder"))
-    }
-
-    fn write(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.0.path().join(name);
-        std::fs::write(&path, text).expect("writable");
-        path
-    }
-}
 
 /// A list as the main job reads it; `local` coordinates where no CRS is given.
 fn read_in(crs: &str, text: &str) -> Result<GcpList, String> {
@@ -59,7 +46,7 @@ fn marks_between_thousands_are_shown_by_the_file() {
     is_read(german.split_once('\n').expect("a header").1, &points, "thousands mark");
     let folder = Folder::new();
     let lost =
-        converted(&folder.write("l.csv", &english.replace("\"2,500\"", "-9999")), "o.csv", None).expect("read").lost;
+        converted(&folder.write("l.csv", english.replace("\"2,500\"", "-9999")), "o.csv", None).expect("read").lost;
     assert!(lost.is_empty(), "{lost:?}");
     let local = "name,e,n\nA,105.743,92.676\nB,106.125,93.001\n";
     is_read(local, &[("A", 105.743, 92.676, None), ("B", 106.125, 93.001, None)], "taken for the decimal mark");
@@ -284,7 +271,7 @@ proptest! {
             "type": "FeatureCollection", "crs": {"type": "name", "properties": {"name": "EPSG:25830"}},
             "features": names.iter().enumerate().map(feature).collect::<Vec<_>>(),
         });
-        let source = folder.write("s.geojson", &list.to_string());
+        let source = folder.write("s.geojson", list.to_string());
         for format in ListFormat::WRITTEN {
             let there = format!("t-{}.{}", format.name(), match format {
                 ListFormat::Qgis => "points",
