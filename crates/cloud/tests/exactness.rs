@@ -98,9 +98,9 @@ fn outliers_are_those_of_brute_force() {
     }
 }
 
-/// How deep the origin lies below the envelope of places around it, in units of the spread: by Cramer's rule, all in
-/// memory.
-fn depth_of_brute_force(around: &[[f64; 3]]) -> Option<f64> {
+/// How low the origin lies below the envelope of places around it, and how much alone with so many others: by Cramer's
+/// rule, all in memory.
+fn lowness_of_brute_force(around: &[[f64; 3]], company: usize) -> Option<f64> {
     let determinant = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
             + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
@@ -131,15 +131,20 @@ fn depth_of_brute_force(around: &[[f64; 3]]) -> Option<f64> {
     }
     let sum: f64 = weights.iter().sum();
     let squares: f64 = around.iter().zip(&weights).map(|(p, w)| w * off(plane, p).powi(2)).sum();
-    (plane[0] > 0.0).then(|| plane[0] / (squares / sum).sqrt())
+    let mut heights: Vec<f64> = around.iter().map(|p| off([0.0, plane[1], plane[2]], p)).collect();
+    heights.sort_by(f64::total_cmp);
+    let gap = heights[company - 1];
+    let farthest = around.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f64::max);
+    let spacing = farthest * (std::f64::consts::PI / around.len() as f64).sqrt();
+    (plane[0] > 0.0 && gap > 0.0).then(|| (plane[0] / (squares / sum).sqrt() * gap / spacing).sqrt())
 }
 
 #[test]
 fn isolated_points_are_those_of_brute_force() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("cloud.ply");
-    for (seed, count, radius_m, share, least) in
-        [(11, 900, 9.0, 0.55, 5), (12, 700, 25.0, 0.8, 3), (13, 500, 4.0, 0.4, 9)]
+    for (seed, count, radius_m, lowness, least) in
+        [(11, 900, 9.0, 0.35, 5), (12, 700, 25.0, 0.8, 3), (13, 500, 4.0, 0.2, 9), (14, 600, 8.0, 0.3, 1)]
     {
         let points = landscape(count, seed);
         write_ply(&path, &points);
@@ -150,7 +155,8 @@ fn isolated_points_are_those_of_brute_force() {
                 others(at).map(|b| apart(at, b)).filter(|d| d[0] * d[0] + d[1] * d[1] <= radius_m * radius_m).collect();
             around.sort_by(|a, b| (a[0] * a[0] + a[1] * a[1]).total_cmp(&(b[0] * b[0] + b[1] * b[1])));
             around.truncate(128);
-            around.len() >= 6 && depth_of_brute_force(&around).is_some_and(|depth| depth >= share)
+            let company = (least - 1).clamp(1, 6);
+            around.len() >= 6 && lowness_of_brute_force(&around, company).is_some_and(|found| found >= lowness)
         };
         let neighbour = |at: usize| {
             let mut distances: Vec<f64> = others(at).map(|b| apart(at, b).iter().map(|d| d * d).sum()).collect();
@@ -165,7 +171,7 @@ fn isolated_points_are_those_of_brute_force() {
         let noise = expected.iter().filter(|class| **class == 7).count();
         assert!((3..count / 2).contains(&noise), "seed {seed}: {noise}");
         for tile_points in [40, 333, 100_000] {
-            let step = Step::Isolated(isolated::Options { radius_m: Some(radius_m), share, least });
+            let step = Step::Isolated(isolated::Options { radius_m: Some(radius_m), lowness, least });
             let (_, _, classes) = run(&path, &Plan { tile_points: Some(tile_points), ..plan(vec![step]) }, "ply");
             assert!(classes == expected, "seed {seed}, tiles of {tile_points}");
         }

@@ -1,4 +1,5 @@
-//! The lower envelope of what lies around a point: the plane of asymmetric least squares.
+//! The lower envelope of what lies around a point: the plane of asymmetric least squares, and how far below it and
+//! how much alone there the point is.
 
 use super::lanes::{self, LANES, Lanes, Work};
 
@@ -39,16 +40,21 @@ impl Offsets {
         lanes::run(Nearest(self))
     }
 
-    /// How deep below the envelope of its surroundings the origin lies, in units of the spread about it; `None` when it
-    /// does not, or the surroundings lie on a line.
-    pub fn depth(&self) -> Option<f64> {
-        lanes::run(Depth(self))
+    /// How low the origin lies: the geometric mean of its depth below the envelope of its surroundings, in units of the
+    /// spread about it, and of the height above it of the `rank`-th lowest of them (1 to [`NEAR`]), along the envelope
+    /// and in units of their spacing in plan. Terrain deep below what grows on it is not alone at its depth; noise is.
+    /// `None` where one of the two is not positive, or the surroundings lie on a line.
+    pub fn lowness(&self, rank: usize) -> Option<f64> {
+        lanes::run(Lowness { offsets: self, rank })
     }
 }
 
-struct Depth<'a>(&'a Offsets);
+struct Lowness<'a> {
+    offsets: &'a Offsets,
+    rank: usize,
+}
 
-impl Work for Depth<'_> {
+impl Work for Lowness<'_> {
     type Output = Option<f64>;
 
     #[inline(always)]
@@ -68,8 +74,12 @@ impl Work for Depth<'_> {
         if plane[0] <= 0.0 {
             return None;
         }
-        let spread = self.spread::<L>(plane);
-        (spread > 0.0).then(|| plane[0] / spread)
+        let gap = self.gap::<L>(plane);
+        if gap.is_infinite() || gap <= 0.0 {
+            return None;
+        }
+        let (spread, spacing) = (self.spread::<L>(plane), self.spacing::<L>());
+        (spread > 0.0 && spacing > 0.0).then(|| (plane[0] / spread * (gap / spacing)).sqrt())
     }
 }
 
@@ -149,13 +159,13 @@ const WHOLE: [f64; LANES] = [1.0; LANES];
 /// By how many points there are.
 const PARTS: [[f64; LANES]; LANES] = [[0.0; LANES], [1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0]];
 
-impl Depth<'_> {
+impl Lowness<'_> {
     /// Points weigh by the side of the plane that they are on; without one, all the same.
     #[inline(always)]
     fn sums<L: Lanes>(&self, plane: Option<Plane>) -> Sums {
         let mut lanes = [L::all(0.0); 9];
-        for number in 0..self.0.fours() {
-            let points: Points<L> = self.0.four(number);
+        for number in 0..self.offsets.fours() {
+            let points: Points<L> = self.offsets.four(number);
             let weights = match plane {
                 None => points.there,
                 Some(plane) => points.weights(points.off(plane)),
@@ -173,14 +183,38 @@ impl Depth<'_> {
     #[inline(always)]
     fn spread<L: Lanes>(&self, plane: Plane) -> f64 {
         let (mut weights, mut squares) = (L::all(0.0), L::all(0.0));
-        for number in 0..self.0.fours() {
-            let points: Points<L> = self.0.four(number);
+        for number in 0..self.offsets.fours() {
+            let points: Points<L> = self.offsets.four(number);
             let off = points.off(plane);
             let w = points.weights(off);
             weights = weights.plus(w);
             squares = squares.plus(w.times(off).times(off));
         }
         (squares.sum() / weights.sum()).sqrt()
+    }
+
+    /// Height of the lowest but so many above the origin, along the plane.
+    #[inline(always)]
+    fn gap<L: Lanes>(&self, [_, east, north]: Plane) -> f64 {
+        let mut least = [L::all(f64::INFINITY); NEAR];
+        for number in 0..self.offsets.fours() {
+            let points: Points<L> = self.offsets.four(number);
+            let off = points.off([0.0, east, north]);
+            keep(&mut least, points.there.choose(off, L::all(f64::INFINITY)));
+        }
+        merge(&stored(least))[self.rank - 1]
+    }
+
+    /// Side of the square that a point has to itself in a disc that reaches to the farthest.
+    #[inline(always)]
+    fn spacing<L: Lanes>(&self) -> f64 {
+        let mut farthest2 = L::all(0.0);
+        for number in 0..self.offsets.fours() {
+            let Points { x, y, .. }: Points<L> = self.offsets.four(number);
+            (_, farthest2) = farthest2.sorted(x.times(x).plus(y.times(y)));
+        }
+        let farthest2 = farthest2.store().into_iter().fold(0.0, f64::max);
+        (std::f64::consts::PI * farthest2 / self.offsets.len as f64).sqrt()
     }
 }
 
@@ -197,17 +231,27 @@ impl Work for Nearest<'_> {
         for number in 0..self.0.fours() {
             let Points { x, y, z, there }: Points<L> = self.0.four(number);
             let distance2 = x.times(x).plus(y.times(y)).plus(z.times(z));
-            let mut distance2 = there.choose(distance2, L::all(f64::INFINITY));
-            for known in &mut least {
-                (*known, distance2) = known.sorted(distance2);
-            }
+            keep(&mut least, there.choose(distance2, L::all(f64::INFINITY)));
         }
-        let mut stored = [[0.0; LANES]; NEAR];
-        for (stored, lanes) in stored.iter_mut().zip(least) {
-            *stored = lanes.store();
-        }
-        merge(&stored)
+        merge(&stored(least))
     }
+}
+
+/// Keeps the least values of each lane, in their order.
+#[inline(always)]
+fn keep<L: Lanes>(least: &mut [L; NEAR], mut value: L) {
+    for known in least {
+        (*known, value) = known.sorted(value);
+    }
+}
+
+#[inline(always)]
+fn stored<L: Lanes>(least: [L; NEAR]) -> [[f64; LANES]; NEAR] {
+    let mut stored = [[0.0; LANES]; NEAR];
+    for (stored, lanes) in stored.iter_mut().zip(least) {
+        *stored = lanes.store();
+    }
+    stored
 }
 
 /// The least of the lanes' least.

@@ -2,10 +2,12 @@
 //! clusters far from everything.
 //!
 //! A point is noise
-//! - when it lies below the lower envelope of its surroundings by `share` times the envelope's spread: the surroundings
-//!   are the at most 128 points nearest in plan within a radius, the envelope is the plane of asymmetric least squares
-//!   (Eilers & Boelens, *Baseline correction with asymmetric least squares smoothing*, 2005) to which points above it
-//!   weigh 0.02; or
+//! - when it lies below the lower envelope of its surroundings, and alone there: the surroundings are the at most 128
+//!   points nearest in plan within a radius, the envelope is the plane of asymmetric least squares (Eilers & Boelens,
+//!   *Baseline correction with asymmetric least squares smoothing*, 2005) to which points above it weigh 0.02. With d
+//!   the depth below the envelope over the envelope's spread, and g the height above the point of the lowest but
+//!   `least` − 2 of its surroundings, along the envelope's slope, over their spacing in plan, √(d g) is at least
+//!   `lowness`; or
 //! - when the `least`-th neighbour is four times as far as for the median point: a cluster of at most `least` points.
 //!
 //! Both are taken over the true neighbours, so that tiles change nothing.
@@ -40,29 +42,30 @@ const FARTHER: f64 = 4.0;
 pub struct Options {
     /// Of the surroundings; `None` is the radius that holds 100 points at the mean density of occupied ground.
     pub radius_m: Option<f64>,
-    /// Depth below the envelope in units of its spread.
-    pub share: f64,
+    /// Geometric mean of depth and loneliness, from which on a point is low.
+    pub lowness: f64,
+    /// A cluster of more points is no noise.
     pub least: usize,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Options { radius_m: None, share: 0.55, least: 5 }
+        Options { radius_m: None, lowness: 0.35, least: 5 }
     }
 }
 
 impl Options {
-    /// Reads `r=0,m=0.55,min=5`; a radius of 0 is found from the density.
+    /// Reads `r=0,m=0.35,min=5`; a radius of 0 is found from the density.
     ///
     /// # Errors
     /// Unknown names, values that make no sense.
     pub fn read(text: &str) -> Result<Options> {
-        let [r, m, min] = params::read("--isolated", text, [("r", 0.0), ("m", 0.55), ("min", 5.0)])?;
+        let [r, m, min] = params::read("--isolated", text, [("r", 0.0), ("m", 0.35), ("min", 5.0)])?;
         if r < 0.0 || m <= 0.0 {
             return Err(Error::usage(format!("--isolated: r is {r}, m is {m}"), "give r from 0 up and m above 0"));
         }
         let least = params::whole("--isolated", "min", min, 1)?.min(1000);
-        Ok(Options { radius_m: (r > 0.0).then_some(r), share: m, least })
+        Ok(Options { radius_m: (r > 0.0).then_some(r), lowness: m, least })
     }
 
     /// For the memory plan: what a point takes in tiles, as if so many distances were kept.
@@ -82,7 +85,12 @@ pub fn find(tiles: &mut Tiles, options: &Options, kept_points: usize, step: u8) 
         None => radius_of_density(tiles)?,
     };
     let distances = tiles.scratch.file()?;
-    let question = Question { radius, share: options.share, neighbour: options.least.min(NEAR) };
+    let question = Question {
+        radius,
+        lowness: options.lowness,
+        company: (options.least - 1).clamp(1, NEAR),
+        neighbour: options.least.min(NEAR),
+    };
     let mut noise = vec![Vec::new(); tiles.tiles.len()];
     let mut kept: Vec<(usize, Arc<Tree>)> = Vec::new();
     for number in 0..tiles.tiles.len() {

@@ -22,8 +22,10 @@ pub type Trees = [(usize, Arc<Tree>)];
 #[derive(Clone, Copy, Debug)]
 pub struct Question {
     pub radius: f64,
-    /// Depth below the envelope in units of its spread, from which on a point is low.
-    pub share: f64,
+    /// How low a point must lie to be noise ([`Offsets::lowness`]).
+    pub lowness: f64,
+    /// How many low points beside each other, itself counted, a point may be one of.
+    pub company: usize,
     /// Which neighbour's distance is told, at most [`super::envelope::NEAR`].
     pub neighbour: usize,
 }
@@ -215,7 +217,8 @@ impl Surroundings {
 impl Chosen {
     fn judge(&mut self, question: &Question) -> Found {
         let enough = self.offsets.len() >= LEAST;
-        let low = enough && self.offsets.depth().is_some_and(|depth| depth >= question.share);
+        let lowness = || self.offsets.lowness(question.company);
+        let low = enough && lowness().is_some_and(|lowness| lowness >= question.lowness);
         Found { low, distance2: self.neighbour2(question.neighbour) }
     }
 

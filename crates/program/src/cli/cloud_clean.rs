@@ -59,9 +59,9 @@ pub struct CleanArgs {
     /// Low points by the extended local minimum: `elm`, or cell=10,threshold=1 (metres).
     #[arg(long, value_name = "elm|cell=10,threshold=1", num_args = 0..=1, default_missing_value = "elm", help_heading = "Steps")]
     low: Vec<String>,
-    /// Points below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0: from
-    /// the density), share of the spread, fewest points of a cluster.
-    #[arg(long, value_name = "r=0,m=0.55,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
+    /// Points alone below the local lower envelope or in isolated clusters: radius of the neighbourhood in metres (0:
+    /// from the density), how low and alone they must be, most points of a cluster.
+    #[arg(long, value_name = "r=0,m=0.35,min=5", num_args = 0..=1, default_missing_value = "", help_heading = "Steps")]
     isolated: Vec<String>,
     /// Ground by SMRF; lengths in metres, slopes as rise over run.
     #[arg(
