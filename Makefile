@@ -115,7 +115,7 @@ SECONDS ?= 600
 fuzz:
 	mkdir -p fuzz/corpus/$(TARGET)
 	python3 fuzz/seeds.py $(TARGET) fuzz/corpus/$(TARGET)
-	cd fuzz && $(CARGO) +nightly fuzz run $(TARGET) corpus/$(TARGET) $(FUZZ_SEEDS) -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 -timeout=10 -detect_leaks=0
+	cd fuzz && ASAN_OPTIONS=detect_leaks=0 $(CARGO) +nightly fuzz run $(TARGET) corpus/$(TARGET) $(FUZZ_SEEDS) -- -max_total_time=$(SECONDS) -rss_limit_mb=1024 -timeout=10 -detect_leaks=0
 
 check-large: export AUTOREF_PYTHON ?= $(CURDIR)/$(PEERS)/bin/python
 check-large: build
