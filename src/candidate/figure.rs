@@ -232,7 +232,7 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     if places.len() < LEAST_AREA_PX {
         return None;
     }
-    let (turned, holes) = without_holes(&picture, scene, &places, start)?;
+    let (turned, places, holes) = without_holes(&picture, scene, places, start)?;
     if turned.correlation < SPRAYED.half {
         return None;
     }
@@ -248,13 +248,17 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     let is_whole = |p: &Vector2<f64>| [*p, by_quarter(*p)].iter().all(|p| !has(&holes, *p, scene));
     let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, look_px).filter(is_whole).collect();
     let quarter = picture.correlation(&near, by_quarter)?;
-    let score = RING_LOOK.score(across.contrast, turned.rms, 0.0);
+    let alike = Alike { half: turned.correlation, quarter: quarter.abs() };
+    if !alike.is_at_least(&SPRAYED) {
+        return None;
+    }
+    let score = RING_LOOK.score(across.contrast, (turned.mean_square / 2.0).sqrt(), 0.0);
     let region = region_of(&scene.own, scene.patch)?;
     let window = &scene.patch.window;
     let byte = [paint[0], paint[1], paint[2]].map(|v| v.clamp(0.0, 255.0).round() as u8);
     let candidate = Candidate {
         centre: PixelPoint { x: window.x as f64 + turned.middle.x, y: window.y as f64 + turned.middle.y },
-        covariance_px2: Some(turned.covariance_px2),
+        covariance_px2: Some(picture.covariance_px2(&turned, &places)?),
         score: Some(score),
         area_px: Some(scene.own.count() as f64),
         size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
@@ -262,28 +266,28 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
         code: None,
         paint: Some(byte),
     };
-    Some((Alike { half: turned.correlation, quarter: quarter.abs() }, candidate))
+    Some((alike, candidate))
 }
 
-/// The picture turned by half a turn, and where paint has come off: pixels that are bare though those which they turn
+/// The picture turned by half a turn, the places that were compared, and where paint has come off: pixels that are bare though those which they turn
 /// into are painted. They say nothing of the middle, and are left out where they are few.
 fn without_holes(
     picture: &Picture<'_>,
     scene: &Scene<'_>,
-    places: &[Vector2<f64>],
+    places: Vec<Vector2<f64>>,
     start: Vector2<f64>,
-) -> Option<(Turned, PixelSet)> {
+) -> Option<(Turned, Vec<Vector2<f64>>, PixelSet)> {
     /// Shares of paint and of ground differ by more.
     const DIFFERENT: f64 = 0.5;
     /// Of the paint, what may have come off.
     const MOST_GONE: f64 = 0.2;
-    let turned = picture.turned_half(places, start)?;
+    let turned = picture.turned_half(&places, start)?;
     let mut holes = PixelSet::empty(scene.width, scene.height);
     if turned.correlation >= STRICT.half {
-        return Some((turned, holes));
+        return Some((turned, places, holes));
     }
     let opposite = |p: Vector2<f64>| 2.0 * turned.middle - p;
-    for p in places {
+    for p in &places {
         let is_bare =
             picture.at(opposite(*p)).zip(picture.at(*p)).is_some_and(|(there, here)| there - here > DIFFERENT);
         if is_bare {
@@ -291,7 +295,7 @@ fn without_holes(
         }
     }
     if holes.count() as f64 > MOST_GONE * scene.own.count() as f64 {
-        return Some((turned, PixelSet::empty(scene.width, scene.height)));
+        return Some((turned, places, PixelSet::empty(scene.width, scene.height)));
     }
     // Blur takes a pixel more all around.
     let unseen = holes.grown(1);
@@ -299,8 +303,8 @@ fn without_holes(
     let whole: Vec<Vector2<f64>> = places.iter().filter(is_whole).copied().collect();
     let again = (whole.len() >= LEAST_AREA_PX).then(|| picture.turned_half(&whole, turned.middle)).flatten();
     Some(match again {
-        Some(again) => (again, unseen),
-        None => (turned, PixelSet::empty(scene.width, scene.height)),
+        Some(again) => (again, whole, unseen),
+        None => (turned, places, PixelSet::empty(scene.width, scene.height)),
     })
 }
 
@@ -352,9 +356,10 @@ struct Picture<'a> {
 struct Turned {
     middle: Vector2<f64>,
     correlation: f64,
-    /// Of a share of paint.
-    rms: f64,
-    covariance_px2: [f64; 3],
+    /// Of the difference of two shares of paint.
+    mean_square: f64,
+    /// Inverse of the normal equations of the middle.
+    inverse: Matrix2<f64>,
 }
 
 impl Picture<'_> {
@@ -370,9 +375,23 @@ impl Picture<'_> {
         Some((s(0, 0) * (1.0 - u) + s(1, 0) * u) * (1.0 - v) + (s(0, 1) * (1.0 - u) + s(1, 1) * u) * v)
     }
 
-    fn slope(&self, p: Vector2<f64>) -> Option<Vector2<f64>> {
-        let along = |d: Vector2<f64>| Some((self.at(p + d)? - self.at(p - d)?) / 2.0);
-        Some(Vector2::new(along(Vector2::x())?, along(Vector2::y())?))
+    /// The same with the slope: half the difference of the places a pixel ahead and a pixel behind.
+    fn with_slope(&self, p: Vector2<f64>) -> Option<(f64, Vector2<f64>)> {
+        let (x, y) = (p.x - 0.5, p.y - 0.5);
+        if !(x >= 1.0 && y >= 1.0 && x < (self.width - 2) as f64 && y < (self.height - 2) as f64) {
+            return None;
+        }
+        let (column, row) = (x as usize, y as usize);
+        let (u, v) = (x - column as f64, y - row as f64);
+        let first = (row - 1) * self.width + column - 1;
+        // Between columns: of four rows of four.
+        let rows: [[f64; 3]; 4] = std::array::from_fn(|dy| {
+            let s = &self.shares[first + dy * self.width..][..4];
+            std::array::from_fn(|dx| s[dx] * (1.0 - u) + s[dx + 1] * u)
+        });
+        let between = |dx: usize, dy: usize| rows[dy][dx] * (1.0 - v) + rows[dy + 1][dx] * v;
+        let slope = Vector2::new(between(2, 1) - between(0, 1), between(1, 2) - between(1, 0)) / 2.0;
+        Some((between(1, 1), slope))
     }
 
     /// Correlation of the shares at some places with those where the places come to lie.
@@ -396,8 +415,8 @@ impl Picture<'_> {
         let pulls: Vec<(Vector2<f64>, Vector2<f64>)> = places
             .iter()
             .map(|p| {
-                let q = 2.0 * middle - p;
-                Some((*p, -2.0 * self.slope(q)? * (self.at(*p)? - self.at(q)?)))
+                let (there, slope) = self.with_slope(2.0 * middle - p)?;
+                Some((*p, -2.0 * slope * (self.at(*p)? - there)))
             })
             .collect::<Option<_>>()?;
         let mut scatter = Matrix2::zeros();
@@ -425,10 +444,10 @@ impl Picture<'_> {
             square = 0.0;
             let mut right = Vector2::zeros();
             for p in places {
-                let q = 2.0 * middle - p;
-                let left = self.at(*p)? - self.at(q)?;
+                let (there, slope) = self.with_slope(2.0 * middle - p)?;
+                let left = self.at(*p)? - there;
                 // Moving the middle by one moves the turned place by two.
-                let slope = -2.0 * self.slope(q)?;
+                let slope = -2.0 * slope;
                 normal += slope * slope.transpose();
                 right -= slope * left;
                 square += left * left;
@@ -446,8 +465,13 @@ impl Picture<'_> {
         if correlation < LEAST_WITH_HOLES {
             return None;
         }
-        let mean_square = square / places.len() as f64;
         let inverse = normal.try_inverse()?;
+        Some(Turned { middle, correlation, mean_square: square / places.len() as f64, inverse })
+    }
+
+    /// Covariance of the middle about which these places were turned, px².
+    fn covariance_px2(&self, turned: &Turned, places: &[Vector2<f64>]) -> Option<[f64; 3]> {
+        let Turned { middle, correlation, mean_square, inverse } = *turned;
         // Each two places are compared twice.
         let by_noise = inverse * (2.0 * TOGETHER * mean_square);
         // What both halves of an irregular outline have in common pulls too, and is not seen: of crosses that were
@@ -456,12 +480,7 @@ impl Picture<'_> {
         let by_outline = inverse * (2.0 * (1.0 + 3.0 * irregular) * self.pull(places, middle)?) * inverse;
         let inverse = if by_outline.trace() > by_noise.trace() { by_outline } else { by_noise };
         let least = LEAST_SIGMA_PX * LEAST_SIGMA_PX;
-        Some(Turned {
-            middle,
-            correlation,
-            rms: (mean_square / 2.0).sqrt(),
-            covariance_px2: [inverse[(0, 0)] + least, inverse[(0, 1)], inverse[(1, 1)] + least],
-        })
+        Some([inverse[(0, 0)] + least, inverse[(0, 1)], inverse[(1, 1)] + least])
     }
 }
 
