@@ -2,7 +2,7 @@
 
 use autoref_elevation::align::{Alignment, Degree, Method, Options, Outcome, align};
 use autoref_elevation::grid::{Grid, GroundUnit};
-use autoref_elevation::source::MemoryHeights;
+use autoref_elevation::source::{Heights as _, MemoryHeights};
 use autoref_elevation::stream::Means;
 use autoref_elevation::zones::Zones;
 use autoref_raster::random::SplitMix64;
@@ -202,6 +202,49 @@ fn a_surface_is_taken_out_only_where_there_is_one() {
         // A surface that is asked for by name is fitted whole.
         let forced = Options { surface: Degree::Quadratic, method: Method::Tilt, ..Options::default() };
         assert_eq!(aligned(&a, &b, &forced).bend.expect("asked for").terms.len(), 3);
+    }
+}
+
+/// A part of a model, whose file says that it lies elsewhere.
+fn part(whole: &MemoryHeights, [x, y]: [usize; 2], [width, height]: [usize; 2], said_m: (f64, f64)) -> MemoryHeights {
+    let grid = whole.grid();
+    let rows = whole.values().chunks_exact(grid.width as usize).skip(y).take(height);
+    let values = rows.flat_map(|row| &row[x..x + width]).copied().collect();
+    let (x0, y0) = (grid.x0 + x as f64 * grid.step_x + said_m.0, grid.y0 + y as f64 * grid.step_y + said_m.1);
+    MemoryHeights::new(Grid { x0, y0, width: width as u64, height: height as u64, ..grid }, values)
+}
+
+#[test]
+fn a_small_model_finds_its_place_on_a_large_one_in_both_directions() {
+    let (terrain, mut dice) = (Terrain::new(21), SplitMix64(21));
+    let view = View { width: 320, height: 300, noise_m: 0.2, ..PLAIN };
+    let (large, seen_again) = (draw(&terrain, &view, &mut dice), draw(&terrain, &view, &mut dice));
+    for (size, (east_m, north_m)) in [
+        ([60, 50], (350.0, -270.0)),
+        ([60, 50], (-800.0, 600.0)),
+        ([90, 80], (120.0, -90.0)),
+        ([200, 48], (310.0, 700.0)),
+    ] {
+        let small = part(&seen_again, [70, 100], size, (east_m, north_m));
+        for (sign, a, b) in [(-1.0, &small, &large), (1.0, &large, &small)] {
+            let [e, n, h] = aligned(a, b, &Options::default()).shift_m;
+            let (off_e, off_n) = (e - sign * east_m, n - sign * north_m);
+            assert!(off_e.abs() < 1.0 && off_n.abs() < 1.0 && h.abs() < 0.2, "{size:?}, {sign}: {off_e} {off_n} {h}");
+        }
+    }
+}
+
+#[test]
+fn a_small_model_of_other_ground_finds_no_place() {
+    let mut dice = SplitMix64(22);
+    let large = draw(&Terrain::new(23), &View { width: 320, height: 300, ..PLAIN }, &mut dice);
+    let elsewhere = draw(&Terrain::new(24), &View { width: 320, height: 300, ..PLAIN }, &mut dice);
+    for place in [[0, 0], [70, 100], [200, 180]] {
+        let small = part(&elsewhere, place, [60, 50], (0.0, 0.0));
+        for (a, b) in [(&small, &large), (&large, &small)] {
+            let outcome = align(a, b, &Options::default()).expect("memory cannot fail");
+            assert!(matches!(outcome, Outcome::Refused(_)), "{place:?}: {outcome:?}");
+        }
     }
 }
 

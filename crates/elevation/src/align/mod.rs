@@ -197,6 +197,8 @@ pub enum Outcome {
 
 /// Cells of the finer model along one of the coarser that are told apart, at least.
 const FINEST: f64 = 4.0;
+/// So many cells around the smaller model the larger one is looked at, at least.
+const LEAST_REACH_PX: f64 = 128.0;
 /// A mean residual of more standard errors of the height than this is no accident.
 const LEANING: f64 = 3.0;
 
@@ -217,10 +219,12 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let ratio = (area(&template.grid()) / area(&other.grid())).sqrt();
     let other = Averaged::new(other, (ratio / FINEST).max(1.0) as u64);
     let finer = (area(&template.grid()) / area(&other.grid())).sqrt().round().max(1.0) as u64;
-    // Beyond half of the smaller one's size nothing can be found.
+    // Beyond half of the smaller one's size, or some cells, nothing is looked for.
+    let cell = (template.grid().step_x.abs(), template.grid().step_y.abs());
     let reach = |small: &Grid| {
         let w = small.bounds();
-        let (x, y) = ((w[2] - w[0]) / 2.0, (w[3] - w[1]) / 2.0);
+        let half = ((w[2] - w[0]) / 2.0, (w[3] - w[1]) / 2.0);
+        let (x, y) = (half.0.max(LEAST_REACH_PX * cell.0), half.1.max(LEAST_REACH_PX * cell.1));
         [w[0] - x, w[1] - y, w[2] + x, w[3] + y]
     };
     let none = || Error::usage("the two models have no ground in common", "look at their extents with gdalinfo");

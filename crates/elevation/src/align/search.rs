@@ -152,8 +152,9 @@ fn pyramid(full: &Pair<'_>, options: &Options<'_>) -> Result<Vec<Level>> {
     let other = load(full.other, factor * full.finer, options.means)?;
     let mut levels = vec![Level { factor, template, other }];
     while let Some(last) = levels.last() {
-        let grid = last.template.grid();
-        if grid.width.max(grid.height) <= SEARCH_CELLS || grid.width.min(grid.height) < 32 {
+        let (grid, other) = (last.template.grid(), last.other.grid());
+        let narrowest = grid.width.min(grid.height).min(other.width.min(other.height));
+        if grid.width.max(grid.height) <= SEARCH_CELLS || narrowest < 32 {
             break;
         }
         let template = load(&last.template, 2, options.means)?;
@@ -189,28 +190,33 @@ fn load(source: &dyn Heights, factor: u64, means: Means) -> Result<MemoryHeights
 }
 
 /// Where to begin: where the files say, and where the coarsest level fits best.
+///
+/// Places are those of the smaller model, which may lie anywhere on the larger one and half of its size beyond: of the
+/// larger one's places few would meet the other.
 fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Vec<State>> {
     let mut starts = vec![State::default()];
     let Some(level) = levels.last().filter(|_| options.method.moves()) else { return Ok(starts) };
-    let grid = level.template.grid();
-    let reach = (grid.width.min(grid.height) / 2).clamp(2, SEARCH_CELLS / 2) as i64;
-    let (width, height) = (grid.width as usize, grid.height as usize);
-    let patch = Patch { x: -reach, y: -reach, width: width + 2 * reach as usize, height: height + 2 * reach as usize };
-    let mut other = Vec::new();
-    Resampled::new(&level.other, grid, (0.0, 0.0), Interpolation::Bilinear).read(patch, &mut other)?;
-    let samples = steep_cells(full, level);
+    let area = |grid: &Grid| (grid.step_x * grid.step_y).abs() * (grid.width * grid.height) as f64;
+    let swapped = area(&level.other.grid()) < area(&level.template.grid());
+    let (small, large) = if swapped { (&level.other, &level.template) } else { (&level.template, &level.other) };
+    let samples = steep_cells(full, small);
     if samples.len() < 20 {
         return Ok(starts);
     }
-    let side = 2 * reach + 1;
-    let mut scores = vec![f64::INFINITY; (side * side) as usize];
+    let grid = small.grid();
+    let reach = Reach::of(&grid, &large.grid());
+    let (width, height) = (grid.width as usize, grid.height as usize);
+    let (columns, rows) = ((reach.x.1 - reach.x.0) as usize, (reach.y.1 - reach.y.0) as usize);
+    let patch = Patch { x: reach.x.0, y: reach.y.0, width: width + columns, height: height + rows };
+    let mut other = Vec::new();
+    Resampled::new(large, grid, (0.0, 0.0), Interpolation::Bilinear).read(patch, &mut other)?;
+    let mut scores: Vec<(f64, (i64, i64))> = Vec::new();
     let mut differences = Vec::with_capacity(samples.len());
-    for dy in -reach..=reach {
-        for dx in -reach..=reach {
+    for dy in 0..=rows {
+        for dx in 0..=columns {
             differences.clear();
             for &(x, y, height) in &samples {
-                let at = (y as i64 + dy + reach) as usize * patch.width + (x as i64 + dx + reach) as usize;
-                let difference = height - other[at];
+                let difference = height - other[(y + dy) * patch.width + x + dx];
                 if !difference.is_nan() {
                     differences.push(difference);
                 }
@@ -218,19 +224,20 @@ fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Ve
             let share = differences.len() as f64 / samples.len() as f64;
             if differences.len() >= 20 && share >= 0.25 {
                 // Little overlap fits by chance more easily.
-                scores[((dy + reach) * side + dx + reach) as usize] = spread(&mut differences) * (1.5 - 0.5 * share);
+                let score = spread(&mut differences) * (1.5 - 0.5 * share);
+                scores.push((score, (dx as i64 + reach.x.0, dy as i64 + reach.y.0)));
             }
         }
     }
-    let mut order: Vec<usize> = (0..scores.len()).filter(|&i| scores[i].is_finite()).collect();
-    order.sort_by(|&a, &b| scores[a].total_cmp(&scores[b]).then(a.cmp(&b)));
-    let place = |i: usize| (i as i64 % side - reach, i as i64 / side - reach);
+    // Of equals those come first that lie further up, then further left.
+    scores.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut taken: Vec<(i64, i64)> = Vec::new();
-    for index in order {
-        let (dx, dy) = place(index);
+    for (_, (dx, dy)) in scores {
         if taken.iter().all(|&(x, y)| (x - dx).abs().max((y - dy).abs()) > 4) {
             taken.push((dx, dy));
-            starts.push(State { shift: (dx as f64 * grid.step_x, dy as f64 * grid.step_y), ..State::default() });
+            let sign = if swapped { -1.0 } else { 1.0 };
+            let shift = (sign * dx as f64 * grid.step_x, sign * dy as f64 * grid.step_y);
+            starts.push(State { shift, ..State::default() });
         }
         if taken.len() == CANDIDATES {
             break;
@@ -239,9 +246,29 @@ fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Ve
     Ok(starts)
 }
 
-/// Cells of the template that slope more than most, and their heights.
-fn steep_cells(full: &Pair<'_>, level: &Level) -> Vec<(usize, usize, f64)> {
-    let (grid, z) = (level.template.grid(), level.template.values());
+/// How far the smaller model is moved over the larger one, in its own cells: from … to, both included.
+struct Reach {
+    x: (i64, i64),
+    y: (i64, i64),
+}
+
+impl Reach {
+    fn of(small: &Grid, large: &Grid) -> Reach {
+        let half = (small.width.min(small.height) / 2).clamp(2, SEARCH_CELLS / 2) as f64;
+        let along = |small: [f64; 2], large: [f64; 2], step: f64| {
+            let (low, high) = ((large[0] - small[0]).min(0.0), (large[1] - small[1]).max(0.0));
+            let (from, to) = ((low / step).min(high / step) - half, (low / step).max(high / step) + half);
+            let most = SEARCH_CELLS as i64;
+            ((from.round() as i64).max(-most), (to.round() as i64).min(most))
+        };
+        let (s, l) = (small.bounds(), large.bounds());
+        Reach { x: along([s[0], s[2]], [l[0], l[2]], small.step_x), y: along([s[1], s[3]], [l[1], l[3]], small.step_y) }
+    }
+}
+
+/// Cells that slope more than most, and their heights.
+fn steep_cells(full: &Pair<'_>, model: &MemoryHeights) -> Vec<(usize, usize, f64)> {
+    let (grid, z) = (model.grid(), model.values());
     let (width, height) = (grid.width as usize, grid.height as usize);
     let mut stable = vec![1u32; width];
     let mut cells = Vec::new();
