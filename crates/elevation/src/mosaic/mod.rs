@@ -11,6 +11,7 @@ mod page;
 mod read;
 mod reduce;
 mod source;
+mod turn;
 
 pub use balance::{Balance, Balancing, DifferenceMap, Overlap, Surface};
 pub use blend::WIDEST_BLEND_PX;

@@ -15,8 +15,8 @@ use crate::window::Window;
 use autoref_raster::masked;
 use autoref_raster::protected::{protect, same_file};
 
-use super::Choice;
 use super::form::{self, BandForm, check_alike, check_one_crs};
+use super::{Choice, turn};
 
 /// One raster.
 pub struct Source {
@@ -214,6 +214,7 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
     let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
     check_alike(&sources)?;
     companions(inputs, choice).iter().for_each(|path| protect(path));
+    turn::bring_together(&mut sources);
     let origin = sources[0].grid;
     let (step_x, step_y) = resolution.map_or((origin.step_x, origin.step_y), |r| (r, -r));
     let bounds = sources
@@ -269,6 +270,7 @@ fn open_companion(source: &Source, path: PathBuf, mosaic: &Grid) -> Result<Sourc
     };
     let mut companion = Source::open(&path)?;
     check_one_crs(source, &companion).map_err(named)?;
+    turn::bring_to(&mut companion, &source.grid);
     if source.grid.overlap(&companion.grid).is_none() {
         let what = format!("a companion that lies elsewhere than its source {}", source.path.display());
         return Err(Error::unsupported(&path, what, "write it again with the source, or correct its place"));

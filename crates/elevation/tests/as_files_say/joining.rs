@@ -206,6 +206,39 @@ fn bands_that_mean_other_things_are_not_joined() {
 }
 
 #[test]
+fn tiles_on_both_sides_of_180_degrees_are_one_mosaic() {
+    const WGS84: &str = "EPSG:4326";
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    // Two degrees on each side of the line, a tenth of a degree a cell, in either way of counting.
+    let tile = |name: &str, west: f64, values: &dyn Fn(usize) -> f32| {
+        let set = create::<f32>(&at(name), (20, 10), 1, WGS84, [west, 0.1, 0.0, 5.0, 0.0, -0.1]);
+        put(&set, 1, (0..200).map(values).collect());
+        at(name)
+    };
+    let column = |first: usize| move |i: usize| (first + i % 20) as f32;
+    let west = tile("west.tif", 178.0, &column(0));
+    for (name, from) in [("east.tif", -180.0), ("east_from_0.tif", 180.0)] {
+        let east = tile(name, from, &column(20));
+        for (inputs, x0) in [([west.clone(), east.clone()], 178.0), ([east, west.clone()], from - 2.0)] {
+            let out = at("joined.tif");
+            let made = made(&job(&inputs, &out));
+            assert_eq!((made.width, made.height, made.filled_cells), (40, 10, 400), "{name}");
+            assert!((made.geotransform[0] - x0).abs() < 1e-9, "{name}: {:?}", made.geotransform);
+            let wanted: Vec<f64> = (0..400).map(|i| f64::from(i % 40)).collect();
+            assert_eq!(read(&out, 1), wanted, "{name}");
+        }
+    }
+    // Companions that count the other way lie on their sources all the same.
+    let inputs = [west, tile("east.tif", -180.0, &column(20))];
+    tile("west_cost.tif", -182.0, &|_| 1.0);
+    tile("east_cost.tif", 180.0, &|_| 2.0);
+    let out = at("cheapest.tif");
+    let made = made(&MosaicJob { choice: Choice::Min("{stem}_cost.tif".into()), ..job(&inputs, &out) });
+    assert_eq!((made.width, made.filled_cells), (40, 400));
+}
+
+#[test]
 fn a_companion_lies_on_its_source() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
