@@ -448,3 +448,55 @@ fn las_1_5_is_written_as_1_4() {
     let bytes = std::fs::read(&out).expect("there");
     assert_eq!((&bytes[24..26], &bytes[94..96]), (&[1u8, 4][..], &375u16.to_le_bytes()[..]));
 }
+
+/// Sixteen points as a PLY of text with this header between its axes and its end, and these values behind x, y and z.
+fn ply_of(path: &Path, comment: &str, properties: &[&str], values: &str) {
+    let header: String = properties.iter().map(|name| format!("property float {name}\n")).collect();
+    let rows: String = (0..16).map(|i| format!("{} {} 5 {values}\n", i % 4, i / 4)).collect();
+    let axes = "property double x\nproperty double y\nproperty double z\n";
+    let text = format!("ply\nformat ascii 1.0\n{comment}\nelement vertex 16\n{axes}{header}end_header\n{rows}");
+    std::fs::write(path, text).expect("writable");
+}
+
+#[test]
+fn classes_and_colours_of_other_programs_are_classes_and_colours() {
+    let folder = Folder::new();
+    let (path, laz) = (folder.at("edited.ply"), folder.at("edited.laz"));
+    let step = || plan(vec![Step::Radius { radius_m: 20.0, least: 1 }]);
+    for (name, value, kept) in [("scalar_Classification", "2", 2), ("class", "6", 6), ("classification", "9", 9)] {
+        ply_of(&path, "comment Created by CloudCompare v2.12.4 (Kyiv)", &[name], value);
+        assert_eq!(info(&path, None).expect("a cloud").classes, [(kept, 16)].into(), "{name}");
+        clean(&path, &laz, &laz, &step()).expect("cleaned");
+        assert_eq!(info(&laz, None).expect("a cloud").classes, [(kept, 16)].into(), "{name}");
+    }
+    // Noise of an earlier session is no part of a grid; of nothing else there is none.
+    ply_of(&path, "comment noise", &["scalar_Classification"], "7");
+    let left_out = gridded(&path, &["z"], 10.0).map_or(16, |report| report.points_left_out);
+    assert_eq!(left_out, 16);
+    // Both names: the usual one counts, the other stays beside it.
+    ply_of(&path, "comment both", &["classification", "scalar_classification"], "3 4");
+    assert_eq!(info(&path, None).expect("a cloud").classes, [(3, 16)].into());
+    ply_of(&path, "comment PhotoScan", &["diffuse_red", "diffuse_green", "diffuse_blue"], "10 200 30");
+    clean(&path, &laz, &laz, &step()).expect("cleaned");
+    assert_eq!(values(&laz, "green"), [200.0; 16]);
+}
+
+#[test]
+fn a_global_shift_is_taken_off_where_it_was_added() {
+    let folder = Folder::new();
+    let path = folder.at("shifted.ply");
+    for comment in [
+        "comment shift 600000 8650000 0",
+        "obj_info offset: 600000, 8650000, 0",
+        "comment global shift: (-600000, -8650000, 0)",
+        "comment global_shift -600000.0 -8650000.0 0.0",
+        "comment Global Offset 600000 8650000 0",
+    ] {
+        ply_of(&path, comment, &[], "");
+        let found = info(&path, None).expect("a cloud");
+        let (least, most) = (found.min.expect("points"), found.max.expect("points"));
+        assert_eq!((least, most), ([600_000.0, 8_650_000.0, 5.0], [600_003.0, 8_650_003.0, 5.0]), "{comment}");
+    }
+    ply_of(&path, "comment shift -1200000 -400000 0", &[], "");
+    assert_eq!(info(&path, None).expect("a cloud").min.expect("points")[0], -1_200_000.0);
+}

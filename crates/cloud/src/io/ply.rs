@@ -90,8 +90,8 @@ fn parse_header(path: &Path, file: &mut impl BufRead) -> Result<Parsed> {
         let text = String::from_utf8_lossy(&line);
         let words: Vec<&str> = text.split_whitespace().collect();
         match words.as_slice() {
-            [] | ["ply"] | ["obj_info", ..] => {}
-            ["comment", rest @ ..] => read_comment(rest, &mut parsed),
+            [] | ["ply"] => {}
+            ["comment" | "obj_info", rest @ ..] => read_comment(rest, &mut parsed),
             ["format", kind, _version] => {
                 encoding = Some(match *kind {
                     "ascii" => Encoding::Text,
@@ -124,27 +124,60 @@ fn parse_header(path: &Path, file: &mut impl BufRead) -> Result<Parsed> {
         }
     }
     parsed.encoding = encoding.ok_or_else(|| Error::format(path, "PLY header", "the line `format` is missing"))?;
+    for element in parsed.elements.iter_mut().filter(|element| element.name == "vertex") {
+        give_usual_names(&mut element.properties);
+    }
     Ok(parsed)
 }
 
+/// Classes and colours under the names of other programs (CloudCompare's scalar fields, colours of materials) are classes
+/// and colours, unless the usual name is there too.
+fn give_usual_names(properties: &mut [Property]) {
+    const USUAL: [(&str, &str); 5] = [
+        ("scalar_classification", "classification"),
+        ("class", "classification"),
+        ("diffuse_red", "red"),
+        ("diffuse_green", "green"),
+        ("diffuse_blue", "blue"),
+    ];
+    for (other, usual) in USUAL {
+        let is = |property: &Property, wanted: &str| matches!(property, Property::Scalar(name, _) if name == wanted);
+        if properties.iter().any(|property| is(property, usual)) {
+            continue;
+        }
+        if let Some(Property::Scalar(name, _)) = properties.iter_mut().find(|property| is(property, other)) {
+            *name = usual.into();
+        }
+    }
+}
+
 /// `comment shift 600000 8600000 0` and what other programs write instead of `shift`; `comment crs EPSG:25833`.
+///
+/// A global shift is CloudCompare's word for what it adds to map coordinates to make them small: that of ground with
+/// positive coordinates is negative there, and is taken off.
 fn read_comment(words: &[&str], parsed: &mut Parsed) {
     let Some((first, rest)) = words.split_first() else { return };
     let name = first.trim_end_matches([':', '=']).to_ascii_lowercase();
     let (name, rest) = match (name.as_str(), rest.split_first()) {
-        ("global", Some((second, rest))) => (second.trim_end_matches([':', '=']).to_ascii_lowercase(), rest),
+        ("global", Some((second, rest))) => {
+            (format!("global_{}", second.trim_end_matches([':', '=']).to_ascii_lowercase()), rest)
+        }
         _ => (name, rest),
     };
+    let numbers = || -> Vec<f64> {
+        let words = rest.iter().flat_map(|word| word.split([',', '(', ')', '[', ']']));
+        words.filter_map(|word| word.parse().ok()).filter(|number: &f64| number.is_finite()).collect()
+    };
     match name.as_str() {
-        "shift" | "offset" | "global_shift" | "globalshift" | "translation" => {
-            let numbers: Vec<f64> = rest
-                .iter()
-                .flat_map(|word| word.split([',', '(', ')', '[', ']']))
-                .filter_map(|word| word.parse().ok())
-                .filter(|number: &f64| number.is_finite())
-                .collect();
-            if let [e, n, h] = numbers[..] {
+        "shift" | "offset" | "global_offset" | "translation" => {
+            if let [e, n, h] = numbers()[..] {
                 parsed.shift = Some([e, n, h]);
+            }
+        }
+        "global_shift" | "globalshift" => {
+            if let [e, n, h] = numbers()[..] {
+                let was_added = e <= 0.0 && n <= 0.0 && e + n < 0.0;
+                parsed.shift = Some(if was_added { [e, n, h].map(|value| 0.0 - value) } else { [e, n, h] });
             }
         }
         "crs" | "epsg" | "srs" => {

@@ -196,6 +196,26 @@ mod tests {
         assert_eq!(read_all("comma.csv", "1, 2, 3\n").expect("a table").0, 1);
     }
 
+    /// Names of several languages, metres behind a name, classes and columns beside x, y and z.
+    #[test]
+    fn heads_of_other_programs() {
+        for head in ["Rechtswert;Hochwert;Höhe", "X [m];Y [m];Z [m]", "est;nord;altitude", "E(m);N(m);H(m)"] {
+            let (points, names) = read_all("table.csv", &format!("{head}\n1,5;2,5;3,5\n")).expect("a table");
+            assert_eq!((points, names.join(" ").as_str()), (1, "x y z"), "{head}");
+        }
+        let latin_1 = b"Rechtswert;Hochwert;H\xf6he\n1;2;3\n";
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("latin.csv");
+        std::fs::write(&path, latin_1).expect("a file");
+        assert!(open(&path).is_ok());
+        // X, Y and Z count before words that mean the same.
+        let names = read_all("both.csv", "height,x,y,z\n1,2,3,4\n").expect("a table").1;
+        assert_eq!(names, ["height", "x", "y", "z"]);
+        let refused = |table: &str| read_all("table.csv", table).expect_err("refused").to_string();
+        assert!(refused("x [ft],y [ft],z [ft]\n1,2,3\n").contains("no column `X` among x [ft]"));
+        assert!(refused("name,x,y,z\nP1,1,2,3\n").contains("leave columns of words out"));
+    }
+
     /// A head in a remark that names other columns than x, y and z is no reason to take the first three.
     #[test]
     fn columns_of_another_table_are_not_taken_for_coordinates() {

@@ -16,12 +16,23 @@ pub(super) fn remark(line: &str) -> Option<&str> {
 /// What helps where commas could be either.
 pub(super) const DECIMAL_COMMAS: &str = "write decimal points, or semicolons between the columns";
 
-/// Names of x, y and z.
-const AXES: [&[&str]; 3] =
-    [&["x", "e", "east", "easting"], &["y", "n", "north", "northing"], &["z", "h", "height", "elevation"]];
+/// Names of x, y and z; where several are there, the first counts.
+const AXES: [&[&str]; 3] = [
+    &["x", "e", "east", "easting", "rechtswert", "ostwert", "est", "este"],
+    &["y", "n", "north", "northing", "hochwert", "nordwert", "nord", "norte"],
+    // The last is `höhe` in Latin-1, as spreadsheets save it.
+    &["z", "h", "height", "elevation", "altitude", "hoehe", "höhe", "h\u{fffd}he"],
+];
+
+/// The name of a column without its unit, which is metres: `X [m]`.
+fn bare_name(word: &str) -> String {
+    let name = word.to_lowercase();
+    let bare = ["[m]", "(m)"].into_iter().find_map(|unit| name.strip_suffix(unit)).map(str::trim_end);
+    bare.filter(|bare| !bare.is_empty()).map_or_else(|| name.clone(), str::to_string)
+}
 
 fn names_all_axes(row: &[&str]) -> bool {
-    AXES.iter().all(|axis| row.iter().any(|word| axis.contains(&word.to_ascii_lowercase().as_str())))
+    AXES.iter().all(|axis| row.iter().any(|word| axis.contains(&bare_name(word).as_str())))
 }
 
 /// Whether the words name longitude and latitude, or easting and northing: the columns of another kind of table.
@@ -121,15 +132,17 @@ pub(super) fn read(path: &Path, file: &mut BufReader<File>, line: &mut u64, byte
         if names.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
             let what = if has_decimal_commas(text) {
                 format!("`{text}` has decimal commas between blanks: {DECIMAL_COMMAS}")
+            } else if names.is_some() {
+                format!("`{text}` is no row of numbers: leave columns of words out")
             } else {
                 format!("`{text}` is neither a row of numbers nor a head with the columns X, Y and Z")
             };
             return Err(Error::format(path, format!("line {line}"), what));
         }
         // What noise is told by, under the names that tables give it.
-        let named = |word: &&str| match word.to_ascii_lowercase().as_str() {
-            "class" | "scalar_classification" => "classification".to_string(),
-            other => other.to_string(),
+        let named = |word: &&str| match bare_name(word) {
+            name if name == "class" || name == "scalar_classification" => "classification".to_string(),
+            other => other,
         };
         names = Some(Names { words: row.iter().map(named).collect(), in_remark: remark(text).is_some() });
     }
@@ -158,7 +171,7 @@ pub(super) fn names_of(path: &Path, head: Head, line: u64) -> Result<Vec<String>
 pub(super) fn axes_among(path: &Path, names: &[String]) -> Result<[usize; 3]> {
     let mut axes = [0; 3];
     for (place, words) in axes.iter_mut().zip(AXES) {
-        *place = names.iter().position(|name| words.contains(&name.as_str())).ok_or_else(|| {
+        *place = words.iter().find_map(|word| names.iter().position(|name| name == word)).ok_or_else(|| {
             Error::format(path, "head", format!("no column `{}` among {}", words[0].to_uppercase(), names.join(", ")))
         })?;
     }
