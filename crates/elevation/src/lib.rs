@@ -27,6 +27,7 @@ pub mod resample;
 mod row_cache;
 pub mod source;
 pub mod stream;
+pub mod zeros;
 pub mod zones;
 
 use autoref_raster::{atomic, coords, crs, error, window};

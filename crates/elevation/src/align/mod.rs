@@ -22,6 +22,7 @@ use crate::grid::{Grid, GroundUnit};
 use crate::kept::{Kept, Room};
 use crate::source::{Cropped, Heights, Means as Averaged};
 use crate::stream::Means;
+use crate::zeros::Zeros;
 use crate::zones::Zones;
 
 use fit::{Flats, Frame, Pair, SHIFTS, State};
@@ -140,6 +141,7 @@ pub struct Alignment {
     pub stable_share: f64,
     pub common_cells: u64,
     pub iterations: u32,
+    pub zeros: Zeros,
 }
 
 /// A tilt and its standard errors, metres per metre towards east and north.
@@ -324,5 +326,6 @@ fn in_metres(full: &Pair<'_>, fitted: &Fitted, sign: f64, a: &Grid, spreads: (Sp
         stable_share: fitted.share,
         common_cells: fitted.common,
         iterations: fitted.iterations,
+        zeros: if sign > 0.0 { spreads.1.zeros } else { spreads.1.zeros.exchanged() },
     }
 }

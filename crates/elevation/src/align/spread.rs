@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::histogram::FloatHistogram;
 use crate::source::Patch;
 use crate::stream::{self, Means};
+use crate::zeros::Zeros;
 
 use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
 
@@ -23,6 +24,8 @@ pub struct Spread {
     pub scale_densest: f64,
     pub scale_zero: f64,
     pub count: u64,
+    /// With the template as A.
+    pub zeros: Zeros,
 }
 
 /// Leading bits of a difference: a resolution of a two-thousandth, and interpolation within.
@@ -40,6 +43,7 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     let other = Moved::of(pair, state.shift);
     struct Worker {
         histogram: FloatHistogram<BITS>,
+        zeros: Zeros,
         scratch: MovedBuffers,
         template: Vec<f64>,
         other: Vec<f64>,
@@ -47,6 +51,7 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     }
     let worker = || Worker {
         histogram: FloatHistogram::default(),
+        zeros: Zeros::default(),
         scratch: MovedBuffers::default(),
         template: Vec::new(),
         other: Vec::new(),
@@ -70,18 +75,32 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
                 let difference = worker.template[at] - worker.other[at] - surface;
                 if worker.stable[at] != 0 && !difference.is_nan() {
                     worker.histogram.add(difference as f32);
+                    worker.zeros.see(worker.template[at], worker.other[at]);
                 }
             }
         }
         Ok(())
     })?;
     let mut histogram = FloatHistogram::<BITS>::default();
-    parts.iter().for_each(|part| histogram.merge(&part.histogram));
+    let mut zeros = Zeros::default();
+    for part in &parts {
+        histogram.merge(&part.histogram);
+        zeros.merge(part.zeros);
+    }
     let median = histogram.quantile(0.5).unwrap_or(f64::NAN);
     let nmad = 1.4826 * histogram.median_distance(median);
     let (centre, scale) = histogram.core().filter(|(_, scale)| nmad > WIDENED * scale).unwrap_or((median, nmad));
     let mean = histogram.mean_within(centre, CLIP * scale).unwrap_or(f64::NAN);
     let (densest, half) = histogram.shortest_half().unwrap_or((f64::NAN, f64::NAN));
     let scale_zero = 1.4826 * histogram.median_distance(0.0);
-    Ok(Spread { median, nmad, mean, densest, scale_densest: 1.4826 * half, scale_zero, count: histogram.total() })
+    Ok(Spread {
+        median,
+        nmad,
+        mean,
+        densest,
+        scale_densest: 1.4826 * half,
+        scale_zero,
+        count: histogram.total(),
+        zeros,
+    })
 }

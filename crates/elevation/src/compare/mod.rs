@@ -30,6 +30,7 @@ use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
 use crate::source::Heights;
 use crate::stream::{self, Means};
+use crate::zeros::Zeros;
 
 use extent::Extent;
 use groups::Groups;
@@ -139,6 +140,7 @@ struct First {
     witnesses: Vec<BinaryHeap<(u64, u64, u64)>>,
     /// For the page's map.
     samples: Vec<preview::Sample>,
+    zeros: Zeros,
 }
 
 impl First {
@@ -146,6 +148,8 @@ impl First {
         self.moments.add(cell.difference, within_m);
         let z = f64::from(cell.height);
         self.heights = Some(self.heights.map_or((z, z), |(low, high)| (low.min(z), high.max(z))));
+        // Where A is 0 the difference is B's height, to the last bit.
+        self.zeros.see(f64::from(cell.difference + cell.height), z);
         let key = (hash(cell.x, cell.y), cell.x, cell.y);
         Self::keep(&mut self.witnesses, 0, key);
         for zone in cell.zones {
@@ -169,6 +173,7 @@ impl First {
     fn merge(&mut self, other: First) {
         self.moments.merge(&other.moments);
         self.samples.extend(other.samples);
+        self.zeros.merge(other.zeros);
         self.heights = match (self.heights, other.heights) {
             (Some(a), Some(b)) => Some((a.0.min(b.0), a.1.max(b.1))),
             (a, b) => a.or(b),
@@ -391,7 +396,7 @@ impl CompareJob<'_> {
                 Interpolation::Lagrange => "lagrange",
             },
             heights: couple.heights.to_string(),
-            warnings: couple.doubtful_units.clone(),
+            warnings: [couple.doubtful_units.clone(), first.zeros.notes(all.n, self.a, self.b)].concat(),
             cells: scan.grid.width * scan.grid.height,
             common_cells: all.n,
             within_m: self.within_m,

@@ -106,7 +106,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         println!("Heights              {}", found.couple.heights);
     }
     println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
-    for warning in warnings(alignment, &found.couple) {
+    for warning in warnings(args, alignment, &found.couple) {
         println!("Warning              {warning}");
     }
     println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
@@ -115,7 +115,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// What a person should look at.
-fn warnings(found: &Alignment, couple: &Couple) -> Vec<String> {
+fn warnings(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Vec<String> {
     /// The differences may spread no more than before.
     const NOTABLY: f64 = 1.05;
     let spread = (found.nmad_after_m > NOTABLY * found.nmad_before_m + 1e-3).then(|| {
@@ -134,7 +134,8 @@ fn warnings(found: &Alignment, couple: &Couple) -> Vec<String> {
             found.common_cells, found.nmad_after_m
         )
     });
-    spread.into_iter().chain(unsure).chain(couple.doubtful_units.clone()).collect()
+    let zeros = found.zeros.notes(found.common_cells, &args.a, &args.to);
+    spread.into_iter().chain(unsure).chain(couple.doubtful_units.clone()).chain(zeros).collect()
 }
 
 /// A number, or null where there is none.
@@ -196,7 +197,7 @@ fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
     put("stable_share", number(found.stable_share));
     put("common_cells", found.common_cells.into());
     put("iterations", found.iterations.into());
-    put("warnings", json!(warnings(found, couple)));
+    put("warnings", json!(warnings(args, found, couple)));
     put("resampled", couple.projected.into());
     put("heights", couple.heights.to_string().into());
     put("output", args.out.display().to_string().into());
