@@ -344,13 +344,30 @@ fn any_memory_gives_the_same_bits() {
     let small = View { width: 150, height: 110, ..PLAIN };
     let b = draw(&terrain, &small, &mut dice);
     let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), noise_m: 1.0, ..small }, &mut dice);
-    for method in [Method::Lzd, Method::Bias, Method::Tilt] {
+    for method in [Method::Auto, Method::Lzd, Method::Bias, Method::Tilt] {
         let run = |memory_cells: u64| {
             let options = Options { memory_cells, method, ..Options::default() };
             format!("{:?}", aligned(&a, &b, &options))
         };
         assert_eq!(run(1 << 20), run(4096), "{method}");
     }
+}
+
+/// Whether a tilt is taken out is decided at one coarseness, also where it is as weak as one that is left.
+#[test]
+fn any_memory_takes_out_the_same_tilt() {
+    let (terrain, mut dice) = (Terrain::new(7), SplitMix64(7));
+    let view = View { width: 330, height: 200, ..PLAIN };
+    let b = draw(&terrain, &view, &mut dice);
+    let mut tilted = Vec::new();
+    for rise in [0.0, 0.3e-4, 0.5e-4, 0.9e-4, 3e-4] {
+        let a = draw(&terrain, &View { error: (5.0, 8.0, 1.0), tilt: (rise, 0.0), noise_m: 1.0, ..view }, &mut dice);
+        let run = |memory_cells: u64| aligned(&a, &b, &Options { memory_cells, ..Options::default() });
+        let (held, streamed) = (run(1 << 20), run(4096));
+        assert_eq!(format!("{held:?}"), format!("{streamed:?}"), "{rise}");
+        tilted.push(held.tilt.is_some());
+    }
+    assert!(!tilted[0] && tilted[4], "{tilted:?}");
 }
 
 #[test]

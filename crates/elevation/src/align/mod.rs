@@ -7,6 +7,7 @@
 mod covariance;
 mod fit;
 mod nuth_kaab;
+mod pyramid;
 mod search;
 mod smooth;
 mod spread;

@@ -5,11 +5,12 @@ use nalgebra::{DMatrix, DVector};
 use crate::error::Result;
 use crate::grid::Grid;
 use crate::resample::{Interpolation, Resampled};
-use crate::source::{Heights, Means as Averaged, MemoryHeights, Patch};
-use crate::stream::{self, BLOCK_PX, Means};
+use crate::source::{Heights as _, MemoryHeights, Patch};
+use crate::stream::Means;
 
 use super::covariance::{covariance, score_block_px};
 use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
+use super::pyramid::{Level, SEARCH_CELLS, level_of_degree, pyramid};
 use super::surface::Degree;
 use super::{Method, Options, nuth_kaab, spread};
 
@@ -19,12 +20,8 @@ const FEWEST_CELLS: u64 = 50;
 const WORST_SHIFT_PX: f64 = 0.5;
 /// Residuals are not taken for better than this, metres: the last place of a 32-bit height.
 const FLOOR_M: f64 = 1e-4;
-/// The search looks at so many cells across at most.
-const SEARCH_CELLS: u64 = 96;
 /// Places at which one shift is tried.
 const SEARCH_SAMPLES: usize = 800;
-/// Cells that say roughly enough where Nuth and Kääb's iterations begin.
-const ROUGH_CELLS: u64 = 500_000;
 /// Candidate shifts that are followed up.
 const CANDIDATES: usize = 3;
 
@@ -83,24 +80,31 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     let fitter = Fitter { full, flats, weighing, means: options.means };
     let nothing = |why: &str| Ok(Found::Nothing(why.into()));
 
-    let Some(mut state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
+    let Some(state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
         let sloping =
             fit::pass(&levels[0].pair(full), &State::default(), Gather::Residuals, flats, options.means)?.sloping;
         return nothing(if sloping < FEWEST_CELLS { FEW } else { ONE_ASPECT });
     };
-    match options.method {
-        Method::Auto => free = free.with(fitter.degree(&levels[0].pair(full), state, free, options.surface)?),
-        Method::Tilt => free = free.with(options.surface),
-        Method::NuthKaab | Method::Lzd | Method::Bias => {}
+    if options.method == Method::Tilt {
+        free = free.with(options.surface);
     }
-    state.surface = state.surface.of_degree(free.surface);
+    let state = State { surface: state.surface.of_degree(free.surface), ..state };
     let (settled, step) = if options.method == Method::NuthKaab {
         let (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
         let sums = fit::pass(full, &state, Gather::Residuals, flats, options.means)?;
         (Settled { state, sums, iterations }, Step::Left)
     } else {
         let Some(near) = fitter.settle(full, state, free, NEAR)? else { return nothing(FLAT) };
-        let start = anchored(&near, &full.template.grid());
+        let mut start = anchored(&near, &full.template.grid());
+        if options.method == Method::Auto {
+            free = free.with(fitter.degree(
+                &level_of_degree(full, &levels[0], options)?,
+                start,
+                &near,
+                options.surface,
+            )?);
+            start.surface = start.surface.of_degree(free.surface);
+        }
         let Some(settled) = fitter.settle(full, start, free, FINE)? else { return nothing(FLAT) };
         (settled, Step::Taken)
     };
@@ -124,70 +128,6 @@ const ONE_ASPECT: &str = "the common ground slopes in one direction only, along 
                           same; --method bias gives the height alone";
 const FLAT: &str =
     "the common ground is too flat, or too unlike, for a shift to be known; --method bias or tilt does without";
-
-/// Both models at one coarseness, in memory.
-struct Level {
-    factor: u64,
-    template: MemoryHeights,
-    other: MemoryHeights,
-}
-
-impl Level {
-    fn pair<'a>(&'a self, full: &'a Pair<'a>) -> Pair<'a> {
-        // The other's means have about the template's cells already.
-        Pair { template: &self.template, other: &self.other, finer: 1, ..*full }
-    }
-}
-
-/// From fine to coarse. The first holds no more cells than fit in memory.
-fn pyramid(full: &Pair<'_>, options: &Options<'_>) -> Result<Vec<Level>> {
-    let cells = |grid: Grid, factor: u64| (grid.width / factor + 1) * (grid.height / factor + 1);
-    let enough = if options.method == Method::NuthKaab { ROUGH_CELLS } else { u64::MAX };
-    let limit = options.memory_cells.min(enough).max(4096);
-    let mut factor = 1;
-    while cells(full.template.grid(), factor) > limit || cells(full.other.grid(), factor * full.finer) > 4 * limit {
-        factor *= 2;
-    }
-    let template = load(full.template, factor, options.means)?;
-    let other = load(full.other, factor * full.finer, options.means)?;
-    let mut levels = vec![Level { factor, template, other }];
-    while let Some(last) = levels.last() {
-        let (grid, other) = (last.template.grid(), last.other.grid());
-        let narrowest = grid.width.min(grid.height).min(other.width.min(other.height));
-        if grid.width.max(grid.height) <= SEARCH_CELLS || narrowest < 32 {
-            break;
-        }
-        let template = load(&last.template, 2, options.means)?;
-        let other = load(&last.other, 2, options.means)?;
-        levels.push(Level { factor: last.factor * 2, template, other });
-    }
-    Ok(levels)
-}
-
-/// Means over blocks, in memory.
-fn load(source: &dyn Heights, factor: u64, means: Means) -> Result<MemoryHeights> {
-    let averaged = Averaged::new(source, factor);
-    let grid = averaged.grid();
-    // Tiles as large as before in cells of the source.
-    let part = |px: u64| (px / factor).max(BLOCK_PX);
-    let side = Means { tile_px: part(means.tile_px), tile_rows_px: part(means.tile_rows_px), ..means };
-    let tiles = side.tiles(grid.width, grid.height);
-    let parts = stream::gather(&tiles, means.threads, Vec::new, |parts, core| {
-        let (width, height) = (core.width as usize, core.height as usize);
-        let mut values = Vec::new();
-        averaged.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, &mut values)?;
-        parts.push((core, values));
-        Ok(())
-    })?;
-    let mut whole = vec![f64::NAN; (grid.width * grid.height) as usize];
-    for (core, values) in parts.into_iter().flatten() {
-        for (row, line) in (core.y..).zip(values.chunks_exact(core.width as usize)) {
-            let from = (row * grid.width + core.x) as usize;
-            whole[from..from + line.len()].copy_from_slice(line);
-        }
-    }
-    Ok(MemoryHeights::new(grid, whole))
-}
 
 /// Where to begin: where the files say, and where the coarsest level fits best.
 ///
@@ -468,15 +408,18 @@ impl Fitter<'_> {
         Ok(Some(best))
     }
 
-    /// The degree of the surface that is there, as it shows where the models are in memory; no higher than `highest`.
-    fn degree(&self, pair: &Pair<'_>, start: State, free: Free, highest: Degree) -> Result<Degree> {
+    /// The degree of the surface that is there, as it shows at one coarseness beside the scatter of the cells
+    /// themselves, to which a fit came near; no higher than `highest`.
+    fn degree(&self, level: &Level, start: State, near: &Settled, highest: Degree) -> Result<Degree> {
+        let pair = &level.pair(self.full);
+        let scales = near.sums.scales(FLOOR_M);
         let mut degree = highest;
         while degree > Degree::Level {
-            let free = free.with(degree);
+            let free = Free { moves: true, surface: degree };
             let start = State { surface: start.surface.of_degree(degree), ..start };
             if let Some(settled) = self.settle(pair, start, free, COARSE)?
                 && let Some(end) = self.finish(pair, &settled, free, Step::Taken)?
-                && degree_matters(&end, &settled.sums.scales(FLOOR_M), &settled.sums)
+                && degree_matters(&end, &scales, &near.sums)
             {
                 break;
             }
