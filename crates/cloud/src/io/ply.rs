@@ -130,8 +130,8 @@ fn parse_header(path: &Path, file: &mut impl BufRead) -> Result<Parsed> {
     Ok(parsed)
 }
 
-/// Classes and colours under the names of other programs (CloudCompare's scalar fields, colours of materials) are classes
-/// and colours, unless the usual name is there too.
+/// Classes and colours under the names of other programs (CloudCompare's scalar fields, colours of materials) are what
+/// they say, unless the usual name is there too.
 fn give_usual_names(properties: &mut [Property]) {
     const USUAL: [(&str, &str); 5] = [
         ("scalar_classification", "classification"),
