@@ -178,7 +178,6 @@ fn adjust_all(
     let ties = kept.len();
     let dropped_ties = world.ties.len() - ties;
     notes.extend(snooping::hold_interiors(&mut problem));
-    let tie_observations = problem.observations.iter().filter(|o| o.point < ties).count();
 
     // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested;
     // what is grossly wrong with them goes before.
@@ -200,7 +199,7 @@ fn adjust_all(
     }
     let sigma_tie_px = match options.sigma_tie_px {
         Some(s) => s,
-        None => estimate_sigma(&problem, ties, tie_observations).unwrap_or(1.0),
+        None => estimate_sigma(&problem, ties).unwrap_or(1.0),
     };
     for o in &mut problem.observations {
         if o.point < ties {
@@ -338,23 +337,34 @@ fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f
 /// What an image point behind its camera counts as when a start is chosen, in σ.
 const FARTHEST_START: f64 = 1e4;
 
-/// σ of a tie's coordinate from the median of the squared lengths of its residuals and the share that the unknowns take
-/// up.
-fn estimate_sigma(problem: &Problem, ties: usize, observations: usize) -> Option<f64> {
-    let mut squares: Vec<f64> = problem
-        .observations
-        .iter()
-        .filter(|o| o.point < ties)
-        .filter_map(|o| problem.residual(o))
-        .map(|r| r[0] * r[0] + r[1] * r[1])
-        .collect();
-    if squares.is_empty() {
-        return None;
+/// Medians of χ² with one and three degrees of freedom, of which Wilson and Hilferty's cube root is too large.
+const MEDIANS: [(usize, f64); 2] = [(1, 0.4549), (3, 2.366)];
+
+/// σ of a tie's coordinate. A tie that n frames see has 2n − 3 measurements to spare, and the sum of its squared
+/// residuals in units of σ² follows χ² of so many degrees of freedom: of two rays only what lies across the epipolar
+/// line shows, a quarter of what they err. The median over ties that weigh as much as they have to spare, so that ties
+/// seen often count and wrong ones do not; and the share that the frames' unknowns take up.
+fn estimate_sigma(problem: &Problem, ties: usize) -> Option<f64> {
+    let mut sums = vec![(0.0, 0usize); ties];
+    for o in problem.observations.iter().filter(|o| o.point < ties) {
+        if let Some(r) = problem.residual(o) {
+            sums[o.point].0 += r[0] * r[0] + r[1] * r[1];
+            sums[o.point].1 += 2;
+        }
     }
-    let unknowns = 3 * ties + 6 * problem.frames.len();
-    let free = (2.0 * observations as f64 - unknowns as f64) / (2.0 * observations as f64);
-    let middle = squares.len() / 2;
-    let median = *squares.select_nth_unstable_by(middle, f64::total_cmp).1;
-    // χ² with two degrees of freedom has its median at 2 ln 2.
-    Some((median / (2.0 * std::f64::consts::LN_2) / free.clamp(0.1, 1.0)).sqrt().max(0.02))
+    let of_tie = |(sum, measured): (f64, usize)| {
+        let spare = measured.checked_sub(3)?;
+        let cube = |n: f64| n * (1.0 - 2.0 / (9.0 * n)).powi(3);
+        let median = MEDIANS.iter().find(|(n, _)| *n == spare).map_or_else(|| cube(spare as f64), |(_, m)| *m);
+        Some((sum / median, spare))
+    };
+    let mut variances: Vec<(f64, usize)> = sums.into_iter().filter_map(of_tie).collect();
+    variances.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let spare: usize = variances.iter().map(|(_, spare)| spare).sum();
+    let mut below = 0;
+    let (median, _) = variances.into_iter().find(|(_, own)| {
+        below += own;
+        2 * below >= spare
+    })?;
+    Some((median / problem.share_left()).sqrt().max(0.02))
 }

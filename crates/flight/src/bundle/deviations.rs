@@ -1,12 +1,15 @@
 //! Deviations that allow for ties that err together.
 //!
-//! N⁻¹ is the covariance of the unknowns when every measurement errs for itself. Matched ties do not: what the lens
-//! model leaves is alike at one place of all images, a frame that moved is wrong as a whole, and neighbouring ties
-//! follow the same shadow. Sums of the ties' pulls over such clusters show it: with s_c = Σ Jᵀr over cluster c,
-//! Σ N⁻¹ s_c s_cᵀ N⁻¹ is the covariance that the residuals themselves bear out (K.-Y. Liang and S. L. Zeger,
-//! *Longitudinal data analysis using generalized linear models*, 1986; A. C. Cameron, J. B. Gelbach and D. L. Miller,
-//! *Robust inference with multiway clustering*, 2011, who add and subtract several ways of clustering where the largest
-//! is taken here). No deviation gets smaller by it.
+//! N⁻¹ is the covariance of the unknowns when every measurement errs for itself and by what is stated of it. Matched
+//! ties do not: some are better than others, what the lens model leaves is alike at one place of all images, a frame
+//! that moved is wrong as a whole, and neighbouring ties follow the same shadow. The ties' pulls show it: with
+//! s_c = Σ Jᵀr over the ties of cluster c, reduced to the cameras, N⁻¹ (M + Σ s_c s_cᵀ) N⁻¹ is the covariance that the
+//! residuals themselves bear out, where M is what GCPs and priors add to N by the deviations stated of them
+//! (K.-Y. Liang and S. L. Zeger, *Longitudinal data analysis using generalized linear models*, 1986; A. C. Cameron,
+//! J. B. Gelbach and D. L. Miller, *Robust inference with multiway clustering*, 2011, who add and subtract several ways
+//! of clustering where the largest is taken here: each tie a cluster, or those of one place or frame). Its pulls are
+//! those of a tie as a whole: what two rays do not show of their errors takes no part. No deviation gets smaller by it
+//! than by N⁻¹.
 //!
 //! What a too simple lens model bends shows in residuals only in part, since the other unknowns give way. Where the
 //! ties would fit better, beyond all chance, with those of Brown's terms free that are held, the way that an unknown
@@ -16,9 +19,10 @@
 use nalgebra::{DVector, Matrix3, SMatrix, SVector};
 
 use super::linear::{Curvature, linear};
-use super::normal::Factored;
+use super::normal::{Factored, Reduced};
 use super::other_lens::OtherLens;
-use super::{Loss, Problem};
+use super::skyline::Skyline;
+use super::{BundlePoint, Loss, Problem};
 use crate::camera::Parameter;
 
 /// What a lens with more terms would change.
@@ -46,7 +50,11 @@ const MOST_FRAMES: usize = 64;
 /// The factored normal equations, the pulls of clusters of ties, and what another lens would change.
 pub struct Deviations {
     factored: Factored,
-    /// One list for each way of clustering: the step that each cluster pulls the cameras by, and the factor C/(C − 1).
+    /// What GCPs and priors add to the normal equations: by the deviations that are stated of them.
+    stated: Skyline,
+    /// Σ s sᵀ of the pull s of each tie.
+    by_tie: Skyline,
+    /// One list for each way of clustering: the pull of each cluster, and the factor C/(C − 1).
     ways: Vec<(f64, Vec<DVector<f64>>)>,
     other_lens: Option<OtherLens>,
 }
@@ -59,21 +67,35 @@ impl Deviations {
         let share = problem.frames.len().div_ceil(MOST_FRAMES).max(1);
         let groups = [CELLS * CELLS, problem.frames.len().div_ceil(share), CELLS * CELLS];
         let mut sums: Vec<Vec<Option<DVector<f64>>>> = groups.iter().map(|n| vec![None; *n]).collect();
-        for o in problem.observations.iter().filter(|o| o.point < ties) {
-            let point = &problem.points[o.point].xyz;
-            let clusters = [places.cell(o.pixel), o.frame / share, ground.cell([point.x, point.y])];
-            let Some(l) = linear(problem, &factored.layout, o, loss, Curvature::Weights) else { continue };
-            for (sums, cluster) in sums.iter_mut().zip(clusters) {
-                let sum = sums[cluster].get_or_insert_with(|| DVector::zeros(factored.layout.size));
-                factored.add_pull(problem, o, &l, sum);
+        let layout = &factored.layout;
+        let left = problem.share_left();
+        let mut by_tie = Skyline::new(layout.first.clone());
+        let mut own = DVector::zeros(layout.size);
+        for (index, BundlePoint { xyz, .. }) in problem.points[..ties].iter().enumerate() {
+            for o in layout.of_point[index].iter().map(|i| &problem.observations[*i as usize]) {
+                let clusters = [places.cell(o.pixel), o.frame / share, ground.cell([xyz.x, xyz.y])];
+                let Some(l) = linear(problem, layout, o, loss, Curvature::Weights) else { continue };
+                for (sums, cluster) in sums.iter_mut().zip(clusters) {
+                    let sum = sums[cluster].get_or_insert_with(|| DVector::zeros(layout.size));
+                    factored.add_pull(problem, o, &l, sum);
+                }
+                factored.add_pull(problem, o, &l, &mut own);
             }
+            let pulled = factored.pulled_by(index);
+            for (k, row) in pulled.iter().enumerate() {
+                for column in &pulled[..=k] {
+                    by_tie.add(*row, *column, own[*row] * own[*column] / left);
+                }
+            }
+            pulled.into_iter().for_each(|at| own[at] = 0.0);
         }
         let ways = sums.into_iter().map(|way| {
-            let pulls: Vec<DVector<f64>> = way.into_iter().flatten().map(|sum| factored.solved(sum)).collect();
+            let pulls: Vec<DVector<f64>> = way.into_iter().flatten().collect();
             let n = pulls.len() as f64;
             (if n > 1.0 { n / (n - 1.0) } else { 0.0 }, pulls)
         });
-        Deviations { ways: ways.collect(), factored, other_lens: OtherLens::of(problem, loss) }
+        let (ways, stated) = (ways.collect(), Reduced::of_stated(problem, layout, loss, ties));
+        Deviations { ways, stated, by_tie, factored, other_lens: OtherLens::of(problem, loss) }
     }
 
     /// The terms that the lens lacks. `None` where it is as its model, or what they would change of the interiors is
@@ -82,8 +104,10 @@ impl Deviations {
         let other = self.other_lens.as_ref()?;
         let of = |camera: usize| {
             let at = self.factored.layout.interior_at[camera];
-            self.factored.interior(camera).into_iter().enumerate().map(move |(i, (parameter, sigma))| {
-                let deviation = self.variance(|pull| pull[at + i]).sqrt().max(sigma);
+            let columns = self.factored.columns(at, self.factored.layout.active[camera].len());
+            let alone = self.factored.interior(camera).into_iter().zip(columns);
+            alone.map(move |((parameter, sigma), column)| {
+                let deviation = self.variance(&column).sqrt().max(sigma);
                 let by = other.interior(camera, parameter);
                 (by.abs() / deviation, Moved { camera, parameter, by })
             })
@@ -93,52 +117,58 @@ impl Deviations {
         counts.then(|| MissingTerms { terms: other.terms.clone(), moved: most.map(|(_, moved)| moved) })
     }
 
-    /// The variance that the clusters bear out, the largest over the ways, of what `of` takes from a pull.
-    fn variance(&self, of: impl Fn(&DVector<f64>) -> f64) -> f64 {
-        let way =
-            |(factor, pulls): &(f64, Vec<DVector<f64>>)| factor * pulls.iter().map(|p| of(p).powi(2)).sum::<f64>();
-        self.ways.iter().map(way).fold(0.0, f64::max)
-    }
-
-    /// A covariance whose deviations are made as large as the clusters and the other lens bear out; correlations stay.
-    fn widened<const N: usize>(
-        &self,
-        alone: SMatrix<f64, N, N>,
-        of: impl Fn(&DVector<f64>) -> SVector<f64, N>,
-        other: impl Fn(&OtherLens) -> SVector<f64, N>,
-    ) -> SMatrix<f64, N, N> {
-        let bent = self.other_lens.as_ref().map_or_else(SVector::zeros, other);
-        let by: [f64; N] = std::array::from_fn(|i| {
-            let own = alone[(i, i)];
-            let whole = own.max(self.variance(|pull| of(pull)[i])) + bent[i] * bent[i];
-            if own > 0.0 { (whole / own).sqrt() } else { 1.0 }
-        });
-        SMatrix::from_fn(|r, c| alone[(r, c)] * by[r] * by[c])
+    /// The variance of an unknown, of which `column` is that of N⁻¹: by what is stated of GCPs and priors, and by what
+    /// ties show, each for itself or by the way of clustering that makes it largest.
+    fn variance(&self, column: &DVector<f64>) -> f64 {
+        let way = |(factor, pulls): &(f64, Vec<DVector<f64>>)| {
+            factor * pulls.iter().map(|pull| pull.dot(column).powi(2)).sum::<f64>()
+        };
+        let column_of = column.as_slice();
+        let ties = self.ways.iter().map(way).fold(self.by_tie.quadratic(column_of), f64::max);
+        self.stated.quadratic(column_of) + ties
     }
 
     /// Covariance of a frame's turn (radians, R ← exp(δ) R) and centre.
     pub fn frame(&self, frame: usize) -> SMatrix<f64, 6, 6> {
         let at = self.factored.layout.frame_at[frame];
-        let pulled = |pull: &DVector<f64>| pull.fixed_rows::<6>(at).into_owned();
-        self.widened(self.factored.frame(frame), pulled, |other| other.frame(frame))
+        let columns = self.factored.columns(at, 6);
+        let alone = SMatrix::from_fn(|r, c| columns[c][at + r]);
+        let bent = self.other_lens.as_ref().map_or_else(SVector::zeros, |other| other.frame(frame));
+        widened(alone, |i| self.variance(&columns[i]), bent)
     }
 
     /// Standard deviations of a camera's active parameters.
     pub fn interior(&self, camera: usize) -> Vec<(Parameter, f64)> {
-        let at = self.factored.layout.interior_at[camera];
-        let alone = self.factored.interior(camera).into_iter().enumerate();
-        let whole = alone.map(|(i, (p, sigma))| {
-            let bent = self.other_lens.as_ref().map_or(0.0, |other| other.interior(camera, p));
-            (p, (self.variance(|pull| pull[at + i]).max(sigma * sigma) + bent * bent).sqrt())
+        let (at, active) = (self.factored.layout.interior_at[camera], &self.factored.layout.active[camera]);
+        let columns = self.factored.columns(at, active.len());
+        let whole = active.iter().enumerate().map(|(i, p)| {
+            let bent = self.other_lens.as_ref().map_or(0.0, |other| other.interior(camera, *p));
+            (*p, (self.variance(&columns[i]).max(columns[i][at + i]) + bent * bent).sqrt())
         });
         whole.collect()
     }
 
     /// Covariance of a surveyed point.
     pub fn point(&self, point: usize) -> Matrix3<f64> {
-        let followed = |pull: &DVector<f64>| self.factored.follows(point, pull);
-        self.widened(self.factored.point(point), followed, |other| other.point(point))
+        let (own, leans) = (self.factored.alone(point), self.factored.leans(point));
+        let bent = self.other_lens.as_ref().map_or_else(SVector::zeros, |other| other.point(point));
+        widened(self.factored.point(point), |i| own[(i, i)] + self.variance(&leans[i]), bent)
     }
+}
+
+/// A covariance whose variances are made as large as `variance` bears out and another lens adds; correlations stay, and
+/// none gets smaller.
+fn widened<const N: usize>(
+    alone: SMatrix<f64, N, N>,
+    variance: impl Fn(usize) -> f64,
+    bent: SVector<f64, N>,
+) -> SMatrix<f64, N, N> {
+    let by: [f64; N] = std::array::from_fn(|i| {
+        let own = alone[(i, i)];
+        let whole = own.max(variance(i)) + bent[i] * bent[i];
+        if own > 0.0 { (whole / own).sqrt() } else { 1.0 }
+    });
+    SMatrix::from_fn(|r, c| alone[(r, c)] * by[r] * by[c])
 }
 
 /// Cells over the bounding box of places.

@@ -8,6 +8,7 @@ use crate::camera::Parameter;
 pub(super) const MOST_INTERIOR: usize = 13;
 
 /// Where each unknown stands in the reduced system.
+#[derive(Clone)]
 pub(super) struct Layout {
     pub frame_at: Vec<usize>,
     pub interior_at: Vec<usize>,

@@ -149,6 +149,18 @@ impl Problem {
         Some([at[0] - o.pixel[0], at[1] - o.pixel[1]])
     }
 
+    /// Share of what points leave of their measurements that the unknowns of frames and cameras leave as well: by so
+    /// much less than errors do residuals vary, in the mean. At least a tenth.
+    pub(crate) fn share_left(&self) -> f64 {
+        let surveyed = self.points.iter().filter(|p| p.survey.is_some()).count();
+        let positions = self.frames.iter().filter(|f| f.position.is_some()).count();
+        let directions = self.frames.iter().filter(|f| f.direction.is_some()).count();
+        let measured = 2 * self.observations.len() + 3 * (surveyed + positions + directions);
+        let spare = measured.saturating_sub(3 * self.points.len()).max(1) as f64;
+        let interior: usize = self.cameras.iter().map(|c| c.active().len()).sum();
+        ((spare - (6 * self.frames.len() + interior) as f64) / spare).max(0.1)
+    }
+
     /// The cost that is minimised.
     pub fn cost(&self, loss: Loss) -> f64 {
         let mut sum = 0.0;

@@ -156,6 +156,13 @@ impl Reduced {
         Reduced { matrix, right, points, slope, diagonal, damping, point_diagonal }
     }
 
+    /// The part of the undamped system that GCPs and priors make; the first `ties` points are ties.
+    pub fn of_stated(problem: &Problem, layout: &Layout, loss: Loss, ties: usize) -> Skyline {
+        let mut layout = layout.clone();
+        layout.of_point[..ties].iter_mut().for_each(Vec::clear);
+        Reduced::new(problem, &layout, loss, Curvature::Weights, 0.0).matrix
+    }
+
     /// Solves; `None` when the matrix is not positive definite, a pivot being at most `least_pivot` of its diagonal.
     pub fn step(self, least_pivot: f64) -> Option<Step> {
         let factor = self.matrix.cholesky(least_pivot).ok()?;
@@ -323,7 +330,8 @@ pub struct Factored {
 }
 
 impl Factored {
-    fn columns(&self, start: usize, count: usize) -> Vec<DVector<f64>> {
+    /// Columns of N⁻¹.
+    pub(super) fn columns(&self, start: usize, count: usize) -> Vec<DVector<f64>> {
         (0..count)
             .map(|i| {
                 let mut b = DVector::zeros(self.layout.size);
@@ -352,21 +360,32 @@ impl Factored {
     /// Covariance of a point.
     pub fn point(&self, point: usize) -> Matrix3<f64> {
         let e = &self.points[point];
-        // Columns of W V⁻¹ in the reduced system.
-        let mut columns = vec![DVector::zeros(self.layout.size); 3];
-        for (c, column) in columns.iter_mut().enumerate() {
-            let v = e.inverse.column(c).into_owned();
-            self.scatter(e, &v, column);
-        }
-        let solved: Vec<DVector<f64>> = columns
-            .iter()
-            .map(|c| {
-                let mut b = c.clone();
-                self.factor.solve(b.as_mut_slice());
-                b
-            })
-            .collect();
+        let (columns, solved) = (self.columns_of_point(point), self.leans(point));
         e.inverse + Matrix3::from_fn(|r, c| columns[r].dot(&solved[c]))
+    }
+
+    /// Columns of W V⁻¹ of a point in the reduced system.
+    fn columns_of_point(&self, point: usize) -> [DVector<f64>; 3] {
+        let e = &self.points[point];
+        std::array::from_fn(|c| {
+            let mut column = DVector::zeros(self.layout.size);
+            self.scatter(e, &e.inverse.column(c).into_owned(), &mut column);
+            column
+        })
+    }
+
+    /// N⁻¹ W V⁻¹: how a point's coordinates lean on what pulls the cameras, but for the sign.
+    pub(super) fn leans(&self, point: usize) -> [DVector<f64>; 3] {
+        self.columns_of_point(point).map(|column| self.solved(column))
+    }
+
+    /// Places in the reduced system of what one point's measurements pull, in their order.
+    pub(super) fn pulled_by(&self, point: usize) -> Vec<usize> {
+        let e = &self.points[point];
+        let mut all: Vec<usize> = e.pose.iter().flat_map(|(at, _)| *at..at + 6).collect();
+        all.extend(e.interior.iter().map(|(at, _)| *at));
+        all.sort_unstable();
+        all
     }
 
     /// Adds Jᵀr of an observation, reduced to the cameras, with the sign of a step.
@@ -392,10 +411,9 @@ impl Factored {
         right
     }
 
-    /// How a point that nothing pulls itself follows a step of the cameras.
-    pub(super) fn follows(&self, point: usize, reduced: &DVector<f64>) -> Vector3<f64> {
-        let e = &self.points[point];
-        -(e.inverse * e.pulled(reduced))
+    /// Covariance of a point if the cameras were known.
+    pub(super) fn alone(&self, point: usize) -> Matrix3<f64> {
+        self.points[point].inverse
     }
 
     fn scatter(&self, e: &Eliminated, v: &Vector3<f64>, into: &mut DVector<f64>) {

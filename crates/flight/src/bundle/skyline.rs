@@ -99,6 +99,15 @@ impl Skyline {
         }
     }
 
+    /// xᵀ M x of the symmetric matrix of which this is the lower triangle.
+    pub fn quadratic(&self, x: &[f64]) -> f64 {
+        let row = |i: usize| {
+            let f = self.first[i];
+            x[i] * (2.0 * dot(&self.rows[i][..i - f], &x[f..i]) + self.diagonal(i) * x[i])
+        };
+        (0..self.size()).map(row).sum()
+    }
+
     /// Entries held.
     pub fn stored(&self) -> usize {
         self.rows.iter().map(Vec::len).sum()
@@ -172,6 +181,7 @@ mod tests {
         }
         let x: Vec<f64> = (0..n).map(|i| (i as f64).sin()).collect();
         let mut b: Vec<f64> = full.iter().map(|r| dot(r, &x)).collect();
+        assert!((m.quadratic(&x) - dot(&b, &x)).abs() < 1e-12);
         m.cholesky(1e-14).expect("positive definite").solve(&mut b);
         assert!(b.iter().zip(&x).all(|(a, b)| (a - b).abs() < 1e-12));
     }
