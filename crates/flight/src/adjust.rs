@@ -21,8 +21,8 @@ use self::outcome::End;
 use self::screening::Screened;
 use self::snooping::Snooped;
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Deviations, Loss, Observation, Options, Problem, Summary, Treatment, Trust,
-    solve,
+    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Deviations, Loss, Observation, Options, Problem, Summary,
+    Treatment, Trust, solve,
 };
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
@@ -184,7 +184,7 @@ fn adjust_all(
     for o in &mut problem.observations {
         o.trust = Trust::Robust;
     }
-    let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8 };
+    let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8, focal_px: ANY_FOCAL };
     let mut screened = Screened::default();
     screened.screen_rays(&mut problem, ties, screening::MONSTROUS);
     screened.screen(&mut problem, ties, screening::MONSTROUS);

@@ -287,7 +287,7 @@ fn the_minimum_does_not_depend_on_the_start() {
                 problem.observations.push(Observation { frame: *frame, point: j, pixel: *pixel, sigma_px: 1.0, trust });
             }
         }
-        let options = Options { loss: Loss::Huber(1.5), least_gain: 1e-15, most_iterations: 200 };
+        let options = Options { loss: Loss::Huber(1.5), least_gain: 1e-15, most_iterations: 200, ..Options::default() };
         // For benches/bundle_scipy.py: the start that is farthest off.
         if let Some(file) = std::env::var_os("AUTOREF_BUNDLE_DUMP").filter(|_| k == 2) {
             let mut solved = problem.clone();

@@ -36,7 +36,7 @@ impl Normalised {
             self.0[k].1 += 1;
         };
         for (a, b) in found.photographs.iter().zip(&truth.photographs) {
-            let c = a.covariance.expect("the datum is fixed");
+            let c = a.covariance.unwrap_or_else(|| panic!("{:?}", found.notes));
             let turn = Rotation3::from_matrix_unchecked(a.pose.rotation * b.pose.rotation.transpose()).scaled_axis();
             for i in 0..3 {
                 add(0, turn[i], c[(i, i)].sqrt());

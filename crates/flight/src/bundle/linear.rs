@@ -49,6 +49,8 @@ pub(super) fn linear(
     let (at, by_p) = if active.is_empty() {
         let (at, j) = camera.project_with_jacobian(p.into());
         (at, Matrix2x3::from_fn(|r, c| j[r][c]))
+    } else if active.len() <= 1 {
+        split::<4>(&camera.project_with_parameters::<4>(p.into(), active), active.len(), &mut interior)
     } else if active.len() <= 5 {
         split::<8>(&camera.project_with_parameters::<8>(p.into(), active), active.len(), &mut interior)
     } else {

@@ -10,12 +10,13 @@ mod layout;
 mod linear;
 mod normal;
 mod other_lens;
+mod single;
 pub mod skyline;
 mod solve;
 
 pub use deviations::{Deviations, MissingTerms, Moved};
 pub use normal::Factored;
-pub use solve::{Ended, Options, Summary, factor, solve};
+pub use solve::{ANY_FOCAL, Ended, Options, Summary, factor, solve};
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -19,7 +19,10 @@ pub(super) const SOLVABLE: f64 = 1e-15;
 /// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for
 /// each column.
 #[inline(always)]
-fn across<const R: usize, const C: usize>(a: &SMatrix<f64, 2, R>, b: &SMatrix<f64, 2, C>) -> SMatrix<f64, R, C> {
+pub(super) fn across<const R: usize, const C: usize>(
+    a: &SMatrix<f64, 2, R>,
+    b: &SMatrix<f64, 2, C>,
+) -> SMatrix<f64, R, C> {
     let mut out = SMatrix::zeros();
     for c in 0..C {
         for r in 0..R {

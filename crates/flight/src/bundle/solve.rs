@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use super::layout::{Layout, MOST_INTERIOR};
 use super::linear::Curvature;
 use super::normal::{Factored, Reduced, SOLVABLE, Step};
+use super::single::{is_single, solve_single};
 use super::{Loss, Problem};
 use crate::error::{Error, Result};
 
@@ -14,22 +15,35 @@ pub struct Options {
     pub most_iterations: usize,
     /// Ends when a step lowers the cost by less than this part of it.
     pub least_gain: f64,
+    /// Ends when a focal length leaves these bounds, pixels.
+    pub focal_px: [f64; 2],
+}
+
+/// No bounds of focal lengths.
+pub const ANY_FOCAL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
+impl Options {
+    /// Whether a focal length is out of bounds.
+    pub(super) fn lets_go_of(&self, problem: &Problem) -> bool {
+        let [low, high] = self.focal_px;
+        !problem.cameras.iter().all(|c| (low..=high).contains(&c.camera.f_px()))
+    }
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Options { loss: Loss::Huber(3.0), most_iterations: 100, least_gain: 1e-10 }
+        Options { loss: Loss::Huber(3.0), most_iterations: 100, least_gain: 1e-10, focal_px: ANY_FOCAL }
     }
 }
 
 /// Share of the foretold fall of the cost above which the linear model is believed.
-const FORETOLD: f64 = 0.75;
+pub(super) const FORETOLD: f64 = 0.75;
 /// A cost that fell by less than this part of it is near its end.
-const NEAR: f64 = 0.03;
+pub(super) const NEAR: f64 = 0.03;
 
 /// Share of the foretold fall of the cost from which longer steps are tried, and the longest.
-const CREEPING: f64 = 1.5;
-const FARTHEST_REACH: f64 = 256.0;
+pub(super) const CREEPING: f64 = 1.5;
+pub(super) const FARTHEST_REACH: f64 = 256.0;
 
 /// Why the iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +54,8 @@ pub enum Ended {
     OutOfIterations,
     /// No damping finds a lower cost.
     Stuck,
+    /// A focal length left its bounds.
+    Left,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -58,19 +74,23 @@ pub struct Summary {
 /// When a number is not finite, an index points nowhere, or more than 13 parameters of one camera are adjusted.
 pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
     check(problem)?;
+    if is_single(problem) {
+        return Ok(solve_single(problem, options));
+    }
     let layout = Layout::new(problem);
     let first_cost = problem.cost(options.loss);
     let (mut cost, mut last_fall) = (first_cost, 0.0);
     let (mut damping, mut grow) = (1e-4, 2.0);
     // Weights by the loss alone make safe steps from afar; near the end its curvature makes them fast.
     let mut curvature = Curvature::Weights;
+    let end = |cost, iterations, ended, last_fall| Summary { first_cost, cost, iterations, ended, last_fall };
     for iteration in 0..options.most_iterations {
         let mut accepted = false;
         // 60 doublings that grow are a damping of 10^500: stuck long before.
         for _ in 0..30 {
             let reduced = Reduced::new(problem, &layout, options.loss, curvature, damping);
             if reduced.slope < 1e-12 * (1.0 + cost.sqrt()) {
-                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged, last_fall });
+                return Ok(end(cost, iteration, Ended::Converged, last_fall));
             }
             let Some(step) = reduced.step(SOLVABLE) else {
                 damping *= grow;
@@ -112,21 +132,18 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
                 let done = fall <= options.least_gain * cost;
                 curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
                 cost = next_cost;
+                if options.lets_go_of(problem) {
+                    return Ok(Summary { first_cost, cost, iterations: iteration + 1, ended: Ended::Left, last_fall });
+                }
                 if done {
-                    return Ok(Summary {
-                        first_cost,
-                        cost,
-                        iterations: iteration + 1,
-                        ended: Ended::Converged,
-                        last_fall,
-                    });
+                    return Ok(end(cost, iteration + 1, Ended::Converged, last_fall));
                 }
                 accepted = true;
                 break;
             }
             if step.gain <= options.least_gain * cost {
                 // Rounding, not the model, decides from here on.
-                return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Converged, last_fall });
+                return Ok(end(cost, iteration, Ended::Converged, last_fall));
             }
             if curvature == Curvature::Whole {
                 curvature = Curvature::Weights;
@@ -136,10 +153,10 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
             grow *= 2.0;
         }
         if !accepted {
-            return Ok(Summary { first_cost, cost, iterations: iteration, ended: Ended::Stuck, last_fall });
+            return Ok(end(cost, iteration, Ended::Stuck, last_fall));
         }
     }
-    Ok(Summary { first_cost, cost, iterations: options.most_iterations, ended: Ended::OutOfIterations, last_fall })
+    Ok(end(cost, options.most_iterations, Ended::OutOfIterations, last_fall))
 }
 
 /// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was
@@ -226,7 +243,7 @@ impl Common {
 }
 
 /// One step of Newton towards the nearest rotation: rounding must not add up over iterations.
-fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
+pub(super) fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
     r * (Matrix3::identity() * 3.0 - r.transpose() * r) * 0.5
 }
 

@@ -7,14 +7,15 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
-use super::refine::{Minimum, judging, refine};
+use super::refine::{Approached, Minimum, approached, bounds, judging, refine};
 use super::three_points::starts;
 use super::{Alternative, Focal, ResectOptions, Resection, Seen};
+use crate::bundle::Ended;
 use crate::camera::{Camera, Parameter};
 use crate::pose::{Pose, turn};
 
 /// Focal lengths of cameras, in sides of their images: beyond, an object far off would do as well.
-const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
+pub(super) const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
 
 /// Starts that are refined, beside the best one of each focal length, of few points and of many.
 const BEST_STARTS: usize = 24;
@@ -149,6 +150,7 @@ fn minima(mut starts: Vec<Start>, seen: &[Seen], options: &ResectOptions) -> (Ve
     let mut found: Vec<Minimum> = Vec::new();
     let mut is_open = false;
     let mut tried: Vec<f64> = Vec::new();
+    let (mut ends, mut creeping): (Vec<Approached>, Vec<Approached>) = Default::default();
     let mut taken = 0;
     // Wrong points can lead the best starts to one wrong focal length: the best of each is tried as well.
     starts.retain(|start| {
@@ -174,17 +176,39 @@ fn minima(mut starts: Vec<Start>, seen: &[Seen], options: &ResectOptions) -> (Ve
         // Gross errors may carry the focal length away before they are named: it is held until then as well.
         let held_too = (options.focal == Focal::Sought && !good && seen.len() > 4).then_some(Focal::Known);
         for at_first in std::iter::once(options.focal).chain(held_too) {
-            let Ok(minimum) = refine(&start.camera, &start.pose, seen, options, at_first) else { continue };
-            let camera = &minimum.found.camera;
-            let sides = camera.f_px() / camera.size_px[0].max(camera.size_px[1]);
-            if options.focal == Focal::Sought && !FOCAL_SIDES.contains(&sides) {
+            let Ok(end) = approached(&start.camera, &start.pose, seen, options, at_first) else { continue };
+            let [low, high] = bounds(&end.camera, options);
+            if !(low..=high).contains(&end.camera.f_px()) {
                 is_open = true;
                 continue;
             }
-            found.push(minimum);
+            // What follows depends on nothing but where a start led.
+            if ends.iter().any(|known| is_one_end(known, &end, seen)) {
+                continue;
+            }
+            // Of few points all starts are tried: others lead to where these creep.
+            if few && end.ended == Ended::OutOfIterations {
+                creeping.push(end);
+                continue;
+            }
+            found.extend(ended(&end, seen, options, &mut is_open));
+            ends.push(end);
+        }
+    }
+    for end in creeping.iter().take(most) {
+        if found.is_empty() {
+            found.extend(ended(end, seen, options, &mut is_open));
         }
     }
     (found, is_open)
+}
+
+/// The minimum near where a start led; none where no camera has its focal length.
+fn ended(end: &Approached, seen: &[Seen], options: &ResectOptions, is_open: &mut bool) -> Option<Minimum> {
+    let minimum = refine(&end.camera, &end.pose, seen, options).ok()?;
+    let out = options.focal == Focal::Sought && !is_a_cameras(&minimum.found.camera);
+    *is_open |= out;
+    (!out).then_some(minimum)
 }
 
 /// What speaks against a minimum.
@@ -203,6 +227,21 @@ fn price(minimum: &Minimum, seen: &[Seen], options: &ResectOptions) -> f64 {
     let hangs = -found.pose.rotation[(1, 2)] < -0.5;
     let seldom = [below, hangs].into_iter().filter(|is_so| *is_so).count() as f64 * SELDOM;
     minimum.points + position + scale * (CALLED_WRONG * found.blunders.len() as f64 + seldom)
+}
+
+/// Whether it is a focal length that cameras have.
+fn is_a_cameras(camera: &Camera) -> bool {
+    FOCAL_SIDES.contains(&(camera.f_px() / camera.size_px[0].max(camera.size_px[1])))
+}
+
+/// Whether two starts led to one place, but for where the iteration ended.
+fn is_one_end(known: &Approached, end: &Approached, seen: &[Seen]) -> bool {
+    /// Shares of focal length and distance, and radians: a hundredth of what [`is_beside`] takes for one pose.
+    const ONE: f64 = 1e-4;
+    let nearest = || seen.iter().map(|s| (s.xyz - known.pose.centre).norm()).fold(f64::INFINITY, f64::min);
+    (known.camera.f_px() - end.camera.f_px()).abs() <= ONE * known.camera.f_px()
+        && (known.pose.centre - end.pose.centre).norm() <= ONE * nearest()
+        && turn(&known.pose.rotation, &end.pose.rotation).norm() <= ONE
 }
 
 /// Whether two poses are near each other against the distance to the points.

@@ -2,11 +2,12 @@
 
 use nalgebra::Vector3;
 
+use super::choice::FOCAL_SIDES;
 use super::testing::{excess, far_off, least_share, off_by, worst_points};
 use super::{Focal, ResectOptions, Resection, Seen};
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Factored, Loss, Observation, Options, Problem, Treatment, Trust, factor,
-    solve,
+    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Ended, Factored, Loss, Observation, Options, Problem, Treatment,
+    Trust, factor, solve,
 };
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
@@ -63,32 +64,50 @@ pub(super) fn judging(seen: &[Seen], options: &ResectOptions) -> ResectOptions {
 /// So many points can spare one.
 const SPARE_ONE: usize = 5;
 
-/// From a start to the end; `at_first` is what becomes of the focal length until the points far off are named.
-pub(super) fn refine(
+/// Where a start led.
+pub(super) struct Approached {
+    pub camera: Camera,
+    pub pose: Pose,
+    pub ended: Ended,
+}
+
+/// Where a start leads while points may be wrong: what becomes of the focal length there is `at_first`. Few points that
+/// cannot spare one stay where they are: robustness would only lead away from the start.
+pub(super) fn approached(
     camera: &Camera,
     pose: &Pose,
     seen: &[Seen],
     options: &ResectOptions,
     at_first: Focal,
-) -> Result<Minimum> {
-    let first = judging(seen, options);
+) -> Result<Approached> {
+    if seen.len() < SPARE_ONE {
+        return Ok(Approached { camera: camera.clone(), pose: *pose, ended: Ended::Converged });
+    }
+    /// Starts near a minimum are there by then; what creeps on is left to them.
+    const MOST: usize = 50;
+    let loss = Loss::Cauchy(2.0);
+    let robust = Options { loss, most_iterations: MOST, focal_px: bounds(camera, options), ..Options::default() };
+    let first = ResectOptions { focal: at_first, ..judging(seen, options) };
+    let mut at = problem(camera, pose, seen, &first, Trust::Robust);
+    let ended = solve(&mut at, &robust)?.ended;
+    Ok(Approached { camera: at.cameras.swap_remove(0).camera, pose: at.frames[0].pose, ended })
+}
+
+/// From where a start led to the end.
+pub(super) fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> Result<Minimum> {
+    let judged_with = judging(seen, options).position;
     let mut refining = Refining {
         seen,
         options,
-        is_judged_with_position: first.position.is_some(),
-        position_counts: first.position.is_some() || options.position.is_none(),
+        is_judged_with_position: judged_with.is_some(),
+        position_counts: judged_with.is_some() || options.position.is_none(),
         camera: camera.clone(),
         pose: *pose,
         kept: (0..seen.len()).collect(),
         blunders: Vec::new(),
         aside: 0,
     };
-    // Where none can be spared, robustness would only lead away from the start.
     if seen.len() >= SPARE_ONE {
-        let robust = Options { loss: Loss::Cauchy(2.0), ..Options::default() };
-        let mut at = problem(camera, pose, seen, &ResectOptions { focal: at_first, ..first }, Trust::Robust);
-        solve(&mut at, &robust)?;
-        (refining.camera, refining.pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
         refining.set_aside();
     }
     let mut of_points = None;
@@ -106,6 +125,17 @@ pub(super) fn refine(
         }
         let ((points, position), redundancy) = of_points.unwrap_or(now);
         return Ok(Minimum { found: refining.resection(&fit)?, points, position, redundancy });
+    }
+}
+
+/// Focal lengths, where they are sought, beyond which none comes back.
+pub(super) fn bounds(camera: &Camera, options: &ResectOptions) -> [f64; 2] {
+    /// Times as far as those of cameras.
+    const WIDER: f64 = 2.0;
+    let side = camera.size_px[0].max(camera.size_px[1]);
+    match options.focal {
+        Focal::Known => ANY_FOCAL,
+        Focal::Sought => [FOCAL_SIDES.start * side / WIDER, FOCAL_SIDES.end * side * WIDER],
     }
 }
 
@@ -156,7 +186,7 @@ impl Refining<'_> {
         let position = self.options.position.filter(|_| self.position_counts);
         let now = ResectOptions { position, ..self.options.clone() };
         let mut at = problem(&self.camera, &self.pose, &subset, &now, Trust::Full);
-        let plain = Options { loss: Loss::Squared, ..Options::default() };
+        let plain = Options { loss: Loss::Squared, focal_px: bounds(&self.camera, self.options), ..Options::default() };
         let summary = solve(&mut at, &plain)?;
         (self.camera, self.pose) = (at.cameras[0].camera.clone(), at.frames[0].pose);
         let known = 2 * self.kept.len() + if position.is_some() { 3 } else { 0 };
