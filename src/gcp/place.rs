@@ -20,6 +20,7 @@ const FAR_DEG: f64 = 5.0;
 
 const MILLIMETRES: &str = "they would lie in it if they were millimetres, brought to metres";
 const FEET: &str = "they would lie in it if they were feet, brought to metres";
+const OTHER_ZONE: &str = "by their size they are metres of another zone, or of the other hemisphere";
 
 /// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
 /// that mends it and the caller asked for it.
@@ -244,6 +245,9 @@ pub(super) fn refuse_elsewhere(
 pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
     const ZONE_M: f64 = 1e6;
     const LEAST_MM: f64 = 1e8;
+    /// Metres within the zones of UTM, from the equator to 84°; feet of eastings in the middle of a zone are more.
+    const UTM_E: std::ops::RangeInclusive<f64> = 1.6e5..=8.4e5;
+    const UTM_N: std::ops::RangeInclusive<f64> = 0.0..=1e7;
     // International and US survey feet are the same here.
     let all = |place: &dyn Fn(f64, f64) -> (f64, f64)| {
         points.iter().all(|p| {
@@ -283,6 +287,11 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
     }
     let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
     if all(&feet) {
+        // Where every number is one that metres have in some zone of UTM, as its edges are narrow, that is likelier.
+        let is_of_zones = |p: &RawPoint| UTM_E.contains(&p.gcp.easting) && UTM_N.contains(&p.gcp.northing);
+        if crs.title().contains("UTM zone") && points.iter().all(is_of_zones) {
+            return Some(OTHER_ZONE.to_string());
+        }
         return Some(FEET.to_string());
     }
     // A hundred kilometres. What is less in millimetres lies at the corner of a zone, on the equator.

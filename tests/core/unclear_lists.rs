@@ -181,6 +181,9 @@ fn remedies_work() {
     let feet = |titles: &str| format!("name,{titles}\nA,1640420.5,15255170.1\nB,1640520.5,15255270.1\n");
     let (easting, northing) = ("Easting (US ft)", "Northing (US ft)");
     refused("EPSG:25830", &feet("Easting,Northing"), &["if they were feet", easting, northing, "--crs that counts"]);
+    // Metres of zone 35 at 78° N: brought from feet they would lie at the edge of zone 33, in the Sahara.
+    let elsewhere = "name,e,n\nA,640420.5,8685170.1\nB,640520.5,8685270.1\n";
+    refused("EPSG:32633", elsewhere, &["another zone", "give the --crs"]);
     let error = read_in("EPSG:25830", &feet("Easting,Northing")).expect_err("feet");
     assert!(!error.contains("outside-area"), "{error}");
     let list = read_in("EPSG:25830", &feet(&format!("{easting},{northing}"))).expect("the remedy");

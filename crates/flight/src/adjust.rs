@@ -184,6 +184,7 @@ fn adjust_all(
     for o in &mut problem.observations {
         o.trust = Trust::Robust;
     }
+    let positions_aside = if control.is_empty() { positions::set_aside(&mut problem) } else { Vec::new() };
     let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8, focal_px: ANY_FOCAL };
     let mut screened = Screened::default();
     screened.screen_rays(&mut problem, ties, screening::MONSTROUS);
@@ -209,7 +210,7 @@ fn adjust_all(
         }
     }
     if control.is_empty() {
-        notes.extend(positions::snoop(&mut problem, &world)?);
+        notes.extend(positions::snoop(&mut problem, &world, positions_aside)?);
     }
     let explained = |error| reason::explained(error, model, &control);
     let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened).map_err(explained)?;

@@ -148,6 +148,7 @@ pub fn adjustment(found: &Adjustment, model: &Reconstruction, world: &World, lis
         Ended::Converged => "converged",
         Ended::OutOfIterations => "out of iterations",
         Ended::Stuck => "stuck",
+        Ended::Left => "out of bounds",
     };
     let [unit_m, height_unit_m] = world.units_m();
     json!({
