@@ -2,6 +2,7 @@
 
 mod affinity;
 pub mod colmap;
+pub mod feet;
 pub mod micmac;
 pub mod opensfm;
 mod own;

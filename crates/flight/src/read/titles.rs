@@ -162,7 +162,7 @@ fn title(text: &str) -> String {
 }
 
 /// A title as [`title`] has it, and the unit that it states: in brackets, or of an angle behind its name.
-fn title_and_unit(text: &str) -> (String, String) {
+pub(super) fn title_and_unit(text: &str) -> (String, String) {
     let lower = text.to_lowercase();
     let tidy = |words: &str| words.chars().filter(|c| !matches!(c, ' ' | '_' | '-' | '#')).collect::<String>();
     let is_angle = |bare: &str| COLUMNS[ANGLES].iter().any(|(_, titles)| titles.contains(&bare));

@@ -12,7 +12,7 @@ use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
-use super::camera_tables::on_map;
+use super::camera_tables::brought;
 use super::lists::some_of;
 use super::views::{Grey, LARGEST_PX};
 
@@ -304,7 +304,7 @@ pub fn table(names: &[String], told: &[Told], crs: Option<Crs>, deviations: Devi
         yaw_deg: told.angles_deg[0],
         ..CameraRow::default()
     };
-    let rows = on_map(placed.iter().map(row).collect(), Path::new("EXIF"), Some(&crs))?;
+    let rows = brought(placed.iter().map(row).collect(), Path::new("EXIF"), Some(&crs))?;
     let of_receiver = |told: &Told| told.sigma_m.filter(|_| deviations == Deviations::Stated);
     let fixed = placed.iter().filter(|(_, told, _)| of_receiver(told).is_some()).count();
     let mut text = "name,x,y,z,yaw,pitch,roll".to_string();
