@@ -9,8 +9,8 @@ use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
 use crate::gcp::text;
 use crate::gcp::titles::{
     CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
-    SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_likely_name, may_name,
-    tidy,
+    SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_height, find_likely_name,
+    is_level_height, may_name, tidy,
 };
 use crate::gcp::units::{TitledUnits, Unit};
 use crate::gcp::{Gcp, GcpRole, heights};
@@ -63,7 +63,10 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     let is_free = |i: &usize| *i != easting && *i != northing;
     // Beside titles that are words, a letter is something else.
     let letters = || find(SHORT_HEIGHTS).filter(|_| tidied[easting].len() == 1 && tidied[northing].len() == 1);
-    let height = find(HEIGHTS).or_else(letters).filter(is_free);
+    // Tables with two sets of coordinates have a height beside each.
+    let beside =
+        || Some(easting.max(northing) + 1).filter(|&at| tidied.get(at).is_some_and(|title| is_level_height(title)));
+    let height = beside().or_else(|| find_height(&tidied)).or_else(letters).filter(is_free);
     let name = find(NAMES).filter(|i| is_free(i) && Some(*i) != height);
     // MicMac calls the name N, before X, Y and Z.
     let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
@@ -133,6 +136,20 @@ impl Columns {
             "" => format!("names are taken from column {}, which has no title", self.name? + 1),
             title => format!("names are taken from the column `{title}`"),
         })
+    }
+
+    /// Without titles: where the first column says the same of many rows, and one behind it, before the coordinates,
+    /// tells them apart, that one has the names; says so. `kept` are the places of the columns in the file.
+    pub(super) fn name_among_codes(&mut self, rows: &[Row<'_>], kept: &[usize]) -> Option<String> {
+        let name = self.name.filter(|name| *name < self.easting)?;
+        let said: std::collections::HashSet<&str> =
+            rows.iter().filter_map(|(_, cells)| cells.get(name)).map(|cell| cell.trim()).collect();
+        if rows.len() < 2 || said.len() * 2 > rows.len() {
+            return None;
+        }
+        let other = (name + 1..self.easting).rev().find(|column| tells_apart(*column, rows))?;
+        self.name = Some(other);
+        Some(format!("names are taken from column {}: those of column {} repeat", kept[other] + 1, kept[name] + 1))
     }
 
     /// The columns that say something of a point.
@@ -293,11 +310,9 @@ fn tells_apart(column: usize, rows: &[Row<'_>]) -> bool {
         })
 }
 
-/// Whether a column holds numbers with decimals only, as names seldom are.
+/// Whether a column holds numbers only, as those of names do that stand first or under a title of theirs.
 fn measures(column: usize, rows: &[Row<'_>]) -> bool {
-    rows.iter().all(|(_, cells)| {
-        cells.get(column).is_some_and(|cell| cell.contains(['.', ',']) && text::number(cell).is_some())
-    })
+    rows.iter().all(|(_, cells)| cells.get(column).is_some_and(|cell| text::number(cell).is_some()))
 }
 
 /// The columns `pixel_x`, `pixel_y` and `image` of our own tables.

@@ -88,7 +88,7 @@ fn with_header(
     }
     let of_units = remarks::take_units(&mut columns, &mut rows);
     let of_marks = columns.settle_marks(path, &rows)?;
-    let aside = statistics::set_aside(&columns, &mut rows);
+    let statistics = statistics::set_aside(&columns, &mut rows);
     let guessed = columns.guess_name(&rows);
     let mut points = Vec::new();
     for (line, fields) in &rows {
@@ -99,9 +99,10 @@ fn with_header(
     columns.tell(&mut list);
     let skipped = lines[..at].iter().find(|line| !line.is_comment());
     let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
-    let notes = [of_units, of_marks, guessed, of_system, columns.unclear(), above].into_iter().flatten();
+    let notes =
+        [of_units, of_marks, guessed, statistics.doubt, of_system, columns.unclear(), above].into_iter().flatten();
     list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
-    list.set_aside = aside.map(|what| format!("{}: {what}", path.display()));
+    list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
     Ok(list)
 }
 

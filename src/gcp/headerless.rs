@@ -32,8 +32,9 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     };
     let numbered = shape.first_is_a_number && shape.first_is_a_name(&table);
     let mut columns = shape.columns(numbered, &table);
+    let of_names = columns.name_among_codes(&table, &kept);
     let of_marks = columns.settle_marks(path, &table)?;
-    let aside = statistics::set_aside(&columns, &mut table);
+    let statistics = statistics::set_aside(&columns, &mut table);
     let mut points = Vec::new();
     for (line, fields) in &table {
         if fields.len() <= columns.easting.max(columns.northing) {
@@ -56,14 +57,16 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     };
     let mut list = RawList::new(points, crs);
     list.order = ColumnOrder::Assumed;
-    list.set_aside = aside.map(|what| format!("{}: {what}", path.display()));
+    list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
     let unnamed = columns.name.is_none().then(|| "no column holds names: the points are numbered from 1".to_owned());
     let notes = [
         of_marks,
         of_system,
+        of_names,
         unnamed,
         shape.left_over(&columns, &kept),
         words_of_check_points(&columns, &kept, &table),
+        statistics.doubt,
     ];
     list.notes.extend(notes.into_iter().flatten().map(|what| format!("{}: {what}", path.display())));
     Ok(list)
@@ -220,21 +223,26 @@ impl Shape {
         (!left.is_empty()).then(|| format!("there is no header, and column {} was not used", left.join(", ")))
     }
 
-    /// How many small whole numbers (a zone, a code) stand before two that alone can be coordinates.
+    /// How many whole numbers (a zone, a code; longer ones before coordinates with decimals) stand before two that
+    /// alone can be coordinates.
     fn codes(first: usize, left: usize, table: &[Row<'_>]) -> usize {
         const SMALLEST_COORDINATE: f64 = 10_000.0;
-        let is_code =
-            |field: Option<&String>| field.is_some_and(|f| f.len() <= 3 && f.bytes().all(|b| b.is_ascii_digit()));
+        const LONGEST_CODE: usize = 8;
+        let is_code = |field: Option<&String>, longest: usize| {
+            field.is_some_and(|f| f.len() <= longest && f.bytes().all(|b| b.is_ascii_digit()))
+        };
+        let has_decimals = |field: Option<&String>| field.is_some_and(|f| f.contains(['.', ',']));
         let is_coordinate = |field: Option<&String>| {
             field.and_then(|f| text::number(f)).is_some_and(|v| v.abs() >= SMALLEST_COORDINATE)
         };
         let fit = |codes: usize| {
             table.iter().all(|(_, fields)| {
                 let at = |i: usize| fields.get(first + i);
-                (0..codes).all(|i| is_code(at(i))) && is_coordinate(at(codes)) && is_coordinate(at(codes + 1))
+                let longest = if (0..2).all(|i| has_decimals(at(codes + i))) { LONGEST_CODE } else { 3 };
+                (0..codes).all(|i| is_code(at(i), longest)) && is_coordinate(at(codes)) && is_coordinate(at(codes + 1))
             })
         };
-        (1..=2).filter(|codes| left >= codes + 2).find(|&codes| fit(codes)).unwrap_or(0)
+        (1..=3).filter(|codes| left >= codes + 2).find(|&codes| fit(codes)).unwrap_or(0)
     }
 
     fn columns(&self, numbered: bool, table: &[Row<'_>]) -> Columns {

@@ -41,6 +41,12 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let driver = dataset.driver().short_name();
     let is_drawing = driver == "DXF";
     let wanted_layer = wanted.filter(|name| !name.eq_ignore_ascii_case(dxf::ENTITIES));
+    let titles_of_sheets = sheet::Titles::of(&driver);
+    if wanted.is_none() && titles_of_sheets == sheet::Titles::Rows {
+        if let Some(list) = sheet::only_one_with_points(path, &dataset) {
+            return Ok(list);
+        }
+    }
     let index = layer(path, &dataset, if is_drawing { Some(dxf::ENTITIES) } else { wanted })?;
     let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
     let crs = match layer.spatial_ref().and_then(|reference| reference.to_wkt().ok()) {
@@ -52,7 +58,7 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     }
     let titles: Vec<String> = layer.defn().fields().map(|field| field.name()).collect();
     if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
-        return sheet::parse(path, &mut layer, sheet::Titles::of(&driver));
+        return sheet::parse(path, &mut layer, titles_of_sheets);
     }
     let titled = titles.into_iter().chain(PLACEHOLDERS.map(str::to_string)).collect::<Vec<_>>();
     let (mut points, mut without) = (Vec::new(), Vec::new());

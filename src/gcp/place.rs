@@ -151,10 +151,18 @@ pub(super) fn may_be_exchanged(path: &Path, gcps: &[Gcp], crs: Option<&Crs>, opt
         }
         None => {
             let is_utm = |e: f64, n: f64| (1e5..1e6).contains(&e) && (1e6..1e7).contains(&n);
-            (!gcps.is_empty() && gcps.iter().all(|gcp| is_utm(gcp.northing, gcp.easting))).then(|| {
+            if gcps.iter().all(|gcp| is_utm(gcp.easting, gcp.northing)) {
+                return None;
+            }
+            Some(if gcps.iter().all(|gcp| is_utm(gcp.northing, gcp.easting)) {
                 format!(
                     "{name}: by the size of the numbers easting and northing may be exchanged: exchange the titles, or \
                      give --crs and --fix-axes"
+                )
+            } else {
+                format!(
+                    "{name}: local coordinates do not show whether easting and northing are exchanged, as they are \
+                     where x counts north: exchange the titles (or name the columns easting, northing) and try again"
                 )
             })
         }

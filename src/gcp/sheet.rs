@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use gdal::Dataset;
 use gdal::vector::LayerAccess;
 
 use crate::gcp::raw::RawList;
@@ -49,6 +50,21 @@ pub(super) fn with_bare_cells<T>(work: impl FnOnce() -> T) -> T {
         let _ = gdal::config::clear_thread_local_config_option(option);
     }
     done
+}
+
+/// The list of a spreadsheet with several filled sheets of which one alone holds points; the others, of notes and
+/// measurements, are named. `None` where another number of them does.
+pub(super) fn only_one_with_points(path: &Path, dataset: &Dataset) -> Option<RawList> {
+    let (mut lists, mut others) = (Vec::new(), Vec::new());
+    for mut layer in dataset.layers().filter(|layer| layer.feature_count() > 0) {
+        match parse(path, &mut layer, Titles::Rows) {
+            Ok(list) => lists.push(list),
+            Err(_) => others.push(layer.name()),
+        }
+    }
+    let mut list = lists.pop().filter(|_| lists.is_empty() && !others.is_empty())?;
+    list.notes.push(format!("{}: passed over, without a list of points: sheet {}", path.display(), others.join(", ")));
+    Some(list)
 }
 
 /// # Errors

@@ -40,7 +40,9 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<String> {
 fn of_a_country(bytes: &[u8]) -> String {
     let mut detector = EncodingDetector::new(Iso2022JpDetection::Deny);
     detector.feed(bytes, true);
-    let encoding = detector.guess(None, Utf8Detection::Deny);
+    // SIMA is Japan's, and its few letters alone do not show it.
+    let is_sima = bytes.starts_with(b"Z00,") || bytes.windows(5).any(|start| start == b"\nA01,");
+    let encoding = detector.guess(is_sima.then_some(b"jp"), Utf8Detection::Deny);
     encoding.decode_without_bom_handling(bytes).0.into_owned()
 }
 

@@ -83,10 +83,12 @@ fn unescaped(text: &str) -> String {
     quick_xml::escape::unescape(text).map_or_else(|_| text.to_owned(), Cow::into_owned)
 }
 
-/// The words of a text or of an entity (`&quot;`), which comes as an event of its own between two texts.
+/// The words of a text, of a section without markup, or of an entity (`&quot;`), which comes as an event of its own
+/// between two texts.
 pub(super) fn words(event: &Event<'_>) -> String {
     match event {
         Event::Text(content) => unescaped(content.as_ref()),
+        Event::CData(content) => content.as_ref().to_owned(),
         Event::GeneralRef(entity) => unescaped(&format!("&{};", entity.as_ref())),
         _ => String::new(),
     }
@@ -124,7 +126,9 @@ fn metashape(path: &Path, text: &str) -> Result<RawList> {
                     elements.push(name);
                 }
             }
-            Event::Text(_) | Event::GeneralRef(_) if elements.ends_with(&["chunk".into(), "reference".into()]) => {
+            Event::Text(_) | Event::GeneralRef(_) | Event::CData(_)
+                if elements.ends_with(&["chunk".into(), "reference".into()]) =>
+            {
                 definition += &words(&event);
             }
             Event::End(_) => {
@@ -224,7 +228,7 @@ fn micmac(path: &Path, text: &str) -> Result<RawList> {
                 element = start.name().as_ref().to_string();
                 content.clear();
             }
-            Event::Text(_) | Event::GeneralRef(_) => content += &words(&event),
+            Event::Text(_) | Event::GeneralRef(_) | Event::CData(_) => content += &words(&event),
             Event::End(end) => {
                 let content = std::mem::take(&mut content).trim().to_string();
                 let numbers = || -> Result<Option<Vec<f64>>> {

@@ -11,6 +11,7 @@ const SDR33: &str = "00NMSDR33\n\
                      08KI             102     7031837.651      570032.865          43.898GCP             \n";
 const RW5: &str = "JB,NMjob,DT05-01-2026\nMO,AD0,UN1,SF1.0\nSP,PN101,N 7031894.724,E 569834.26,EL47.211,--GCP\n\
                    SP,PN102,N 7031837.651,E 570032.865,EL43.898,--GCP\n";
+const SIMA: &str = "Z00,job,,\r\nA00,\r\nA01,1,101,7031894.724,569834.26,47.211,\r\nA01,2,102,7031837.651,570032.865,43.898,\r\nA99,\r\n";
 const JOBXML: &str = "<?xml version=\"1.0\"?>\n<JOBFile jobName=\"J\"><FieldBook><PointRecord><Name>101</Name><Grid><North>1</North><East>2</East><Elevation/></Grid></PointRecord></FieldBook><Reductions>\n\
                       <Point><Name>101</Name><Grid><North>7031894.724</North><East>569834.26</East><Elevation>47.211</Elevation></Grid></Point>\n\
                       <Point><Name>102</Name><Grid><North>7031837.651</North><East>570032.865</East><Elevation>43.898</Elevation></Grid></Point></Reductions></JOBFile>";
@@ -38,6 +39,8 @@ fn coordinates_of_instruments() {
         ("b.txt", SDR33, ListFormat::Sdr),
         ("a.rw5", RW5, ListFormat::Carlson),
         ("c.txt", RW5, ListFormat::Carlson),
+        ("a.sim", SIMA, ListFormat::Sima),
+        ("d.txt", SIMA, ListFormat::Sima),
         ("a.jxl", JOBXML, ListFormat::JobXml),
         ("a.xml", metric.as_str(), ListFormat::LandXml),
         ("b.xml", feet.as_str(), ListFormat::LandXml),
@@ -79,4 +82,17 @@ fn measurements_alone_are_refused_with_what_to_export() {
     let options = ConvertOptions { to: Some(ListFormat::Gsi), ..ConvertOptions::default() };
     let error = convert(&path, &folder.0.path().join("o.gsi"), &options).expect_err("never written").to_string();
     assert!(error.contains("Leica's GSI is read, never written") && error.contains("geojson"), "{error}");
+}
+
+#[test]
+fn names_in_japanese_are_read() {
+    let text = "Z00,\u{5ea7}\u{6a19}\u{ff83}\u{ff9e}\u{ff70}\u{ff80},,\nA00,\nA01,1,\u{57fa}\u{6e96}\u{70b9}1,-36258.114,-11624.52,12.3,\nA01,2,K2,-36200,-11600,,\n";
+    let (bytes, _, lossy) = encoding_rs::SHIFT_JIS.encode(text);
+    assert!(!lossy);
+    let folder = Folder::new();
+    let path = folder.0.path().join("a.sim");
+    std::fs::write(&path, &bytes).expect("writable");
+    let options = GcpOptions { crs: Some("EPSG:6677".into()), ..GcpOptions::default() };
+    let list = gcp::read(&path, &options).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!((list.gcps[0].name.as_str(), list.gcps[0].easting), ("\u{57fa}\u{6e96}\u{70b9}1", -11_624.52));
 }

@@ -191,14 +191,23 @@ fn what_is_kept_is_not_said_to_be_lost() {
     }
 }
 
-/// A sheet as spreadsheets write it: every cell a text in place.
+/// A file with one sheet.
 fn sheet(path: &std::path::Path, rows: &[&[&str]]) {
-    use gdal::vector::{LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
+    sheets(path, &[("Punkte", rows)]);
+}
+
+/// Sheets as spreadsheets write them: every cell a text in place.
+fn sheets(path: &std::path::Path, of_file: &[(&str, &[&[&str]])]) {
     autoref_raster::initialise_gdal(0);
     let driver = gdal::DriverManager::get_driver_by_name("XLSX").expect("GDAL has it");
     let mut dataset = driver.create_vector_only(path).expect("writable");
+    of_file.iter().for_each(|(name, rows)| add_sheet(&mut dataset, name, rows));
+}
+
+fn add_sheet(dataset: &mut gdal::Dataset, name: &str, rows: &[&[&str]]) {
+    use gdal::vector::{LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};
     let layer = dataset
-        .create_layer(LayerOptions { name: "Punkte", srs: None, ty: OGRwkbGeometryType::wkbNone, options: None })
+        .create_layer(LayerOptions { name, srs: None, ty: OGRwkbGeometryType::wkbNone, options: None })
         .expect("a sheet");
     // GDAL writes the titles of the fields as the first row.
     let titles: Vec<(&str, _)> = rows[0].iter().map(|title| (*title, OGRFieldType::OFTString)).collect();
@@ -238,4 +247,106 @@ fn sheets_of_text_and_below_a_title() {
     sheet(&path, &[&["Punkt", "Höhe"], &["1", "47"], &["2", "48"]]);
     let error = gcp::read(&path, &options).expect_err("no coordinates").to_string();
     assert!(error.contains("c.xlsx") && error.contains("easting") && !error.contains('\n'), "{error}");
+}
+
+/// Points that were measured, as decimals show.
+fn measured(below: &str) -> String {
+    let points = "P1;569834.26;7031894.724;47.211\nP2;570032.865;7031837.651;52.18\nP3;569991.624;7031863.907;49.95\n\
+                  P4;569871.118;7031750.33;44.007\n";
+    format!("name;easting;northing;height\n{points}{below}")
+}
+
+#[test]
+fn statistics_are_told_without_a_word() {
+    let mean = "569932.467;7031836.653;48.337";
+    let spread = "94.847;62.096;3.530";
+    let four = ["P1", "P2", "P3", "P4"];
+    for statistics in [
+        format!("Querschnitt;{mean}\n"),
+        format!(";{mean}\n"),
+        format!("Hvadsomhelst;{spread}\n"),
+        format!("Querschnitt;{mean}\nMin;569834.26;7031750.33;44.007\nMax;570032.865;7031894.724;52.18\n"),
+        format!("Xyz;{spread}\nMean;{mean}\n"),
+        format!("Xyz;{}\nWvu;{spread}\n", mean.replace(";48.337", ";")),
+    ] {
+        let list = read(&measured(&statistics));
+        assert_eq!(names(&list), four, "{statistics}");
+        says(&list, "set aside, since they are statistics of the rows above: `");
+    }
+}
+
+#[test]
+fn points_among_others_are_no_statistics() {
+    // In the middle of the others, but at another height; under a name like theirs; far away, called as a statistic is.
+    for (row, name, note) in [
+        ("Mitte;569932.467;7031836.653;51.2\n", "Mitte", "`Mitte` has the numbers of a statistic"),
+        ("P5;569932.467;7031836.653;48.337\n", "P5", ""),
+        ("Max;574032.865;7038894.724;52.18\n", "Max", ""),
+        ("S;574032.865;7031894.724;52.18\n", "S", ""),
+    ] {
+        let list = read(&measured(row));
+        assert_eq!(names(&list), ["P1", "P2", "P3", "P4", name], "{row}");
+        assert!(!list.notes.iter().any(|note| note.contains("set aside")), "{:?}", list.notes);
+        assert!(note.is_empty() || list.notes.iter().any(|said| said.contains(note)), "{:?}", list.notes);
+    }
+    let square = "name;e;n;h\nSW;-10;-10;5\nSE;10;-10;7\nNE;10;10;9\nNW;-10;10;7\nCentre;0;0;7\n";
+    assert_eq!(names(&read(square)), ["SW", "SE", "NE", "NW", "Centre"], "the middle of a drawn square");
+}
+
+#[test]
+fn of_two_sets_of_coordinates_the_height_beside_the_pair_is_taken() {
+    let rows = "A;569834.26;7031894.724;47.211;63.4;10.4;87.2\nB;570032.865;7031837.651;52.18;63.5;10.5;92.1\n";
+    for titles in ["Name;E;N;Z;B;L;H", "Name;Easting;Northing;Elevation;Latitude;Longitude;Height"] {
+        let list = read(&format!("{titles}\n{rows}"));
+        assert_eq!(list.gcps[0].height, Some(47.211), "{titles}");
+    }
+}
+
+#[test]
+fn a_sheet_of_notes_is_passed_over_by_name() {
+    let folder = Folder::new();
+    let options = GcpOptions { crs: Some("local".into()), ..GcpOptions::default() };
+    let points: &[&[&str]] = &[
+        &["Punkt", "Rechtswert", "Hochwert"],
+        &["1", "569834.26", "7031894.724"],
+        &["2", "570032.865", "7031837.651"],
+    ];
+    let notes: &[&[&str]] = &[&["Datum", "Bemerkung"], &["13.05.2026", "2 Punkte, 1 Rover"], &["14.05.2026", "Regen"]];
+    for order in [[("Punkte", points), ("Notizen", notes)], [("Notizen", notes), ("Punkte", points)]] {
+        let path = folder.0.path().join("n.xlsx");
+        let _ = std::fs::remove_file(&path);
+        sheets(&path, &order);
+        let list = gcp::read(&path, &options).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((names(&list), list.gcps[0].easting), (vec!["1", "2"], 569_834.26));
+        says(&list, "passed over, without a list of points: sheet Notizen");
+    }
+    let path = folder.0.path().join("m.xlsx");
+    sheets(&path, &[("Punkte", points), ("Mehr", points)]);
+    let error = gcp::read(&path, &options).expect_err("two lists").to_string();
+    assert!(error.contains("Punkte, Mehr") && error.contains("--gcp-layer"), "{error}");
+}
+
+#[test]
+fn codes_before_the_name_name_no_point() {
+    // Finland's GT: surface, line, code, point, X (north), Y, height.
+    let gt = |point: u32, north: f64, east: f64| {
+        format!("{:8}{:8}{:8}{point:8}{north:14.3}{east:14.3}{:14.3}\n", 0, 0, 110, 12.3)
+    };
+    let text = gt(1001, 7_031_894.724, 569_834.26) + &gt(1002, 7_031_837.651, 570_032.865);
+    let list = read_in(Some("EPSG:32632"), &text).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!((names(&list), list.gcps[0].easting), (vec!["1001", "1002"], 569_834.26));
+    assert_eq!(list.gcps[0].height, Some(12.3));
+    says(&list, "names are taken from column 4: those of column 1 repeat");
+    // One name that stands twice is a mistake.
+    let twice = "P1 11 569834.26 7031894.72\nP1 12 570032.87 7031837.65\nP3 13 569991.62 7031863.91\n";
+    assert!(read_in(Some("local"), twice).expect_err("P1").contains("`P1` was used before"));
+}
+
+#[test]
+fn where_nothing_shows_the_order_it_is_named_as_what_may_help() {
+    let hints = |text: &str| read_in(Some("local"), text).expect("readable").hints;
+    let local = hints("name,easting,northing\nA,105.7,92.6\nB,166.1,13.0\n");
+    assert!(local.iter().any(|hint| hint.contains("do not show whether easting and northing")), "{local:?}");
+    let utm = hints("name,easting,northing\nA,569834.2,7031894.7\nB,570032.8,7031837.6\n");
+    assert!(utm.is_empty(), "{utm:?}");
 }

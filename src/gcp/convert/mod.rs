@@ -51,6 +51,8 @@ pub enum ListFormat {
     Sdr,
     /// RW5.
     Carlson,
+    /// Japan's.
+    Sima,
     LandXml,
     JobXml,
     /// Read by GDAL, never written.
@@ -78,8 +80,14 @@ impl ListFormat {
     ];
 
     /// Those of instruments and field programs, which are read only.
-    const OF_INSTRUMENTS: [ListFormat; 5] =
-        [ListFormat::Gsi, ListFormat::Sdr, ListFormat::Carlson, ListFormat::LandXml, ListFormat::JobXml];
+    const OF_INSTRUMENTS: [ListFormat; 6] = [
+        ListFormat::Gsi,
+        ListFormat::Sdr,
+        ListFormat::Carlson,
+        ListFormat::Sima,
+        ListFormat::LandXml,
+        ListFormat::JobXml,
+    ];
 
     pub fn name(self) -> &'static str {
         match self {
@@ -101,6 +109,7 @@ impl ListFormat {
             ListFormat::Gsi => "gsi",
             ListFormat::Sdr => "sdr",
             ListFormat::Carlson => "rw5",
+            ListFormat::Sima => "sima",
             ListFormat::LandXml => "landxml",
             ListFormat::JobXml => "jobxml",
             ListFormat::OtherVector => "vector",
@@ -128,6 +137,7 @@ impl ListFormat {
             ListFormat::Gsi => "Leica's GSI",
             ListFormat::Sdr => "Sokkia's SDR",
             ListFormat::Carlson => "Carlson's RW5",
+            ListFormat::Sima => "Japan's SIMA",
             ListFormat::LandXml => "LandXML",
             ListFormat::JobXml => "Trimble's JobXML",
             ListFormat::OtherVector => "a vector format of GDAL",

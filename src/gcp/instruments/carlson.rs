@@ -1,7 +1,8 @@
-//! Carlson RW5 (TDS raw data): records cut by commas, of which SP holds a stored point.
+//! Carlson RW5 (TDS raw data): records cut by commas, of which SP holds a stored point, OC an occupied one.
 //!
-//! After Carlson's description of the format: `SP,PN101,N 7031894.724,E 569834.260,EL47.211,--note`; `MO` says the unit
-//! of lengths (UN0 feet, UN1 metres, UN2 US survey feet). What SurvCE measured by satellites stands as longitude and
+//! After Carlson's description of the format: `SP,PN101,N 7031894.724,E 569834.260,EL47.211,--note`, and OC with OP for
+//! PN; `MO` says the unit of lengths (UN0 feet, UN1 metres, UN2 US survey feet). A point that was stored and occupied
+//! is one. What SurvCE measured by satellites stands as longitude and
 //! latitude in GPS records, and on the job's grid in the remark `--GS` after them, with the fields of SP.
 
 use std::path::Path;
@@ -19,8 +20,10 @@ pub(super) fn is_record(line: &str) -> bool {
 }
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
-    let mut points = Vec::new();
+    let (mut points, mut occupied) = (Vec::new(), Vec::new());
     let mut unit = None;
+    // Of the points before.
+    let mut counts_in = None;
     for line in lines {
         let place = line.place();
         let (record, note) = match line.text.strip_prefix("--") {
@@ -42,21 +45,33 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
                 _ => unit,
             };
         }
-        if !matches!(kind, "SP" | "GS") {
-            continue;
+        let head = match kind {
+            "SP" | "GS" => "PN",
+            // Stations may be occupied that have a name only.
+            "OC" if field("N ").is_some() && field("E ").is_some() => "OP",
+            _ => continue,
+        };
+        if *counts_in.get_or_insert(unit) != unit {
+            let what = "its lengths count in another unit (MO) than those before; export the job in one unit";
+            return Err(Error::format(path, place, what));
         }
         let number = |head: &str, what: &str| {
             let text = field(head).unwrap_or_default();
             text::number(text).ok_or_else(|| no_number(path, &place, text, what))
         };
-        let name = field("PN").filter(|name| !name.is_empty());
+        let name = field(head).filter(|name| !name.is_empty());
         let Some(name) = name else {
-            return Err(Error::format(path, place, "the point has no name (PN); correct or remove the record"));
+            return Err(Error::format(
+                path,
+                place,
+                format!("the point has no name ({head}); correct or remove the record"),
+            ));
         };
         let height = field("EL").filter(|text| !text.is_empty()).map(|_| number("EL", "height")).transpose()?;
         let gcp = Gcp { height, ..Gcp::control(name, number("E ", "easting")?, number("N ", "northing")?) };
         let attributes = vec![("note".to_owned(), note.trim().to_owned())];
-        points.push(RawPoint { attributes, ..RawPoint::bare(gcp, place) });
+        let point = RawPoint { attributes, ..RawPoint::bare(gcp, place) };
+        if kind == "OC" { occupied.push(point) } else { points.push(point) }
     }
     if points.is_empty() {
         return Err(Error::format(
@@ -65,6 +80,7 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
             "this raw data holds no stored points (records SP), only measurements; export the coordinates of the job",
         ));
     }
+    super::add_stations(&mut points, occupied);
     let mut list = RawList::new(points, CrsClaim::None);
     list.units = unit.map_or_else(TitledUnits::default, |unit| TitledUnits::all(unit, "UN"));
     Ok(list)
@@ -89,6 +105,12 @@ mod tests {
         assert_eq!(list.points[0].attributes[0].1, "GCP");
         let error = read("JB,NMjob\nSS,OP1,FP2,AR10.0,ZE90.0,SD5.0\n").err().expect("polar").to_string();
         assert!(error.contains("records SP"), "{error}");
+        let content = "JB,NMjob\nOC,OP1,N 7031500,E 569500,EL1,--\nSP,PN2,N 7031600,E 569600,EL2,--\nOC,OP2,N 7031600,E 569600,EL2,--\nOC,OP1,N 7031500,E 569500,EL1,--\nOC,OP9\n";
+        let list = read(content).expect("readable");
+        assert_eq!(list.points.iter().map(|p| p.gcp.name.as_str()).collect::<Vec<_>>(), ["2", "1"], "once each");
+        let two = "MO,UN1\nMO,UN1\nSP,PN1,N 5,E 6\nMO,UN0\nSP,PN2,N 5,E 6\n";
+        let error = read(two).err().expect("two units").to_string();
+        assert!(error.contains("row 5") && error.contains("another unit"), "{error}");
         assert!(read("SP,PN1,N 5,EL3\n").err().expect("no easting").to_string().contains("easting"));
     }
 }

@@ -47,7 +47,7 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
                 written.clear();
                 elements.push(name);
             }
-            Event::Text(_) | Event::GeneralRef(_) => written += &words(&event),
+            Event::Text(_) | Event::GeneralRef(_) | Event::CData(_) => written += &words(&event),
             Event::End(_) => {
                 let name = elements.pop().unwrap_or_default();
                 open.take(&elements, &name, written.trim());

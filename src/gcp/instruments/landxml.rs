@@ -37,9 +37,7 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
                 // Those of other elements that follow say nothing of the points.
                 "Metric" | "Imperial" if unit.is_none() => unit = Some(unit_of(path, place(), start)?),
                 "CoordinateSystem" => {
-                    if let Some(code) = attribute(start, "epsgCode").filter(|code| !code.trim().is_empty()) {
-                        let code = code.trim().to_uppercase();
-                        let definition = if code.starts_with("EPSG") { code } else { format!("EPSG:{code}") };
+                    if let Some(definition) = attribute(start, "epsgCode").and_then(|code| definition(&code)) {
                         crs = CrsClaim::read(path, place(), &definition);
                     }
                 }
@@ -49,7 +47,7 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
                 }
                 _ => {}
             },
-            Event::Text(_) | Event::GeneralRef(_) => {
+            Event::Text(_) | Event::GeneralRef(_) | Event::CData(_) => {
                 if let Some(open) = &mut open {
                     open.content += &words(&event);
                 }
@@ -75,6 +73,22 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
     let mut list = RawList::new(points, crs);
     list.units = unit.map_or_else(TitledUnits::default, |unit| TitledUnits::all(unit, "Units"));
     Ok(list)
+}
+
+/// What an `epsgCode` names: a number, with or without the authority, also as the last part of a URN or an address; 0
+/// and less stand for none.
+fn definition(code: &str) -> Option<String> {
+    let code = code.trim();
+    let (authority, number) = code.rsplit_once([':', '/', ' ']).unwrap_or(("", code));
+    let is_number = number.parse::<i64>().is_ok() || number.split('+').all(|part| part.parse::<u32>().is_ok());
+    match number.parse::<i64>() {
+        _ if code.is_empty() => None,
+        Ok(..=0) => None,
+        _ if is_number && (authority.is_empty() || authority.to_lowercase().contains("epsg")) => {
+            Some(format!("EPSG:{number}"))
+        }
+        _ => Some(code.to_owned()),
+    }
 }
 
 /// `Metric` is metres unless it says otherwise; of `Imperial` the foot that it names.
@@ -118,6 +132,29 @@ mod tests {
             "<?xml version=\"1.0\"?>\n<LandXML><Units>{units}</Units>\n<CoordinateSystem epsgCode=\"25832\"/>\n<CgPoints>\n{points}</CgPoints></LandXML>"
         );
         parse(Path::new("a.xml"), &text)
+    }
+
+    #[test]
+    fn codes_of_systems_as_they_are_written() {
+        for code in ["25833", "EPSG:25833", " epsg 25833", "urn:ogc:def:crs:EPSG::25833"] {
+            assert_eq!(definition(code).as_deref(), Some("EPSG:25833"), "{code}");
+        }
+        assert_eq!(definition("http://www.opengis.net/def/crs/EPSG/0/25833").as_deref(), Some("EPSG:25833"));
+        assert!(["0", "", " ", "-1"].iter().all(|code| definition(code).is_none()));
+        assert_eq!(definition("25832+5941").as_deref(), Some("EPSG:25832+5941"));
+        for other in ["ESRI:102100", "sweref99"] {
+            assert_eq!(definition(other).as_deref(), Some(other), "for the parser to judge");
+        }
+    }
+
+    #[test]
+    fn prefixes_and_bare_text() {
+        let text = "<lx:LandXML xmlns:lx=\"u\"><lx:CgPoints><lx:CgPoint name=\"1\"><![CDATA[7031894.724 569834.26]]>\
+                    </lx:CgPoint></lx:CgPoints></lx:LandXML>";
+        assert!(super::super::recognised("xml", text).is_some());
+        assert!(super::super::recognised("xml", "<gml note=\"LandXML\"/>").is_none());
+        let list = parse(Path::new("a.xml"), text).expect("readable");
+        assert_eq!((list.points[0].gcp.easting, list.points.len()), (569_834.26, 1));
     }
 
     #[test]

@@ -1,7 +1,8 @@
-//! Sokkia SDR33 (and SDR20): records of fixed columns, of which 08 holds a point's coordinates.
+//! Sokkia SDR33 (and SDR20): records of fixed columns, of which 08 holds a point's coordinates and 02 a station's.
 //!
 //! A record begins with its type (two digits) and how it came about (two letters). In 08 of SDR33 five fields of 16
-//! columns follow: point, northing, easting, height, description; in SDR20 the point has 4 and each number 10. The
+//! columns follow: point, northing, easting, height, description; in SDR20 the point has 4 and each number 10. In 02
+//! the height of the instrument stands before the description. A station that is a point too is one. The
 //! head, 00, ends in a row of digits: the second is the unit of lengths (1 metres), the fifth the order of coordinates
 //! (1 northing, 2 easting first).
 
@@ -54,8 +55,9 @@ impl Settings {
 pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
     let head = Settings::read(path, content)?;
     let widths = if content.trim_start().starts_with("00NMSDR2") { SDR20 } else { SDR33 };
-    let mut points = Vec::new();
-    for (at, line) in content.lines().enumerate().filter(|(_, line)| line.starts_with("08")) {
+    let (mut points, mut stations) = (Vec::new(), Vec::new());
+    let holds_a_place = |line: &str| line.starts_with("08") || line.starts_with("02");
+    for (at, line) in content.lines().enumerate().filter(|(_, line)| holds_a_place(line)) {
         let place = format!("row {}", at + 1);
         let letters: Vec<char> = line.chars().collect();
         let field = |from: usize, width: usize| -> String {
@@ -66,6 +68,10 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
             let text = coordinate(index);
             text::number(&text).ok_or_else(|| no_number(path, &place, &text, what))
         };
+        let is_station = line.starts_with("02");
+        if is_station && (coordinate(0).is_empty() || coordinate(1).is_empty()) {
+            continue; // not placed yet
+        }
         let name = field(HEAD, widths.name);
         if name.is_empty() {
             return Err(Error::format(path, place, "the point has no name; correct or remove the record"));
@@ -75,7 +81,8 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
             First::Easting => (number(1, "northing")?, number(0, "easting")?),
         };
         let height = if coordinate(2).is_empty() { None } else { Some(number(2, "height")?) };
-        points.push(RawPoint::bare(Gcp { height, ..Gcp::control(name, easting, northing) }, place));
+        let point = RawPoint::bare(Gcp { height, ..Gcp::control(name, easting, northing) }, place);
+        if is_station { stations.push(point) } else { points.push(point) }
     }
     if points.is_empty() {
         return Err(Error::format(
@@ -85,6 +92,7 @@ pub(super) fn parse(path: &Path, content: &str) -> Result<RawList> {
              instrument",
         ));
     }
+    super::add_stations(&mut points, stations);
     let mut list = RawList::new(points, CrsClaim::None);
     // An instrument can be set to write the easting first.
     list.order = ColumnOrder::Ruled;
@@ -114,6 +122,11 @@ mod tests {
         assert_eq!((list.points[0].gcp.name.as_str(), list.points[0].gcp.height), ("12", None));
         let error = parse(Path::new("a.sdr"), "00NMSDR33\n09F1 1\n").err().expect("polar").to_string();
         assert!(error.contains("records 08"), "{error}");
+        let station = record("S 1").replacen("08KI", "02TP", 1).replace("GCP", "1.55");
+        let same = record("P 1").replacen("08KI", "02TP", 1);
+        let text = format!("00NMSDR33\n{same}{station}{}02TP{:>16}\n", record("P 1"), "S 2");
+        let list = parse(Path::new("a.sdr"), &text).expect("a point that is a station, and a station");
+        assert_eq!(list.points.iter().map(|p| p.gcp.name.as_str()).collect::<Vec<_>>(), ["P 1", "S 1"]);
         let error = parse(Path::new("a.sdr"), "00NMSDR33\n08KI  P1 7031894.724 569834.260\n").err().expect("blanks");
         assert!(error.to_string().contains("row 2"), "{error}");
     }

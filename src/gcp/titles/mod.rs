@@ -10,7 +10,7 @@ pub(super) use words::{
     SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS,
 };
 
-use words::{COORDINATE_ENDINGS, COORDINATE_WORDS, NO_NAMES};
+use words::{COORDINATE_ENDINGS, COORDINATE_WORDS, ELLIPSOIDAL, HEIGHT_QUALIFIERS, LEVELS, NO_NAMES};
 
 /// "Easting [m]" and "EASTING_(m)" are "easting"; underscores and hyphens are blanks, accents are left out. A direction
 /// in brackets counts as the title's other half: "X (Est)" is "x/est".
@@ -30,7 +30,7 @@ pub(super) fn tidy(title: &str) -> String {
 
 /// One blank for whatever stands between words.
 fn spaced(text: &str) -> String {
-    text.replace(['_', '-', '.', ':'], " ").split_whitespace().collect::<Vec<_>>().join(" ")
+    text.replace(['_', '-', '.', ':', ','], " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// In order of the names: "northing" before "n". A title such as "X/East" counts as both of its halves, and "E_GNSS" as
@@ -49,6 +49,34 @@ pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
         .or_else(|| among(&|title, name| without_system(title) == Some(name)))
         .or_else(|| among(&|title, name| without_unit(title) == Some(name)))
         .or_else(|| among(&|title, name| without_kind(title) == Some(name)))
+}
+
+/// The column of the heights: under one of their words, else under one with what they count from ("Höhe ü. NHN",
+/// "NAVD88"), else above the ellipsoid.
+pub(super) fn find_height(titles: &[String]) -> Option<usize> {
+    let among = |may_be_ellipsoidal: bool| titles.iter().position(|title| is_height(title, may_be_ellipsoidal));
+    find(titles, HEIGHTS).or_else(|| among(false)).or_else(|| among(true))
+}
+
+/// Whether a title is that of heights above the sea, or of no certain kind.
+pub(super) fn is_level_height(title: &str) -> bool {
+    let is_ellipsoidal = title.split(' ').any(|word| word.starts_with("ell") || ELLIPSOIDAL.contains(&word));
+    let titles = [title.to_owned()];
+    !is_ellipsoidal && (find(&titles, HEIGHTS).is_some() || is_height(title, false))
+}
+
+/// Whether a title has a word for heights, or for what they count from, and nothing else that would make it another
+/// thing, as an antenna does.
+fn is_height(title: &str, may_be_ellipsoidal: bool) -> bool {
+    let joined = title.replace(' ', "");
+    let is_level = |word: &str| LEVELS.contains(&word) || (may_be_ellipsoidal && ELLIPSOIDAL.contains(&word));
+    if is_level(title) || is_level(&joined) {
+        return true;
+    }
+    let is_number = |word: &str| word.bytes().all(|b| b.is_ascii_digit());
+    let tells = |word: &str| HEIGHTS.contains(&word) || is_level(word) || (may_be_ellipsoidal && word == "ht");
+    let words = || title.split([' ', '/']).filter(|word| !word.is_empty());
+    words().any(tells) && words().all(|word| tells(word) || is_number(word) || HEIGHT_QUALIFIERS.contains(&word))
 }
 
 /// "sigma mm" and "easting us ft" without their units.
@@ -98,9 +126,11 @@ pub(super) fn find_likely_name(titles: &[String]) -> Option<usize> {
 /// nor places in images.
 pub(super) fn may_name(title: &str) -> bool {
     let tidied = tidy(title);
-    let is_measure = [EASTINGS, NORTHINGS, XS, YS, HEIGHTS, LONGITUDES, LATITUDES, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS]
+    let title = std::slice::from_ref(&tidied);
+    let is_measure = [EASTINGS, NORTHINGS, XS, YS, LONGITUDES, LATITUDES, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS]
         .iter()
-        .any(|names| find(std::slice::from_ref(&tidied), names).is_some());
+        .any(|names| find(title, names).is_some())
+        || find_height(title).is_some();
     !is_measure && !is_role(&tidied) && !tidied.split([' ', '/']).any(|word| NO_NAMES.contains(&word))
 }
 
@@ -125,9 +155,8 @@ pub(super) fn is_role(title: &str) -> bool {
 pub(super) fn is_known(title: &str) -> bool {
     let tidied = [tidy(title)];
     is_coordinate(title)
-        || [NAMES, HEIGHTS, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS, SIGMA_HEIGHTS]
-            .iter()
-            .any(|names| find(&tidied, names).is_some())
+        || find_height(&tidied).is_some()
+        || [NAMES, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS, SIGMA_HEIGHTS].iter().any(|names| find(&tidied, names).is_some())
 }
 
 #[cfg(test)]
@@ -136,15 +165,57 @@ mod tests {
 
     #[test]
     fn words_are_as_titles_are_compared() {
-        for names in [NAMES, EASTINGS, NORTHINGS, XS, YS, HEIGHTS, LONGITUDES, LATITUDES, SHORT_HEIGHTS] {
+        for names in [NAMES, EASTINGS, NORTHINGS, XS, YS, HEIGHTS, LONGITUDES, LATITUDES, SHORT_HEIGHTS, ELLIPSOIDAL] {
             let mut seen = std::collections::HashSet::new();
             for name in names {
                 assert_eq!(tidy(name), *name, "written otherwise, it is never found");
                 assert!(seen.insert(name), "{name} stands twice");
             }
         }
+        for level in LEVELS.iter().chain(HEIGHT_QUALIFIERS) {
+            assert_eq!(tidy(level), *level, "written otherwise, it is never found");
+        }
         for name in EASTINGS {
             assert!(!NORTHINGS.contains(name), "{name} is both");
+        }
+    }
+
+    #[test]
+    fn heights_and_what_they_count_from() {
+        for title in [
+            "Кота",
+            "Höhe ü. NHN",
+            "H (NN)",
+            "NN-Höhe",
+            "Höhe m ü. M.",
+            "RH 2000",
+            "Kote DVR90",
+            "Hoogte t.o.v. NAP",
+            "Altitude NGF-IGN69",
+            "Elevation NAVD88 (ft)",
+            "Высота БС77",
+            "H, м",
+            "Quota s.l.m.",
+            "h_ell",
+            "Altitud elipsoidal",
+            "正高",
+        ] {
+            assert!(find_height(&[tidy(title)]).is_some(), "{title}");
+        }
+        for title in
+            ["Antenna height", "Ant. Höhe", "Height of instrument", "Geoid height", "H std", "HDOP", "Name", "m"]
+        {
+            assert!(find_height(&[tidy(title)]).is_none(), "{title}");
+        }
+        assert!(is_level_height("z") && !is_level_height("ellipsoidal height") && !is_level_height("code"));
+        let both = ["Ellips. Höhe", "Höhe DHHN2016"].map(tidy);
+        assert_eq!(find_height(&both), Some(1), "above the sea first");
+    }
+
+    #[test]
+    fn what_tells_of_a_measurement_names_no_point() {
+        for title in ["PDOP", "No. of satellites", "Quality", "Solution status", "Age of corrections", "Ant. Höhe"] {
+            assert!(!may_name(title), "{title}");
         }
     }
 

@@ -83,9 +83,43 @@ pub(in crate::gcp) const HEIGHTS: &[&str] = &[
     "altitude orthometrique", "altitude ellipsoidale", "quota", "altezza", "quota ortometrica", "quota ellissoidica",
     "cota", "altura", "elevacion", "elevacao", "altitud", "altitude ortometrica", "altitud ortometrica",
     "altura ortometrica", "altura elipsoidal", "altitude elipsoidal", "altitude geometrica", "altitud elipsoidal",
-    "inaltime", "wysokosc", "rzedna", "vyska", "nadmorska vyska", "visina", "kota", "korkeus",
+    "inaltime", "altitudine", "alti", "niveau", "nivel", "meereshohe", "ellipsoidhohe", "н", "wysokosc", "rzedna",
+    "vyska", "nadmorska vyska", "visina", "kota", "кота", "korkeus",
     "korgus", "augstums", "aukstis", "magassag", "yukseklik", "kot", "высота", "отметка", "висота", "височина",
-    "υψομετρο", "υψοσ", "標高", "高さ", "楕円体高", "高程", "高", "海拔", "표고", "높이", "고도", "nn2000", "n2000", "rh2000",
+    "υψομετρο", "υψοσ", "標高", "高さ", "楕円体高", "高程", "高", "海拔", "표고", "높이", "고도", "正高",
+];
+/// What heights count from, each a title of its own, and beside one of the words above.
+pub(in crate::gcp) const LEVELS: &[&str] = &[
+    "nn", "hnn", "nhn", "hnhn", "nhn2016", "dhhn92", "dhhn2016", "ln02", "lhn95", "mum", "nn2000", "nn1954", "moh",
+    "hoh",
+    "mnn", "rh2000", "rh70", "rh00", "dvr90", "n2000", "n60", "nap", "taw", "ngf", "ign69", "ngf ign69", "bpv",
+    "kronsztad", "kron86",
+    "pl kron86 nh", "pl evrf2007 nh", "evrf2007", "evrs", "eh2000", "bk77", "las07", "las 2000 5", "mbalti", "balti",
+    "slm", "snm",
+    "nmm", "msl", "amsl", "asl", "navd88", "ngvd29", "cgvd28", "cgvd2013", "ahd", "odn", "nzvd2016", "бс77", "бс",
+    "해발고", "해발", "egm96", "egm2008",
+];
+/// The same for heights above the ellipsoid, which are taken where no other is.
+pub(in crate::gcp) const ELLIPSOIDAL: &[&str] = &[
+    "ell", "hell", "ellip", "ellips", "ellipsoid", "ellipsoidal", "ellipsoidale", "ellipsoidische", "ellipsoidhohe",
+    "ellipsoidisch",
+    "ellipsoidisk", "ellipsoidico", "ellissoidica", "ellissoidico", "elipsoidal", "elipsoidalna", "elipsoidica",
+    "elipsoidowa", "elipsoidicka", "geodetic", "geodatische", "geodetica", "geometrica", "эллипсоидальная",
+    "эллипсоидная",
+    "геодезическая", "ellipsoidikorkeus", "楕円体高", "椭球高", "橢球高", "大地高", "타원체고",
+];
+/// Words beside those of heights that change nothing.
+pub(super) const HEIGHT_QUALIFIERS: &[&str] = &[
+    "m", "u", "uber", "ub", "u m", "a", "over", "havet", "hav", "havsytan", "above", "sea", "mean", "the", "of",
+    "de", "del", "mar", "sobre", "sur",
+    "tov", "t", "o", "v", "n p m", "npm", "nad", "morem", "nadmorska", "nadmorsky", "terenu", "terrain", "terreno",
+    "gelande",
+    "ground", "orth", "ortho", "orthometric", "orthometrisch", "orthometrische", "orthometrique", "ortometrik",
+    "ortometrica",
+    "ortometrico", "ortometrisk", "ortometryczna", "ortometrijska", "ortometricka", "normal", "normalhohe",
+    "physical", "абс",
+    "абсолютная", "абсолютна", "нормальная", "ортометрическая", "точки", "м", "геоидная", "geoidica", "geoidale",
+    "ht", "hgt", "wert", "value", "c", "s", "l", "f", "p",
 ];
 /// Heights where no other title says them: Hungarian magasság beside X and Y, Finnish korkeus beside P and I.
 pub(in crate::gcp) const SHORT_HEIGHTS: &[&str] = &["m", "k"];
@@ -137,4 +171,18 @@ pub(super) const NO_NAMES: &[&str] = &[
     "utc", "epoch", "epoque", "image", "photo", "foto", "file", "camera", "pixel", "px", "lat", "lon", "latitude",
     "longitude", "rms", "accuracy", "sigma", "std", "error", "residual", "url", "link", "comment", "sx", "sy", "sz",
     "distance", "azimuth", "antenna", "geoid", "ellipsoidal", "sourcex", "sourcey",
+    // Of how well and with what it was measured.
+    "pdop", "hdop", "vdop", "gdop", "tdop", "dop", "satellites", "satellite", "sats", "sat", "nsat", "nsats", "sv",
+    "svs", "satelliten",
+    "satellitter", "satelliter", "satellieten", "satelites", "satelliti", "satelity", "satelitow", "спутники",
+    "спутников",
+    "衛星數", "卫星數", "quality", "qualitat", "qualite", "calidad", "qualidade", "qualita", "kvalitet", "kwaliteit",
+    "jakosc",
+    "kvalita", "качество", "status", "state", "statut", "estado", "stato", "stan", "статус", "fix", "solution", "q",
+    "ns", "age", "ratio", "correction", "corrections", "mount",
+    "mountpoint", "rod", "pole", "antennenhohe", "ant", "epochs", "epochen", "samples", "averaging", "mode", "week",
+    "base",
+    "baseline", "method", "methode", "lateral", "undulation", "separation", "anzahl", "count", "fixed", "tilt",
+    "cov", "covariance", "sdx", "sdy", "sdz",
+    "sde", "sdn", "sdu", "precision", "prec", "hrms", "vrms", "snr", "sec", "tow",
 ];

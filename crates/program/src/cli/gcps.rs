@@ -28,7 +28,7 @@ pub struct ConvertArgs {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Format of the input: geojson, csv, kof, odm, qgis, metashape-csv, metashape-xml, pix4d, micmac, gpkg, shp, fgb,
-    /// gml, kml, gpx, gsi, sdr, rw5, landxml, jobxml. Default: recognised by its content and name.
+    /// gml, kml, gpx, gsi, sdr, rw5, sima, landxml, jobxml. Default: recognised by its content and name.
     #[arg(long, value_name = "FORMAT")]
     from: Option<ListFormat>,
     /// Format of the output, of the same ones up to gpx. Default: by its name.
