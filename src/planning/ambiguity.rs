@@ -6,7 +6,8 @@
 //! k.
 //!
 //! The search is complete: of k + 1 disjoint pairs of points at least one has both ends hit when no more than k points
-//! are missed, so laying each of these pairs on every pair of points in turn meets every such similarity.
+//! are missed, so laying each of these pairs on every pair of points in turn meets every such similarity. Pairs whose
+//! lengths no such similarity brings together are passed over (see [`Scales`]), which leaves few of a large pattern.
 
 use std::collections::HashSet;
 
@@ -87,6 +88,16 @@ impl Sorted {
         Sorted { points, order }
     }
 
+    /// A point and the one it is taken for.
+    fn pair(&self, (i, j): (usize, usize), mirrored: Handedness) -> Pair {
+        Pair {
+            pixel: source(self.points[i], mirrored),
+            covariance_px2: None,
+            map: self.points[j],
+            survey_sigma_m: None,
+        }
+    }
+
     fn nearest(&self, p: MapPoint, reach_m: f64) -> Option<(usize, f64)> {
         let start = self.order.partition_point(|&i| self.points[i].easting < p.easting - reach_m);
         let mut best: Option<(usize, f64)> = None;
@@ -118,12 +129,17 @@ pub fn find(places: &[MapPoint], freedom: &Freedom) -> Vec<Ambiguity> {
     if n < 3 || n - freedom.lose.min(n) < 3 {
         return Vec::new();
     }
+    let scales = Scales::of(&sorted.points, freedom);
     let found: Vec<Ambiguity> = bases(&sorted.points, freedom.lose + 1)
         .into_par_iter()
         .flat_map_iter(|base| {
-            let sorted = &sorted;
+            let (sorted, scales) = (&sorted, &scales);
+            let length = distance(sorted.points[base.0], sorted.points[base.1]);
             (0..n).flat_map(move |c| {
-                (0..n).filter(move |&d| d != c).flat_map(move |d| {
+                let fits = move |d: &usize| {
+                    *d != c && scales.allow(length, distance(sorted.points[c], sorted.points[*d]), freedom.tolerance_m)
+                };
+                (0..n).filter(fits).flat_map(move |d| {
                     Handedness::BOTH
                         .into_iter()
                         .filter_map(move |mirrored| settle(sorted, freedom, base, (c, d), mirrored))
@@ -132,6 +148,63 @@ pub fn find(places: &[MapPoint], freedom: &Freedom) -> Vec<Ambiguity> {
         })
         .collect();
     distinct(found)
+}
+
+/// The same for a pattern of which one point was moved, from the ambiguities `before` that the pattern had with two
+/// points more lost: a similarity that a moved point makes ambiguous misses this point and the one it landed on before.
+pub(super) fn find_after_move(
+    places: &[MapPoint],
+    moved: usize,
+    before: &[Ambiguity],
+    freedom: &Freedom,
+) -> Vec<Ambiguity> {
+    let sorted = Sorted::new(places);
+    let again = |ambiguity: &Ambiguity| {
+        let mirrored = ambiguity.mirrored;
+        let kept = ambiguity.pairs.iter().filter(|(i, j)| *i != moved && *j != moved);
+        let fitted: Vec<Pair> = kept.map(|&pair| sorted.pair(pair, mirrored)).collect();
+        refined(&sorted, freedom, fit_equal_weights(&fitted)?, mirrored)
+    };
+    distinct(before.iter().filter_map(again).collect())
+}
+
+/// The scales that a similarity can have which lays all but a few points of a pattern on points of it.
+///
+/// Of the points that are hit and those they land on, both are the pattern less a few: the squares about the mean of
+/// both lie between those of the whole and of the whole less the farthest ones.
+struct Scales {
+    least: f64,
+    most: f64,
+}
+
+impl Scales {
+    fn of(points: &[MapPoint], freedom: &Freedom) -> Scales {
+        let (n, lost) = (points.len() as f64, freedom.lose as f64);
+        let mut squares: Vec<f64> = points.iter().map(|p| p.easting.powi(2) + p.northing.powi(2)).collect();
+        squares.sort_by(f64::total_cmp);
+        let whole: f64 = squares.iter().sum();
+        let farthest: f64 = squares.iter().rev().take(freedom.lose).sum();
+        // Without points the mean moves too.
+        let less = whole - farthest * n / (n - lost);
+        // What the points are off the similarity adds to the squares of those they land on.
+        let off = n * freedom.tolerance_m.powi(2);
+        if less <= 0.0 {
+            return Scales { least: 0.0, most: f64::INFINITY };
+        }
+        Scales { least: (less / (whole + off)).sqrt(), most: (whole / less).sqrt() }
+    }
+
+    /// Whether a base of this length may land on a pair of the other one.
+    fn allow(&self, base_m: f64, length_m: f64, tolerance_m: f64) -> bool {
+        // An end lands off its point by the tolerance at the scale; half as much again is for rounding.
+        let slack = 3.0 * tolerance_m / base_m;
+        let scale = length_m / base_m;
+        scale >= self.least * (1.0 - slack) && scale <= self.most * (1.0 + slack)
+    }
+}
+
+fn distance(p: MapPoint, q: MapPoint) -> f64 {
+    (p.easting - q.easting).hypot(p.northing - q.northing)
 }
 
 /// Disjoint pairs, long ones where possible; all pairs when there are too few points.
@@ -164,21 +237,19 @@ fn settle(
     mirrored: Handedness,
 ) -> Option<Ambiguity> {
     let points = &sorted.points;
-    let mut similarity =
+    let similarity =
         Similarity::through([source(points[a], mirrored), source(points[b], mirrored)], [points[c], points[d]])?;
     allowed(&similarity, freedom, mirrored).then_some(())?;
+    refined(sorted, freedom, similarity, mirrored)
+}
+
+/// The ambiguity that lies about a similarity, if there is one.
+fn refined(sorted: &Sorted, freedom: &Freedom, mut similarity: Similarity, mirrored: Handedness) -> Option<Ambiguity> {
+    let points = &sorted.points;
     // From two points with an error each, a place outside them is less sure: three times the tolerance first.
     let mut pairs = hits(sorted, &similarity, 3.0 * freedom.tolerance_m, freedom.lose, mirrored)?;
     for reach in [1.5, 1.0] {
-        let fitted: Vec<Pair> = pairs
-            .iter()
-            .map(|&(i, j)| Pair {
-                pixel: source(points[i], mirrored),
-                covariance_px2: None,
-                map: points[j],
-                survey_sigma_m: None,
-            })
-            .collect();
+        let fitted: Vec<Pair> = pairs.iter().map(|&pair| sorted.pair(pair, mirrored)).collect();
         similarity = fit_equal_weights(&fitted)?;
         pairs = hits(sorted, &similarity, reach * freedom.tolerance_m, freedom.lose, mirrored)?;
     }
@@ -295,6 +366,43 @@ mod tests {
         assert!(found.iter().any(|a| !a.mirrored.is_mirrored() && a.unmatched.len() == 1), "{found:?}");
         let known = find(&places(&spiral), &Freedom { lose: 1, scale_ratio: Some(1.22), ..FREE });
         assert!(known.is_empty(), "{known:?}");
+    }
+
+    /// What the search finds that lays each base on every pair.
+    fn find_among_all(places: &[MapPoint], freedom: &Freedom) -> Vec<Ambiguity> {
+        let (sorted, n) = (Sorted::new(places), places.len());
+        let mut found = Vec::new();
+        for base in bases(&sorted.points, freedom.lose + 1) {
+            for (c, d) in (0..n).flat_map(|c| (0..n).map(move |d| (c, d))).filter(|(c, d)| c != d) {
+                found.extend(Handedness::BOTH.into_iter().filter_map(|m| settle(&sorted, freedom, base, (c, d), m)));
+            }
+        }
+        distinct(found)
+    }
+
+    #[test]
+    fn pairs_that_are_passed_over_bring_nothing_and_a_move_is_judged_by_what_was_there() {
+        let grid: Vec<(f64, f64)> = (0..42).map(|i| (f64::from(i % 7) * 20.0, f64::from(i / 7) * 20.0)).collect();
+        let worn: Vec<(f64, f64)> =
+            grid.iter().enumerate().map(|(i, p)| (p.0 + f64::from(i * i % 5) * 0.02, p.1)).collect();
+        let pairs = |found: Vec<Ambiguity>| {
+            let mut pairs: Vec<_> = found.into_iter().map(|a| (a.mirrored, a.pairs)).collect();
+            pairs.sort();
+            pairs
+        };
+        for list in [grid, worn] {
+            let mut list = places(&list);
+            for lose in [0, 2, 6] {
+                let freedom = Freedom { lose, ..FREE };
+                let found = find(&list, &freedom);
+                assert!(!found.is_empty(), "a grid fits itself");
+                assert_eq!(pairs(found), pairs(find_among_all(&list, &freedom)), "{lose} lost");
+            }
+            let before = find(&list, &Freedom { lose: FREE.lose + 2, ..FREE });
+            list[17].easting += 4.0;
+            list[17].northing -= 2.0;
+            assert_eq!(pairs(find_after_move(&list, 17, &before, &FREE)), pairs(find(&list, &FREE)));
+        }
     }
 
     #[test]

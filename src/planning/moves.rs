@@ -6,17 +6,16 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::ambiguity::{self, Freedom};
+use super::ambiguity::{self, Ambiguity, Freedom};
 use autoref_raster::coords::MapPoint;
 
 /// Lengths tried, in tolerances: the shortest is just enough to be told apart surely.
 const LENGTHS: [f64; 4] = [4.0, 7.0, 12.0, 20.0];
 /// More moves than this are a new plan.
 const MOST_MOVES: usize = 6;
-/// Points tried in a round, and hypotheses looked at for it: of several hundred points fewer are tried, of a thousand
-/// none.
+/// Points tried in a round, and points laid on others for it: of several hundred fewer are tried.
 const MOST_TRIED: usize = 16;
-const HYPOTHESES_PER_ROUND: usize = 40_000_000;
+const MOST_LAID_PER_ROUND: usize = 40_000_000;
 const WINDS: [(&str, f64); 8] = [
     ("east", 0.0),
     ("north-east", 45.0),
@@ -50,8 +49,8 @@ impl Move {
 }
 
 /// How bad a pattern is: the number of ways of fitting, those that miss fewest points counting most.
-fn badness(places: &[MapPoint], freedom: &Freedom) -> f64 {
-    ambiguity::find(places, freedom).iter().map(|a| (1 + freedom.lose - a.unmatched.len()) as f64).sum()
+fn badness(ways: &[Ambiguity], freedom: &Freedom) -> f64 {
+    ways.iter().map(|a| (1 + freedom.lose - a.unmatched.len()) as f64).sum()
 }
 
 /// Moves in the order in which they are to be made, and whether they suffice.
@@ -59,17 +58,22 @@ pub fn moves(points: &[(String, MapPoint)], freedom: &Freedom) -> (Vec<Move>, bo
     let mut places: Vec<MapPoint> = points.iter().map(|p| p.1).collect();
     let mut made: Vec<Move> = Vec::new();
     let mut moved = vec![false; points.len()];
-    let mut now = badness(&places, freedom);
-    let cost = 2 * (freedom.lose + 1) * points.len().pow(2);
-    let most_tried = (HYPOTHESES_PER_ROUND / (cost * WINDS.len() * LENGTHS.len())).min(MOST_TRIED);
-    if most_tried == 0 {
-        return (made, now == 0.0);
-    }
+    // With two points more lost: all that a move of one point can make of the pattern.
+    let wider = Freedom { lose: freedom.lose + 2, ..*freedom };
+    // Too few points are left then to say anything.
+    let is_small = points.len() < wider.lose + 3;
+    let mut now = badness(&ambiguity::find(&places, freedom), freedom);
     while now > 0.0 && made.len() < MOST_MOVES {
+        let before = ambiguity::find(&places, &wider);
+        let cost = before.len().max(1) * places.len() * WINDS.len() * LENGTHS.len();
+        let most_tried = (MOST_LAID_PER_ROUND / cost).min(MOST_TRIED);
+        if most_tried == 0 {
+            break;
+        }
         // Points that the worst ways move elsewhere; each once.
-        let ways = ambiguity::find(&places, freedom);
+        let ways = || before.iter().filter(|way| way.unmatched.len() <= freedom.lose);
         let mut tried: Vec<usize> = (0..places.len())
-            .filter(|&i| !moved[i] && ways.iter().any(|a| a.pairs.iter().any(|&(f, t)| f == i && t != i)))
+            .filter(|&i| !moved[i] && ways().any(|a| a.pairs.iter().any(|&(f, t)| f == i && t != i)))
             .collect();
         let step = tried.len().div_ceil(most_tried).max(1);
         tried = tried.into_iter().step_by(step).collect();
@@ -90,11 +94,19 @@ pub fn moves(points: &[(String, MapPoint)], freedom: &Freedom) -> (Vec<Move>, bo
                 });
                 let mut changed = places.clone();
                 changed[i] = to;
-                free.then(|| (badness(&changed, freedom), distance, i, wind, to))
+                free.then(|| {
+                    let ways = if is_small {
+                        ambiguity::find(&changed, freedom)
+                    } else {
+                        ambiguity::find_after_move(&changed, i, &before, freedom)
+                    };
+                    (badness(&ways, freedom), distance, i, wind, to)
+                })
             })
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)).then((a.2, a.3).cmp(&(b.2, b.3))));
-        let Some((left, distance_m, i, wind, to)) = best.filter(|b| b.0 < now) else { break };
-        (places[i], moved[i], now) = (to, true, left);
+        let Some((_, distance_m, i, wind, to)) = best.filter(|b| b.0 < now) else { break };
+        (places[i], moved[i]) = (to, true);
+        now = badness(&ambiguity::find(&places, freedom), freedom);
         made.push(Move {
             name: points[i].0.clone(),
             distance_m,
