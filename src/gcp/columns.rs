@@ -8,9 +8,9 @@ use crate::gcp::marks::{Cell, Marks};
 use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
 use crate::gcp::text;
 use crate::gcp::titles::{
-    CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
-    SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, find, find_height, find_likely_name,
-    is_level_height, may_name, tidy,
+    Axis, CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES,
+    SHORT_HEIGHTS, SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, directed, find,
+    find_height, find_likely_name, is_level_height, may_name, tidy,
 };
 use crate::gcp::units::{TitledUnits, Unit};
 use crate::gcp::{Gcp, GcpRole, heights};
@@ -55,10 +55,19 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     } else if let Some((e, n)) = pair(LONGITUDES, LATITUDES) {
         (e, n, true, ColumnOrder::Stated)
     } else if let Some((x, y)) = pair(XS, YS) {
-        (x, y, false, ColumnOrder::Assumed)
-    } else {
-        let (e, n) = LETTER_PAIRS.iter().find_map(|[e, n]| pair(&[e], &[n]))?;
+        // "Y (E)" and "X (N)" say more than their letters do.
+        match directed(&titles) {
+            Some((said, [Axis::East, _])) if said == (x, y) || said == (y, x) => {
+                (said.0, said.1, false, ColumnOrder::Stated)
+            }
+            _ => (x, y, false, ColumnOrder::Assumed),
+        }
+    } else if let Some((e, n)) = LETTER_PAIRS.iter().find_map(|[e, n]| pair(&[e], &[n])) {
         (e, n, false, ColumnOrder::Stated)
+    } else {
+        let ((e, n), axes) = directed(&titles)?;
+        let order = if axes[0] == Axis::East { ColumnOrder::Stated } else { ColumnOrder::Assumed };
+        (e, n, false, order)
     };
     let is_free = |i: &usize| *i != easting && *i != northing;
     // Beside titles that are words, a letter is something else.

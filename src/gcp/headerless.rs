@@ -223,11 +223,12 @@ impl Shape {
         (!left.is_empty()).then(|| format!("there is no header, and column {} was not used", left.join(", ")))
     }
 
-    /// How many whole numbers (a zone, a code; longer ones before coordinates with decimals) stand before two that
-    /// alone can be coordinates.
+    /// How many small whole numbers (a zone, a code) stand before two that alone can be coordinates; before coordinates
+    /// with decimals three may be longer (Finland's GT: line, code, point).
     fn codes(first: usize, left: usize, table: &[Row<'_>]) -> usize {
         const SMALLEST_COORDINATE: f64 = 10_000.0;
         const LONGEST_CODE: usize = 8;
+        const MOST_CODES: usize = 3;
         let is_code = |field: Option<&String>, longest: usize| {
             field.is_some_and(|f| f.len() <= longest && f.bytes().all(|b| b.is_ascii_digit()))
         };
@@ -238,11 +239,12 @@ impl Shape {
         let fit = |codes: usize| {
             table.iter().all(|(_, fields)| {
                 let at = |i: usize| fields.get(first + i);
-                let longest = if (0..2).all(|i| has_decimals(at(codes + i))) { LONGEST_CODE } else { 3 };
+                let is_gt = codes == MOST_CODES && (0..2).all(|i| has_decimals(at(codes + i)));
+                let longest = if is_gt { LONGEST_CODE } else { 3 };
                 (0..codes).all(|i| is_code(at(i), longest)) && is_coordinate(at(codes)) && is_coordinate(at(codes + 1))
             })
         };
-        (1..=3).filter(|codes| left >= codes + 2).find(|&codes| fit(codes)).unwrap_or(0)
+        (1..=MOST_CODES).filter(|codes| left >= codes + 2).find(|&codes| fit(codes)).unwrap_or(0)
     }
 
     fn columns(&self, numbered: bool, table: &[Row<'_>]) -> Columns {

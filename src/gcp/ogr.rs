@@ -50,7 +50,7 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let index = layer(path, &dataset, if is_drawing { Some(dxf::ENTITIES) } else { wanted })?;
     let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
     let crs = match layer.spatial_ref().and_then(|reference| reference.to_wkt().ok()) {
-        Some(wkt) if !wkt.is_empty() => CrsClaim::Known(Crs::parse(&wkt)?),
+        Some(wkt) if !wkt.is_empty() && !is_undefined(&wkt) => CrsClaim::Known(Crs::parse(&wkt)?),
         _ => CrsClaim::None,
     };
     if is_drawing {
@@ -76,6 +76,11 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         list.notes.push(format!("{}: passed over, without a geometry: feature {}", path.display(), without.join(", ")));
     }
     Ok(list)
+}
+
+/// What GeoPackage has for coordinates of no known system, and GDAL hands out as one.
+fn is_undefined(wkt: &str) -> bool {
+    ["Undefined geographic SRS", "Undefined Cartesian SRS"].iter().any(|name| wkt.contains(name))
 }
 
 /// The layer that is named, or the only one with points; of GPX's the waypoints.

@@ -384,7 +384,7 @@ mod tests {
     fn pairs_that_are_passed_over_bring_nothing_and_a_move_is_judged_by_what_was_there() {
         let grid: Vec<(f64, f64)> = (0..42).map(|i| (f64::from(i % 7) * 20.0, f64::from(i / 7) * 20.0)).collect();
         let worn: Vec<(f64, f64)> =
-            grid.iter().enumerate().map(|(i, p)| (p.0 + f64::from(i * i % 5) * 0.02, p.1)).collect();
+            grid.iter().enumerate().map(|(i, p)| (p.0 + (i * i % 5) as f64 * 0.02, p.1)).collect();
         let pairs = |found: Vec<Ambiguity>| {
             let mut pairs: Vec<_> = found.into_iter().map(|a| (a.mirrored, a.pairs)).collect();
             pairs.sort();

@@ -350,3 +350,40 @@ fn where_nothing_shows_the_order_it_is_named_as_what_may_help() {
     let utm = hints("name,easting,northing\nA,569834.2,7031894.7\nB,570032.8,7031837.6\n");
     assert!(utm.is_empty(), "{utm:?}");
 }
+
+#[test]
+fn a_direction_beside_a_letter_says_which_is_which() {
+    for [east, north] in [
+        ["Y (E)", "X (N)"],
+        ["X (E)", "Y (N)"],
+        ["Rechtswert Y", "Hochwert X"],
+        ["Y-Ost", "X-Nord"],
+        ["Y东坐标", "X北坐标"],
+        ["E LV95", "N LV95"],
+        ["UTM32 \u{d8}st", "UTM32 Nord"],
+    ] {
+        for north_first in [false, true] {
+            let (titles, row) =
+                if north_first { ([north, east], "2092.6;1105.7") } else { ([east, north], "1105.7;2092.6") };
+            let list = read(&format!("Name;{};Z\nA;{row};12.1\nB;1166.1;2013.4;13.2\n", titles.join(";")));
+            let first = &list.gcps[0];
+            assert_eq!((first.easting, first.northing, first.height), (1105.7, 2092.6, Some(12.1)), "{titles:?}");
+        }
+    }
+    let error = read_in(Some("local"), "Name;X error;Y error\nA;1;2\nB;3;4\n").expect_err("no coordinates");
+    assert!(error.contains("easting"), "{error}");
+}
+
+#[test]
+fn coordinates_of_no_known_system_come_back_from_a_geopackage() {
+    let folder = Folder::new();
+    let list = folder.write("l.csv", "name,easting,northing\nA,569834.26,7031894.724\nB,570032.865,7031837.651\n");
+    for name in ["a.gpkg", "a.fgb", "a.shp"] {
+        let output = folder.0.path().join(name);
+        gcp::convert::convert(&list, &output, &gcp::convert::ConvertOptions::default())
+            .unwrap_or_else(|e| panic!("{e}"));
+        let read = gcp::read(&output, &GcpOptions::default()).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!((names(&read), read.gcps[0].easting), (vec!["A", "B"], 569_834.26), "{name}");
+        assert!(read.crs.is_none(), "{name}: {:?}", read.crs);
+    }
+}

@@ -1,10 +1,12 @@
 //! The titles of tables that surveyors write, and what they stand for.
 
+mod directions;
 mod fold;
 // A word to a line would make a file of a thousand lines of it.
 #[rustfmt::skip]
 mod words;
 
+pub(super) use directions::{Axis, directed};
 pub(super) use words::{
     CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
     SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS,
@@ -61,8 +63,7 @@ pub(super) fn find_height(titles: &[String]) -> Option<usize> {
 /// Whether a title is that of heights above the sea, or of no certain kind.
 pub(super) fn is_level_height(title: &str) -> bool {
     let is_ellipsoidal = title.split(' ').any(|word| word.starts_with("ell") || ELLIPSOIDAL.contains(&word));
-    let titles = [title.to_owned()];
-    !is_ellipsoidal && (find(&titles, HEIGHTS).is_some() || is_height(title, false))
+    !is_ellipsoidal && (HEIGHTS.contains(&title) || is_height(title, false))
 }
 
 /// Whether a title has a word for heights, or for what they count from, and nothing else that would make it another
@@ -155,6 +156,7 @@ pub(super) fn is_role(title: &str) -> bool {
 pub(super) fn is_known(title: &str) -> bool {
     let tidied = [tidy(title)];
     is_coordinate(title)
+        || directions::axis(title).is_some()
         || find_height(&tidied).is_some()
         || [NAMES, SIGMAS, SIGMA_EASTS, SIGMA_NORTHS, SIGMA_HEIGHTS].iter().any(|names| find(&tidied, names).is_some())
 }
