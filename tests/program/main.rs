@@ -47,6 +47,7 @@ mod robustness;
 mod schema;
 mod second_pass;
 mod selftest;
+mod signals;
 mod solvers;
 mod synth_flight;
 mod system_calls;

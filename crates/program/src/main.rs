@@ -8,8 +8,10 @@ use clap::{ArgMatches, FromArgMatches};
 #[macro_use]
 mod out;
 mod cli;
+mod signals;
 
 fn main() -> ExitCode {
+    signals::heed();
     autoref_raster::hear_gdal();
     let arguments = cli::joined(std::env::args_os());
     let (matches, cli) = match parsed(&arguments) {
@@ -87,7 +89,7 @@ fn printable(line: &str) -> String {
         format!("{head}…{tail}")
     };
     let line: Vec<String> = line.split(' ').map(cut).collect();
-    line.join(" ").chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+    line.join(" ").chars().map(|c| if c.is_control() || out::is_obeyed(c) { '\u{fffd}' } else { c }).collect()
 }
 
 /// Whether the command that was given has `--json` on.

@@ -46,7 +46,10 @@ pub fn write(text: std::fmt::Arguments<'_>) {
     if is_mute(Stream::Output) {
         return;
     }
-    keep(std::io::stdout().write_fmt(text));
+    let text = text.to_string();
+    // A document has its own way to write such letters.
+    let words = if text.starts_with(['{', '[']) { text } else { shown(&text) };
+    keep(std::io::stdout().write_all(words.as_bytes()));
 }
 
 /// Writes to standard error; when that is gone there is nobody to tell.
@@ -54,7 +57,20 @@ pub fn write_err(text: std::fmt::Arguments<'_>) {
     if is_mute(Stream::Errors) {
         return;
     }
-    let _ = std::io::stderr().write_fmt(text);
+    let _ = std::io::stderr().write_all(shown(&text.to_string()).as_bytes());
+}
+
+/// Whether a terminal would obey a letter of a file instead of showing it: controls, ends of lines that are none of
+/// ours, turns of the direction of reading.
+pub fn is_obeyed(letter: char) -> bool {
+    let is_ours = matches!(letter, '\n' | '\r' | '\t');
+    let turns = matches!(letter, '\u{2028}' | '\u{2029}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    turns || (letter.is_control() && !is_ours)
+}
+
+/// Words for people, which may hold names out of files.
+fn shown(words: &str) -> String {
+    words.chars().map(|letter| if is_obeyed(letter) { char::REPLACEMENT_CHARACTER } else { letter }).collect()
 }
 
 /// Keeps a fault of standard output for the end.
@@ -95,4 +111,14 @@ macro_rules! eprintln {
 }
 macro_rules! eprint {
     ($($words:tt)*) => { $crate::out::write_err(format_args!($($words)*)) };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn letters_that_terminals_obey_are_not_shown() {
+        assert_eq!(shown("a\u{1b}[31m\u{9b}b\u{202e}c\u{2028}\n\té"), "a\u{fffd}[31m\u{fffd}b\u{fffd}c\u{fffd}\n\té");
+    }
 }

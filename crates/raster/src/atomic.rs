@@ -4,9 +4,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+pub use crate::parts::abandon;
+
 use crate::bounded::companions_of;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
+use crate::parts::{Part, Placing};
 use crate::protected::refuse_input;
 use crate::written::Written;
 
@@ -51,9 +54,11 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     refuse_special(path)?;
     remove_leftovers(path);
     let temporary = temporary_name(path);
+    let _part = Part::of(&temporary);
     let companions = companions_of(path);
     companions.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
     let result = watched(&temporary, || produce(&temporary)).and_then(|()| {
+        let _placing = Placing::begin();
         for end in companions.iter().filter(|end| temporary.with_extension(end).exists()) {
             let target = path.with_extension(end);
             std::fs::rename(temporary.with_extension(end), &target)
@@ -85,8 +90,10 @@ pub fn folder<R>(path: &Path, produce: impl FnOnce(&Path) -> Result<R>) -> Resul
     }
     remove_leftovers(path);
     let temporary = temporary_name(path);
+    let _part = Part::of(&temporary);
     let made = std::fs::create_dir_all(&temporary).map_err(|e| Error::io(path, "create", e)).and_then(|()| {
         let made = watched(&temporary, || produce(&temporary))?;
+        let _placing = Placing::begin();
         if path.is_dir() {
             std::fs::remove_dir_all(path).map_err(|e| Error::io(path, "put in place of the old folder", e))?;
         }
@@ -184,6 +191,7 @@ struct Staged {
     /// A second name of what `target` was, while the commit runs.
     backup: Option<PathBuf>,
     in_place: bool,
+    _part: Part,
 }
 
 impl Transaction {
@@ -217,7 +225,8 @@ impl Transaction {
         let temporaries: Vec<PathBuf> = targets.iter().map(|target| temporary_name(target)).collect();
         for (target, temporary) in targets.iter().zip(&temporaries) {
             let (temporary, target) = (temporary.clone(), target.clone());
-            self.staged.push(Staged { temporary, target, backup: None, in_place: false });
+            let _part = Part::of(&temporary);
+            self.staged.push(Staged { temporary, target, backup: None, in_place: false, _part });
         }
         watched(&temporaries[0], || produce(&temporaries)).map_err(|error| renamed(error, &temporaries, targets))?;
         for (target, temporary) in targets.iter().zip(&temporaries) {
@@ -265,6 +274,7 @@ impl Transaction {
     /// # Errors
     /// When the system says no; what was there before is there again then.
     pub fn commit(mut self) -> Result<()> {
+        let _placing = Placing::begin();
         for staged in &mut self.staged {
             staged.keep_old()?;
         }
@@ -400,8 +410,18 @@ pub fn check_outputs(paths: &[&Path], existing: Existing) -> Result<()> {
             let missing = std::io::Error::new(std::io::ErrorKind::NotFound, "the folder does not exist");
             return Err(Error::io(folder, "write into", missing));
         }
+        refuse_read_only(folder)?;
     }
     Ok(())
+}
+
+/// Refuses a folder in which no file can be made, before anything is computed.
+///
+/// # Errors
+/// [`Error::Io`] when the system says that it cannot be written into, or is read-only.
+pub fn refuse_read_only(folder: &Path) -> Result<()> {
+    use rustix::fs::{Access, access};
+    access(folder, Access::WRITE_OK | Access::EXEC_OK).map_err(|e| Error::io(folder, "write into", e.into()))
 }
 
 #[cfg(test)]

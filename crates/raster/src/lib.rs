@@ -42,6 +42,7 @@ pub mod memory;
 pub mod memory_plan;
 mod open;
 pub mod output_folder;
+mod parts;
 mod patch;
 mod pool;
 pub mod protected;

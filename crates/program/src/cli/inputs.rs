@@ -10,6 +10,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use autoref_raster::Error;
+use autoref_raster::atomic::refuse_read_only;
 use autoref_raster::protected::{is_input, protect, refuse_input, same_file};
 use autoref_raster::referred::{inside_name, sidecars};
 use clap::ArgMatches;
@@ -45,6 +46,7 @@ pub fn guard(matches: &ArgMatches) -> Result<(), Error> {
     gather(matches, &mut inputs, &mut outputs);
     inputs.iter().for_each(|input| protect(input));
     for (number, output) in outputs.iter().enumerate() {
+        writable(output)?;
         if output.is_dir() || output.as_os_str() == "-" {
             continue;
         }
@@ -62,6 +64,20 @@ pub fn guard(matches: &ArgMatches) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+/// Asks whether files can be made where an output is to lie, before anything is computed for it.
+fn writable(output: &Path) -> Result<(), Error> {
+    let is_special = std::fs::metadata(output).is_ok_and(|found| !found.is_file() && !found.is_dir());
+    if output.as_os_str() == "-" || is_special {
+        return Ok(());
+    }
+    let there = output.ancestors().map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
+    // Which of the folders above are made is the command's to know.
+    match there.skip(usize::from(!output.is_dir())).find(|path| path.exists()) {
+        Some(folder) if folder.is_dir() => refuse_read_only(folder),
+        _ => Ok(()),
+    }
 }
 
 /// Values of the command and its subcommands that name something that is there, and values of outputs.

@@ -1,0 +1,106 @@
+//! Parts of outputs that are being made, so that a run that is told to end leaves none behind.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// What is being made now.
+static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+/// How many outputs are being put in place now.
+static PLACING: AtomicUsize = AtomicUsize::new(0);
+static ENDING: AtomicBool = AtomicBool::new(false);
+
+const PAUSE: Duration = Duration::from_millis(5);
+
+/// A file or folder under a temporary name, from before it is made until it is in place or gone.
+pub(crate) struct Part(PathBuf);
+
+impl Part {
+    pub(crate) fn of(temporary: &Path) -> Part {
+        PARTS.lock().unwrap_or_else(PoisonError::into_inner).push(temporary.to_owned());
+        Part(temporary.to_owned())
+    }
+}
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = parts.iter().position(|part| *part == self.0) {
+            parts.swap_remove(at);
+        }
+    }
+}
+
+/// Outputs are put in place together or not at all: the end of the run waits while this lives.
+pub(crate) struct Placing;
+
+impl Placing {
+    pub(crate) fn begin() -> Placing {
+        // What begins within another one must not wait for the end, which waits for that one.
+        while ENDING.load(Ordering::SeqCst) && PLACING.load(Ordering::SeqCst) == 0 {
+            std::thread::sleep(PAUSE);
+        }
+        PLACING.fetch_add(1, Ordering::SeqCst);
+        Placing
+    }
+}
+
+impl Drop for Placing {
+    fn drop(&mut self) {
+        PLACING.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// Removes all parts of outputs, for a run that ends now; outputs that are being put in place come whole first. No
+/// output is put in place afterwards: the process must end.
+pub fn abandon() {
+    /// A disk that gives no answer must not hold the end up.
+    const LONGEST_WAIT: Duration = Duration::from_secs(10);
+    ENDING.store(true, Ordering::SeqCst);
+    let began = Instant::now();
+    while PLACING.load(Ordering::SeqCst) > 0 && began.elapsed() < LONGEST_WAIT {
+        std::thread::sleep(PAUSE);
+    }
+    for part in PARTS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        remove(part);
+    }
+}
+
+/// Removes a part, and what GDAL keeps beside it while it works.
+fn remove(part: &Path) {
+    let (Some(folder), Some(stem)) = (part.parent(), part.file_stem()) else { return };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let stem = stem.to_string_lossy();
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        // A second name of what is being replaced is kept.
+        let is_part = name.strip_prefix(stem.as_ref()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+        if is_part && !name.ends_with(".before") {
+            let path = entry.path();
+            // What cannot be removed stays, as after a kill.
+            let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_goes_with_its_companions_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let part = folder.path().join(".a.17.part.tif");
+        let kept = ["a.tif", ".a.17.part.tif.before", ".a.17.parts", ".b.17.part.tif"];
+        let gone = [".a.17.part.tif", ".a.17.part.tif.warp.tmp", ".a.17.part.tif.ovr.tmp"];
+        for name in kept.iter().chain(&gone) {
+            std::fs::write(folder.path().join(name), b"x").expect("writable");
+        }
+        let _known = Part::of(&part);
+        remove(&part);
+        assert!(kept.iter().all(|name| folder.path().join(name).exists()));
+        assert!(gone.iter().all(|name| !folder.path().join(name).exists()));
+    }
+}
