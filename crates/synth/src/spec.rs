@@ -207,6 +207,9 @@ pub struct Output {
     pub big_tiff: BigTiff,
     /// Write the true geotransform into the file. Off: the picture comes as from the camera.
     pub georeferenced: bool,
+    /// EPSG code of the map that the geotransform leads to; `None` for a local one.
+    #[serde(default)]
+    pub epsg: Option<u32>,
     /// Replace an existing picture and truth.
     pub overwrite: bool,
 }
@@ -221,6 +224,7 @@ impl Default for Output {
             interleave: Interleave::Pixel,
             big_tiff: BigTiff::Auto,
             georeferenced: false,
+            epsg: None,
             overwrite: false,
         }
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gdal::DriverManager;
 use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterCreationOptions};
+use gdal::spatial_ref::SpatialRef;
 use rayon::prelude::*;
 
 use super::scene::{Sample, Scene};
@@ -166,6 +167,9 @@ fn stream<T: Sample + GdalType + 'static>(
         .map_err(gdal)?;
     if spec.output.georeferenced {
         dataset.set_geo_transform(&scene.truth().geotransform.0).map_err(gdal)?;
+        if let Some(code) = spec.output.epsg {
+            dataset.set_spatial_ref(&SpatialRef::from_epsg(code).map_err(gdal)?).map_err(gdal)?;
+        }
     }
     for b in 1..=bands {
         let mut band = dataset.rasterband(b).map_err(gdal)?;

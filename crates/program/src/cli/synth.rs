@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use anyhow::{Context, bail};
 use autoref_raster::coords::MapPoint;
+use autoref_raster::crs::Crs;
 use autoref_synth::{
     self, Background, BigTiff, Border, Compression, FileLayout, Interleave, MarkSize, MarkStyle, MarkTurn, Output,
     Paint, Shape, SynthGcp, SynthSpec, Visible,
@@ -36,9 +37,10 @@ pub struct SynthArgs {
     /// Also write the GCP list, as GeoJSON.
     #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
     pub write_gcps: Option<PathBuf>,
-    /// EPSG code that --write-gcps puts into the list.
-    #[arg(long, value_name = "CODE", default_value_t = 32632, help_heading = "Ground control points")]
-    pub epsg: u32,
+    /// EPSG code that --write-gcps puts into the list, and --georeferenced into the picture. Default: 32632; for the
+    /// picture of a --gcps list, which may lie anywhere, none.
+    #[arg(long, value_name = "CODE", help_heading = "Ground control points")]
+    pub epsg: Option<u32>,
 
     /// Width and height in pixels. Default: what the visible GCPs need, with a margin.
     #[arg(long, value_name = "W,H", help_heading = "Image")]
@@ -141,7 +143,7 @@ pub struct SynthArgs {
     /// Make a BigTIFF even of a small picture. Without this: above 4.2 GB of pixels.
     #[arg(long, help_heading = "File")]
     pub big_tiff: bool,
-    /// Write the true georeference into the file.
+    /// Write the true georeference into the file, with the CRS that --epsg names.
     #[arg(long, help_heading = "File")]
     pub georeferenced: bool,
     /// Replace existing outputs.
@@ -209,6 +211,9 @@ pub enum CompressionArg {
     Jpeg,
 }
 
+/// Where random points lie.
+const RANDOM_EPSG: u32 = 32632;
+
 /// Runs the command; the library's errors are one line each.
 pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     if let Some(n) = args.threads {
@@ -219,6 +224,11 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     }
     bound_gdal_cache(&args)?;
     let spec = spec_of(&args)?;
+    if let Some(code) = args.epsg {
+        Crs::from_epsg(code)?;
+    } else if args.georeferenced && args.gcps.is_some() && !args.quiet {
+        eprintln!("the picture is georeferenced without a CRS; --epsg names that of the list");
+    }
     if let Some(list) = args.write_gcps.as_deref().filter(|list| list.exists() && !args.overwrite) {
         bail!("{}: exists already; use --overwrite or another name", list.display());
     }
@@ -232,7 +242,7 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     })?;
     bar.finish_and_clear();
     if let Some(list) = &args.write_gcps {
-        autoref_synth::write_gcp_geojson(list, &spec.gcps, Some(args.epsg))?;
+        autoref_synth::write_gcp_geojson(list, &spec.gcps, Some(args.epsg.unwrap_or(RANDOM_EPSG)))?;
     }
     let seen = truth.visible().count();
     if args.json {
@@ -378,6 +388,7 @@ fn output_of(args: &SynthArgs) -> Output {
         interleave: if args.planar { Interleave::Band } else { Interleave::Pixel },
         big_tiff: if args.big_tiff { BigTiff::Always } else { BigTiff::Auto },
         georeferenced: args.georeferenced,
+        epsg: args.epsg.or_else(|| args.random_gcps.map(|_| RANDOM_EPSG)),
         overwrite: args.overwrite,
     }
 }
