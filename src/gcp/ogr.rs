@@ -42,10 +42,11 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let is_drawing = driver == "DXF";
     let wanted_layer = wanted.filter(|name| !name.eq_ignore_ascii_case(dxf::ENTITIES));
     let titles_of_sheets = sheet::Titles::of(&driver);
-    if wanted.is_none() && titles_of_sheets == sheet::Titles::Rows {
-        if let Some(list) = sheet::only_one_with_points(path, &dataset) {
-            return Ok(list);
-        }
+    if wanted.is_none()
+        && titles_of_sheets == sheet::Titles::Rows
+        && let Some(list) = sheet::only_one_with_points(path, &dataset)
+    {
+        return Ok(list);
     }
     let index = layer(path, &dataset, if is_drawing { Some(dxf::ENTITIES) } else { wanted })?;
     let mut layer = dataset.layer(index).map_err(|e| Error::gdal(path, e))?;
