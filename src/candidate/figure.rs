@@ -269,8 +269,8 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     Some((alike, candidate))
 }
 
-/// The picture turned by half a turn, the places that were compared, and where paint has come off: pixels that are bare though those which they turn
-/// into are painted. They say nothing of the middle, and are left out where they are few.
+/// The picture turned by half a turn, the places that were compared, and where paint has come off: pixels that are bare
+/// though those which they turn into are painted. They say nothing of the middle, and are left out where they are few.
 fn without_holes(
     picture: &Picture<'_>,
     scene: &Scene<'_>,
