@@ -7,7 +7,7 @@
 //!
 //! The search is complete: of k + 1 disjoint pairs of points at least one has both ends hit when no more than k points
 //! are missed, so laying each of these pairs on every pair of points in turn meets every such similarity. Pairs whose
-//! lengths no such similarity brings together are passed over (see [`Scales`]), which leaves few of a large pattern.
+//! lengths no such similarity brings together are passed over (see `Scales`), which leaves few of a large pattern.
 
 use std::collections::HashSet;
 
