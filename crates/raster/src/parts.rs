@@ -37,12 +37,16 @@ pub(crate) struct Placing;
 
 impl Placing {
     pub(crate) fn begin() -> Placing {
-        // What begins within another one must not wait for the end, which waits for that one.
-        while ENDING.load(Ordering::SeqCst) && PLACING.load(Ordering::SeqCst) == 0 {
+        loop {
+            // Counted before the end is asked for, so that the end sees it. What begins within another one must not
+            // wait for the end, which waits for that one.
+            let others = PLACING.fetch_add(1, Ordering::SeqCst);
+            if others > 0 || !ENDING.load(Ordering::SeqCst) {
+                return Placing;
+            }
+            PLACING.fetch_sub(1, Ordering::SeqCst);
             std::thread::sleep(PAUSE);
         }
-        PLACING.fetch_add(1, Ordering::SeqCst);
-        Placing
     }
 }
 
