@@ -21,6 +21,9 @@ use crate::zones::{Ring, Zones};
 /// The smallest `--memory` that is accepted.
 pub const SMALLEST_BUDGET_BYTES: u64 = 112 << 20;
 
+/// Decoded blocks of models that are kept, at least.
+const LEAST_BLOCK_CACHE_BYTES: u64 = 8 << 20;
+
 /// What a command may take.
 #[derive(Clone, Copy, Debug)]
 pub struct Resources {
@@ -43,6 +46,7 @@ impl Resources {
             });
         }
         autoref_raster::initialise_gdal(self.memory_budget_bytes / 4);
+        autoref_raster::tiff::bound_float_cache((self.spare_bytes() / 5).max(LEAST_BLOCK_CACHE_BYTES));
         Ok(())
     }
 

@@ -13,6 +13,7 @@ use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
 use crate::source::{Heights, Patch};
 use autoref_raster::markup::escaped;
+use autoref_raster::tiff::FloatTiff;
 use autoref_raster::{HeightBand, masked};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
@@ -28,6 +29,8 @@ pub struct Model {
     /// From the file's vertical datum to the one that is asked for.
     lift: Option<Lift>,
     pool: Mutex<Vec<Dataset>>,
+    /// The cells without GDAL, where that is possible.
+    floats: Option<FloatTiff>,
 }
 
 impl Model {
@@ -72,9 +75,12 @@ impl Model {
         }
         let (kind, block) = (band.band_type(), band.block_size());
         let band = HeightBand::of(path, &band, crs.as_ref())?;
+        let is_plain = kind == GdalDataType::Float32 && dataset.driver().short_name() == "GTiff" && path.is_file();
+        let floats = is_plain.then(|| FloatTiff::open(path)).flatten();
+        let floats = floats.filter(|floats| floats.size() == (grid.width, grid.height));
         let pool = Mutex::new(vec![dataset]);
         let path = path.to_path_buf();
-        Ok(Model { path, grid, crs, wkt, kind, block, band, lift: None, pool })
+        Ok(Model { path, grid, crs, wkt, kind, block, band, lift: None, pool, floats })
     }
 
     /// The same cells in the unit of height of another model.
@@ -193,7 +199,12 @@ impl Model {
 
     /// Stored values of a window that lies in the raster, NaN where an alpha band or a mask leaves a cell out.
     fn read_there(&self, at: (u64, u64), size: (usize, usize), out: &mut [f64]) -> Result<()> {
-        self.read_stored(at, size, out)?;
+        // Where a file holds no block, GDAL has its nodata value. What is broken GDAL tells, or reads all the same.
+        let empty = f64::from(self.band.nodata.unwrap_or(0.0) as f32);
+        let read = self.floats.as_ref().is_some_and(|floats| floats.read(at, size, empty, out).is_ok());
+        if !read {
+            self.read_stored(at, size, out)?;
+        }
         if !self.band.masked {
             return Ok(());
         }

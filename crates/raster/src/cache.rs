@@ -7,6 +7,12 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use super::PieceData;
 use crate::error::Result;
 
+/// What a [`ChunkCache`] keeps.
+pub trait Cached: Clone {
+    /// What it costs to keep.
+    fn bytes(&self) -> u64;
+}
+
 /// Pixels of one chunk: a file block or a group of them.
 #[derive(Clone, Debug)]
 pub struct Chunk {
@@ -20,30 +26,32 @@ pub struct Chunk {
     pub bytes: u64,
 }
 
+impl Cached for Chunk {
+    fn bytes(&self) -> u64 {
+        self.bytes
+    }
+}
+
 /// One decoding under way; those who wait hold on to it, so that they get the chunk even when it is evicted at once.
-#[derive(Default)]
-struct Flight {
-    outcome: Mutex<Outcome>,
+struct Flight<C> {
+    outcome: Mutex<Outcome<C>>,
     landed: Condvar,
 }
 
-#[derive(Clone, Default)]
-enum Outcome {
-    #[default]
+enum Outcome<C> {
     Pending,
-    Done(Chunk),
+    Done(C),
     /// The decoder failed; each waiter tries itself and reports its own error.
     Failed,
 }
 
-enum Slot {
-    Decoding(Arc<Flight>),
-    Ready { chunk: Chunk, used: u64 },
+enum Slot<C> {
+    Decoding(Arc<Flight<C>>),
+    Ready { chunk: C, used: u64 },
 }
 
-#[derive(Default)]
-struct State {
-    slots: HashMap<u64, Slot>,
+struct State<C> {
+    slots: HashMap<u64, Slot<C>>,
     /// Time of last use → key, for eviction.
     order: BTreeMap<u64, u64>,
     bytes: u64,
@@ -51,8 +59,8 @@ struct State {
 }
 
 /// See the module.
-pub struct ChunkCache {
-    state: Mutex<State>,
+pub struct ChunkCache<C = Chunk> {
+    state: Mutex<State<C>>,
     capacity_bytes: u64,
 }
 
@@ -62,14 +70,14 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Takes the slot of a decoding that did not finish (error or panic) away again and wakes those who wait.
-struct Landing<'a> {
-    cache: &'a ChunkCache,
+struct Landing<'a, C> {
+    cache: &'a ChunkCache<C>,
     key: u64,
-    flight: Arc<Flight>,
+    flight: Arc<Flight<C>>,
     done: bool,
 }
 
-impl Drop for Landing<'_> {
+impl<C> Drop for Landing<'_, C> {
     fn drop(&mut self) {
         if !self.done {
             lock(&self.cache.state).slots.remove(&self.key);
@@ -79,17 +87,18 @@ impl Drop for Landing<'_> {
     }
 }
 
-impl ChunkCache {
+impl<C: Cached> ChunkCache<C> {
     /// Keeps at most `capacity_bytes` of decoded chunks that nobody uses; what readers hold is theirs.
     pub fn new(capacity_bytes: u64) -> Self {
-        ChunkCache { state: Mutex::default(), capacity_bytes }
+        let state = State { slots: HashMap::new(), order: BTreeMap::new(), bytes: 0, clock: 0 };
+        ChunkCache { state: Mutex::new(state), capacity_bytes }
     }
 
     /// The chunk `key`, decoded by `decode` unless it is here or another thread is at it.
     ///
     /// # Errors
     /// Those of `decode`.
-    pub fn get(&self, key: u64, decode: impl Fn() -> Result<Chunk>) -> Result<Chunk> {
+    pub fn get(&self, key: u64, decode: impl Fn() -> Result<C>) -> Result<C> {
         loop {
             let flight = match self.begin(key) {
                 Begin::Ready(chunk) => return Ok(chunk),
@@ -113,7 +122,7 @@ impl ChunkCache {
         }
     }
 
-    fn begin(&self, key: u64) -> Begin {
+    fn begin(&self, key: u64) -> Begin<C> {
         let mut state = lock(&self.state);
         let state = &mut *state;
         state.clock += 1;
@@ -126,17 +135,17 @@ impl ChunkCache {
             }
             Some(Slot::Decoding(flight)) => Begin::Theirs(flight.clone()),
             None => {
-                let flight = Arc::new(Flight::default());
+                let flight = Arc::new(Flight { outcome: Mutex::new(Outcome::Pending), landed: Condvar::new() });
                 state.slots.insert(key, Slot::Decoding(flight.clone()));
                 Begin::Mine(flight)
             }
         }
     }
 
-    fn finish(&self, key: u64, chunk: &Chunk) {
+    fn finish(&self, key: u64, chunk: &C) {
         let mut evicted = Vec::new();
         let mut state = lock(&self.state);
-        if chunk.bytes > self.capacity_bytes {
+        if chunk.bytes() > self.capacity_bytes {
             state.slots.remove(&key);
             return;
         }
@@ -144,11 +153,11 @@ impl ChunkCache {
         let used = state.clock;
         state.slots.insert(key, Slot::Ready { chunk: chunk.clone(), used });
         state.order.insert(used, key);
-        state.bytes += chunk.bytes;
+        state.bytes += chunk.bytes();
         while state.bytes > self.capacity_bytes {
             let Some((_, oldest)) = state.order.pop_first() else { break };
             if let Some(Slot::Ready { chunk, .. }) = state.slots.remove(&oldest) {
-                state.bytes -= chunk.bytes;
+                state.bytes -= chunk.bytes();
                 evicted.push(chunk);
             }
         }
@@ -165,7 +174,7 @@ impl ChunkCache {
         for key in keys {
             if let Some(Slot::Ready { chunk, used }) = state.slots.remove(&key) {
                 state.order.remove(&used);
-                state.bytes -= chunk.bytes;
+                state.bytes -= chunk.bytes();
                 gone.push(chunk);
             }
         }
@@ -174,10 +183,10 @@ impl ChunkCache {
     }
 }
 
-enum Begin {
-    Ready(Chunk),
-    Mine(Arc<Flight>),
-    Theirs(Arc<Flight>),
+enum Begin<C> {
+    Ready(C),
+    Mine(Arc<Flight<C>>),
+    Theirs(Arc<Flight<C>>),
 }
 
 #[cfg(test)]

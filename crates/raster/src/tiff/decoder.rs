@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 use super::container::{ByteOrder, Directories};
 use super::empty_blocks::{EmptyBlocks, holds_nothing};
-use super::layout::{Codec, Layout};
+use super::layout::{Codec, Layout, Predictor, Samples};
 use super::rows::Stream;
 use super::{decompress, mapping, predictor, stream};
 use crate::cache::Chunk;
@@ -113,6 +113,10 @@ pub struct TiffDecoder {
 impl TiffDecoder {
     fn new(all: &Directories, index: usize, cache_bytes: u64, georeference: Georeference) -> Result<Self> {
         let layout = Layout::read(all, index)?;
+        let Samples::Unsigned(sample) = layout.sample else {
+            let what = "floating-point samples (tag 339 is 3) by the native reader";
+            return Err(Error::unsupported(&all.path, what, "use --reader auto or gdal"));
+        };
         if all.mask_of(index)?.is_some() || side_file(&all.path, ".msk").exists() {
             let what = "a mask beside the image by the native reader";
             return Err(Error::unsupported(&all.path, what, "use --reader auto or gdal"));
@@ -149,11 +153,11 @@ impl TiffDecoder {
             width,
             height,
             bands: layout.samples,
-            sample: layout.sample,
+            sample,
             rgb,
             alpha,
             nodata: facts.nodata.or(layout.nodata),
-            white: crate::open::white_of(layout.sample, None, layout.max_sample_value),
+            white: crate::open::white_of(sample, None, layout.max_sample_value),
             layout: match layout.tiled {
                 true => BlockLayout::Tiles { width: block.0, height: block.1 },
                 false => BlockLayout::Strips { rows: block.1 },
@@ -233,7 +237,7 @@ impl TiffDecoder {
     }
 
     pub(super) fn undo_predictor_u8(&self, bytes: &mut [u8]) {
-        if self.layout.predictor {
+        if self.layout.predictor == Predictor::Horizontal {
             let row_bytes = self.layout.block_row_bytes() as usize;
             predictor::undo_u8(self.kernel, bytes, row_bytes, self.layout.block_samples());
         }
@@ -381,7 +385,7 @@ impl TiffDecoder {
         let row_stride = chunk.width as usize * self.samples();
         let count = row_stride * chunk.height as usize;
         let bytes = (count * self.layout.sample.bytes()) as u64;
-        let (data, stored) = match self.layout.sample {
+        let (data, stored) = match self.info.sample {
             SampleType::U8 => {
                 let mut out = self.pool.take(count);
                 let stored = self.assemble(chunk, counters, &mut out, |raw, row| self.row_u8(raw, row))?;
@@ -404,7 +408,7 @@ impl TiffDecoder {
 
     pub(super) fn row_u16(&self, raw: &[u8], row: &mut [u16]) {
         predictor::words(raw, row, self.order);
-        if self.layout.predictor {
+        if self.layout.predictor == Predictor::Horizontal {
             predictor::undo_u16(self.kernel, row, self.layout.block_samples());
         }
     }
@@ -490,7 +494,7 @@ impl ChunkDecoder for TiffDecoder {
             return self.streamed(id, stream, counters);
         }
         let chunk = self.grid.tile(id).core;
-        let simple = self.layout.sample == SampleType::U8 && !self.layout.planar;
+        let simple = self.info.sample == SampleType::U8 && !self.layout.planar;
         let block = (self.layout.block_width, self.layout.block_height);
         // A grid of one chunk clips its tile; what counts is whether one block fills the chunk.
         let single = self.blocks_of(chunk).take(2).count() == 1;
@@ -542,7 +546,7 @@ fn side_file(path: &std::path::Path, ending: &str) -> std::path::PathBuf {
 
 fn describe(all: &Directories, layout: &Layout) -> String {
     let kind = if all.big { "BigTIFF" } else { "TIFF" };
-    let predictor = if layout.predictor { ", predictor 2" } else { "" };
+    let predictor = if layout.predictor == Predictor::Horizontal { ", predictor 2" } else { "" };
     let blocks = match layout.tiled {
         true => format!("tiles of {} x {}", layout.block_width, layout.block_height),
         false => format!("strips of {} rows", layout.block_height),

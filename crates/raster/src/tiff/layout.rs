@@ -28,6 +28,33 @@ impl Codec {
     }
 }
 
+/// What the samples of a file are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Samples {
+    Unsigned(SampleType),
+    /// IEEE 754 numbers of 32 bits.
+    Float32,
+}
+
+impl Samples {
+    pub fn bytes(self) -> usize {
+        match self {
+            Samples::Unsigned(sample) => sample.bytes(),
+            Samples::Float32 => 4,
+        }
+    }
+}
+
+/// What is stored in place of the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Predictor {
+    None,
+    /// Differences to the sample before.
+    Horizontal,
+    /// Of floating-point numbers the bytes by their weight, and then differences of bytes.
+    FloatingPoint,
+}
+
 /// One image of a file, checked.
 #[derive(Clone, Debug)]
 pub struct Layout {
@@ -35,10 +62,9 @@ pub struct Layout {
     pub height: u64,
     /// Samples of a pixel in the file.
     pub samples: usize,
-    pub sample: SampleType,
+    pub sample: Samples,
     pub codec: Codec,
-    /// Horizontal differencing.
-    pub predictor: bool,
+    pub predictor: Predictor,
     pub planar: bool,
     /// JPEG only: the samples are luminance and colour differences.
     pub ycbcr: bool,
@@ -82,7 +108,7 @@ impl Layout {
         }
         let sample = sample_type(all, index)?;
         let codec = codec(all, index)?;
-        if codec == Codec::Jpeg && sample != SampleType::U8 {
+        if codec == Codec::Jpeg && sample != Samples::Unsigned(SampleType::U8) {
             return Err(unsupported(all, "JPEG of more than 8 bits"));
         }
         let planar = match all.first(index, tag::PLANAR_CONFIGURATION)?.unwrap_or(1) {
@@ -92,8 +118,9 @@ impl Layout {
         };
         let (colour, ycbcr) = colours(all, index, samples as usize, codec, planar)?;
         let predictor = match (all.first(index, tag::PREDICTOR)?.unwrap_or(1), codec) {
-            (_, Codec::None | Codec::PackBits | Codec::Jpeg) | (1, _) => false,
-            (2, _) => true,
+            (_, Codec::None | Codec::PackBits | Codec::Jpeg) | (1, _) => Predictor::None,
+            (2, _) => Predictor::Horizontal,
+            (3, _) if sample == Samples::Float32 => Predictor::FloatingPoint,
             (other, _) => return Err(unsupported(all, format!("predictor {other} (tag 317)"))),
         };
         let tiled = all.entry(index, tag::TILE_WIDTH).is_some();
@@ -267,12 +294,13 @@ fn unsupported(all: &Directories, what: impl Into<String>) -> Error {
     Error::unsupported(&all.path, format!("{} by the native reader", what.into()), THROUGH_GDAL)
 }
 
-fn sample_type(all: &Directories, index: usize) -> Result<SampleType> {
+fn sample_type(all: &Directories, index: usize) -> Result<Samples> {
     let formats = all.numbers(index, tag::SAMPLE_FORMAT)?.unwrap_or_default();
-    if let Some(other) = formats.iter().find(|&&format| format != 1) {
+    let floats = !formats.is_empty() && formats.iter().all(|&format| format == 3);
+    if let Some(other) = formats.iter().find(|&&format| format != 1).filter(|_| !floats) {
         let name = match other {
             2 => "signed",
-            3 => "floating-point",
+            3 => "some floating-point",
             4 => "undefined",
             5 | 6 => "complex",
             _ => "unknown",
@@ -287,8 +315,10 @@ fn sample_type(all: &Directories, index: usize) -> Result<SampleType> {
         Some(&first) if bits.iter().any(|&b| b != first) => {
             Err(unsupported(all, format!("bands of different depths ({bits:?} bits)")))
         }
-        Some(8) => Ok(SampleType::U8),
-        Some(16) => Ok(SampleType::U16),
+        Some(32) if floats => Ok(Samples::Float32),
+        Some(8) if !floats => Ok(Samples::Unsigned(SampleType::U8)),
+        Some(16) if !floats => Ok(Samples::Unsigned(SampleType::U16)),
+        other if floats => Err(unsupported(all, format!("floating-point samples of {} bits", other.unwrap_or(&0)))),
         other => Err(unsupported(all, format!("samples of {} bits", other.unwrap_or(&0)))),
     }
 }

@@ -4,6 +4,7 @@ pub mod container;
 mod decoder;
 mod decompress;
 mod empty_blocks;
+mod floats;
 mod jpeg;
 mod layout;
 mod lzw;
@@ -14,3 +15,4 @@ mod stream;
 
 pub use container::{Directories, is_tiff};
 pub use decoder::{TiffDecoder, open, open_mapped, open_pixels};
+pub use floats::{FloatTiff, bound_float_cache};

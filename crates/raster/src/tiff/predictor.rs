@@ -6,6 +6,7 @@
 #![allow(unsafe_code)]
 
 use super::container::ByteOrder;
+use super::layout::Predictor;
 
 /// Which kernel to take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +71,35 @@ pub fn words(bytes: &[u8], out: &mut [u16], order: ByteOrder) {
     match order {
         ByteOrder::Big => pairs.for_each(|(word, &pair)| *word = u16::from_be_bytes(pair)),
         ByteOrder::Little => pairs.for_each(|(word, &pair)| *word = u16::from_le_bytes(pair)),
+    }
+}
+
+/// Turns a row of differences of bytes, which lie by their weight with the heaviest first, into numbers (Adobe Photoshop
+/// TIFF Technical Note 3, 2005, predictor 3). The bytes are left as sums.
+pub fn undo_floats(kernel: Kernel, bytes: &mut [u8], out: &mut [f32]) {
+    let count = out.len();
+    debug_assert_eq!(bytes.len(), 4 * count, "four bytes a number");
+    let row_bytes = bytes.len();
+    undo_u8(kernel, bytes, row_bytes, 1);
+    let (first, rest) = bytes.split_at(count);
+    let (second, rest) = rest.split_at(count);
+    let (third, fourth) = rest.split_at(count);
+    for ((((value, &a), &b), &c), &d) in out.iter_mut().zip(first).zip(second).zip(third).zip(fourth) {
+        *value = f32::from_be_bytes([a, b, c, d]);
+    }
+}
+
+/// 32-bit numbers from a row of the file's bytes; with `Horizontal` differences of their bits to the number before.
+pub fn numbers(bytes: &[u8], out: &mut [f32], order: ByteOrder, predictor: Predictor) {
+    let bits = |&quad: &[u8; 4]| match order {
+        ByteOrder::Big => u32::from_be_bytes(quad),
+        ByteOrder::Little => u32::from_le_bytes(quad),
+    };
+    let mut sum = 0u32;
+    for (value, quad) in out.iter_mut().zip(bytes.as_chunks::<4>().0) {
+        let word = bits(quad);
+        sum = if predictor == Predictor::Horizontal { sum.wrapping_add(word) } else { word };
+        *value = f32::from_bits(sum);
     }
 }
 

@@ -82,7 +82,7 @@ impl TiffDecoder {
         let mut raw = self.pool.take(row_bytes * chunk.height as usize);
         let stored = self.next_rows(stream, &mut raw, counters)?;
         let bytes = raw.len() as u64;
-        if self.layout.sample == SampleType::U8 {
+        if self.info.sample == SampleType::U8 {
             if stored == Stored::InFile {
                 self.undo_predictor_u8(&mut raw);
             } else {
