@@ -29,6 +29,17 @@ impl Means {
         Means { tile_px, tile_rows_px: tile_px, threads }
     }
 
+    /// Tiles of as many cells, flat and wide: for copies that lie row by row on a disk.
+    pub fn flat(self) -> Means {
+        const LEAST_ROWS_PX: u64 = 2 * BLOCK_PX;
+        let cells = self.tile_px * self.tile_rows_px;
+        let rows = (cells.isqrt() / 4).next_multiple_of(BLOCK_PX).max(LEAST_ROWS_PX);
+        if rows >= self.tile_rows_px {
+            return self;
+        }
+        Means { tile_px: cells / rows, tile_rows_px: rows, ..self }
+    }
+
     /// The tiles of a raster.
     pub fn tiles(&self, width: u64, height: u64) -> TileGrid {
         let [across, down] = [self.tile_px, self.tile_rows_px].map(|px| px.max(1).next_multiple_of(BLOCK_PX));

@@ -18,6 +18,7 @@ use crate::stream::{self, BLOCK_PX, Means};
 use crate::window::Window;
 use crate::zones::Zones;
 
+use super::residuals::AbsHistogram;
 use super::smooth::{self, REACH_PX, Smooth};
 use super::surface::{Degree, Surface, terms};
 
@@ -113,7 +114,7 @@ pub enum Weighing {
 }
 
 const BIWEIGHT: f64 = 4.685;
-const CLIP: f64 = 3.0;
+pub(super) const CLIP: f64 = 3.0;
 
 impl Weighing {
     /// Weight and derivative of (weight · residual), both for unit scale.
@@ -134,10 +135,40 @@ impl Weighing {
 pub enum Gather {
     /// Nothing.
     Residuals,
+    /// Nothing, of every n-th row of blocks: how wide residuals scatter.
+    Scatter { blocks_apart: u64 },
     /// Normal equations with the weights.
     Normal { scales: [f64; SLOPES], weighing: Weighing },
     /// Normal equations with the derivative of the weighed residual, and the scores block by block, for the covariance.
     Scores { scales: [f64; SLOPES], weighing: Weighing, block_px: u64 },
+}
+
+impl Gather {
+    fn solves(&self) -> bool {
+        matches!(self, Gather::Normal { .. } | Gather::Scores { .. })
+    }
+}
+
+/// Cells that say how wide residuals scatter. Of larger models every n-th row of blocks is looked at, n at most
+/// [`MOST_BLOCKS_APART`].
+const ENOUGH_CELLS: u64 = 1_000_000;
+const MOST_BLOCKS_APART: u64 = 16;
+
+/// The scatter of the residuals, from as many cells as say it well.
+///
+/// # Errors
+/// When a model cannot be read.
+pub fn scatter(pair: &Pair<'_>, state: &State, flats: Flats, means: Means) -> Result<Sums> {
+    let grid = pair.template.grid();
+    let blocks_apart = (grid.width.saturating_mul(grid.height) / ENOUGH_CELLS).clamp(1, MOST_BLOCKS_APART);
+    if blocks_apart > 1 {
+        let sums = pass(pair, state, Gather::Scatter { blocks_apart }, flats, means)?;
+        // Common ground may lie in a few rows.
+        if sums.sloping >= ENOUGH_CELLS / MOST_BLOCKS_APART {
+            return Ok(sums);
+        }
+    }
+    pass(pair, state, Gather::Residuals, flats, means)
 }
 
 /// Whether cells without any slope take part.
@@ -147,73 +178,6 @@ pub enum Flats {
     LeftOut,
     Kept,
 }
-
-/// Counts of absolute residuals, 64 buckets for each power of two.
-#[derive(Clone)]
-pub struct AbsHistogram {
-    counts: Vec<u64>,
-    pub total: u64,
-}
-
-const ABS_SHIFT: u32 = 17;
-
-impl Default for AbsHistogram {
-    fn default() -> Self {
-        AbsHistogram { counts: vec![0; 1 << (31 - ABS_SHIFT)], total: 0 }
-    }
-}
-
-impl AbsHistogram {
-    fn add(&mut self, value: f64) {
-        self.counts[((value as f32).to_bits() >> ABS_SHIFT) as usize & ((1 << (31 - ABS_SHIFT)) - 1)] += 1;
-        self.total += 1;
-    }
-
-    pub fn merge(&mut self, other: &Self) {
-        self.counts.iter_mut().zip(&other.counts).for_each(|(a, b)| *a += b);
-        self.total += other.total;
-    }
-
-    fn edge(bucket: usize) -> f64 {
-        f64::from(f32::from_bits((bucket as u32) << ABS_SHIFT))
-    }
-
-    /// The quantile of the values up to `limit`.
-    fn quantile_below(&self, share: f64, limit: f64) -> f64 {
-        let below: u64 = (0..self.counts.len()).take_while(|&i| Self::edge(i) < limit).map(|i| self.counts[i]).sum();
-        let rank = share * below as f64;
-        let mut before = 0.0;
-        for (bucket, &count) in self.counts.iter().enumerate().filter(|(_, c)| **c > 0) {
-            if before + count as f64 >= rank {
-                let (low, high) = (Self::edge(bucket), Self::edge(bucket + 1));
-                // Exact zeros are zeros.
-                return if bucket == 0 { 0.0 } else { low + (high - low) * (rank - before) / count as f64 };
-            }
-            before += count as f64;
-        }
-        0.0
-    }
-
-    pub fn median(&self) -> f64 {
-        self.quantile_below(0.5, f64::INFINITY)
-    }
-
-    /// Standard deviation of the core: 1.4826 times the median, then that of the values within three of it, again.
-    pub fn scale(&self) -> f64 {
-        let mut scale = 1.4826 * self.median();
-        for _ in 0..20 {
-            let next = self.quantile_below(0.5, CLIP * scale) / TRUNCATED_MEDIAN;
-            if !(next > 0.0 && next < scale * (1.0 - 1e-6)) {
-                break;
-            }
-            scale = next;
-        }
-        scale
-    }
-}
-
-/// Median of |z| of normal values with |z| ≤ 3.
-const TRUNCATED_MEDIAN: f64 = 0.672_0;
 
 /// What a pass gathers. Sums are exact, so that joining them in any order gives the same bits.
 #[derive(Clone)]
@@ -362,12 +326,11 @@ pub fn pass(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means:
 /// The same with `N` parameters.
 fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats: Flats, means: Means) -> Result<Sums> {
     let grid = pair.template.grid();
-    let blocks_across = |block_px: u64| grid.width.div_ceil(block_px);
     let blocks = match gather {
-        Gather::Scores { block_px, .. } => (blocks_across(block_px) * grid.height.div_ceil(block_px)) as usize,
+        Gather::Scores { block_px, .. } => (grid.width.div_ceil(block_px) * grid.height.div_ceil(block_px)) as usize,
         _ => 0,
     };
-    let other = Moved::of(pair, state.shift);
+    let pass = Pass::<N> { pair, grid, state, gather, flats, other: Moved::of(pair, state.shift) };
     let worker = || Worker {
         sums: Sums::new(N, blocks),
         scratch: MovedBuffers::default(),
@@ -378,6 +341,33 @@ fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats
     };
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+        let Gather::Scatter { blocks_apart } = gather else { return pass.look(worker, core) };
+        // The same rows for any tiling.
+        let rows_apart = BLOCK_PX * blocks_apart;
+        for y in (core.y.next_multiple_of(rows_apart)..core.bottom()).step_by(rows_apart as usize) {
+            pass.look(worker, Window::new(core.x, y, core.width, BLOCK_PX.min(core.bottom() - y)))?;
+        }
+        Ok(())
+    })?;
+    let mut whole = Sums::new(N, blocks);
+    parts.iter().for_each(|part| whole.merge(&part.sums));
+    Ok(whole)
+}
+
+/// A pass under way, with `N` parameters.
+struct Pass<'a, const N: usize> {
+    pair: &'a Pair<'a>,
+    grid: Grid,
+    state: &'a State,
+    gather: Gather,
+    flats: Flats,
+    other: Moved<'a>,
+}
+
+impl<const N: usize> Pass<'_, N> {
+    /// Gathers what a window tells.
+    fn look(&self, worker: &mut Worker, core: Window) -> Result<()> {
+        let (pair, grid) = (self.pair, &self.grid);
         let around = |cells: usize| Patch {
             x: core.x as i64 - cells as i64,
             y: core.y as i64 - cells as i64,
@@ -385,43 +375,36 @@ fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats
             height: core.height as usize + 2 * cells,
         };
         let patch = around(1);
-        if gather == Gather::Residuals {
-            pair.template.read(patch, &mut worker.template)?;
-            worker.smooth.clear();
-        } else {
+        if self.gather.solves() {
             let wide = around(1 + REACH_PX);
             pair.template.read(wide, &mut worker.template)?;
             worker.smooth.take(&worker.template, wide.width);
             smooth::crop(&mut worker.template, wide.width, REACH_PX);
+        } else {
+            pair.template.read(patch, &mut worker.template)?;
+            worker.smooth.clear();
         }
-        other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
-        mark_stable(pair, &grid, core, &mut worker.stable);
-        let view = View {
-            pair,
-            grid: &grid,
-            core,
-            template: &worker.template,
-            smooth: worker.smooth.values(),
-            other: &worker.other,
-        };
+        self.other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
+        mark_stable(pair, grid, core, &mut worker.stable);
+        let (template, smooth, other) = (&worker.template, worker.smooth.values(), &worker.other);
+        let view = View { pair, grid, core, template, smooth, other };
         for y in (0..core.height).step_by(BLOCK_PX as usize) {
             for x in (0..core.width).step_by(BLOCK_PX as usize) {
                 let block = Window::new(x, y, BLOCK_PX.min(core.width - x), BLOCK_PX.min(core.height - y));
-                let partial: Partial<N> = view.block(block, state, gather, flats, &worker.stable, &mut worker.sums);
-                let index = match gather {
+                let sums = &mut worker.sums;
+                let partial: Partial<N> = view.block(block, self.state, self.gather, self.flats, &worker.stable, sums);
+                let index = match self.gather {
                     Gather::Scores { block_px, .. } => {
-                        Some(((core.y + y) / block_px * blocks_across(block_px) + (core.x + x) / block_px) as usize)
+                        let across = grid.width.div_ceil(block_px);
+                        Some(((core.y + y) / block_px * across + (core.x + x) / block_px) as usize)
                     }
                     _ => None,
                 };
-                worker.sums.take(&partial, index);
+                sums.take(&partial, index);
             }
         }
         Ok(())
-    })?;
-    let mut whole = Sums::new(N, blocks);
-    parts.iter().for_each(|part| whole.merge(&part.sums));
-    Ok(whole)
+    }
 }
 
 /// 1 where the ground counts as stable, else 0, for each cell of `core`.
@@ -546,7 +529,7 @@ impl View<'_> {
                 let class = if complete { slope_class((tx * per_x).powi(2) + (ty * per_y).powi(2)) } else { 0 };
                 sums.residuals[class].add(residual.abs());
                 let (scales, weighing, derivative) = match gather {
-                    Gather::Residuals => continue,
+                    Gather::Residuals | Gather::Scatter { .. } => continue,
                     Gather::Normal { scales, weighing } => (scales, weighing, false),
                     Gather::Scores { scales, weighing, .. } => (scales, weighing, true),
                 };

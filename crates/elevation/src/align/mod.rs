@@ -8,6 +8,7 @@ mod covariance;
 mod fit;
 mod nuth_kaab;
 mod pyramid;
+mod residuals;
 mod search;
 mod smooth;
 mod spread;
@@ -235,6 +236,9 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
     let frame = Frame::of(&template.grid());
     let (kept_template, kept_other) = Kept::both(&template, &other, options.room, options.means)?;
+    let on_disk = [&kept_template, &kept_other].into_iter().any(|kept| matches!(kept, Some(Kept::OnDisk(_))));
+    let flat = Options { means: options.means.flat(), ..*options };
+    let options = if on_disk { &flat } else { options };
     let template: &dyn Heights = kept_template.as_ref().map_or(&template, |kept| kept);
     let other: &dyn Heights = kept_other.as_ref().map_or(&other, |kept| kept);
     let full = Pair { template, other, finer, unit: options.unit, stable: options.stable, frame };

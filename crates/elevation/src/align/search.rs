@@ -91,7 +91,7 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     let state = State { surface: state.surface.of_degree(free.surface), ..state };
     let (settled, step) = if options.method == Method::NuthKaab {
         let (state, iterations) = nuth_kaab::iterate(full, state, options.means)?;
-        let sums = fit::pass(full, &state, Gather::Residuals, flats, options.means)?;
+        let sums = fit::scatter(full, &state, flats, options.means)?;
         (Settled { state, sums, iterations }, Step::Left)
     } else {
         let Some(near) = fitter.settle(full, state, free, NEAR)? else { return nothing(FLAT) };
@@ -351,7 +351,7 @@ impl Fitter<'_> {
     /// Iterates until the shift stands still. `None` where the equations have no solution.
     fn settle(&self, pair: &Pair<'_>, start: State, free: Free, precision: Precision) -> Result<Option<Settled>> {
         let mut state = start;
-        let mut sums = fit::pass(pair, &state, Gather::Residuals, self.flats, self.means)?;
+        let mut sums = fit::scatter(pair, &state, self.flats, self.means)?;
         if sums.sloping < FEWEST_CELLS {
             return Ok(None);
         }

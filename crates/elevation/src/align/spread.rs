@@ -7,6 +7,7 @@ use crate::stream::{self, Means};
 use crate::zeros::Zeros;
 
 use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
+use super::surface::Degree;
 
 /// Of the differences template − other − surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -65,13 +66,16 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
         other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
         mark_stable(pair, &grid, core, &mut worker.stable);
         let frame = &pair.frame;
+        let level = (state.surface.degree == Degree::Level).then_some(state.surface.coefficients[0]);
         for row in 0..height {
             let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
             let v = (y - frame.y) / frame.half_y;
             for column in 0..width {
                 let at = row * width + column;
-                let x = grid.x0 + ((core.x + column as u64) as f64 + 0.5) * grid.step_x;
-                let surface = state.surface.at((x - frame.x) / frame.half_x, v);
+                let surface = level.unwrap_or_else(|| {
+                    let x = grid.x0 + ((core.x + column as u64) as f64 + 0.5) * grid.step_x;
+                    state.surface.at((x - frame.x) / frame.half_x, v)
+                });
                 let difference = worker.template[at] - worker.other[at] - surface;
                 if worker.stable[at] != 0 && !difference.is_nan() {
                     worker.histogram.add(difference as f32);
