@@ -79,6 +79,7 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     let weighing = if options.method == Method::Lzd { Weighing::Clip } else { Weighing::Biweight };
     let fitter = Fitter { full, flats, weighing, means: options.means };
     let nothing = |why: &str| Ok(Found::Nothing(why.into()));
+    let flat = if free.moves && !options.method.bends() { FLAT_OR_TILTED } else { FLAT };
 
     let Some(state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
         let sloping =
@@ -94,7 +95,7 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
         let sums = fit::scatter(full, &state, flats, options.means)?;
         (Settled { state, sums, iterations }, Step::Left)
     } else {
-        let Some(near) = fitter.settle(full, state, free, NEAR)? else { return nothing(FLAT) };
+        let Some(near) = fitter.settle(full, state, free, NEAR)? else { return nothing(flat) };
         let mut start = anchored(&near, &full.template.grid());
         if options.method == Method::Auto {
             free = free.with(fitter.degree(
@@ -105,13 +106,13 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
             )?);
             start.surface = start.surface.of_degree(free.surface);
         }
-        let Some(settled) = fitter.settle(full, start, free, FINE)? else { return nothing(FLAT) };
+        let Some(settled) = fitter.settle(full, start, free, FINE)? else { return nothing(flat) };
         (settled, Step::Taken)
     };
-    let Some(end) = fitter.finish(full, &settled, free, step)? else { return nothing(FLAT) };
+    let Some(end) = fitter.finish(full, &settled, free, step)? else { return nothing(flat) };
     let uncertain = free.moves && (end.worst_shift_px.is_nan() || end.worst_shift_px > WORST_SHIFT_PX);
     if uncertain {
-        return nothing(FLAT);
+        return nothing(flat);
     }
     Ok(Found::Fitted(Box::new(Fitted {
         state: end.state,
@@ -128,6 +129,9 @@ const ONE_ASPECT: &str = "the common ground slopes in one direction only, along 
                           same; --method bias gives the height alone";
 const FLAT: &str =
     "the common ground is too flat, or too unlike, for a shift to be known; --method bias or tilt does without";
+/// Of methods without a tilt: one that is there counts as unlike ground.
+const FLAT_OR_TILTED: &str = "the common ground is too flat, too unlike, or tilted too much, for a shift to be known; \
+                              --method auto fits a tilt too, bias or tilt does without a shift";
 
 /// Where to begin: where the files say, and where the coarsest level fits best.
 ///
