@@ -45,37 +45,70 @@ pub(super) struct Columns {
     pub marks: Marks,
 }
 
+/// Which columns are the coordinates.
+#[derive(Clone, Copy, Debug)]
+struct Plan {
+    easting: usize,
+    northing: usize,
+    geographic: bool,
+    order: ColumnOrder,
+}
+
+impl Plan {
+    /// Longitude and latitude.
+    fn of_degrees(tidied: &[String]) -> Option<Plan> {
+        let (easting, northing) = pair(tidied, LONGITUDES, LATITUDES)?;
+        Some(Plan { easting, northing, geographic: true, order: ColumnOrder::Stated })
+    }
+
+    /// Easting and northing in words.
+    fn of_words(tidied: &[String]) -> Option<Plan> {
+        let (easting, northing) = pair(tidied, EASTINGS, NORTHINGS)?;
+        Some(Plan { easting, northing, geographic: false, order: ColumnOrder::Stated })
+    }
+
+    /// X and Y, and letters of other languages.
+    fn of_letters(titles: &[String], tidied: &[String]) -> Option<Plan> {
+        let (easting, northing, order) = if let Some((x, y)) = pair(tidied, XS, YS) {
+            // "Y (E)" and "X (N)" say more than their letters do.
+            match directed(titles) {
+                Some((said, [Axis::East, _])) if said == (x, y) || said == (y, x) => {
+                    (said.0, said.1, ColumnOrder::Stated)
+                }
+                _ => (x, y, ColumnOrder::Assumed),
+            }
+        } else if let Some((e, n)) = LETTER_PAIRS.iter().find_map(|[e, n]| pair(tidied, &[e], &[n])) {
+            (e, n, ColumnOrder::Stated)
+        } else {
+            let ((e, n), axes) = directed(titles)?;
+            (e, n, if axes[0] == Axis::East { ColumnOrder::Stated } else { ColumnOrder::Assumed })
+        };
+        Some(Plan { easting, northing, geographic: false, order })
+    }
+}
+
+fn pair(tidied: &[String], a: &[&str], b: &[&str]) -> Option<(usize, usize)> {
+    find(tidied, a).zip(find(tidied, b)).filter(|(a, b)| a != b)
+}
+
 /// The columns that titles name, when both coordinates are among them.
 pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     let tidied: Vec<String> = titles.iter().map(|t| tidy(t)).collect();
-    let find = |names: &[&str]| find(&tidied, names);
-    let pair = |a: &[&str], b: &[&str]| find(a).zip(find(b)).filter(|(a, b)| a != b);
-    let (easting, northing, geographic, order) = if let Some((e, n)) = pair(EASTINGS, NORTHINGS) {
-        (e, n, false, ColumnOrder::Stated)
-    } else if let Some((e, n)) = pair(LONGITUDES, LATITUDES) {
-        (e, n, true, ColumnOrder::Stated)
-    } else if let Some((x, y)) = pair(XS, YS) {
-        // "Y (E)" and "X (N)" say more than their letters do.
-        match directed(&titles) {
-            Some((said, [Axis::East, _])) if said == (x, y) || said == (y, x) => {
-                (said.0, said.1, false, ColumnOrder::Stated)
-            }
-            _ => (x, y, false, ColumnOrder::Assumed),
-        }
-    } else if let Some((e, n)) = LETTER_PAIRS.iter().find_map(|[e, n]| pair(&[e], &[n])) {
-        (e, n, false, ColumnOrder::Stated)
-    } else {
-        let ((e, n), axes) = directed(&titles)?;
-        let order = if axes[0] == Axis::East { ColumnOrder::Stated } else { ColumnOrder::Assumed };
-        (e, n, false, order)
-    };
+    let plan =
+        Plan::of_words(&tidied).or_else(|| Plan::of_degrees(&tidied)).or_else(|| Plan::of_letters(&titles, &tidied))?;
+    Some(columns_of(titles, &tidied, plan))
+}
+
+fn columns_of(titles: Vec<String>, tidied: &[String], plan: Plan) -> Columns {
+    let Plan { easting, northing, geographic, order } = plan;
+    let find = |names: &[&str]| find(tidied, names);
     let is_free = |i: &usize| *i != easting && *i != northing;
     // Beside titles that are words, a letter is something else.
     let letters = || find(SHORT_HEIGHTS).filter(|_| tidied[easting].len() == 1 && tidied[northing].len() == 1);
     // Tables with two sets of coordinates have a height beside each.
     let beside =
         || Some(easting.max(northing) + 1).filter(|&at| tidied.get(at).is_some_and(|title| is_level_height(title)));
-    let height = beside().or_else(|| find_height(&tidied)).or_else(letters).filter(is_free);
+    let height = beside().or_else(|| find_height(tidied)).or_else(letters).filter(is_free);
     let name = find(NAMES).filter(|i| is_free(i) && Some(*i) != height);
     // MicMac calls the name N, before X, Y and Z.
     let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
@@ -87,9 +120,9 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
     let short = || find(SHORT_SIGMA_HEIGHTS).filter(|_| both[0].is_some());
     let twice = |i: &usize| tidied.iter().filter(|title| **title == tidied[*i]).count() > 1;
     let doubled = [Some(easting), Some(northing), name, height].into_iter().flatten().find(twice);
-    Some(Columns {
+    Columns {
         name,
-        likely_name: find_likely_name(&tidied).filter(is_free),
+        likely_name: find_likely_name(tidied).filter(is_free),
         easting,
         northing,
         height,
@@ -105,10 +138,45 @@ pub(super) fn columns(titles: Vec<String>) -> Option<Columns> {
         order,
         titles,
         marks: Marks::default(),
-    })
+    }
 }
 
 impl Columns {
+    /// Without titles, and with the first two columns for the coordinates.
+    pub(super) fn untitled() -> Columns {
+        Columns {
+            doubled: None,
+            titles: Vec::new(),
+            name: None,
+            likely_name: None,
+            easting: 0,
+            northing: 1,
+            height: None,
+            sigma: [None; 2],
+            sigma_height: None,
+            role: None,
+            check: None,
+            enabled: None,
+            crs: None,
+            crs_name: None,
+            geographic: false,
+            order: ColumnOrder::Untitled,
+            marks: Marks::default(),
+        }
+    }
+
+    /// The same with the other coordinates of the table: those of a map beside degrees, or degrees beside those.
+    pub(super) fn other(&self) -> Option<Columns> {
+        let tidied: Vec<String> = self.titles.iter().map(|t| tidy(t)).collect();
+        let plan = match self.geographic {
+            true => Plan::of_letters(&self.titles, &tidied),
+            false => Plan::of_degrees(&tidied),
+        };
+        let taken = [self.easting, self.northing];
+        let plan = plan.filter(|plan| !taken.contains(&plan.easting) && !taken.contains(&plan.northing))?;
+        Some(columns_of(self.titles.clone(), &tidied, plan))
+    }
+
     /// The system that a column names in the same words in all rows; why its words are no help.
     pub(super) fn named_system(&self, rows: &[Row<'_>]) -> std::result::Result<Option<Crs>, String> {
         let Some(column) = self.crs_name else { return Ok(None) };
@@ -186,6 +254,12 @@ impl Columns {
         Ok(note)
     }
 
+    /// A coordinate whose mark may stand between thousands, where nothing shows it.
+    pub(super) fn open_mark(&self, rows: &[Row<'_>]) -> Option<String> {
+        let (line, cells) = rows.first().filter(|_| self.marks.are_guessed())?;
+        Some(format!("`{}` ({})", cells.get(self.easting)?, line.place()))
+    }
+
     /// The number in a cell of a coordinate.
     pub(super) fn number(&self, cell: &str) -> Option<f64> {
         if self.geographic { angle(cell) } else { self.marks.number(cell) }
@@ -202,7 +276,8 @@ impl Columns {
     /// Which column was taken for what, when a reader of the file could think otherwise: no title is one of a name's,
     /// or a title that was passed over has such a word in it ("Høyde-navn").
     pub(super) fn unclear(&self) -> Option<String> {
-        let used = self.used();
+        let mut used = self.used();
+        used.extend(self.other().into_iter().flat_map(|other| [other.easting, other.northing]));
         let telling = |title: &str| {
             let known = [NAMES, EASTINGS, NORTHINGS, HEIGHTS];
             tidy(title).split([' ', '/']).any(|word| word.len() > 2 && known.iter().any(|names| names.contains(&word)))
@@ -235,10 +310,25 @@ impl Columns {
     pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
         let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
         let no_number = |text: &str, what: &str| {
-            Error::format(path, &place, format!("`{text}` is no number for the {what}; correct or remove the row"))
+            let remedy = match angle(text) {
+                Some(_) if what != "height" => "it is an angle: call the columns `lon` and `lat`",
+                _ => "correct or remove the row",
+            };
+            Error::format(path, &place, format!("`{text}` is no number for the {what}; {remedy}"))
         };
         let required = |column: usize, what: &str, own: Letter| -> Result<f64> {
             let Some(text) = text(column) else {
+                let filled = fields.iter().filter(|field| !field.is_empty()).count();
+                if filled == 1 && self.titles.len() > 1 {
+                    let shown: String =
+                        fields.iter().find(|f| !f.is_empty()).map_or("", |f| f).chars().take(60).collect();
+                    let what = format!(
+                        "`{shown}` is one cell under {} titles: other marks between the columns than in the header, or a \
+                         line end within a cell, which needs quotes; correct or remove the row",
+                        self.titles.len()
+                    );
+                    return Err(Error::format(path, &place, what));
+                }
                 return Err(Error::format(path, &place, format!("the {what} is missing; complete or remove the row")));
             };
             if self.geographic {

@@ -9,10 +9,11 @@ use std::path::Path;
 
 use crate::gcp::angle::angle;
 use crate::gcp::columns::{Columns, columns};
-use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::headerless::Labels;
+use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::titles::{EASTINGS, LONGITUDES, XS, find, tidy};
-use crate::gcp::{headerless, remarks, statistics};
+use crate::gcp::{headerless, remarks, statistics, wkt};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -20,6 +21,19 @@ use autoref_raster::error::{Error, Result};
 pub(super) type Row<'a> = (&'a Line<'a>, Vec<String>);
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+    parse_with(path, lines, Labels::Shown)
+}
+
+/// Pix4D's: without titles the first column is the label, and of degrees the latitude comes first.
+pub(super) fn parse_pix4d(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+    let mut list = parse_with(path, lines, Labels::First)?;
+    if list.order == ColumnOrder::Untitled {
+        list.order = ColumnOrder::LatitudeFirst;
+    }
+    Ok(list)
+}
+
+fn parse_with(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<RawList> {
     let Some(first) = lines.iter().find(|line| !line.is_comment()) else {
         return Err(Error::format(
             path,
@@ -27,9 +41,15 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
             "the file holds no points; a header and one line for each are expected",
         ));
     };
-    match header(lines) {
+    let header = header(lines);
+    if header.is_none()
+        && let Some(list) = wkt::parse(path, lines)
+    {
+        return list;
+    }
+    match header {
         Some((at, separator, columns)) => with_header(path, lines, at, separator, columns),
-        None if has_numbers(first.text) => headerless::parse(path, lines),
+        None if has_numbers(first.text) => headerless::parse(path, lines, labels),
         None => refuse_open_quote(path, first).and(Err(no_header(path, first))),
     }
 }
@@ -51,7 +71,9 @@ fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
 }
 
 fn has_numbers(line: &str) -> bool {
-    SEPARATORS.iter().any(|&separator| split(line, separator).iter().filter(|f| angle(f).is_some()).count() >= 2)
+    // "5'334'320.91" is a number and no angle.
+    let is_value = |field: &str| text::number(field).is_some() || angle(field).is_some();
+    SEPARATORS.iter().any(|&separator| split(line, separator).iter().filter(|f| is_value(f)).count() >= 2)
 }
 
 fn no_header(path: &Path, line: &Line<'_>) -> Error {
@@ -66,7 +88,15 @@ fn no_header(path: &Path, line: &Line<'_>) -> Error {
     )
 }
 
-fn with_header(
+fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: Columns) -> Result<RawList> {
+    // Of two sets of coordinates the CRS that is given may mean the other; one that cannot be read is none.
+    let beside = columns.other().and_then(|other| with_columns(path, lines, at, separator, other).ok());
+    let mut list = with_columns(path, lines, at, separator, columns)?;
+    list.beside = beside.map(Box::new);
+    Ok(list)
+}
+
+fn with_columns(
     path: &Path,
     lines: &[Line<'_>],
     at: usize,
@@ -97,6 +127,7 @@ fn with_header(
     let (crs, of_system) = stated_system(path, lines, at, (&columns, &rows), points.first())?;
     let mut list = RawList::new(points, crs);
     columns.tell(&mut list);
+    list.open_mark = columns.open_mark(&rows);
     let skipped = lines[..at].iter().find(|line| !line.is_comment());
     let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
     let notes =

@@ -9,7 +9,7 @@ use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometr
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::titles::{NAMES, find, tidy};
-use crate::gcp::{Gcp, ogr};
+use crate::gcp::{Gcp, ogr, text};
 use autoref_raster::error::{Error, Result};
 
 /// OGR's layer of everything that is drawn; blocks' own definitions are in another.
@@ -114,7 +114,7 @@ impl Drawing {
             return;
         };
         let (x, y, z) = geometry.get_point(0);
-        let text = value("Text");
+        let text = text::of_utf8_bytes(value("Text"));
         if !text.is_empty() {
             self.labels.entry(value("Layer")).or_default().push(Label { at: (x, y), text });
             return;
@@ -153,7 +153,7 @@ fn attribute_name(feature: &Feature<'_>, titles: &[String]) -> Option<String> {
         .collect();
     let tags: Vec<String> = pairs.iter().map(|(tag, _)| tag.clone()).collect();
     let at = find(&tags, NAMES).or((pairs.len() == 1).then_some(0))?;
-    Some(pairs[at].1.to_string())
+    Some(text::of_utf8_bytes(pairs[at].1.to_string()))
 }
 
 /// Names the points by the texts beside them, of the layer of the drawing that names most; says what was done.

@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use crate::gcp::columns::is_check;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint, Seen};
+use crate::gcp::titles::{NAMES, find, tidy};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
@@ -46,10 +47,17 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     Ok(list)
 }
 
+/// The property whose key is one of a name's titles ("punkt", "label").
+fn titled(properties: &Value) -> &Value {
+    let keys: Vec<&String> = properties.as_object().into_iter().flatten().map(|(key, _)| key).collect();
+    let tidied: Vec<String> = keys.iter().map(|key| tidy(key)).collect();
+    find(&tidied, NAMES).map_or(&Value::Null, |at| &properties[keys[at].as_str()])
+}
+
 fn point(path: &Path, index: usize, feature: &Value) -> Result<RawPoint> {
     let place = format!("feature {}", index + 1);
     let properties = &feature["properties"];
-    let name = [&properties["name"], &properties["id"], &properties["Name"], &feature["id"]]
+    let name = [&properties["name"], &properties["id"], &properties["Name"], titled(properties), &feature["id"]]
         .into_iter()
         .find_map(|value| match value {
             Value::String(text) if !text.trim().is_empty() => Some(text.trim().to_string()),

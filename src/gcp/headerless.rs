@@ -2,17 +2,30 @@
 
 use std::path::Path;
 
+use crate::gcp::angle::{Letter, angle, letter};
 use crate::gcp::columns::{Columns, is_check};
 use crate::gcp::csv_list::{Row, refuse_open_quote};
-use crate::gcp::marks::Marks;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
 use crate::gcp::{remarks, statistics};
+use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
+/// Whether the first column holds names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Labels {
+    /// Where its values show it.
+    Shown,
+    /// By the format's rule, also where they are numbers (Pix4D).
+    First,
+}
+
 /// Columns of numbers, with or without a name in front or behind.
-pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
+pub(super) fn parse(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<RawList> {
     let rows: Vec<&Line<'_>> = lines.iter().filter(|line| !line.is_comment()).collect();
+    if let Some(list) = of_angles(path, &rows) {
+        return list;
+    }
     let separator = SEPARATORS
         .into_iter()
         .max_by_key(|&separator| {
@@ -30,7 +43,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
         let line = rows.first().map_or("row 1".into(), |line| line.place());
         return Err(Error::format(path, line, "no point: a name, two coordinates and perhaps a height are expected"));
     };
-    let numbered = shape.first_is_a_number && shape.first_is_a_name(&table);
+    let is_label = labels == Labels::First && shape.numbers > 2;
+    let numbered = shape.first_is_a_number && (is_label || shape.first_is_a_name(&table));
     let mut columns = shape.columns(numbered, &table);
     let of_names = columns.name_among_codes(&table, &kept);
     let of_marks = columns.settle_marks(path, &table)?;
@@ -56,7 +70,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
         Err(why) => (CrsClaim::None, Some(why)),
     };
     let mut list = RawList::new(points, crs);
-    list.order = ColumnOrder::Assumed;
+    list.order = ColumnOrder::Untitled;
+    list.open_mark = columns.open_mark(&table);
     list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
     let unnamed = columns.name.is_none().then(|| "no column holds names: the points are numbered from 1".to_owned());
     let notes = [
@@ -70,6 +85,56 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     ];
     list.notes.extend(notes.into_iter().flatten().map(|what| format!("{}: {what}", path.display())));
     Ok(list)
+}
+
+/// Two columns of angles that are no plain numbers (`59°54'50.0"N`, `59.9139N`, `59:54:50.0`): their letters say which
+/// is which. `None` for other tables.
+fn of_angles(path: &Path, rows: &[&Line<'_>]) -> Option<Result<RawList>> {
+    let is_angle = |cell: &String| text::number(cell).is_none() && angle(cell).is_some();
+    let pair_of = |row: &[String]| row.windows(2).rposition(|cells| cells.iter().all(is_angle));
+    let (table, first) = SEPARATORS.into_iter().find_map(|separator| {
+        let table: Vec<Row<'_>> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
+        let first = pair_of(&table.first()?.1)?;
+        table.iter().all(|(_, cells)| pair_of(cells) == Some(first)).then_some((table, first))
+    })?;
+    let letters: Vec<[Option<Letter>; 2]> =
+        table.iter().map(|(_, cells)| [letter(&cells[first]), letter(&cells[first + 1])]).collect();
+    let is_latitude = |letter: &Option<Letter>| *letter == Some(Letter::Latitude);
+    let (easting, northing) = match () {
+        () if letters.iter().all(|[a, _]| is_latitude(a)) => (first + 1, first),
+        () if letters.iter().all(|[_, b]| is_latitude(b)) => (first, first + 1),
+        () => {
+            let (line, cells) = &table[0];
+            let what = format!(
+                "`{}` and `{}` are angles, and nothing shows which is the latitude: write the titles \
+                 `name;lat;lon;height` (or `name;lon;lat;height`) above the rows, or N and E behind the angles",
+                cells[first],
+                cells[first + 1]
+            );
+            return Some(Err(Error::format(path, line.place(), what)));
+        }
+    };
+    let height = table.iter().all(|(_, cells)| cells.get(first + 2).is_some_and(|cell| text::number(cell).is_some()));
+    let columns = Columns {
+        name: (first > 0).then_some(0),
+        easting,
+        northing,
+        height: height.then_some(first + 2),
+        geographic: true,
+        order: ColumnOrder::Stated,
+        ..Columns::untitled()
+    };
+    let points: Result<Vec<RawPoint>> = table
+        .iter()
+        .enumerate()
+        .map(|(index, (line, cells))| columns.point(path, line.place(), cells, &(index + 1).to_string()))
+        .collect();
+    Some(points.and_then(|points| {
+        let mut list = RawList::new(points, CrsClaim::Known(Crs::from_epsg(4326)?));
+        list.titled_degrees = true;
+        list.notes.push(format!("{}: the letters N and E say which column is the latitude", path.display()));
+        Ok(list)
+    }))
 }
 
 /// Takes away the columns in which no row has anything; returns which are left.
@@ -266,23 +331,13 @@ impl Shape {
             _ => ([extra(3), None], extra(4)),
         };
         Columns {
-            doubled: None,
-            titles: Vec::new(),
             name,
-            likely_name: None,
             easting: first,
             northing: first + 1,
             height: extra(2),
             sigma,
             sigma_height,
-            role: None,
-            check: None,
-            enabled: None,
-            crs: None,
-            crs_name: None,
-            geographic: false,
-            order: ColumnOrder::Assumed,
-            marks: Marks::default(),
+            ..Columns::untitled()
         }
     }
 }

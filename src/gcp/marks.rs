@@ -17,6 +17,15 @@ pub(super) struct Cell<'a> {
 pub(super) struct Marks {
     /// Stands between thousands, also where it stands alone in a number.
     thousands: Option<char>,
+    certainty: Certainty,
+}
+
+/// Whether the file shows what its marks stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Certainty {
+    #[default]
+    Shown,
+    Guessed,
 }
 
 /// What a number says of a mark.
@@ -102,6 +111,7 @@ impl Marks {
                     shown.text
                 ));
             } else if as_decimal.is_none() && thousands.is_empty() && !ungrouped {
+                marks.certainty = Certainty::Guessed;
                 note = Some(format!(
                     "in `{}` ({}) and the like the {} is taken for the decimal mark; if it stands between \
                      thousands, write the numbers without it",
@@ -112,6 +122,11 @@ impl Marks {
             }
         }
         Ok((marks, note))
+    }
+
+    /// Whether a mark was taken for the decimal one that may stand between thousands.
+    pub fn are_guessed(self) -> bool {
+        self.certainty == Certainty::Guessed
     }
 
     /// A number under these marks.

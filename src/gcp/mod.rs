@@ -27,6 +27,7 @@ mod kof;
 mod marks;
 pub mod odm;
 mod ogr;
+mod order;
 mod place;
 mod qgis;
 mod raw;
@@ -38,7 +39,9 @@ mod sheet;
 mod statistics;
 pub(crate) mod text;
 mod titles;
+mod tracks;
 pub(crate) mod units;
+mod wkt;
 mod working_crs;
 mod xml;
 

@@ -5,6 +5,7 @@
 //! Source: the chapter "Ground Control Points" of OpenDroneMap's manual. What is measured in the images is checked but
 //! not used: it belongs to the photographs from which an orthophoto was made.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -43,7 +44,7 @@ pub(super) fn is_crs_line(line: &str) -> bool {
 /// it says. Any word may name an image there, but a number is none.
 pub(super) fn has_observations(lines: &[Line<'_>]) -> bool {
     let names_an_image = |line: &Line<'_>| {
-        observation(&fields(line.text)).is_some_and(|seen| crate::gcp::text::number(seen.image).is_none())
+        observation(&fields(line.text)).is_some_and(|seen| crate::gcp::text::number(&seen.image).is_none())
     };
     let second = lines.iter().skip(1).find(|line| !line.is_comment());
     begins_with_a_row(lines) || (second.is_some_and(names_an_image) && observation(&fields(lines[0].text)).is_none())
@@ -51,11 +52,13 @@ pub(super) fn has_observations(lines: &[Line<'_>]) -> bool {
 
 /// Whether the first line is an observation in an image file: the list names no CRS.
 fn begins_with_a_row(lines: &[Line<'_>]) -> bool {
+    lines.first().and_then(|line| observation(&fields(line.text)).map(|seen| is_image(&seen.image))) == Some(true)
+}
+
+/// Whether a name ends as those of images do.
+fn is_image(name: &str) -> bool {
     const IMAGES: [&str; 9] = ["jpg", "jpeg", "tif", "tiff", "png", "dng", "jp2", "bmp", "webp"];
-    let is_image = |name: &str| {
-        name.rsplit_once('.').is_some_and(|(_, end)| IMAGES.iter().any(|known| end.eq_ignore_ascii_case(known)))
-    };
-    lines.first().and_then(|line| observation(&fields(line.text)).map(|seen| is_image(seen.image))) == Some(true)
+    name.rsplit_once('.').is_some_and(|(_, end)| IMAGES.iter().any(|known| end.eq_ignore_ascii_case(known)))
 }
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
@@ -68,6 +71,9 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
         observations(path, &rows)?
     } else {
         let mut list = csv_list::parse(path, &rows)?;
+        if list.order == ColumnOrder::Untitled {
+            list.order = ColumnOrder::Ruled;
+        }
         for point in &mut list.points {
             if let Some(name) = check_point(&point.gcp.name) {
                 point.gcp.name = name.to_string();
@@ -97,7 +103,7 @@ struct Observation<'a> {
     height: Option<f64>,
     /// OpenDroneMap counts from the centre of the first pixel.
     pixel: PixelPoint,
-    image: &'a str,
+    image: Cow<'a, str>,
     label: Option<&'a str>,
 }
 
@@ -115,7 +121,10 @@ fn observation<'a>(fields: &[&'a str]) -> Option<Observation<'a>> {
         return None;
     }
     let pixel = PixelPoint { x: im_x + 0.5, y: im_y + 0.5 };
-    Some(Observation { place: [x, y], height: z, pixel, image: fields[5], label: fields.get(6).copied() })
+    // OpenDroneMap itself cuts at every blank; of a name with blanks the end is known by its letters.
+    let end = (5..fields.len()).find(|&at| is_image(fields[at])).unwrap_or(5);
+    let image = if end == 5 { Cow::Borrowed(fields[5]) } else { Cow::Owned(fields[5..=end].join(" ")) };
+    Some(Observation { place: [x, y], height: z, pixel, image, label: fields.get(end + 1).copied() })
 }
 
 fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
@@ -134,7 +143,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
                 ),
             )
         })?;
-        let seen_at = Seen { image: Some(image.to_owned()), at: pixel };
+        let seen_at = Seen { image: Some(image.into_owned()), at: pixel };
         let key = [place[0].to_bits(), place[1].to_bits(), height.map_or(u64::MAX, f64::to_bits)];
         let seen = match label {
             Some(label) => labelled.get(label),
@@ -174,7 +183,7 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
         points.push(RawPoint { pixels: vec![seen_at], ..RawPoint::bare(gcp, row.place()) });
     }
     let mut list = RawList::new(points, CrsClaim::None);
-    list.order = ColumnOrder::Assumed;
+    list.order = ColumnOrder::Ruled;
     if unlabelled > 0 {
         list.notes.push(format!(
             "{}: {unlabelled} points have no label and were numbered in order of appearance",

@@ -20,6 +20,8 @@ const FAR_DEG: f64 = 5.0;
 
 const MILLIMETRES: &str = "they would lie in it if they were millimetres, brought to metres";
 const FEET: &str = "they would lie in it if they were feet, brought to metres";
+const MINUS: &str = "they would lie in it with a minus sign before both coordinates";
+const MINUS_EXCHANGED: &str = "they would lie in it with a minus sign before both coordinates, and these exchanged";
 const OTHER_ZONE: &str = "by their size they are metres of another zone, or of the other hemisphere";
 
 /// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
@@ -86,7 +88,7 @@ fn refuse_absurd(path: &Path, points: &[RawPoint]) -> Result<()> {
 
 /// Whether all points lie wrong as they stand and right with their coordinates exchanged, by the CRS's area of use or
 /// by the image's own place.
-fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> bool {
+pub(super) fn are_exchanged(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> bool {
     if points.is_empty() {
         return false;
     }
@@ -121,7 +123,7 @@ fn are_exchanged_on(points: &[RawPoint], crs: &Crs, image: &ImageGeoreference) -
 }
 
 /// Whether all degrees lie outside the area of use of the CRS that is asked for, and inside when they are exchanged.
-fn are_exchanged_for(points: &[RawPoint], crs: &Crs, target: &Crs) -> bool {
+pub(super) fn are_exchanged_for(points: &[RawPoint], crs: &Crs, target: &Crs) -> bool {
     let covers = |e: f64, n: f64| {
         let (longitude, latitude) = crs.longitude_latitude(e, n)?;
         target.covers_degrees(longitude, latitude)
@@ -211,6 +213,37 @@ fn set_aside(
     Ok(())
 }
 
+/// For a list that is written again as it is: what shows that the CRS is not that of the coordinates is refused, and
+/// single points outside its area of use are named.
+///
+/// # Errors
+/// [`Error::Format`] with the remedy.
+pub(super) fn refuse_known_mistakes(
+    path: &Path,
+    points: &[RawPoint],
+    crs: &Crs,
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let axes = if crs.is_geographic() { "longitude and latitude" } else { "easting and northing" };
+    if are_exchanged(points, crs, None) {
+        let title = crs.title();
+        let what = format!(
+            "all {} points lie where they cannot be in {title}, and right with {axes} exchanged; exchange the columns",
+            points.len()
+        );
+        return Err(Error::format(path, "the coordinates", what));
+    }
+    refuse_elsewhere(path, points, crs, None, "")?;
+    refuse_absurd(path, points)?;
+    let outside = |p: &&RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
+    let names: Vec<String> = points.iter().filter(outside).map(|p| p.gcp.name.clone()).collect();
+    if !names.is_empty() {
+        let title = crs.title();
+        notes.push(format!("{}: outside the area of use of {title}: {}", path.display(), listed(&names)));
+    }
+    Ok(())
+}
+
 /// Refuses points of which none lies in the CRS's area of use; `way_out` is what else the caller may do.
 ///
 /// # Errors
@@ -229,6 +262,10 @@ pub(super) fn refuse_elsewhere(
     // To keep feet where they lie as metres would help nobody.
     let remedy = if how.as_deref() == Some(MILLIMETRES) {
         "call the columns `Easting (mm)` and `Northing (mm)`".to_owned()
+    } else if how.as_deref() == Some(MINUS) {
+        "write both with a minus sign".to_owned()
+    } else if how.as_deref() == Some(MINUS_EXCHANGED) {
+        "write easting = −Y (westing) and northing = −X (southing), under these titles".to_owned()
     } else if how.as_deref() == Some(FEET) && !way_out.is_empty() {
         "call the columns `Easting (US ft)` and `Northing (US ft)`, or `(ift)` where they are international feet, or \
          give a --crs that counts in feet"
@@ -288,10 +325,10 @@ pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&Im
         }
     }
     if all(&|e, n| (-e, -n)) {
-        return Some("they would lie in it with a minus sign before both coordinates".to_string());
+        return Some(MINUS.to_string());
     }
     if all(&|e, n| (-n, -e)) {
-        return Some("they would lie in it with a minus sign before both coordinates, and these exchanged".to_string());
+        return Some(MINUS_EXCHANGED.to_string());
     }
     let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
     if all(&feet) {

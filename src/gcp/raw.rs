@@ -56,6 +56,10 @@ pub(super) enum ColumnOrder {
     Stated,
     /// East before north by custom, which is not everybody's.
     Assumed,
+    /// As [`ColumnOrder::Assumed`], without a word over the columns: degrees stand in either order.
+    Untitled,
+    /// East before north, and of degrees the latitude first (Pix4D).
+    LatitudeFirst,
     /// East before north by the format's own rule, which not everybody keeps (GeoJSON): only what cannot be is
     /// exchanged.
     Ruled,
@@ -70,6 +74,10 @@ pub(super) struct RawList {
     pub order: ColumnOrder,
     /// Titles say longitude and latitude.
     pub titled_degrees: bool,
+    /// A number whose mark can stand before decimals or between thousands, where nothing in the file shows it.
+    pub open_mark: Option<String>,
+    /// The same points by other columns of theirs: coordinates of a map beside degrees, or the other way round.
+    pub beside: Option<Box<RawList>>,
     pub units: TitledUnits,
     /// Rows that are no points, in plain words.
     pub set_aside: Option<String>,
@@ -84,6 +92,8 @@ impl RawList {
             may_be_degrees: false,
             order: ColumnOrder::Stated,
             titled_degrees: false,
+            open_mark: None,
+            beside: None,
             units: TitledUnits::default(),
             set_aside: None,
             notes: Vec::new(),

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::gcp::order::{self, Shown};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::{Reproject, WorkingCrs};
@@ -97,8 +98,9 @@ pub(super) fn settled(
     path: &Path,
     raw: RawList,
     crs_override: Option<&str>,
+    shown: Shown<'_>,
 ) -> Result<(Vec<RawPoint>, Option<Crs>, Vec<String>)> {
-    let RawList { mut points, crs, may_be_degrees, order, titled_degrees, mut notes, .. } = raw;
+    let RawList { mut points, crs, may_be_degrees, order, titled_degrees, mut notes, open_mark, .. } = raw;
     heights::drop_missing(path, &mut points, &mut notes);
     check_points(path, &mut points, &mut notes)?;
     let degrees = |points: &[RawPoint]| within_degrees(points) || latitude_first(points);
@@ -108,21 +110,55 @@ pub(super) fn settled(
         (None, CrsClaim::Unclear(error)) => return Err(error),
         (None, CrsClaim::Known(crs)) => Some(crs),
         (None, CrsClaim::None) if may_be_degrees && degrees(&points) => Some(Crs::from_epsg(4326)?),
+        (None, CrsClaim::None) if order == ColumnOrder::LatitudeFirst && look_like_degrees(&points) => {
+            Some(Crs::from_epsg(4326)?)
+        }
         (None, CrsClaim::None) => None,
     };
     if let Some(crs) = &stated {
         working_crs::refuse_mirror_image(crs, "--crs")?;
     }
-    settle_order(path, &mut points, order, stated.as_ref(), &mut notes);
+    order::settle(path, &mut points, order, stated.as_ref(), shown, &mut notes)?;
     if let Some(crs) = &stated {
         refuse_no_degrees(path, &points, crs)?;
         if titled_degrees && !crs.is_geographic() && !crs.is_local() && degrees(&points) {
             return Err(titles_of_degrees(path, crs));
         }
         refuse_degrees_of_map(path, &points, crs)?;
+        if let Some(cell) = open_mark {
+            refuse_thousands(path, &points, crs, &cell)?;
+        }
     }
     refuse_geocentric(path, &points)?;
     Ok((points, stated, notes))
+}
+
+/// Of a table with coordinates of a map beside degrees those that are meant by the CRS that is given.
+pub(super) fn by_the_crs(path: &Path, mut raw: RawList, crs_override: Option<&str>) -> Result<RawList> {
+    let Some(mut beside) = raw.beside.take() else { return Ok(raw) };
+    let Some(crs) = crs_override.filter(|crs| !is_local_word(crs)).map(Crs::parse).transpose()? else { return Ok(raw) };
+    if crs.is_local() || crs.is_geographic() == raw.titled_degrees {
+        return Ok(raw);
+    }
+    let taken = if crs.is_geographic() { "longitude and latitude" } else { "the coordinates beside the degrees" };
+    beside.notes.push(format!("{}: by --crs {taken} were taken, of two sets of coordinates", path.display()));
+    Ok(*beside)
+}
+
+/// No survey lies within a kilometre of the origin of a map: marks with three digits behind them stand between
+/// thousands there.
+fn refuse_thousands(path: &Path, points: &[RawPoint], crs: &Crs, cell: &str) -> Result<()> {
+    const NEAR_ORIGIN: f64 = 1000.0;
+    let is_near = |p: &RawPoint| p.gcp.easting.abs() < NEAR_ORIGIN && p.gcp.northing.abs() < NEAR_ORIGIN;
+    if crs.is_geographic() || crs.is_local() || !points.iter().all(is_near) {
+        return Ok(());
+    }
+    let what = format!(
+        "in {cell} and the like the mark seems to stand between thousands, since nothing lies so near the origin of {}; \
+         write the numbers without it",
+        crs.title()
+    );
+    Err(Error::format(path, "the coordinates", what))
 }
 
 fn titles_of_degrees(path: &Path, crs: &Crs) -> Error {
@@ -139,9 +175,12 @@ fn titles_of_degrees(path: &Path, crs: &Crs) -> Error {
 }
 
 fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList> {
+    raw = by_the_crs(path, raw, options.crs.as_deref())?;
     let units = std::mem::take(&mut raw.units);
     raw.notes.extend(raw.set_aside.take());
-    let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref())?;
+    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
+    let shown = Shown { target: target.as_ref(), image: options.image.as_ref() };
+    let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref(), shown)?;
     let source = match stated {
         Some(crs) => Some(crs),
         None => unnamed(path, &points, options, &mut notes)?,
@@ -150,7 +189,6 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
         refuse_no_degrees(path, &points, crs)?;
     }
     units.apply(path, &mut points, source.as_ref(), &mut notes)?;
-    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
     place::check(path, &mut points, (source.as_ref(), target.as_ref()), options, &mut notes)?;
     let gcps = choose(path, points, options)?;
     if gcps.len() > MOST_POINTS {
@@ -252,7 +290,7 @@ fn check_points(path: &Path, points: &mut Vec<RawPoint>, notes: &mut Vec<String>
             return Err(Error::format(
                 path,
                 &point.place,
-                format!("the name `{}` was used before, in {first}; names must differ", gcp.name),
+                format!("the name `{}` was used before, in {first}; rename or remove one", gcp.name),
             ));
         }
         if let Some(other) = places.insert((gcp.easting.to_bits(), gcp.northing.to_bits()), &gcp.name) {
@@ -315,52 +353,12 @@ pub(super) fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
     Ok(())
 }
 
-fn swap(points: &mut [RawPoint]) {
-    for point in points {
-        std::mem::swap(&mut point.gcp.easting, &mut point.gcp.northing);
+/// Degrees without a CRS and without titles, where nothing is fitted but all is written.
+pub(super) fn refuse_untitled_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
+    if look_like_degrees(points) {
+        return Err(order::either_way(path, points));
     }
-}
-
-/// East first or north first, where the file does not say: the CRS's area of use decides, else the size of the numbers.
-/// What is not certain is said; a wrong order mirrors the pattern, which is never matched.
-fn settle_order(path: &Path, points: &mut [RawPoint], order: ColumnOrder, crs: Option<&Crs>, notes: &mut Vec<String>) {
-    let assumed = order == ColumnOrder::Assumed;
-    if order == ColumnOrder::Stated {
-        return;
-    }
-    let all = |test: &dyn Fn(f64, f64) -> bool| points.iter().all(|p| test(p.gcp.easting, p.gcp.northing));
-    let what = if assumed { "columns" } else { "coordinates" };
-    let swapped = format!("{}: northing comes before easting in its {what}", path.display());
-    match crs {
-        Some(crs) => {
-            let covers = |x: f64, y: f64| crs.covers(x, y);
-            let as_is = all(&|x, y| covers(x, y) != Some(false));
-            let other = all(&|x, y| covers(y, x) != Some(false));
-            if !as_is && other {
-                swap(points);
-                notes.push(format!("{swapped}, by the area of use of {}", crs.title()));
-            } else if as_is && other && assumed {
-                notes.push(format!(
-                    "{}: its columns were taken as east, north; both orders would lie in the area of use of {}",
-                    path.display(),
-                    crs.title()
-                ));
-            }
-        }
-        None => {
-            let utm =
-                |e: f64, n: f64| (100_000.0..1_000_000.0).contains(&e) && (1_000_000.0..10_000_000.0).contains(&n);
-            if all(&|x, y| utm(y, x)) {
-                swap(points);
-                notes.push(format!("{swapped}, by the size of the numbers"));
-            } else if assumed && !all(&|x, y| utm(x, y)) {
-                notes.push(format!(
-                    "{}: its columns do not say which is which and were taken as east, north",
-                    path.display()
-                ));
-            }
-        }
-    }
+    Ok(())
 }
 
 /// Looks at the places of a list that another reader took as east, north, height: north first is exchanged where only
@@ -377,7 +375,7 @@ pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) ->
     let mut points: Vec<RawPoint> = places.iter().enumerate().map(point).collect();
     refuse_geocentric(path, &points)?;
     let mut notes = Vec::new();
-    settle_order(path, &mut points, ColumnOrder::Ruled, crs, &mut notes);
+    order::settle(path, &mut points, ColumnOrder::Ruled, crs, Shown::default(), &mut notes)?;
     if let Some(crs) = crs {
         refuse_no_degrees(path, &points, crs)?;
         refuse_degrees_of_map(path, &points, crs)?;

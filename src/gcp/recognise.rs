@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::RawList;
-use crate::gcp::{csv_list, geojson, instruments, kof, odm, ogr, qgis, text, xml};
+use crate::gcp::{csv_list, geojson, instruments, kof, odm, ogr, qgis, text, tracks, xml};
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
@@ -92,7 +92,11 @@ fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
             Err(Error::format(path, "row 1", "the file holds no points; a CRS and one line for each are expected"))
         }
         ListFormat::Odm => odm::parse(path, &content()),
-        _ => csv_list::parse(path, &lines),
+        ListFormat::Pix4d => csv_list::parse_pix4d(path, &lines),
+        _ => {
+            tracks::refuse(path, &lines)?;
+            csv_list::parse(path, &lines)
+        }
     }
 }
 

@@ -46,6 +46,13 @@ fn of_a_country(bytes: &[u8]) -> String {
     encoding.decode_without_bom_handling(bytes).0.into_owned()
 }
 
+/// The text whose bytes in UTF-8 were taken for letters each, as of drawings that do not say their encoding; any other
+/// text as it is.
+pub(super) fn of_utf8_bytes(text: String) -> String {
+    let bytes: Option<Vec<u8>> = text.chars().map(|letter| u8::try_from(u32::from(letter)).ok()).collect();
+    bytes.filter(|bytes| !bytes.is_ascii()).and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or(text)
+}
+
 /// A line that holds something.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Line<'a> {
@@ -60,7 +67,11 @@ impl Line<'_> {
     }
 
     pub fn is_comment(&self) -> bool {
-        self.text.starts_with(['#', '!']) || self.text.starts_with("//")
+        // Excel is told by the last what stands between the columns.
+        let tells_excel = || {
+            self.text.chars().count() == 5 && self.text.get(..4).is_some_and(|word| word.eq_ignore_ascii_case("sep="))
+        };
+        self.text.starts_with(['#', '!']) || self.text.starts_with("//") || tells_excel()
     }
 }
 
@@ -218,6 +229,15 @@ mod tests {
             let (bytes, _, lossy) = encoding.encode(text);
             assert!(!lossy);
             assert_eq!(decode(&bytes).as_deref(), Some(text), "{}", encoding.name());
+        }
+    }
+
+    #[test]
+    fn bytes_of_utf8_become_letters_again() {
+        let taken = |text: &str| text.bytes().map(char::from).collect::<String>();
+        for text in ["Brønn 1", "点2", "P1", "Öst, 3"] {
+            assert_eq!(of_utf8_bytes(taken(text)), text);
+            assert_eq!(of_utf8_bytes(text.to_owned()), text);
         }
     }
 

@@ -36,4 +36,5 @@ mod targets;
 mod thesis;
 mod tile_invariance;
 mod unclear_lists;
+mod which_first;
 mod words;

@@ -13,9 +13,10 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::gcp::Gcp;
-use crate::gcp::raw::{RawPoint, Seen};
+use crate::gcp::order::Shown;
+use crate::gcp::raw::{ColumnOrder, RawPoint, Seen};
 use crate::gcp::working_crs;
-use crate::gcp::{read, recognise};
+use crate::gcp::{place, read, recognise};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
@@ -53,6 +54,8 @@ pub enum ListFormat {
     Carlson,
     /// Japan's.
     Sima,
+    /// Sweden's.
+    SbgGeo,
     LandXml,
     JobXml,
     /// Read by GDAL, never written.
@@ -80,11 +83,12 @@ impl ListFormat {
     ];
 
     /// Those of instruments and field programs, which are read only.
-    const OF_INSTRUMENTS: [ListFormat; 6] = [
+    const OF_INSTRUMENTS: [ListFormat; 7] = [
         ListFormat::Gsi,
         ListFormat::Sdr,
         ListFormat::Carlson,
         ListFormat::Sima,
+        ListFormat::SbgGeo,
         ListFormat::LandXml,
         ListFormat::JobXml,
     ];
@@ -110,6 +114,7 @@ impl ListFormat {
             ListFormat::Sdr => "sdr",
             ListFormat::Carlson => "rw5",
             ListFormat::Sima => "sima",
+            ListFormat::SbgGeo => "geo",
             ListFormat::LandXml => "landxml",
             ListFormat::JobXml => "jobxml",
             ListFormat::OtherVector => "vector",
@@ -138,6 +143,7 @@ impl ListFormat {
             ListFormat::Sdr => "Sokkia's SDR",
             ListFormat::Carlson => "Carlson's RW5",
             ListFormat::Sima => "Japan's SIMA",
+            ListFormat::SbgGeo => "SBG GEO",
             ListFormat::LandXml => "LandXML",
             ListFormat::JobXml => "Trimble's JobXML",
             ListFormat::OtherVector => "a vector format of GDAL",
@@ -309,10 +315,17 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
             format!("give --to with one of {}", ListFormat::WRITTEN.map(ListFormat::name).join(", ")),
         ));
     }
-    let (mut raw, from) = recognise::parse(input, options.layer.as_deref(), options.from)?;
+    let (raw, from) = recognise::parse(input, options.layer.as_deref(), options.from)?;
+    let mut raw = read::by_the_crs(input, raw, options.crs.as_deref())?;
     let units = std::mem::take(&mut raw.units);
     let set_aside = raw.set_aside.take();
-    let (mut points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref())?;
+    let is_untitled = raw.order == ColumnOrder::Untitled;
+    let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
+    let shown = Shown { target: target.as_ref(), image: None };
+    let (mut points, crs, mut notes) = read::settled(input, raw, options.crs.as_deref(), shown)?;
+    if is_untitled && crs.is_none() {
+        read::refuse_untitled_degrees(input, &points)?;
+    }
     // What is said again in a column is known by its number, which another unit changes.
     for point in &mut points {
         point.attributes = losses::extra(point).cloned().collect();
@@ -320,14 +333,15 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     units.apply(input, &mut points, crs.as_ref(), &mut notes)?;
     if let Some(crs) = &crs {
         read::refuse_beyond_poles(input, &points, crs)?;
+        place::refuse_known_mistakes(input, &points, crs, &mut notes)?;
     }
     if points.is_empty() {
         return Err(Error::format(input, "the list", "it holds no points"));
     }
     let worst_accuracy_m = options.datum_accuracy_m.unwrap_or(DEFAULT_DATUM_ACCURACY_M);
     let mut survey = Survey { points, crs };
-    if let Some(target) = &options.to_crs {
-        survey.project(input, Crs::parse(target)?, worst_accuracy_m, &mut notes)?;
+    if let Some(target) = target {
+        survey.project(input, target, worst_accuracy_m, &mut notes)?;
     }
     losses::refuse(input, &survey, to)?;
     let mut lost = losses::of(&survey, to);

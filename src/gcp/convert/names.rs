@@ -15,7 +15,9 @@ fn holds(format: ListFormat, letter: char) -> bool {
     match format {
         GeoJson => true,
         // A cell may go on over lines; other line ends become the usual one.
-        Csv | MetashapeCsv | Pix4d | Qgis => !matches!(letter, '\r' | '\0' | '\u{1a}'),
+        Csv => !matches!(letter, '\r' | '\0' | '\u{1a}'),
+        // Their programs read line by line.
+        MetashapeCsv | Pix4d | Qgis => !matches!(letter, '\n' | '\r' | '\0' | '\u{1a}'),
         GeoPackage | FlatGeobuf | Shapefile => letter != '\0',
         _ => !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}'),
     }

@@ -290,6 +290,7 @@ fn metashape_xml(survey: &Survey) -> String {
 
 fn pix4d(survey: &Survey) -> String {
     let accuracies = all_or_none(survey, ListFormat::Pix4d);
+    let is_degrees = survey.crs.as_ref().is_some_and(Crs::is_geographic);
     let mut text = String::new();
     for gcp in survey.gcps() {
         let height = gcp.height.expect("refused without a height");
@@ -298,7 +299,9 @@ fn pix4d(survey: &Survey) -> String {
             name if is_crs_line(&name) => format!("\"{name}\""),
             name => name,
         };
-        text.push_str(&format!("{name},{},{},{height}", gcp.easting, gcp.northing));
+        // Pix4D's rule: label, latitude, longitude; of a map X, Y.
+        let [first, second] = if is_degrees { [gcp.northing, gcp.easting] } else { [gcp.easting, gcp.northing] };
+        text.push_str(&format!("{name},{first},{second},{height}"));
         if let (true, Some(sigma), Some(sigma_height)) = (accuracies, gcp.sigma_m, gcp.sigma_height_m) {
             text.push_str(&format!(",{sigma},{sigma_height}"));
         }

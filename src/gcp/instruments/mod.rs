@@ -5,6 +5,7 @@ mod carlson;
 mod gsi;
 mod jobxml;
 mod landxml;
+mod sbg;
 mod sdr;
 mod sima;
 
@@ -31,6 +32,7 @@ pub(super) fn recognised(extension: &str, text: &str) -> Option<ListFormat> {
         () if extension == "gsi" || gsi::is_block(first) => Some(ListFormat::Gsi),
         () if extension == "sdr" || first.starts_with("00NMSDR") => Some(ListFormat::Sdr),
         () if matches!(extension, "sim" | "sima") || sima::is_head(first) => Some(ListFormat::Sima),
+        () if sbg::is_head(first) => Some(ListFormat::SbgGeo),
         () if matches!(extension, "rw5" | "rw7") || carlson::is_record(first) => Some(ListFormat::Carlson),
         () => None,
     }
@@ -54,6 +56,7 @@ pub(super) fn parse(path: &Path, text: &str, lines: &[Line<'_>], format: ListFor
         ListFormat::Gsi => gsi::parse(path, lines),
         ListFormat::Sdr => sdr::parse(path, text),
         ListFormat::Carlson => carlson::parse(path, lines),
+        ListFormat::SbgGeo => sbg::parse(path, lines),
         ListFormat::Sima => sima::parse(path, lines),
         ListFormat::LandXml => landxml::parse(path, text),
         ListFormat::JobXml => jobxml::parse(path, text),

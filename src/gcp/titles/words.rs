@@ -121,8 +121,9 @@ pub(super) const HEIGHT_QUALIFIERS: &[&str] = &[
     "абсолютная", "абсолютна", "нормальная", "ортометрическая", "точки", "м", "геоидная", "geoidica", "geoidale",
     "ht", "hgt", "wert", "value", "c", "s", "l", "f", "p",
 ];
-/// Heights where no other title says them: Hungarian magasság beside X and Y, Finnish korkeus beside P and I.
-pub(in crate::gcp) const SHORT_HEIGHTS: &[&str] = &["m", "k"];
+/// Heights where no other title says them: Hungarian magasság beside X and Y, Finnish korkeus beside P and I, Italian
+/// quota beside E and N.
+pub(in crate::gcp) const SHORT_HEIGHTS: &[&str] = &["m", "k", "q"];
 pub(in crate::gcp) const LONGITUDES: &[&str] = &[
     "lon", "long", "longitude", "lng", "lengdegrad", "longitude deg", "lon deg", "lange", "laenge",
     "geographische lange",
