@@ -28,6 +28,10 @@ pub(super) fn explain(
             help.push("only the points that can be in the image (--names), each of them once");
             advice.push(format!("the list or the image shows a figure that repeats: give {}", help.join(", or ")));
         }
+        let allowed = match beaten {
+            true => String::new(),
+            false => format!(", where at most {} may be (--max-false-alarms)", scientific(limit)),
+        };
         let rival = runner_up.as_ref().filter(|_| beaten).map_or(String::new(), |other| {
             format!(
                 ", but another one is almost as good ({} GCPs, {})",
@@ -36,7 +40,8 @@ pub(super) fn explain(
             )
         });
         format!(
-            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{rival}",
+            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{allowed}\
+             {rival}",
             best.pairs.len(),
             best.gcps_in_image,
             scientific(best.log10_false_alarms),
@@ -73,11 +78,29 @@ fn open_questions(priors: &Priors) -> Vec<&'static str> {
 
 /// 10^x for people.
 pub(super) fn scientific(log10: f64) -> String {
-    if (-2.0..6.0).contains(&log10) {
-        return format!("{:.3}", 10f64.powf(log10));
+    let value = 10f64.powf(log10);
+    match log10 {
+        2.0..6.0 => return format!("{value:.0}"),
+        0.0..2.0 => return format!("{value:.1}"),
+        // One digit that is not 0.
+        -5.0..0.0 => return format!("{value:.*}", (-log10.floor()) as usize),
+        _ => {}
     }
     // One digit and the power, which a double may not hold.
     let digit = 10f64.powf(log10 - log10.floor()).round();
     let (digit, power) = if digit >= 10.0 { (1.0, log10.floor() + 1.0) } else { (digit, log10.floor()) };
     format!("{digit}e{power}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::scientific;
+
+    #[test]
+    fn numbers_are_those_of_people() {
+        for (value, said) in [(259.141, "259"), (1.26, "1.3"), (8e-3, "0.008"), (1e-4, "0.0001"), (3e-9, "3e-9")] {
+            assert_eq!(scientific(f64::log10(value)), said);
+        }
+        assert_eq!([scientific(75.3), scientific(-400.0)], ["2e75", "1e-400"]);
+    }
 }

@@ -71,7 +71,7 @@ fn one_line(error: &anyhow::Error) -> String {
             words.push(cause);
         }
     }
-    printable(&words.join(": ").replace('\n', " "))
+    printable(&words.join(": ").replace(['\n', '\t'], " "))
 }
 
 /// A word of more letters, a cell of a broken list perhaps, is cut; a path may have as many as the system takes.

@@ -137,7 +137,7 @@ pub struct MatchArgs {
     pub matcher: MatcherArg,
     #[command(flatten)]
     pub patterns: PatternArgs,
-    /// Nothing is written when chance alone would produce more patterns as good as the one found.
+    /// Write nothing when chance alone would produce more than P patterns as good as the one found.
     #[arg(long, value_name = "P", default_value_t = 1e-4, help_heading = "Matching")]
     pub max_false_alarms: f64,
     /// End the search for the pattern after so many seconds, found or not; without it the search counts its steps, so
@@ -174,8 +174,8 @@ pub struct GcpArgs {
     #[arg(long, value_name = "FILE", help_heading = "Ground control points")]
     // Asked for by `path`: a replay takes the points of the result.
     pub gcps: Option<PathBuf>,
-    /// CRS of the list (EPSG code, WKT, PROJ string, a file with one, or `local` for local metres). Default: what the
-    /// list says, else the image's where the points lie on it.
+    /// Coordinate reference system (CRS) of the list: EPSG code, WKT, PROJ string, a file with one, or `local` for
+    /// local metres. Default: what the list says, else the image's where the points lie on it.
     #[arg(long, value_name = "CRS", help_heading = "Ground control points")]
     pub crs: Option<String>,
     /// CRS of the outputs, when it is not that of the points.

@@ -7,7 +7,7 @@ use autoref_raster::crs::Crs;
 use autoref_stream::gcp::convert::{ConvertOptions, ListFormat, convert};
 use clap::{Args, Subcommand};
 
-/// Work on lists of ground control points.
+/// Convert a list of ground control points into another format.
 #[derive(Args, Debug)]
 pub struct GcpsArgs {
     #[command(subcommand)]
@@ -83,13 +83,13 @@ pub fn run(args: &GcpsArgs) -> anyhow::Result<()> {
     }
     println!("{} points: {} to {}", done.points, done.from.title(), done.to.title());
     for lost in &done.lost {
-        println!("Lost: {lost}");
+        println!("Lost: {}", crate::printable(lost));
     }
     if done.lost.is_empty() {
         println!("Nothing was lost");
     }
     for note in &done.notes {
-        println!("Note: {note}");
+        println!("Note: {}", crate::printable(note));
     }
     println!("Written: {}", files.join(", "));
     Ok(())

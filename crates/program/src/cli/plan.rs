@@ -173,7 +173,7 @@ fn words(plan: &Plan, paints: &[PaintRank], notes: &[String]) -> String {
     }
     paint_words(paints, &mut line);
     for note in notes {
-        line("Note", note.clone());
+        line("Note", crate::printable(note));
     }
     for advice in &plan.advice {
         line("Advice", advice.clone());

@@ -238,13 +238,16 @@ fn advise(
     hints: &[String],
     (source, profile): (&dyn autoref_raster::RasterSource, &str),
 ) -> anyhow::Result<()> {
+    // A mistake in the list is likelier than paint of another colour.
+    if result.refused().is_some() {
+        result.advice.splice(0..0, hints.iter().cloned());
+    }
     if let Some(search) = &colours {
         result.advice.extend(search.advice(profile));
         result.warnings.extend(search.note());
     }
     result.colour_search = colours;
     if result.refused().is_some() {
-        result.advice.extend(hints.iter().cloned());
         result.advice.extend(unusual(source)?.iter().map(ToString::to_string));
     }
     Ok(())

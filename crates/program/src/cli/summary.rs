@@ -53,7 +53,8 @@ struct Lines(String);
 
 impl Lines {
     fn add(&mut self, label: &str, value: String) {
-        writeln!(self.0, "{label:<16}{value}").expect("a string takes all writes");
+        // A name may hold line ends.
+        writeln!(self.0, "{label:<16}{}", crate::printable(&value)).expect("a string takes all writes");
     }
 }
 
