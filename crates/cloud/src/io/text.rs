@@ -5,8 +5,8 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::text_head::{self, Count, DECIMAL_COMMAS, remark};
-use super::text_line::{has_decimal_commas, number, numbers, plain_numbers, read_line, text_of, words};
+use super::text_head::{self, Count, DECIMAL_COMMAS, NO_THOUSANDS, remark};
+use super::text_line::{has_decimal_commas, has_thousands, number, numbers, plain_numbers, read_line, text_of, words};
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
 use crate::schema::{Batch, Kind};
@@ -113,6 +113,9 @@ fn mistake(text: &str, columns: usize) -> String {
     if has_decimal_commas(text) {
         return format!("`{text}` has decimal commas between blanks: {DECIMAL_COMMAS}");
     }
+    if has_thousands(text) {
+        return format!("`{text}` has marks between thousands: {NO_THOUSANDS}");
+    }
     let row = words(text);
     match row.iter().find(|word| number(word).is_none()) {
         Some(word) if row.len() == columns => format!("`{word}` is no number"),
@@ -194,6 +197,38 @@ mod tests {
         }
         assert_eq!(read_all("comma.csv", "1,5;2,5;3,5\n").expect("a table").0, 1);
         assert_eq!(read_all("comma.csv", "1, 2, 3\n").expect("a table").0, 1);
+    }
+
+    #[test]
+    fn thousands_quoted_commas_and_wide_letters_are_named() {
+        let refused = |table: &str| read_all("cloud.csv", table).expect_err("refused").to_string();
+        for row in [
+            "598'014.0 6'643'213.2 45.0",
+            "598 014,0;6 643 213,2;45,0",
+            "598.014,0;6.643.213,2;45,0",
+            "598,014.0\t6,643,213.2\t45.0",
+            "598.014;6.643.213;45",
+        ] {
+            for table in [format!("{row}\n"), format!("X;Y;Z\n{row}\n"), format!("1;2;3\n{row}\n")] {
+                let said = refused(&table);
+                assert!(said.contains("marks between thousands: write the numbers without them"), "{said}");
+            }
+        }
+        for head in ["", "X,Y,Z\n"] {
+            let said = refused(&format!("{head}\"598014,002\",\"6643213,291\",\"45,057\"\n"));
+            assert!(said.contains("commas within quotes") && said.contains("semicolons"), "{said}");
+        }
+        assert_eq!(read_all("cloud.csv", "\"X\",\"Y\",\"Z\"\n\"1.5\",\"2\",\"3\"\n").expect("a table").0, 1);
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("wide.xyz");
+        for bytes in [
+            "\u{feff}1 2 3\n".encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>(),
+            "X Y Z\n1 2 3\n".encode_utf16().flat_map(u16::to_be_bytes).collect(),
+        ] {
+            std::fs::write(&path, bytes).expect("a file");
+            let said = open(&path).err().expect("refused").to_string();
+            assert!(said.contains("UTF-16: save it as text in UTF-8"), "{said}");
+        }
     }
 
     /// Names of several languages, metres behind a name, classes and columns beside x, y and z.

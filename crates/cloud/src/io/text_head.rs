@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Seek};
 use std::path::Path;
 
-use super::text_line::{has_decimal_commas, next_line, number, words};
+use super::text_line::{has_decimal_commas, has_quoted_commas, has_thousands, next_line, number, words};
 use crate::error::{Error, Result};
 use crate::schema::{Kind, Schema};
 
@@ -15,6 +15,9 @@ pub(super) fn remark(line: &str) -> Option<&str> {
 
 /// What helps where commas could be either.
 pub(super) const DECIMAL_COMMAS: &str = "write decimal points, or semicolons between the columns";
+
+/// What helps where numbers are grouped.
+pub(super) const NO_THOUSANDS: &str = "write the numbers without them";
 
 /// Names of x, y and z; where several are there, the first counts.
 const AXES: [&[&str]; 3] = [
@@ -107,6 +110,10 @@ pub(super) fn read(path: &Path, file: &mut BufReader<File>, line: &mut u64, byte
             Some(rest) => words(rest),
             None => words(text),
         };
+        if remark(text).is_none() && has_quoted_commas(text) && words(&text.replace('"', "")).len() > 2 {
+            let what = format!("`{text}` has commas within quotes: {DECIMAL_COMMAS}");
+            return Err(Error::format(path, format!("line {line}"), what));
+        }
         if row.iter().all(|word| number(word).is_some()) {
             if let ([word], None | Some(Count { rows: 0, .. })) = (&row[..], count) {
                 count = Count::of(word, *line);
@@ -132,6 +139,8 @@ pub(super) fn read(path: &Path, file: &mut BufReader<File>, line: &mut u64, byte
         if names.is_some() || row.len() < 3 || row.iter().any(|word| number(word).is_some()) {
             let what = if has_decimal_commas(text) {
                 format!("`{text}` has decimal commas between blanks: {DECIMAL_COMMAS}")
+            } else if has_thousands(text) {
+                format!("`{text}` has marks between thousands: {NO_THOUSANDS}")
             } else if names.is_some() {
                 format!("`{text}` is no row of numbers: leave columns of words out")
             } else {

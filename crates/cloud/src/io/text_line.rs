@@ -84,6 +84,22 @@ pub(super) fn has_decimal_commas(line: &str) -> bool {
     line.contains(',') && !line.contains([';', '\t']) && row().count() >= 3 && row().all(|word| number(word).is_some())
 }
 
+/// Whether a row would be one of numbers but for marks between thousands: `598'014.0;6'643'213.3;45.1`.
+pub(super) fn has_thousands(line: &str) -> bool {
+    const GAPS: [char; 7] = ['.', ',', '\'', '’', ' ', '\u{a0}', '\u{202f}'];
+    let is_cut = line.contains([';', '\t']);
+    let cells: Vec<&str> =
+        if is_cut { line.split([';', '\t']).map(str::trim).collect() } else { line.split_ascii_whitespace().collect() };
+    let digits = |cell: &str| cell.trim_start_matches(['+', '-']).replace(GAPS, "");
+    let is_number = |cell: &&str| !cell.is_empty() && digits(cell).bytes().all(|byte| byte.is_ascii_digit());
+    cells.len() >= 3 && cells.iter().all(is_number) && cells.iter().any(|cell| number(cell).is_none())
+}
+
+/// Whether a quoted number has a comma in it, where a comma counts as the end of a column.
+pub(super) fn has_quoted_commas(line: &str) -> bool {
+    !line.contains([';', '\t']) && line.split('"').skip(1).step_by(2).any(|inner| inner.contains(','))
+}
+
 /// Reads the next line into `bytes`, without its end, which is LF, CR LF or CR alone; `false` at the end of the file.
 pub(super) fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64, bytes: &mut Vec<u8>) -> Result<bool> {
     bytes.clear();
@@ -108,7 +124,13 @@ pub(super) fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64,
     let read = ended || !bytes.is_empty();
     *line += u64::from(read);
     if bytes.len() >= MOST_LINE_BYTES || bytes.contains(&0) {
-        let what = "this is neither LAS, LAZ, PLY, E57 nor a table of text";
+        let zeros = bytes.iter().filter(|byte| **byte == 0).count();
+        let is_wide =
+            bytes.starts_with(&[0xFF, 0xFE]) || bytes.starts_with(&[0xFE, 0xFF]) || zeros * 5 > bytes.len() * 2;
+        let what = match is_wide && bytes.len() < MOST_LINE_BYTES {
+            true => "this is a table in UTF-16: save it as text in UTF-8",
+            false => "this is neither LAS, LAZ, PLY, E57 nor a table of text",
+        };
         return Err(Error::format(path, format!("line {line}"), what));
     }
     Ok(read)
